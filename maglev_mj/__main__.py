@@ -1,6 +1,6 @@
 """Command line as `python -m maglev_mj`.
 
-It serves where the script is not on the path.
+For use without the script on the path.
 """
 
 import sys

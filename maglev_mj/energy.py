@@ -200,7 +200,7 @@ class PassivityObserver:
         Returns:
             Absorbed energy up to each sample [J], (N, 6).
         """
-        groups: dict[int, list[tuple[int, list[Segment]]]] = {}  # by how many segments a period has
+        groups: dict[int, list[tuple[int, list[Segment]]]] = {}  # by the number of segments in a period
         for place, (force, pulse, width) in enumerate(zip(held, pulses, widths.tolist())):
             if place or self._pose is not None:
                 segments = self._timeline.period(self._count)

@@ -40,8 +40,8 @@ It takes some ms.
 class Replay:
     """Recording shown in time; a `SnapshotSource`.
 
-    All its segments are on one time axis, one after the other. The time of opening and seeking does not grow with the
-    number of samples: stick positions are found during playback, in each segment from its first sample on.
+    All its stretches are on one time axis, one after the other. The time of opening and seeking does not grow with the
+    number of samples: stick positions are found during playback, in each stretch from its first sample on.
 
     Args:
         recording: The recording, of at least one sample.
@@ -175,7 +175,7 @@ class Replay:
 
     @property
     def _place(self) -> int:
-        """Index of the segment shown."""
+        """Index of the stretch shown."""
         return int(np.searchsorted(self._firsts, self._row, side="right")) - 1
 
     @property
@@ -188,7 +188,7 @@ class Replay:
     def _history(self) -> Array:
         """Return the samples of the last two seconds.
 
-        Those of earlier segments are included.
+        Those of earlier stretches are included.
         """
         end, firsts = self._row + 1, self._firsts
         first = int(np.searchsorted(self._times, self._times[self._row] - SHOWN))
@@ -201,7 +201,7 @@ class Replay:
 
 
 class _Shown:
-    """Segment of a recording with its metadata."""
+    """Stretch of a recording with its metadata."""
 
     def __init__(self, stretch: Stretch, own: OwnCode | None) -> None:
         self._again = rebuild_for(stretch, own)

@@ -230,7 +230,7 @@ def _scene(setup: Setup, own: OwnCode | None) -> Scene:
 
 
 def rebuild_for(stretch: Stretch, own: OwnCode | None = None) -> Rebuild | None:
-    """Return the function that rebuilds a segment, or None.
+    """Return the function that rebuilds a stretch, or None.
 
     It makes plant and controller; None if it needs user code.
 
@@ -259,7 +259,7 @@ def expected(setup: Setup) -> Expected:
     kind, metadata, known = setup["kind"], dict[str, Any](), scripted(setup)
     with _one_line():
         samples = None if setup.get("samples") is None else whole(setup, "samples")
-        if kind == "device":  # what it weighs and what acted before a stretch is in the flight, not in the setup
+        if kind == "device":  # inertia and previous wrench are recorded with the flight, not in the setup
             metadata = {"delay": parameters_in(setup)["delay"], "hand_recorded": False, "hand_acts_on_flotor": True}
         elif kind == "scene" or (isinstance(setup.get("plant"), dict) and not known):
             metadata = {"hand_recorded": True}
@@ -348,9 +348,9 @@ def _run_into(file: RecordingFile, scene: Scene, plant: str | None, phase: float
 
 
 def shown_scene(setup: Setup, metadata: RunMetadata, own: OwnCode | None = None) -> Scene:
-    """Return the scene that displays a segment.
+    """Return the scene that displays a stretch.
 
-    It is the segment's own if that is known here.
+    It is the stretch's own if that is known here.
 
     Args:
         setup: The setup.
