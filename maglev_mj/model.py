@@ -58,10 +58,7 @@ def scenes() -> list[str]:
 
 @cache
 def model_names() -> tuple[str, ...]:
-    """Return the names of all models of the package.
-
-    Those of its scenes are included.
-    """
+    """Return all model names of the package, scenes included."""
     return tuple(sorted(path.relative_to(MODELS).with_suffix("").as_posix() for path in MODELS.rglob("*.xml")))
 
 
@@ -110,10 +107,7 @@ def model_path(model: str | Path) -> Path:
 
 
 def _written(folder: Path) -> tuple[tuple[str, int], ...]:
-    """Return a folder's MJCF files with their modification times.
-
-    A changed file is thereby read again.
-    """
+    """Return a folder's MJCF files with their modification times."""
     return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in folder.glob("*.xml")))
 
 
@@ -323,10 +317,7 @@ def _compile(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> Device:
 
 
 def _check_names(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> None:
-    """Raise ModelError for missing or wrong parts.
-
-    The specification must have all parts of a device, of the right kind.
-    """
+    """Raise ModelError for missing or wrong parts."""
     flotor = spec.body("flotor")
     if flotor is None:
         raise _unusable(name, "it has no body 'flotor'")
@@ -352,10 +343,7 @@ def _leave_out_sites(spec: mujoco.MjSpec) -> None:
 
 
 def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
-    """Set the flotor's moving mass [kg].
-
-    The bodies keep their shares of the mass; the moments of inertia stay.
-    """
+    """Set the flotor's moving mass [kg], keeping its inertia."""
     carried = np.flatnonzero(model.body_treeid == model.body_treeid[flotor])
     share, data = mass / model.body_subtreemass[flotor], mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -368,10 +356,7 @@ def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
 
 
 def _give_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel, inertia: Sequence[float]) -> None:
-    """Set the moments of inertia of flotor with handle.
-
-    In [kg m²]. Only those of the flotor's own body change.
-    """
+    """Set the inertia [kg m²] of flotor with handle."""
     body, turn = spec.body("flotor"), np.zeros(9)
     address = int(model.joint("rotation").dofadr[0])
     more = np.diag(inertia) - _mass_matrix(model)[address : address + 3, address : address + 3]
@@ -399,10 +384,7 @@ def _mass_matrix(model: mujoco.MjModel) -> Array:
 
 
 def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:
-    """Make the handle flexible along z.
-
-    It swings against the flotor at the flotor's first mode, for a moving mass [kg].
-    """
+    """Make the handle flexible along z, at 1 kHz."""
     handle, flotor = spec.body("handle"), spec.body("flotor")
     whole = handle.mass + flotor.mass
     reduced = handle.mass * flotor.mass / whole * (1.0 if mass is None else mass / whole)
@@ -412,10 +394,7 @@ def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:
 
 
 def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
-    """Add a hand to the flotor's slide joints.
-
-    With a rigid grip it acts on the joints themselves, otherwise it is a body on a tendon.
-    """
+    """Add a hand to the joints, directly or by tendons."""
     if hand.shape or max(hand.indices) > 2:
         raise ParameterError(f"hand must have one mass and lead along x, y or z in MuJoCo, not {hand!r}")
     mass, damping, stiffness, grip_damping, grip_stiffness = (float(value) for value in hand.values)
@@ -437,10 +416,7 @@ def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
 
 
 def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
-    """Return the coil map of a model.
-
-    Points and directions of the forces are those at the model's reference pose.
-    """
+    """Return the coil map at the model's reference pose."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     coils, magnets = model.actuator_trnid[: len(COILS)].T

@@ -104,9 +104,7 @@ def whole(name: str, value: object, *, at_least: float = 0.0, at_most: float = 2
 def interval(
     name: str, value: Sequence[object], *, at_least: float = -math.inf, at_most: float = math.inf
 ) -> tuple[float, float]:
-    """Return the two ends of a checked range.
-
-    The lower end comes first; both are within the bounds.
+    """Return lower and upper end of a checked range.
 
     Raises:
         ParameterError: If the value is not two such numbers in this order.
@@ -124,9 +122,7 @@ def interval(
 
 
 def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite: bool = True) -> Array:
-    """Return `value` as a checked float array.
-
-    Each entry is checked as by `number`.
+    """Return `value` as a float array with checked entries.
 
     Args:
         name: Name in the message.
@@ -226,10 +222,7 @@ def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:
 
 
 def _has_flag(value: object) -> bool:
-    """Return True for a bool among numbers.
-
-    As an array it would be 0 or 1.
-    """
+    """Return True for a bool among numbers."""
     return isinstance(value, bool | np.bool_) or (isinstance(value, list | tuple) and any(map(_has_flag, value)))
 
 
@@ -260,17 +253,11 @@ class Turn:
 
     @property
     def has_keys(self) -> bool:
-        """True if keys change the value.
-
-        Otherwise only other programs change it.
-        """
+        """True if keys change the value."""
         return bool(self.factor or self.add or self.among)
 
     def __call__(self, value: float, way: int) -> float:
-        """Return the value after a press of a key.
-
-        `way` is 1 for up, -1 for down.
-        """
+        """Return the value after a press, 1 up, -1 down."""
         if self.among:
             now = 1.0 / value if self.inverse else value
             nearest = min(range(len(self.among)), key=lambda place: abs(self.among[place] - now))
@@ -336,9 +323,7 @@ class Parameter:
         return result
 
     def from_text(self, text: str) -> Any:
-        """Return the value given by a text.
-
-        Its bounds are not checked.
+        """Return the value given by a text, bounds unchecked.
 
         Raises:
             ParameterError: If it is of another kind.
@@ -371,9 +356,7 @@ def param(
     parse: Callable[[Any], Any] | None = None,
     live: bool | Turn = False,
 ) -> Any:
-    """Declare a parameter of a class.
-
-    It takes the place of a field's default.
+    """Declare a parameter in place of a field's default.
 
     Args:
         help: Short description.
@@ -406,9 +389,7 @@ def param(
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=True, field_specifiers=(param,))
 class Parameters:
-    """Base of frozen dataclasses of declared parameters.
-
-    The values are checked when an object is made.
+    """Base of frozen dataclasses of declared, checked parameters.
 
     Raises:
         ParameterError: If a value is of another kind or outside its bounds.
@@ -436,10 +417,7 @@ class Parameters:
         self.check()
 
     def check(self) -> None:
-        """Check conditions on several parameters.
-
-        A subclass raises ParameterError.
-        """
+        """Check conditions on several parameters; raise ParameterError."""
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
@@ -464,9 +442,7 @@ class Parameters:
         raise ParameterError(not_one_of("parameter", (one.name for one in cls.parameters()), name))
 
     def replace(self, **changes: Any) -> Self:
-        """Return a copy with some values changed.
-
-        Derived values are derived again.
+        """Return a copy with changes; derived values are derived again.
 
         Raises:
             ParameterError: If there is no parameter of a name, or a value is outside its bounds.
@@ -495,10 +471,7 @@ class Parameters:
 
 
 def _check_names(cls: type[Parameters]) -> None:
-    """Refuse wrong names of parameters.
-
-    A parameter needs a type, must not hide another attribute, and must not be hidden by one.
-    """
+    """Refuse parameters without type, or with a hidden name."""
     for name, value in vars(cls).items():
         bases = [base for base in cls.__mro__[1:] if name in vars(base)]
         declared = [getattr(base, "__dataclass_fields__", {}).get(name) for base in bases]
@@ -514,10 +487,7 @@ def _check_names(cls: type[Parameters]) -> None:
 
 
 def _declared(cls: type, item: Any, hint: Any) -> Parameter:
-    """Return the parameter declared by a field.
-
-    Its type decides the kind, not its default.
-    """
+    """Return the parameter declared by a field's type."""
     if "param" not in item.metadata:
         raise TypeError(f"{cls.__name__}.{item.name} must be declared by param(...), or be a ClassVar")
     declared = item.metadata["param"]
