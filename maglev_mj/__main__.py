@@ -1,4 +1,7 @@
-"""`python -m maglev_mj`, where the script is not on the path."""
+"""Command line as `python -m maglev_mj`.
+
+For use without the script on the path.
+"""
 
 import sys
 

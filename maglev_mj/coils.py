@@ -1,4 +1,4 @@
-"""Six coils: currents to wrench and back, and what that allows."""
+"""Six coils: currents to wrench and back, and limits."""
 
 from __future__ import annotations
 
@@ -15,18 +15,21 @@ from maglev_mj.frames import Array
 __all__ = ["UPRIGHT", "CoilMap", "limited_wrench"]
 
 UPRIGHT = 1e-9
-"""Angle [rad] up to which the coils' map is that of the upright flotor: its error is below any figure here."""
+"""Largest angle [rad] with the upright coil map.
+
+The error of the map is then negligible.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class CoilMap:
-    """The linear map between six coil currents and the wrench on the flotor.
+    """Linear map between six coil currents and the wrench.
 
-    The magnets stay with the stator and the coils go with the flotor: a force keeps its direction in stator
-    axes, and its point of application turns. Without an angle given, the map is that of the upright flotor.
+    The magnets are fixed to the stator and the coils to the flotor: a force keeps its direction in stator
+    axes, and its point of application turns. Without a given angle, the map is that of the upright flotor.
 
     Args:
-        points: Where each coil's force applies, from the flotor's centre of mass, in flotor axes [m], (6, 3).
+        points: Point of application of each coil's force, from the flotor's centre of mass, in flotor axes [m], (6, 3).
         directions: Unit direction of each force in stator axes, (6, 3).
         force_constants: Force of one ampere [N/A], (6,).
 
@@ -65,7 +68,10 @@ class CoilMap:
             array.setflags(write=False)  # many plants share one map
 
     def inverse_at(self, rotation: Array) -> Array:
-        """Return currents per wrench [A/N, A/(N m)], (..., 6, 6), for flotors turned by rotation matrices (..., 9)."""
+        """Return currents per wrench of turned flotors, (..., 6, 6).
+
+        In [A/N, A/(N m)], for rotation matrices (..., 9).
+        """
         if rotation.ndim > 1:
             many = np.repeat(self.wrench_per_current[None], len(rotation), axis=0)
             many[:, 3:] = (rotation @ self._turning.T).reshape(-1, 3, 6)
@@ -75,9 +81,11 @@ class CoilMap:
         return cast(Array, np.linalg.inv(turned))
 
     def inverse_turned(self, rx: float, ry: float, rz: float) -> Array:
-        """Return currents per wrench [A/N, A/(N m)], (6, 6), for a flotor turned by a rotation vector [rad].
+        """Return currents per wrench of a turned flotor, (6, 6).
 
-        It is that of `inverse_at` to rounding, in half the time: see `_blocks_of`.
+        In [A/N, A/(N m)], for a rotation vector [rad].
+
+        The result equals that of `inverse_at` to rounding, in half the time: see `_blocks_of`.
         """
         square = rx * rx + ry * ry + rz * rz
         if square <= UPRIGHT * UPRIGHT:
@@ -92,15 +100,23 @@ class CoilMap:
         return inverse.reshape(6, 6)
 
     def currents(self, wrench: Array) -> Array:
-        """Return the currents [A] (..., 6) that give a wrench [N, N m] (..., 6)."""
+        """Return the currents [A] for a wrench [N, N m].
+
+        (..., 6) each.
+        """
         return wrench @ self.current_per_wrench.T
 
     def wrench(self, currents: Array) -> Array:
-        """Return the wrench [N, N m] (..., 6) that currents [A] (..., 6) give."""
+        """Return the wrench [N, N m] of currents [A].
+
+        (..., 6) each.
+        """
         return currents @ self.wrench_per_current.T
 
     def largest_wrench(self, current: float) -> Array:
-        """Return the largest pure force or torque on each axis [N, N m], (6,), the others being zero.
+        """Return the largest force or torque on each axis.
+
+        In [N, N m], (6,), with zero on all other axes.
 
         Args:
             current: Largest current in any coil [A].
@@ -114,17 +130,20 @@ class CoilMap:
         return largest
 
     def condition_number(self, length: float) -> float:
-        """Return the 2-norm condition number with torques divided by a length [m], which makes it unitless."""
+        """Return the 2-norm condition number.
+
+        Torques are divided by a length [m], which makes it unitless.
+        """
         scale = np.array([1.0, 1.0, 1.0, 1.0 / length, 1.0 / length, 1.0 / length])
         return float(np.linalg.cond(scale[:, None] * self.wrench_per_current))
 
 
 def limited_wrench(inverse_map: Array, force: Sequence[float], limit: float) -> tuple[Sequence[float], list[float]]:
-    """Return the wrench that is left when every current is clipped, and its currents.
+    """Return the wrench after current clipping, with its currents.
 
     Args:
         inverse_map: Currents per wrench [A/N, A/(N m)], (6, 6).
-        force: The wrench [N, N m], six; it is returned itself where nothing is clipped.
+        force: The wrench [N, N m], six; it is returned itself if nothing is clipped.
         limit: Largest current in any coil [A].
     """
     currents = inverse_map.dot(force)
@@ -136,17 +155,17 @@ def limited_wrench(inverse_map: Array, force: Sequence[float], limit: float) -> 
 
 
 def _blocks_of(upright: Array, turning: Array) -> tuple[Array, Array]:
-    """Return what `CoilMap.inverse_turned` needs.
+    """Return the matrices for `CoilMap.inverse_turned`.
 
-    Turning leaves the coils' forces as they are: the map of a turned flotor is M W, with W the upright one's and
+    Turning does not change the coils' forces: the map of a turned flotor is M W, with W the upright one's and
     M = [[1, 0], [A, B]]. Its inverse is W⁻¹ [[1, 0], [-B⁻¹ A, B⁻¹]].
 
     Args:
         upright: W⁻¹, (6, 6).
-        turning: From a rotation matrix (9,) to the lower three rows of M W, (18, 9).
+        turning: Map of a rotation matrix (9,) to the lower three rows of M W, (18, 9).
 
     Returns:
-        From a rotation matrix to the rows of A and then of B, (18, 9); from what `_lower_rows` makes of them to the
+        Map of a rotation matrix to the rows of A and then of B, (18, 9); map of the result of `_lower_rows` to the
         inverse of M W, (36, 19).
     """
     lower = np.einsum("ajr,jm->amr", turning.reshape(3, 6, 9), upright)
@@ -161,7 +180,10 @@ def _blocks_of(upright: Array, turning: Array) -> tuple[Array, Array]:
 
 
 def _lower_rows(blocks: Sequence[float]) -> tuple[float, ...]:
-    """Return the rows of -B⁻¹ A, those of B⁻¹, and a 1, from the rows of A and B."""
+    """Return the rows of -B⁻¹ A and B⁻¹, and 1.
+
+    From the rows of A and B.
+    """
     a0, a1, a2, a3, a4, a5, a6, a7, a8, b0, b1, b2, b3, b4, b5, b6, b7, b8 = blocks
     c0, c3, c6 = b4 * b8 - b5 * b7, b5 * b6 - b3 * b8, b3 * b7 - b4 * b6
     over = 1.0 / (b0 * c0 + b1 * c3 + b2 * c6)

@@ -1,4 +1,7 @@
-"""Colours by their role, told apart with every common colour vision; after Okabe and Ito's palette."""
+"""Colours by role, distinguishable with common colour vision deficiencies.
+
+After Okabe and Ito's palette.
+"""
 
 from __future__ import annotations
 
@@ -29,37 +32,37 @@ _BLUE, _VERMILLION, _GREEN = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.6
 _SKY, _ORANGE, _PURPLE, _INK = (0.337, 0.706, 0.914), (0.902, 0.624, 0.0), (0.8, 0.475, 0.655), (0.12, 0.13, 0.15)
 
 HAND: Colour = _BLUE
-"""Force of the hand."""
+"""Hand force."""
 
 DEVICE: Colour = _VERMILLION
-"""Force of the device."""
+"""Device force."""
 
 STOP: Colour = _INK
 """Metal stops and their force."""
 
 WALL: Colour = _SKY
-"""A wall that is not touched."""
+"""Untouched wall."""
 
 TOUCHED: Colour = _ORANGE
-"""A wall or stop that is touched."""
+"""Touched wall or stop."""
 
 STUCK: Colour = _PURPLE
 """Stick position of friction."""
 
 MEASURED: Colour = _SKY
-"""Position, and what else is measured of the flotor."""
+"""Position and other measured quantities of the flotor."""
 
 GOOD: Colour = _GREEN
-"""Stable, or as wanted."""
+"""Stable, or as intended."""
 
 BAD: Colour = _VERMILLION
 """Unstable, stopped, or refused."""
 
 BOUNDARY: Colour = (0.85, 0.87, 0.90)
-"""Edge between stable and unstable, or of a wall in a plot."""
+"""Stability boundary, or a wall's edge in a plot."""
 
 REFERENCE: Colour = (0.35, 0.37, 0.40)
-"""An exact or ideal curve of a chart, and its smaller words."""
+"""Exact or ideal curve of a chart, and small text."""
 
 GRID: Colour = (0.89, 0.90, 0.91)
 """Grid of a chart."""

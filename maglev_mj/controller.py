@@ -1,4 +1,7 @@
-"""The sampled controller: velocity estimate, laws, sum, command. It knows no engine, socket or clock."""
+"""Sampled controller: velocity estimate, laws, sum, command.
+
+It is independent of engine, sockets and clock.
+"""
 
 from __future__ import annotations
 
@@ -19,20 +22,22 @@ __all__ = ["Controller"]
 
 
 class Controller:
-    """Sum of laws, evaluated once a sample, for one device or for a batch of any shape.
+    """Sum of laws, evaluated once per sample.
+
+    It serves one device or a batch of any shape.
 
     Args:
-        laws: The laws; their wrenches add up. Each is a `Law` or a function f(position, velocity) that returns six
-            wrench components. Those with pulses must share one pulse width, because a command carries one.
+        laws: The laws; their wrenches add up. Each is a `Law` or a function f(position, velocity) with six wrench
+            components as its result. Laws with pulses must share one pulse width, because a command has only one.
         period: Sample period [s].
         velocity: Velocity estimator; the paper's finite difference by default.
 
     Attributes:
-        laws: The laws, in the order in which they were given.
+        laws: The laws, in the given order.
         velocity: The velocity estimator.
 
     Raises:
-        ParameterError: If the period is not above 0, one of the laws is none, or their pulse widths differ.
+        ParameterError: If the period is not above 0, one of the laws is not a law, or their pulse widths differ.
     """
 
     def __init__(
@@ -57,7 +62,7 @@ class Controller:
         self.reset()
 
     def reset(self) -> None:
-        """Forget every sample seen."""
+        """Reset all states, as before the first sample."""
         self._states: list[Any] = [law.start() for law in self.laws]
         self._velocity_state: Any = None
         self._tick: int | None = None
@@ -69,7 +74,10 @@ class Controller:
 
     @property
     def states(self) -> tuple[Any, ...]:
-        """The state of each law after the last sample, in the order in which they were given."""
+        """State of each law after the last sample.
+
+        In the given order.
+        """
         return tuple(self._states)
 
     @property
@@ -79,12 +87,18 @@ class Controller:
 
     @property
     def carried(self) -> Array:
-        """Constant wrench that carries the flotor and renders nothing [N, N m], (..., 6)."""
+        """Constant weight-bearing wrench [N, N m], (..., 6).
+
+        It renders nothing.
+        """
         return sum((law.carried() for law in self.laws), np.zeros(len(AXES)))
 
     @property
     def stick_positions(self) -> Array | None:
-        """Positions at which the flotor sticks [m, rad], (6,), NaN where it does not; None without friction."""
+        """Stick positions [m, rad], (6,).
+
+        NaN for a sliding axis; None without friction.
+        """
         found = [law.stick_positions(state) for law, state in zip(self.laws, self._states)]
         if not any(found):
             return None
@@ -95,7 +109,10 @@ class Controller:
 
     @property
     def signals(self) -> dict[str, Sequence[Component]]:
-        """Quantities of the laws' states by name, one for each of a law's axes; see `Law.signals`."""
+        """Quantities of the laws' states, by name.
+
+        One for each axis of a law; see `Law.signals`.
+        """
         found = [law.signals(state) for law, state in zip(self.laws, self._states)]
         return {name: value for one in found for name, value in one.items()}
 
@@ -104,8 +121,8 @@ class Controller:
 
         Raises:
             ParameterError: If the first sample after a reset does not fit the laws' parameters or a law answers it
-                wrongly, or a later one does not follow the one before: then it is of another run, and the controller
-                needs a reset.
+                wrongly, or a later sample does not follow the one before: then it belongs to another run, and the
+                controller needs a reset.
         """
         position, tick, last, calls = sample.position, sample.tick, self._tick, self._calls
         if last is None:
@@ -117,7 +134,7 @@ class Controller:
                 f"a sample's tick must be above {last}, that of the sample before, not {tick}; call reset() before a "
                 "controller answers another run"
             )
-        # a sample that was lost on the way leaves a gap, over which the flotor moved
+        # a lost sample leaves a gap, over which the flotor moved
         time, self._tick = (tick - last) * self.period, tick
         velocity, self._velocity_state = self._estimate(position, self._velocity_state, time)
         wrench: list[Component] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
@@ -130,7 +147,9 @@ class Controller:
         return Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
 
     def at_rest(self, position: Sequence[Component]) -> Command:
-        """Return the answer to a flotor at rest at a position; it is not kept.
+        """Return the answer to a flotor at rest.
+
+        The states do not change.
 
         Raises:
             ParameterError: As for `step` at the first sample.

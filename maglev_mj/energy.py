@@ -1,4 +1,7 @@
-"""Energy of hand and rendered world: of a session as it runs, of samples alone, and of a whole motion."""
+"""Energy of the hand and of the rendered environment.
+
+It is computed for a running session, from samples alone, or for a whole motion.
+"""
 
 from __future__ import annotations
 
@@ -16,18 +19,22 @@ __all__ = ["EnergyAccount", "HandWork", "PassivityObserver", "actuator_work", "h
 
 
 def actuator_work(trace: Trace, carried: ArrayLike = 0.0) -> Array:
-    """Return the work of the actuators between knots [J], (K - 1, ..., 6); exact under a constant wrench there.
+    """Return the work of the actuators between knots [J].
+
+    (K - 1, ..., 6). It is exact under a constant wrench between knots.
 
     Args:
         trace: The motion.
-        carried: Wrench that carries the flotor and counts for nothing [N, N m], (6,).
+        carried: Weight-bearing wrench, which does not count [N, N m], (6,).
     """
     work: Array = (trace.wrench[:-1] - np.asarray(carried)) * np.diff(trace.pose, axis=0)
     return work
 
 
 def hand_work(poses: Array, efforts: Array) -> Array:
-    """Return the work of a hand from each sample to the next [J], (N - 1, 6).
+    """Return the work of the hand between samples [J].
+
+    (N - 1, 6).
 
     Args:
         poses: Poses at the samples [m, rad], (N, 6).
@@ -38,10 +45,12 @@ def hand_work(poses: Array, efforts: Array) -> Array:
 
 
 class HandWork:
-    """Add up the work of a hand whose wrench is held from sample to sample.
+    """Accumulator of the hand's work.
+
+    The hand's wrench is constant from sample to sample.
 
     Attributes:
-        total: Since the first sample [J].
+        total: Work since the first sample [J].
     """
 
     def __init__(self) -> None:
@@ -50,24 +59,24 @@ class HandWork:
         self.total = 0.0
 
     def add(self, pose: Array, effort: Sequence[float]) -> None:
-        """Add the way up to a sample.
+        """Add the displacement up to a sample.
 
         Args:
-            pose: At the sample [m, rad], (6,).
-            effort: Wrench of the hand from there on [N, N m], six.
+            pose: Pose at the sample [m, rad], (6,).
+            effort: Wrench of the hand from the sample on [N, N m], six.
         """
         if self._pose is not None:
             self.total += float(self._effort @ (pose - self._pose))
         self._pose, self._effort = pose, np.array(effort)
 
     def take(self, poses: Array, efforts: Array) -> Array:
-        """Add N samples; return the total at each [J], (N,).
+        """Add N samples; return the totals [J], (N,).
 
-        The bits are those of one by one.
+        The bits are the same as with one sample at a time.
 
         Args:
-            poses: At the samples [m, rad], (N, 6).
-            efforts: Wrenches of the hand from there on [N, N m], (N, 6).
+            poses: Poses at the samples [m, rad], (N, 6).
+            efforts: Wrenches of the hand from each sample on [N, N m], (N, 6).
         """
         acting = np.concatenate([self._effort[None], efforts])[:-1]
         ways = np.diff(poses, axis=0, prepend=poses[:1] if self._pose is None else self._pose[None])
@@ -78,20 +87,22 @@ class HandWork:
 
 
 class EnergyAccount:
-    """Add up the work of the hand and the energy that the rendered world takes, from sample to sample.
+    """Energy account of hand and rendered environment.
 
-    The rendered world is what the actuators do beyond carrying the flotor: walls, friction, springs. It has a tank:
-    what it takes in fills it, up to a bound that no spring here can store more than, and what it gives empties it. A
-    world that gives more than it has is not passive, and one that keeps on giving is unstable.
+    It is updated from sample to sample.
+
+    The rendered environment is all actuator action besides weight compensation: walls, friction, springs. It has an
+    energy tank: absorbed energy fills it, up to a bound above the energy of any spring here, and emitted energy empties
+    it. An environment that emits more than its tank holds is not passive, and one that keeps emitting is unstable.
 
     Args:
         pose: At the start [m, rad], (6,).
-        carried: Wrench by which the actuators carry the flotor [N, N m], (6,); zero where they do not.
-        tank: The most that counts as stored [J].
+        carried: Weight-bearing wrench of the actuators [N, N m], (6,); zero if there is none.
+        tank: Largest energy that counts as stored [J].
 
     Attributes:
-        taken: Energy that the rendered world has taken in [J]; below 0 it has made energy.
-        stored: Energy in the tank [J]; below 0 by as much as the world has made beyond.
+        taken: Energy absorbed by the rendered environment [J]; below 0 it has generated energy.
+        stored: Energy in the tank [J]; below 0 by the generated energy.
     """
 
     def __init__(self, pose: Array, carried: ArrayLike, *, tank: float = 0.2) -> None:
@@ -105,12 +116,12 @@ class EnergyAccount:
         return self._hand.total
 
     def add(self, pose: Array, effort: Sequence[float], work: float) -> None:
-        """Add the way up to a sample.
+        """Add the displacement up to a sample.
 
         Args:
-            pose: At the sample [m, rad], (6,).
-            effort: Wrench of the hand from there on [N, N m], six.
-            work: Work of the actuators since the start [J], as a metered plant adds it up.
+            pose: Pose at the sample [m, rad], (6,).
+            effort: Wrench of the hand from the sample on [N, N m], six.
+            work: Work of the actuators since the start [J], as from a metered plant.
         """
         taken = float(self._carried @ (pose - self._pose)) - (work - self._work)
         self._hand.add(pose, effort)
@@ -120,27 +131,29 @@ class EnergyAccount:
 
 
 class PassivityObserver:
-    """Add up the energy that the rendered world takes in, axis by axis, from samples and commands alone.
+    """Passivity observer of the rendered environment, axis by axis.
 
-    Hand it to `run` as `observe`. Between two samples up to four forces act in turn: the older command and what is
-    left of its pulse, the newer command and its pulse. How the way between the samples splits among them follows
-    from the inertia, exactly where no other force acts but a constant load; without inertia the way is taken as
-    straight, which is exact only where one force acts throughout, so without delay and pulse.
+    It needs samples and commands alone.
+
+    Pass it to `run` as `observe`. Between two samples up to four forces act in turn: the older command and the rest
+    of its pulse, the newer command and its pulse. The inertia gives the displacement under each of them, exactly if the
+    only other force is a constant load. Without inertia the motion is assumed straight, which is exact only if one
+    force acts throughout, so without delay and pulse.
 
     Args:
-        timing: Of the plant.
+        timing: Timing of the plant.
         inertia: Mass and moments of inertia of the six axes [kg, kg m²], (6,); None for a straight line.
-        load: Constant wrench that acts besides, such as weight [N, N m], (6,).
-        before: What the environment exerts until the first command takes effect [N, N m], (6,).
+        load: Further constant wrench, such as weight [N, N m], (6,).
+        before: Wrench of the environment until the first command takes effect [N, N m], (6,).
 
     Attributes:
-        energy: Taken in so far [J], (..., 6).
-        least: The least it has been [J], (..., 6).
+        energy: Absorbed energy [J], (..., 6).
+        least: Least absorbed energy so far [J], (..., 6).
 
     Raises:
         ParameterError: If an inertia is not above 0.
 
-    Source: Hannaford & Ryu 2002, with each force paired with the way that it acted over.
+    Source: Hannaford & Ryu 2002, with each force paired with the displacement during its action.
     """
 
     def __init__(
@@ -150,14 +163,17 @@ class PassivityObserver:
         self._inertia = np.inf if inertia is None else numbers("inertia", inertia, at_least=1e-12)
         acting = np.zeros(6) + numbers("before", before)
         self._timeline, self._count = Timeline(timing, acting), 0
-        for sample in range(-timing.whole, 0):  # as if it had been the answer to the samples before the first
+        for sample in range(-timing.whole, 0):  # as the answer to the samples before the first
             self._timeline.answer(sample, acting.copy())
         self._pose: Array | None = None
         self.energy: Array = np.zeros(6)
         self.least: Array = np.zeros(6)
 
     def __call__(self, sample: Sample, command: Command) -> None:
-        """Take in one sample and the command that answered it; samples that are missing count for nothing."""
+        """Process one sample and its command.
+
+        Missing samples do not count.
+        """
         pose = sample.pose
         if self._pose is not None:
             self.energy = self.energy - self._work(pose - self._pose, self._timeline.period(self._count))
@@ -171,9 +187,9 @@ class PassivityObserver:
             self._timeline.answer(self._count, held, held + command.pulse, command.pulse_width)
 
     def take(self, poses: Array, held: Array, pulses: Array, widths: Array) -> Array:
-        """Take in N samples of one device and their commands.
+        """Process N samples of one device with their commands.
 
-        The bits are those of one by one.
+        The bits are the same as with one sample at a time.
 
         Args:
             poses: Poses [m, rad], (N, 6).
@@ -182,9 +198,9 @@ class PassivityObserver:
             widths: Widths of the pulses [s], (N,); 0 for none.
 
         Returns:
-            Energy taken in up to each sample [J], (N, 6).
+            Absorbed energy up to each sample [J], (N, 6).
         """
-        groups: dict[int, list[tuple[int, list[Segment]]]] = {}  # by how many segments a period has
+        groups: dict[int, list[tuple[int, list[Segment]]]] = {}  # by the number of segments in a period
         for place, (force, pulse, width) in enumerate(zip(held, pulses, widths.tolist())):
             if place or self._pose is not None:
                 segments = self._timeline.period(self._count)
@@ -207,9 +223,12 @@ class PassivityObserver:
         return energy
 
     def _work(self, moved: Array, periods: Sequence[Segment]) -> Array:
-        """Return the work of the forces over a period, from the way between its samples and its segments."""
+        """Return the work of the forces over a period.
+
+        It follows from the displacement between the samples and the segments of the period.
+        """
         segments = [(duration, force, duration * ((force + self._load) / self._inertia)) for duration, force in periods]
-        # speed at the start, such that the segments add up to the way between the samples
+        # speed at the start, such that the segments add up to the displacement between the samples
         place: Component = 0.0
         speed: Component = 0.0
         for duration, _, gained in segments:

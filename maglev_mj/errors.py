@@ -1,4 +1,7 @@
-"""The errors this package raises, and messages that several share: the value, and what is allowed."""
+"""Errors of this package, and shared messages.
+
+A message states the value and what is allowed.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ __all__ = [
 
 
 class MaglevError(Exception):
-    """Base of every error raised on purpose by this package.
+    """Base class of all errors raised by this package.
 
     Attributes:
         cycles: The last (sample, command) pairs before the error, oldest first; empty outside a control loop.
@@ -35,50 +38,61 @@ class MaglevError(Exception):
 
 
 class ParameterError(MaglevError, ValueError):
-    """A parameter is outside what is allowed, or has a shape that does not fit."""
+    """Error of a parameter's value or shape."""
 
 
 class MissingPackageError(MaglevError):
-    """A package of an extra is not installed."""
+    """Error of an extra's missing package."""
 
 
 class ModelError(MaglevError):
-    """A model file is missing, does not compile, or lacks a named element."""
+    """Error of a model file.
+
+    The file is missing, does not compile, or lacks a named element.
+    """
 
 
 class PlantError(MaglevError):
-    """A plant cannot go on: it is closed, got a command that is not finite, or its engine warned."""
+    """Error of a plant that cannot continue.
+
+    It is closed, got a command that is not finite, or its engine warned.
+    """
 
 
 class SensingError(MaglevError):
-    """No pose was found for what the sensors say."""
+    """Error of sensor readings without a matching pose."""
 
 
 class DivergenceError(PlantError):
-    """The flotor left its range by a wide margin, or its state is no longer a number.
+    """Error of a flotor far outside its range.
+
+    Its state may also be no number any more.
 
     Attributes:
-        partial: `Result` of the scene up to there; None outside a run of a scene.
+        partial: `Result` of the scene up to the error; None outside a run of a scene.
     """
 
     partial: Any = None
 
 
 def not_one_of(name: str, allowed: Iterable[str], given: object, also: str = "") -> str:
-    """Return the message for a value that is none of those allowed.
+    """Return the message for a value that is not allowed.
 
     Args:
-        name: Name of what was given.
-        allowed: Texts that are allowed.
+        name: Name of the parameter.
+        allowed: Allowed texts.
         given: The value.
-        also: Further values allowed, in words.
+        also: Further allowed values, in words.
     """
     known = list(allowed)
     return f"{name} must be one of {', '.join(known)}{also}, not {given!r}{meant(given, known)}"
 
 
 def meant(given: object, allowed: Iterable[str]) -> str:
-    """Return the end of a message that names the text most like a given one; empty for none."""
+    """Return the end of a message with the nearest text.
+
+    It is empty if no allowed text is near.
+    """
     near = get_close_matches(str(given), allowed, n=1)
     return f"; did you mean {near[0]}?" if near else ""
 
@@ -87,12 +101,12 @@ def require(packages: Iterable[str], extra: str, why: str) -> None:
     """Check that packages are installed.
 
     Args:
-        packages: Names by which they are imported.
+        packages: Import names.
         extra: Extra of this package that installs them.
-        why: Sentence on what needs them.
+        why: Sentence on their purpose.
 
     Raises:
-        MissingPackageError: If one is not.
+        MissingPackageError: If one is not installed.
     """
     if not all(map(find_spec, packages)):
         raise MissingPackageError(f"{why}: pip install 'maglev-mj[{extra}]'")

@@ -1,4 +1,4 @@
-"""Names of a package, loaded with their modules on first use."""
+"""Names of a package, loaded on first use."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ __all__ = ["attach"]
 def attach(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package.
 
-    A name must not be that of a module of the package, which would take its place once that is loaded.
+    A name must not be that of a module of the package: once loaded, the module would replace it.
 
     Args:
         package: Its name.
-        homes: Names that it gives, by the module that has them, relative to it: "find", or ".timeline" beside it.
+        homes: Exported names by their module, relative to the package: "find", or ".timeline" beside it.
     """
     home = {name: f".{module}" for module, names in homes.items() for name in names.split()}
 

@@ -1,4 +1,4 @@
-"""The control loop: read, control, write, for any plant."""
+"""Control loop for any plant: read, control, write."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ __all__ = ["Answers", "ControlLoop", "Record", "drive"]
 _KEPT = 50  # more of them leave the fastest cache: 200 cost 4 % of the loop
 
 Record: TypeAlias = Callable[[Sample, Command, Command], object]
-"""Takes a sample, the controller's answer, and that as applied; zero where the plant refused it."""
+"""Function of a sample, its answer, and the applied command.
+
+The applied command is zero if the plant refused the answer.
+"""
 
 
 class Answers(Protocol):
-    """What a loop asks of a controller, or of what stands in front of one."""
+    """Interface of a controller to the control loop."""
 
     @property
     def period(self) -> float:
@@ -32,13 +35,15 @@ class Answers(Protocol):
 
 
 class ControlLoop:
-    """Read, control, write: a plant and a controller, driven for so many samples at a time.
+    """Control loop of a plant and a controller.
+
+    It reads, controls and writes, for a number of samples at a time.
 
     Args:
         plant: Any plant; it is left open.
         controller: Any controller; it is not reset.
-        observe: Called with each sample and the command as applied.
-        record: What each cycle is recorded to.
+        observe: Function called with each sample and the command as applied.
+        record: Function that records each cycle.
 
     Raises:
         ParameterError: If the periods differ.
@@ -60,11 +65,11 @@ class ControlLoop:
         self._cycles: deque[tuple[Sample, Command]] = deque(maxlen=_KEPT)
 
     def cycle(self, count: int = 1) -> None:
-        """Answer some samples.
+        """Answer a number of samples.
 
         Raises:
-            MaglevError: Whatever went wrong, with the last cycles in `cycles`. The plant was commanded zero first, or
-                closed where even that failed; for any other exception too.
+            MaglevError: If a cycle fails; `cycles` holds the last ones. The plant was commanded zero before, or closed
+                if that failed too. The same holds for any other exception.
         """
         sample = command = None
         plant, observe, record = self._plant, self._observe, self._record
@@ -85,7 +90,7 @@ class ControlLoop:
             raise
 
     def finish(self) -> Sample:
-        """Return the sample after the last answer, which closes the last period.
+        """Return the sample that closes the last period.
 
         Raises:
             MaglevError: As `cycle`.
@@ -97,11 +102,11 @@ class ControlLoop:
             raise
 
     def _stop(self, error: BaseException, sample: Sample | None, command: Command | None) -> None:
-        """Let go of the plant, and give the error the last cycles."""
+        """Release the plant, and add the cycles to the error."""
         _release(self._plant)
         cycles = self._cycles
         if sample is not None and command is not None and (not cycles or cycles[-1][0] is not sample):
-            cycles.append((sample, command))  # the answer that was refused
+            cycles.append((sample, command))  # the refused answer
             if self._record is not None:
                 self._record(sample, command, Command([0.0] * 6))
         if isinstance(error, MaglevError):
@@ -116,14 +121,16 @@ def drive(
     observe: Callable[[Sample, Command], object] | None = None,
     record: Record | None = None,
 ) -> Sample:
-    """Drive a plant with a controller for a number of samples, then read once more.
+    """Run the control loop for a number of samples.
+
+    One more sample is read at the end.
 
     Args:
         plant: Any plant; it is left open.
         controller: Any controller; it is not reset.
-        ticks: Samples to answer, a whole number of at least 1.
-        observe: Called with each sample and the command as applied.
-        record: What each cycle is recorded to.
+        ticks: Number of samples to answer, at least 1.
+        observe: Function called with each sample and the command as applied.
+        record: Function that records each cycle.
 
     Returns:
         The sample after the last answer, which closes the last period.
@@ -140,7 +147,10 @@ def drive(
 
 
 def _release(plant: Plant) -> None:
-    """Command zero, or close the plant if it no longer listens; the error that brought us here is the one to report."""
+    """Command zero, or close the plant if that fails.
+
+    Errors here are dropped, so that the original error is reported.
+    """
     try:
         plant.write(Command([0.0] * 6))
     except Exception:

@@ -1,4 +1,7 @@
-"""Figures of one motion along one axis: how deep, how hard, how long."""
+"""Figures of a motion along one axis.
+
+Bounce figures and perceived hardness.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,11 @@ __all__ = ["BounceSummary", "Hardness", "perceived_hardness", "summarise_bounce"
 
 
 class BounceSummary(NamedTuple):
-    """How a flotor met a wall; each figure (...), one for each device.
+    """Figures of a bounce on a wall, (...) each.
 
     Attributes:
-        penetration: Greatest depth behind the wall [m].
-        rebound: Greatest height above the wall after the first contact [m], 0 if it never leaves.
+        penetration: Largest depth behind the wall [m].
+        rebound: Largest height above the wall after the first contact [m], 0 if it never leaves.
         peak_force: Largest force of the actuators on the axis, either sign [N].
         settling_time: Time from release after which the position stays within 2 % of the way from start to
             rest around the rest [s]; NaN if it does not, or if there is no rest.
@@ -33,13 +36,15 @@ class BounceSummary(NamedTuple):
 
 
 def summarise_bounce(trace: Trace, rest: float, *, axis: int = 2, wall: float = 0.0) -> BounceSummary:
-    """Summarise a drop on a wall that fills x <= `wall`.
+    """Return the bounce figures of a drop.
+
+    The wall fills x <= `wall`.
 
     Positions are extremes of the exact curve, not of samples of it.
 
     Args:
         trace: The motion.
-        rest: Where the flotor comes to rest [m]; NaN for nowhere.
+        rest: Rest position of the flotor [m]; NaN if there is none.
         axis: Index into AXES.
         wall: Position of the wall [m].
     """
@@ -60,7 +65,10 @@ def summarise_bounce(trace: Trace, rest: float, *, axis: int = 2, wall: float = 
 
 
 def _settling_time(line: Trace, rest: float, share: float = 0.02, step: float = 1e-4) -> Array:
-    """Return when the position last enters the band around `rest`, interpolated on a grid of `step` [s]."""
+    """Return the last entry into the band around `rest` [s].
+
+    It is interpolated on a grid of `step` [s].
+    """
     end = float(line.time[-1].min())
     grid = np.minimum(step * np.arange(int(np.ceil(end / step)) + 1), end)
     away = np.abs(line.at(grid)[0][..., 0] - rest)
@@ -76,10 +84,10 @@ def _settling_time(line: Trace, rest: float, share: float = 0.02, step: float = 
 
 
 class Hardness(NamedTuple):
-    """How hard a tap feels [N/m], (...,) each.
+    """Perceived hardness of a tap [N/m], (...,) each.
 
     Attributes:
-        rate: Rate-hardness: how fast the force rises over the first window after contact, over the speed of impact.
+        rate: Rate-hardness: rate of the force over the first window after contact, divided by the impact speed.
         extended: The same for the fastest rise over any window that overlaps the first contact.
     """
 
@@ -88,13 +96,15 @@ class Hardness(NamedTuple):
 
 
 def perceived_hardness(trace: Trace, window: float, *, axis: int = 2, wall: float = 0.0) -> Hardness:
-    """Return the hardness of the first contact with a wall that fills x <= `wall`.
+    """Return the perceived hardness of the first contact.
 
-    A force that is held between samples rises at once, so its rate is that of its mean over a window, which is
+    The wall fills x <= `wall`.
+
+    A force held between samples rises in steps, so its rate is that of its mean over a window:
     (f(t + window) - f(t)) / window.
 
     Args:
-        trace: The motion; NaN comes out where a device does not touch the wall.
+        trace: The motion; a device that does not touch the wall gives NaN.
         window: Length of the window [s].
         axis: Index into AXES.
         wall: Position of the wall [m].
@@ -102,7 +112,8 @@ def perceived_hardness(trace: Trace, window: float, *, axis: int = 2, wall: floa
     Raises:
         ParameterError: If the window is not above 0, or longer than the trace.
 
-    Source: Lawrence, Pao, Dougherty, Salada & Pavlou 2000; Han & Choi 2010. Definitions recalled; the window is ours.
+    Source: Lawrence, Pao, Dougherty, Salada & Pavlou 2000; Han & Choi 2010. Definitions not checked against the
+    originals; the window is this project's.
     """
     width = number("window", window, above=0.0)
     line = trace.along(axis)

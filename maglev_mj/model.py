@@ -1,4 +1,4 @@
-"""The MJCF device: files, names to indices, and what a compiled model says about itself."""
+"""MJCF device: files, names, and the compiled model's properties."""
 
 from __future__ import annotations
 
@@ -45,25 +45,30 @@ JOINTS = ("x", "y", "z", "rotation")
 
 
 Model: TypeAlias = str | Path | mujoco.MjSpec
-"""Name of a model of the package, MJCF file (a text that ends in .xml, or a path), or specification."""
+"""Model name, MJCF file, or specification.
+
+A name is that of a model of the package; a file is a text with the ending .xml, or a path.
+"""
 
 
 def scenes() -> list[str]:
-    """Return the names of the models at hand."""
+    """Return the names of the device models."""
     return sorted(path.stem for path in MODELS.glob("*.xml"))
 
 
 @cache
 def model_names() -> tuple[str, ...]:
-    """Return the names of all models of the package, those of its scenes too."""
+    """Return all model names of the package, scenes included."""
     return tuple(sorted(path.relative_to(MODELS).with_suffix("").as_posix() for path in MODELS.rglob("*.xml")))
 
 
 def model_files(model: str | Path) -> tuple[tuple[str, str], ...]:
-    """Return name and text of a model's MJCF file, and of those that it includes.
+    """Return names and texts of a model's MJCF files.
+
+    Included files come after the model's own.
 
     Raises:
-        ModelError: If there is none.
+        ModelError: If there is no such model.
     """
     path = model_path(model)
     return _read(path, 0 if model in model_names() else path.stat().st_mtime_ns)
@@ -88,7 +93,7 @@ def model_path(model: str | Path) -> Path:
         model: Name of a model of the package, or a file.
 
     Raises:
-        ModelError: If there is none.
+        ModelError: If there is no such model.
     """
     if isinstance(model, Path) or model.endswith(".xml"):
         path = Path(model)
@@ -102,13 +107,13 @@ def model_path(model: str | Path) -> Path:
 
 
 def _written(folder: Path) -> tuple[tuple[str, int], ...]:
-    """Return the MJCF files of a folder and when each was written, so that one that is changed is read again."""
+    """Return a folder's MJCF files with their modification times."""
     return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in folder.glob("*.xml")))
 
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """A compiled model with its named parts resolved.
+    """Compiled model with its named parts resolved.
 
     Attributes:
         model: The compiled model.
@@ -116,7 +121,7 @@ class Device:
         position_address: Index of x in qpos; y, z and the quaternion follow.
         velocity_address: Index of the x velocity in qvel; five more follow.
         coils: Wrench map of the six coils, the first six actuators, at centre; None without coils.
-        driver_time_constant: The drivers' time constant [s], whether or not their lag is switched on; NaN for none.
+        driver_time_constant: The drivers' time constant [s], even with their lag switched off; NaN for none.
     """
 
     model: mujoco.MjModel
@@ -128,23 +133,32 @@ class Device:
 
     @property
     def mass(self) -> float:
-        """Moving mass, the handle included [kg]."""
+        """Moving mass [kg], handle included."""
         return float(self.model.body_subtreemass[self.flotor])
 
     @property
     def mass_matrix(self) -> Array:
-        """Mass matrix of the flotor at the centre, upright [kg, kg m, kg m²], (6, 6); a rigid grip's hand is in it."""
+        """Mass matrix of the flotor at the centre, (6, 6).
+
+        In [kg, kg m, kg m²], upright; the mass of a hand with a rigid grip is included.
+        """
         flotor = slice(self.velocity_address, self.velocity_address + 6)
         return _mass_matrix(self.model)[flotor, flotor].copy()
 
     @property
     def inertia(self) -> Array:
-        """Moments of inertia of flotor and handle about stator axes through the centre [kg m²], (3,)."""
+        """Moments of inertia of flotor and handle [kg m²], (3,).
+
+        About stator axes through the centre.
+        """
         return np.diag(self.mass_matrix)[3:].copy()
 
     @property
     def range(self) -> Array:
-        """Largest displacement along x, y, z and largest angle until a stop [m, rad], (4,); infinite without one."""
+        """Motion range until a stop [m, rad], (4,).
+
+        Largest displacement along x, y, z and largest angle; infinite without a stop.
+        """
         model = self.model
         joints = [model.joint(joint).id for joint in JOINTS]
         limits = np.where(model.jnt_limited[joints], model.jnt_range[joints, 1], np.inf)
@@ -168,25 +182,27 @@ def load(
     hand: Hand | None = None,
     flexible: bool = False,
 ) -> Device:
-    """Compile a model and resolve its names; a file is compiled once, every call gets a copy of its own.
+    """Compile a model and resolve its names.
+
+    A file is compiled once; every call returns a copy of its own.
 
     Args:
         model: The device: bodies `flotor` and, on it, `handle`; the flotor's joints `x`, `y`, `z` (slides) and
             `rotation` (a ball), in this order; its first six actuators those of COILS.
-        lean: Leave out the sites that no actuator uses: no equation of motion reads them.
+        lean: Leave out sites without an actuator: no equation of motion uses them.
         driver_lag: Give every coil its driver's first-order lag.
         driver_time_constant: Time constant of the lag in place of the model's [s].
         coils: False removes the coils, for an ideal wrench.
         coil_map: Coils in place of the model's.
-        mass: Moving mass in place of the model's [kg], shared out as before; the moments of inertia stay.
+        mass: Moving mass in place of the model's [kg], in the same proportions; the moments of inertia stay.
         inertia: Moments of inertia about stator axes, the handle included, in place of the model's [kg m²], (3,).
         hand: A hand on the flotor; numbers, and translations only.
         flexible: Let the handle swing against the flotor along z, at 1 kHz and with a hundredth of critical damping;
             the frequency is the paper's, the shape and the damping are assumed.
 
     Raises:
-        ModelError: If the file is missing, does not compile, or lacks the flotor, its joints, its coils, or a time
-            constant where one is needed.
+        ModelError: If the file is missing, does not compile, or lacks the flotor, its joints, its coils, or a needed
+            time constant.
         ParameterError: If a number is not above 0, the flotor cannot have these moments, or the hand is for a batch or
             on a rotation.
     """
@@ -222,7 +238,7 @@ def _moments(inertia: ArrayLike) -> tuple[float, ...]:
 
 
 class _Chosen(NamedTuple):
-    """The choices of `load` that a compiled model depends on."""
+    """Options of `load` that affect the compiled model."""
 
     lean: bool
     driver_lag: bool
@@ -301,7 +317,7 @@ def _compile(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> Device:
 
 
 def _check_names(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> None:
-    """Raise if a specification lacks what a device has, or has another kind of it."""
+    """Raise ModelError for missing or wrong parts."""
     flotor = spec.body("flotor")
     if flotor is None:
         raise _unusable(name, "it has no body 'flotor'")
@@ -319,7 +335,7 @@ def _check_names(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> None:
 
 
 def _leave_out_sites(spec: mujoco.MjSpec) -> None:
-    """Leave out the sites that no actuator uses."""
+    """Delete the sites without an actuator."""
     used = {end for actuator in spec.actuators for end in (actuator.target, actuator.refsite)}
     for site in list(spec.sites):
         if site.name not in used:
@@ -327,7 +343,7 @@ def _leave_out_sites(spec: mujoco.MjSpec) -> None:
 
 
 def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
-    """Give the flotor and what it carries another mass [kg], shared out as before; moments of inertia stay."""
+    """Set the flotor's moving mass [kg], keeping its inertia."""
     carried = np.flatnonzero(model.body_treeid == model.body_treeid[flotor])
     share, data = mass / model.body_subtreemass[flotor], mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -340,7 +356,7 @@ def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
 
 
 def _give_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel, inertia: Sequence[float]) -> None:
-    """Give flotor and handle together other moments of inertia [kg m²], by those of the flotor's own body."""
+    """Set the inertia [kg m²] of flotor with handle."""
     body, turn = spec.body("flotor"), np.zeros(9)
     address = int(model.joint("rotation").dofadr[0])
     more = np.diag(inertia) - _mass_matrix(model)[address : address + 3, address : address + 3]
@@ -359,7 +375,7 @@ def _give_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel, inertia: Sequence[
 
 
 def _mass_matrix(model: mujoco.MjModel) -> Array:
-    """Return the mass matrix of a model at its reference pose."""
+    """Return a model's mass matrix at its reference pose."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     whole = np.zeros((model.nv, model.nv))
@@ -368,7 +384,7 @@ def _mass_matrix(model: mujoco.MjModel) -> Array:
 
 
 def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:
-    """Let the handle swing against the flotor along z, at the flotor's first mode, for a moving mass [kg]."""
+    """Make the handle flexible along z, at 1 kHz."""
     handle, flotor = spec.body("handle"), spec.body("flotor")
     whole = handle.mass + flotor.mass
     reduced = handle.mass * flotor.mass / whole * (1.0 if mass is None else mass / whole)
@@ -378,7 +394,7 @@ def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:
 
 
 def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
-    """Put a hand on the flotor's slides: on the joints themselves in a rigid grip, else as a body on a tendon."""
+    """Add a hand to the joints, directly or by tendons."""
     if hand.shape or max(hand.indices) > 2:
         raise ParameterError(f"hand must have one mass and lead along x, y or z in MuJoCo, not {hand!r}")
     mass, damping, stiffness, grip_damping, grip_stiffness = (float(value) for value in hand.values)
@@ -400,7 +416,7 @@ def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
 
 
 def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
-    """Read where each coil's force applies and where it points from the model at its reference pose."""
+    """Return the coil map at the model's reference pose."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     coils, magnets = model.actuator_trnid[: len(COILS)].T
@@ -414,7 +430,7 @@ def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
 
 
 def _put_coils(device: Device, coils: CoilMap) -> None:
-    """Make the model's coils those."""
+    """Replace the model's coils by a coil map."""
     model, known = device.model, device.coils
     assert known is not None
     data = mujoco.MjData(model)
@@ -427,10 +443,10 @@ def _put_coils(device: Device, coils: CoilMap) -> None:
 
 
 def beams() -> Beams:
-    """Return the geometry of the device's LEDs and position sensing diodes.
+    """Return the geometry of the LEDs and position-sensing diodes.
 
     Raises:
-        ModelError: If the model lacks one.
+        ModelError: If the model lacks an LED or diode.
     """
     return _beams(_written(MODELS))
 
@@ -458,7 +474,10 @@ def _beams(written: tuple[tuple[str, int], ...]) -> Beams:
 
 
 def envelope(device: Device) -> tuple[float, float]:
-    """Return radius and height [m] of the upright cylinder that holds the device without its handle."""
+    """Return radius and height of the device's envelope [m].
+
+    It is an upright cylinder around the device without its handle.
+    """
     model = device.model
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

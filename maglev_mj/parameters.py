@@ -1,4 +1,6 @@
-"""Parameters: checks whose failure is one line, and declarations of one line each.
+"""Parameters: checks and declarations.
+
+A failed check gives an error of one line; a declaration takes one line.
 
 A class of declared parameters gets its checks, its JSON and its command-line options from the declarations.
 """
@@ -37,7 +39,7 @@ __all__ = [
 ]
 
 _NO_NUMBERS = bool, np.bool_, str, bytes
-"""Types that float() takes, and that are a slip in place of a number."""
+"""Types accepted by float(), but refused as numbers."""
 
 _LARGEST = sys.float_info.max
 
@@ -65,7 +67,7 @@ def number(
     """Return `value` as a finite float within the bounds.
 
     Raises:
-        ParameterError: If it is no number, not finite, or outside the bounds.
+        ParameterError: If it is not a number, not finite, or outside the bounds.
     """
     try:
         result = math.nan if isinstance(value, _NO_NUMBERS) else float(value)  # type: ignore[arg-type]
@@ -91,7 +93,7 @@ def whole(name: str, value: object, *, at_least: float = 0.0, at_most: float = 2
     """Return `value` as an int within the bounds.
 
     Raises:
-        ParameterError: If it is no whole number, or outside the bounds.
+        ParameterError: If it is not a whole number, or outside the bounds.
     """
     result = number(name, value, at_least=at_least, at_most=at_most)
     if result != int(result):
@@ -102,10 +104,10 @@ def whole(name: str, value: object, *, at_least: float = 0.0, at_most: float = 2
 def interval(
     name: str, value: Sequence[object], *, at_least: float = -math.inf, at_most: float = math.inf
 ) -> tuple[float, float]:
-    """Return the lower and the higher end of a range, each within the bounds.
+    """Return lower and upper end of a checked range.
 
     Raises:
-        ParameterError: If they are not two such numbers, in this order.
+        ParameterError: If the value is not two such numbers in this order.
     """
     try:
         ends = tuple(value)
@@ -120,10 +122,10 @@ def interval(
 
 
 def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite: bool = True) -> Array:
-    """Return `value` as a float array, each entry checked as `number` checks one.
+    """Return `value` as a float array with checked entries.
 
     Args:
-        name: What to call it in the message.
+        name: Name in the message.
         value: Number or array.
         at_least: Least value allowed.
         finite: False lets infinity pass; NaN never passes.
@@ -151,10 +153,10 @@ def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite:
 
 
 def parsed_number(name: str, text: str) -> float:
-    """Return the finite number that a text is.
+    """Return the finite number given by a text.
 
     Raises:
-        ParameterError: If it is none.
+        ParameterError: If the text is not a finite number.
     """
     try:
         return number(name, float(text))
@@ -163,10 +165,10 @@ def parsed_number(name: str, text: str) -> float:
 
 
 def axis_indices(axes: str | Sequence[str]) -> tuple[int, ...]:
-    """Return the indices of `axes`: one name, or several as a sequence.
+    """Return the indices of one or several axis names.
 
     Raises:
-        ParameterError: If a name is unknown, is given twice, or none is given.
+        ParameterError: If a name is unknown or given twice, or there is no name.
     """
     names = (axes,) if isinstance(axes, str) else tuple(axes)
     for name in names:
@@ -178,7 +180,7 @@ def axis_indices(axes: str | Sequence[str]) -> tuple[int, ...]:
 
 
 def batch_shape(what: str, values: Iterable[Array]) -> tuple[int, ...]:
-    """Return the batch shape that parameters (..., axes) share.
+    """Return the common batch shape of parameters (..., axes).
 
     Raises:
         ParameterError: If they do not fit one another.
@@ -191,10 +193,10 @@ def batch_shape(what: str, values: Iterable[Array]) -> tuple[int, ...]:
 
 
 def common_shape(what: str, *shapes: tuple[int, ...]) -> tuple[int, ...]:
-    """Return what shapes broadcast to.
+    """Return the broadcast shape of shapes.
 
     Raises:
-        ParameterError: If they do not.
+        ParameterError: If they do not broadcast.
     """
     try:
         return np.broadcast_shapes(*shapes)
@@ -203,9 +205,9 @@ def common_shape(what: str, *shapes: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:
-    """Split a checked parameter into `count` components, one for each axis of a law.
+    """Split a checked parameter into one component per axis.
 
-    A number serves all axes; (count,) gives one each; (..., count) also differs from device to device.
+    A number applies to all axes; (count,) gives one per axis; (..., count) also one per device.
 
     Raises:
         ParameterError: If the last dimension is not `count`.
@@ -220,22 +222,22 @@ def per_axis(name: str, values: Array, count: int) -> tuple[Component, ...]:
 
 
 def _has_flag(value: object) -> bool:
-    """Return whether there is a bool among numbers; as an array it would be 0 or 1."""
+    """Return True for a bool among numbers."""
     return isinstance(value, bool | np.bool_) or (isinstance(value, list | tuple) and any(map(_has_flag, value)))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Turn:
-    """How far one press of a key changes a value.
+    """Change of a value by one press of a key.
 
     Attributes:
-        factor: Times or over so much, to three figures; 0 for none.
-        add: More or less by so much, on a grid of it.
-        among: From one to the next of these.
-        least: A key goes no lower; the parameter's own bounds may be wider.
-        most: A key goes no higher.
-        inverse: Whether a person thinks of one over it, as of a rate: "up" is less then.
-        word: What an action calls it; the parameter's name by default.
+        factor: Factor of a press, with the result to three digits; 0 for none.
+        add: Step of a press, on a grid of the same size.
+        among: Values to step through.
+        least: Lower limit of the keys; the parameter's own bounds may be wider.
+        most: Upper limit of the keys.
+        inverse: True if the keys act on the inverse, such as a rate for a period: "up" then reduces the value.
+        word: Name in actions; the parameter's name by default.
     """
 
     factor: float = 0.0
@@ -251,11 +253,11 @@ class Turn:
 
     @property
     def has_keys(self) -> bool:
-        """Whether a key goes any way at all; otherwise only other programs change the value."""
+        """True if keys change the value."""
         return bool(self.factor or self.add or self.among)
 
     def __call__(self, value: float, way: int) -> float:
-        """Return the value after a press up (1) or down (-1)."""
+        """Return the value after a press, 1 up, -1 down."""
         if self.among:
             now = 1.0 / value if self.inverse else value
             nearest = min(range(len(self.among)), key=lambda place: abs(self.among[place] - now))
@@ -264,14 +266,16 @@ class Turn:
         if self.add:
             turned = (round(value / self.add) + way) * self.add
         else:
-            # three figures are what a person reads and sets again
+            # three digits, so that the value can be read and set again
             turned = float(f"{value * (self.factor if way > 0 else 1.0 / self.factor):.3g}")
         return min(max(turned, self.least), self.most)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """One declared parameter; see `param` for the attributes that are not said here.
+    """One declared parameter.
+
+    See `param` for the attributes not listed here.
 
     Attributes:
         name: Its name.
@@ -295,7 +299,7 @@ class Parameter:
         flag("optional", self.optional)
 
     def checked(self, value: Any) -> Any:
-        """Return a value, checked.
+        """Return a checked value.
 
         Raises:
             ParameterError: If it is of another kind or outside its bounds.
@@ -319,7 +323,7 @@ class Parameter:
         return result
 
     def from_text(self, text: str) -> Any:
-        """Return the value that a word stands for; its bounds are not checked.
+        """Return the value given by a text, bounds unchecked.
 
         Raises:
             ParameterError: If it is of another kind.
@@ -352,21 +356,21 @@ def param(
     parse: Callable[[Any], Any] | None = None,
     live: bool | Turn = False,
 ) -> Any:
-    """Declare a parameter of a class, in place of a field's default.
+    """Declare a parameter in place of a field's default.
 
     Args:
-        help: What it is, in a few words.
-        unit: Its unit; empty for none.
-        default: Its default; None where `derive` makes it.
-        above: Bound that the value is above; the next three likewise.
-        at_least: See above.
-        below: See above.
-        at_most: See above.
-        choices: Values allowed of a text; empty for any.
-        optional: Whether None is allowed.
-        derive: Makes the default from the object, whose earlier parameters are there already.
-        parse: Checks a value that is no number, truth value or text.
-        live: Whether it may change while the scene runs; a `Turn` says how far a key goes, a quarter by default.
+        help: Short description.
+        unit: Unit; empty for none.
+        default: Default value; None if `derive` makes it.
+        above: Exclusive lower bound.
+        at_least: Inclusive lower bound.
+        below: Exclusive upper bound.
+        at_most: Inclusive upper bound.
+        choices: Allowed texts; empty for any.
+        optional: True if None is allowed.
+        derive: Function that makes the default from the object, with its earlier parameters set.
+        parse: Function that checks a value of another type than number, bool or text.
+        live: True if it may change while the scene runs; a `Turn` sets the change by a key, a quarter by default.
     """
     flag("optional", optional)
     bounds = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
@@ -385,7 +389,7 @@ def param(
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=True, field_specifiers=(param,))
 class Parameters:
-    """Base of a frozen dataclass of declared parameters, checked when it is made.
+    """Base of frozen dataclasses of declared, checked parameters.
 
     Raises:
         ParameterError: If a value is of another kind or outside its bounds.
@@ -413,7 +417,7 @@ class Parameters:
         self.check()
 
     def check(self) -> None:
-        """Check what depends on several parameters; raise ParameterError."""
+        """Check conditions on several parameters; raise ParameterError."""
 
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
@@ -430,7 +434,7 @@ class Parameters:
         """Return one parameter by name.
 
         Raises:
-            ParameterError: If there is none of that name.
+            ParameterError: If there is no such parameter.
         """
         for one in cls.parameters():
             if one.name == name:
@@ -438,7 +442,7 @@ class Parameters:
         raise ParameterError(not_one_of("parameter", (one.name for one in cls.parameters()), name))
 
     def replace(self, **changes: Any) -> Self:
-        """Return a copy with some values changed; what was derived is derived anew.
+        """Return a copy with changes; derived values are derived again.
 
         Raises:
             ParameterError: If there is no parameter of a name, or a value is outside its bounds.
@@ -446,7 +450,7 @@ class Parameters:
         return self.from_json({**self._given(), **changes})
 
     def _given(self) -> dict[str, Any]:
-        """Return the values that were not derived, by name."""
+        """Return the values that are not derived, by name."""
         derived: frozenset[str] = self._derived  # type: ignore[attr-defined]
         return {name: value for name, value in self.as_json().items() if name not in derived}
 
@@ -456,7 +460,7 @@ class Parameters:
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
-        """Return the object of values by name.
+        """Return the object with values by name.
 
         Raises:
             ParameterError: If there is no parameter of a name, or a value is outside its bounds.
@@ -467,7 +471,7 @@ class Parameters:
 
 
 def _check_names(cls: type[Parameters]) -> None:
-    """Refuse a parameter without a type, one that hides what is no parameter, and what hides a parameter."""
+    """Refuse parameters without type, or with a hidden name."""
     for name, value in vars(cls).items():
         bases = [base for base in cls.__mro__[1:] if name in vars(base)]
         declared = [getattr(base, "__dataclass_fields__", {}).get(name) for base in bases]
@@ -483,7 +487,7 @@ def _check_names(cls: type[Parameters]) -> None:
 
 
 def _declared(cls: type, item: Any, hint: Any) -> Parameter:
-    """Return what a field declares; its type decides the kind, not its default."""
+    """Return the parameter declared by a field's type."""
     if "param" not in item.metadata:
         raise TypeError(f"{cls.__name__}.{item.name} must be declared by param(...), or be a ClassVar")
     declared = item.metadata["param"]

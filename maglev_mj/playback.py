@@ -1,4 +1,4 @@
-"""A recording shown in time: played, searched, stepped and looped."""
+"""Playback of a recording: play, seek, step, loop."""
 
 from __future__ import annotations
 
@@ -22,31 +22,37 @@ from maglev_mj.session import SHOWN, TIME_SCALES, Snapshot, next_scale
 __all__ = ["ACTIONS", "Replay"]
 
 ACTIONS = "pause", "step", "step back", "skip forward", "skip back", "slower", "faster", "loop", "start", "end"
-"""What `Replay.act` does; "skip forward" and "skip back" go a twentieth of the recording."""
+"""Actions of `Replay.act`.
+
+"skip forward" and "skip back" move by a twentieth of the recording.
+"""
 
 _SCALES = (*TIME_SCALES, 2.0, 5.0, 10.0)
 _JUMP = 0.05
 _ROUNDING = 1e-9
 _STICKS = 100
-"""Samples whose stick positions are found in one call of `tick`: some ms."""
+"""Number of stick positions found in one `tick`.
+
+It takes some ms.
+"""
 
 
 class Replay:
-    """A recording that is shown in time; a `SnapshotSource`.
+    """Recording shown in time; a `SnapshotSource`.
 
-    All its stretches are on one time axis, one after the other. Opening and searching it take no time for each
-    sample: stick positions are found while it is shown, each stretch from its first sample on.
+    All its stretches are on one time axis, one after the other. The time of opening and seeking does not grow with the
+    number of samples: stick positions are found during playback, in each stretch from its first sample on.
 
     Args:
         recording: The recording, of at least one sample.
-        own: Code of a user's own that may be executed, which finds where the flotor sticks; it is shown without too.
+        own: User code allowed to run, for the stick positions; without it the recording is shown without them.
 
     Attributes:
         hand: A hand that moves nothing; the recorded one acts.
         simulated: Time shown so far [s].
 
     Raises:
-        RecordingError: If there is nothing in it, or its setup is not known here.
+        RecordingError: If it is empty, or its setup is not known here.
     """
 
     def __init__(self, recording: Recording, own: OwnCode | None = None) -> None:
@@ -66,13 +72,13 @@ class Replay:
         self._time, self._row = 0.0, 0
 
     def tick(self, elapsed: float) -> int:
-        """Go on by as much as real time has.
+        """Advance by a real time.
 
         Args:
             elapsed: Real time since the last call [s].
 
         Returns:
-            How many samples that were.
+            Number of samples passed.
         """
         self._now.find_sticking()
         if self._paused:
@@ -88,10 +94,10 @@ class Replay:
         return int(rounds) * len(self._times) + self._row - before
 
     def act(self, action: str) -> None:
-        """Do one of `ACTIONS`.
+        """Run one of `ACTIONS`.
 
         Raises:
-            ParameterError: If it is none.
+            ParameterError: If there is no such action.
         """
         way = -1 if action.endswith("back") else 1
         if action == "pause":
@@ -117,7 +123,7 @@ class Replay:
             raise ParameterError(not_one_of("action", ACTIONS, action))
 
     def change(self, parameters: Mapping[str, Any]) -> None:
-        """Go to another time, or go faster or slower.
+        """Change the time or the playback speed.
 
         Args:
             parameters: `time` [s], from 0 to the recording's length, and `time_scale`, from 0.001 to 10.
@@ -135,7 +141,7 @@ class Replay:
         self._seek(time)
 
     def snapshot(self) -> Snapshot:
-        """Return the picture of now."""
+        """Return the present snapshot."""
         now, row = self._now, self._row - self._firsts[self._place]
         rows, totals, time = now.stretch.rows[row], now.stretch.totals, float(self._times[self._row])
         since = SHOWN * max(self._scale, 1.0)
@@ -165,11 +171,11 @@ class Replay:
         )
 
     def close(self) -> None:
-        """Do nothing: a recording stays as it is."""
+        """Do nothing: a recording needs no closing."""
 
     @property
     def _place(self) -> int:
-        """Index of the stretch that is shown."""
+        """Index of the stretch shown."""
         return int(np.searchsorted(self._firsts, self._row, side="right")) - 1
 
     @property
@@ -180,7 +186,10 @@ class Replay:
         self._time, self._row = time, int(np.searchsorted(self._times, time + _ROUNDING, side="right")) - 1
 
     def _history(self) -> Array:
-        """Return the samples of the last two seconds, those of earlier stretches too."""
+        """Return the samples of the last two seconds.
+
+        Those of earlier stretches are included.
+        """
         end, firsts = self._row + 1, self._firsts
         first = int(np.searchsorted(self._times, self._times[self._row] - SHOWN))
         rows = []
@@ -192,7 +201,7 @@ class Replay:
 
 
 class _Shown:
-    """A stretch of a recording with what its setup tells of it."""
+    """Stretch of a recording with its metadata."""
 
     def __init__(self, stretch: Stretch, own: OwnCode | None) -> None:
         self._again = rebuild_for(stretch, own)
@@ -210,19 +219,25 @@ class _Shown:
         self._anchors: list[Array] = []
 
     def find_sticking(self) -> None:
-        """Find some more stick positions."""
+        """Find the next stick positions."""
         self._anchors += islice(self._sticking, _STICKS)
 
     def anchors(self, row: int) -> Array | None:
-        """Return the stick positions at a sample; None without friction, or while they are not found yet."""
+        """Return the stick positions at a sample, or None.
+
+        None without friction, or if they are not found yet.
+        """
         return self._anchors[row] if row < len(self._anchors) else None
 
     def history(self, low: int, high: int) -> Array:
-        """Return pose, speed, wrench of the device and of the hand from one sample up to another, (N, 24)."""
+        """Return motion and forces of a range of samples.
+
+        (N, 24): pose, speed, wrench of the device, wrench of the hand.
+        """
         stretch, before = self.stretch, max(low - 1, 0)
         pose, time = stretch.position[before:high], self.time[before:high]
         speed = np.diff(pose, axis=0) / np.diff(time)[:, None]
-        if low == 0:  # before which there is none: it has the next one's
+        if low == 0:  # the first sample has no speed: it gets the next one's
             speed = np.concatenate([speed[:1] if len(speed) else np.zeros((1, 6)), speed])
         force = stretch.applied[low:high] - self.carried
         return np.column_stack([pose[low - before :], speed, force, stretch.hand[low:high]])
@@ -230,7 +245,10 @@ class _Shown:
 
 @cache
 def _current_per_wrench() -> Array:
-    """Return the currents in the coils for each wrench [A/N, A/(N m)], (6, 6)."""
+    """Return the coil currents per wrench, (6, 6).
+
+    In [A/N, A/(N m)].
+    """
     coils = load("drop").coils
     assert coils is not None
     return coils.current_per_wrench

@@ -1,4 +1,7 @@
-"""A function in a process of its own: what must not hold up a control loop."""
+"""Function in a separate process.
+
+It does not delay the control loop.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +19,15 @@ _PATIENCE = 10.0
 
 
 class SideProcess:
-    """A function in a process of its own, at the other end of a line.
+    """Function in a separate process, with a message pipe.
 
     Args:
-        function: Called there with its end of the line and the arguments; it returns when the line has ended.
-        arguments: Whatever can be pickled.
+        function: Function called there with its end of the pipe and the arguments; it returns when the pipe is closed.
+        arguments: Arguments that can be pickled.
 
     Attributes:
-        line: The end of the line that is here.
-        ended: Whether either end has been closed.
+        line: This end of the pipe.
+        ended: True if either end has been closed.
     """
 
     def __init__(self, function: Callable[..., object], *arguments: Any) -> None:
@@ -32,10 +35,10 @@ class SideProcess:
         self.line, far = context.Pipe()
         self.ended = False
         self._process = context.Process(target=function, args=(far, *arguments))
-        with interrupts_held():  # it is closed by who opened it
+        with interrupts_held():  # its parent closes it
             self._process.start()
         far.close()
-        atexit.register(self.close)  # a program that ends would wait for it without end
+        atexit.register(self.close)  # otherwise a program that ends would wait for it forever
 
     @property
     def ready(self) -> bool:
@@ -59,10 +62,12 @@ class SideProcess:
             self.ended = True
 
     def close(self, patience: float = _PATIENCE) -> None:
-        """Close the line, and end the process if it does not end by itself; a second time does nothing.
+        """Close the pipe, and end the process.
+
+        The process is killed if it does not end by itself. A second call does nothing.
 
         Args:
-            patience: How long it may take [s].
+            patience: Time to wait for its end [s].
         """
         atexit.unregister(self.close)
         self.ended = True

@@ -1,4 +1,7 @@
-"""Recordings made and run again: what a recording's setup says, turned into plant and controller."""
+"""Recording and replay of runs.
+
+A recording's setup is turned into plant and controller.
+"""
 
 from __future__ import annotations
 
@@ -58,19 +61,25 @@ __all__ = [
 ]
 
 ATTACHED = "attached"
-"""In place of a scene's name: the sources that are in the recording."""
+"""Marker for sources stored in the recording.
+
+It is given in place of a scene's name.
+"""
 
 _CHUNK = 1000
-"""Samples at a time."""
+"""Number of samples processed at a time."""
 
 _KINDS = ("run", "device", "scene", "own")
-"""Kinds of setups besides the names of scenes; all but the first two are of before."""
+"""Kinds of setups besides the names of scenes.
+
+All but the first two are of old versions.
+"""
 
 _PLANTS = {f"{make.__module__}.{make.__qualname__}": name for name, make in PLANTS.items() if isinstance(make, type)}
 
 
 class _Unknown(Scene):
-    """A recording whose scene is not known here."""
+    """Recording with a scene that is not known here."""
 
     axis: str = param("axis shown", default="z", choices=AXES)
 
@@ -79,16 +88,16 @@ class _Unknown(Scene):
 
 
 class OwnCode:
-    """Code of a user's own that a person lets this program execute for a recording.
+    """User code that may be executed for a recording.
 
     Args:
-        text: NAME of a scene, FILE.py or FILE.py:CLASS, or `ATTACHED` for what is in the recording. Of a file without
-            a scene, or of the recording, no more is executed than the names that are needed.
+        text: NAME of a scene, FILE.py or FILE.py:CLASS, or `ATTACHED` for the code in the recording. From a file
+            without a scene, or from the recording, only the needed names are executed.
         recording: The recording.
 
     Attributes:
         scene: The scene of the recording; None for one without.
-        changed: Whether it is not the code that was recorded.
+        changed: True if it differs from the recorded code.
 
     Raises:
         ParameterError: If there is no such scene or file, or the recording does not hold it.
@@ -135,7 +144,7 @@ class OwnCode:
 
 
 def _own_names(setup: Setup) -> Iterator[str]:
-    """Yield the references of what is a user's own in a controller."""
+    """Yield the references of user code in a controller."""
     told = setup.get("controller")
     told = told if isinstance(told, dict) else {}
     parts = [*(laws if isinstance(laws := told.get("laws"), list) else []), told.get("velocity")]
@@ -145,19 +154,19 @@ def _own_names(setup: Setup) -> Iterator[str]:
 def rebuild(
     setup: Setup, hand: HandForce | None, *, own: OwnCode | None = None
 ) -> tuple[SampledPlant | None, Controller]:
-    """Make plant and controller from a recording's setup.
+    """Return plant and controller of a recording's setup.
 
     Args:
         setup: The setup.
         hand: The hand on the flotor; None for the run's own, if it has one.
-        own: Code of a user's own; its scene, where it has one, tells the laws in place of the setup.
+        own: User code; its scene, if it has one, gives the laws in place of the setup.
 
     Returns:
         Both; None for the plant of a flight on a device, and for one that is not this package's.
 
     Raises:
-        OwnCodeError: If it takes code that nobody let this program execute.
-        InvalidRecordingError: If it is no setup that is known here.
+        OwnCodeError: If it needs user code that is not allowed to run.
+        InvalidRecordingError: If the setup is not known here.
     """
     return _plant(setup, hand, own), _controller(setup, own)
 
@@ -175,21 +184,21 @@ def _plant(setup: Setup, hand: HandForce | None, own: OwnCode | None) -> Sampled
         return None
     if "controller" in setup:
         return plant_again(setup, hand)
-    with _one_line():  # as they were made before setups told of them
+    with _one_line():  # as in old versions, without a controller in the setup
         scene = _scene(setup, own)
         if setup["kind"] == "scene":
             return live_plant(scene, hand, **start_in(setup))
         values = setup if setup["kind"] == "own" else {"phase": 0.0, **setup["parameters"]}
         plant = _PLANTS.get(values["plant"], values["plant"])
         started: dict[str, Any] = start_in(setup["start"]) if setup.get("start") else {}
-        # in pieces as it was recorded: the exact plant rounds otherwise in one
+        # in pieces as it was recorded: in one piece the exact plant rounds differently
         options: dict[str, Any] = {"phase": checked_phase(values["phase"]), "hand": hand, "record": True}
         return scene.plant(checked_plant(scene, plant), **options, **started)
 
 
 @contextmanager
 def _one_line() -> Iterator[None]:
-    """Refuse a setup in which something is missing or out of range."""
+    """Refuse a setup with missing or invalid values."""
     try:
         yield
     except InvalidRecordingError:
@@ -202,7 +211,7 @@ def _scene(setup: Setup, own: OwnCode | None) -> Scene:
     """Return the scene of a setup.
 
     Raises:
-        OwnCodeError: If it is none of this package's, and nobody let it be executed.
+        OwnCodeError: If it is not of this package, and not allowed to run.
         ParameterError: If its parameters are outside their bounds.
     """
     kind, values = setup["kind"], parameters_in(setup)
@@ -221,13 +230,15 @@ def _scene(setup: Setup, own: OwnCode | None) -> Scene:
 
 
 def rebuild_for(stretch: Stretch, own: OwnCode | None = None) -> Rebuild | None:
-    """Return what makes plant and controller of a stretch again; None where that takes code of a user's own.
+    """Return the function that rebuilds a stretch, or None.
 
-    A recording never makes this program execute code that it names or holds: a person says so.
+    It makes plant and controller; None if it needs user code.
+
+    A recording never makes this program execute code that it names or contains: only the user can allow it.
 
     Args:
         stretch: The stretch.
-        own: Code of a user's own that may be executed.
+        own: User code allowed to run.
     """
     try:
         _controller(stretch.setup, own)
@@ -238,15 +249,17 @@ def rebuild_for(stretch: Stretch, own: OwnCode | None = None) -> Rebuild | None:
 
 
 def expected(setup: Setup) -> Expected:
-    """Return what a recording's setup tells besides plant and controller.
+    """Return the expected metadata of a recording's setup.
+
+    They are those besides plant and controller.
 
     Raises:
-        InvalidRecordingError: If it is no setup that is known here.
+        InvalidRecordingError: If the setup is not known here.
     """
     kind, metadata, known = setup["kind"], dict[str, Any](), scripted(setup)
     with _one_line():
         samples = None if setup.get("samples") is None else whole(setup, "samples")
-        if kind == "device":  # what it weighs and what acted before a stretch is in the flight, not in the setup
+        if kind == "device":  # inertia and previous wrench are recorded with the flight, not in the setup
             metadata = {"delay": parameters_in(setup)["delay"], "hand_recorded": False, "hand_acts_on_flotor": True}
         elif kind == "scene" or (isinstance(setup.get("plant"), dict) and not known):
             metadata = {"hand_recorded": True}
@@ -257,11 +270,13 @@ def expected(setup: Setup) -> Expected:
 
 
 def unmade_plant(setup: Setup, own: OwnCode | None = None) -> str:
-    """Return the class of a plant that cannot be simulated here; empty for one that can.
+    """Return the class name of a plant not simulated here.
+
+    Empty for one that can be simulated.
 
     Args:
         setup: The setup.
-        own: Code of a user's own that may be executed.
+        own: User code allowed to run.
     """
     plant = setup.get("plant")
     if not isinstance(plant, str):
@@ -270,19 +285,21 @@ def unmade_plant(setup: Setup, own: OwnCode | None = None) -> str:
         return plant
     try:
         with _one_line():
-            _scene(setup, own)  # whose simulated device takes the place of the real one
+            _scene(setup, own)  # its simulated device replaces the real one
     except InvalidRecordingError:
         return plant
     return ""
 
 
 def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> Recording:
-    """Run a scene and record it in memory; where it fails, up to there.
+    """Run a scene and record it in memory.
+
+    A run that fails is recorded up to the failure.
 
     Args:
         scene: The scene.
-        plant: Name of a plant; the scene's usual one by default.
-        phase: Of the samples, in [0, 1).
+        plant: Name of a plant; the scene's default by default.
+        phase: Phase of the samples, in [0, 1).
     """
     file = ArrayFile()
     _run_into(file, scene, plant, phase)
@@ -290,16 +307,18 @@ def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) ->
 
 
 def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> list[Path]:
-    """Run a scene and record it to a file, of .mcap or .npz; where it fails, up to there.
+    """Run a scene and record it to a file.
+
+    The file is .mcap or .npz. A run that fails is recorded up to the failure.
 
     Args:
         path: The file.
         scene: The scene.
-        plant: Name of a plant; the scene's usual one by default.
-        phase: Of the samples, in [0, 1).
+        plant: Name of a plant; the scene's default by default.
+        phase: Phase of the samples, in [0, 1).
 
     Returns:
-        The file that was written, which is elsewhere where its own folder did not take it; none without a sample.
+        The file written, in another folder if its own is not writable; none without a sample.
 
     Raises:
         ParameterError: If the file is of neither kind.
@@ -324,17 +343,19 @@ def _run_into(file: RecordingFile, scene: Scene, plant: str | None, phase: float
             ControlLoop(device, controller, record=record).cycle(ticks)
         except RecordingError:
             raise
-        except MaglevError as error:  # the run itself says what happened
+        except MaglevError as error:  # the run itself reports the error
             file.event("fault", str(error))
 
 
 def shown_scene(setup: Setup, metadata: RunMetadata, own: OwnCode | None = None) -> Scene:
-    """Return the scene that shows a stretch: its own where that is known here.
+    """Return the scene that displays a stretch.
+
+    It is the stretch's own if that is known here.
 
     Args:
         setup: The setup.
-        metadata: What is known of the run in any case.
-        own: Code of a user's own that may be executed.
+        metadata: Metadata of the run, for an unknown scene.
+        own: User code allowed to run.
     """
     try:
         with _one_line():
@@ -344,11 +365,13 @@ def shown_scene(setup: Setup, metadata: RunMetadata, own: OwnCode | None = None)
 
 
 def stick_positions(stretch: Stretch, again: Rebuild | None = rebuild) -> Iterator[Array]:
-    """Yield the stick positions at each sample [m, rad], (6,), as the controller saw them; nothing without friction.
+    """Yield the stick positions at each sample [m, rad], (6,).
+
+    They are as seen by the controller; there are none without friction.
 
     Args:
         stretch: The stretch.
-        again: Makes plant and controller from a setup and a hand; None where nobody can: then it is not known.
+        again: Function from a setup and a hand to plant and controller; None if there is none: then nothing is yielded.
     """
     if again is None:
         return
@@ -363,6 +386,9 @@ def stick_positions(stretch: Stretch, again: Rebuild | None = rebuild) -> Iterat
 
 
 def stick_positions_of(stretch: Stretch, again: Rebuild | None = rebuild) -> Array | None:
-    """Return the stick positions at all samples, (N, 6); None without friction. See `stick_positions`."""
+    """Return the stick positions at all samples, (N, 6).
+
+    None without friction. See `stick_positions`.
+    """
     found = list(stick_positions(stretch, again))
     return np.array(found) if found else None

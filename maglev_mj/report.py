@@ -1,4 +1,4 @@
-"""The compiled device measured, beside Table 1 of the paper."""
+"""Measured figures of the compiled device, beside Table 1."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ __all__ = ["device_report", "device_table", "position_bandwidth"]
 
 @dataclass(frozen=True)
 class Row:
-    """One figure: what the paper prints, what the model yields, in which unit, and a remark."""
+    """One figure of the paper and of the model.
+
+    With its unit and a remark.
+    """
 
     name: str
     paper: str
@@ -34,12 +37,12 @@ class Row:
 
 @dataclass(frozen=True)
 class DeviceReport:
-    """Table 1 and what follows from the model.
+    """Table 1 with the figures of the model.
 
     Attributes:
         table: Rows of Table 1 and section 2.
         figures: Figures measured on the model, SI units.
-        contradictions: Where the paper does not agree with itself.
+        contradictions: Contradictions within the paper.
     """
 
     table: tuple[Row, ...]
@@ -116,13 +119,19 @@ def _table(figures: dict[str, Any]) -> tuple[Row, ...]:
 
 
 def _row(name: str, paper: float | str, model: float | None, unit: str, remark: str = "") -> Row:
-    """Return a row; a dash stands where a rigid-body model has no such figure."""
+    """Return a row; a dash for a missing figure.
+
+    A rigid-body model lacks some figures.
+    """
     printed = paper if isinstance(paper, str) else f"{paper:g}"
     return Row(name, printed, "-" if model is None else f"{model:.4g}", unit, remark)
 
 
 def _payload(figures: dict[str, Any]) -> float:
-    """Return the mass [kg] that can be held up beside the flotor's own at the continuous current."""
+    """Return the payload [kg] at the continuous current.
+
+    It is in addition to the flotor's own mass.
+    """
     return float(figures["largest_at_continuous_current"][2] / GRAVITY - figures["flotor_mass"])
 
 
@@ -144,9 +153,11 @@ def _contradictions(figures: dict[str, Any]) -> tuple[str, ...]:
 def position_bandwidth(
     axis: str, *, stiffness: float, damping: float, period: float, delay: float, step: float = 1e-4
 ) -> float:
-    """Return the frequency [Hz] at which the response to the hold's target falls to -3 dB.
+    """Return the -3 dB bandwidth of a hold [Hz].
 
-    Measured on the MuJoCo device without gravity: the target steps, the sampled positions are
+    It is that of the response to the hold's target.
+
+    It is measured on the MuJoCo device without gravity: the target steps, the sampled positions are
     differenced, and their Fourier transform is the frequency response.
 
     Args:

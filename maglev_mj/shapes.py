@@ -1,4 +1,7 @@
-"""What there is to draw of a device, for whatever draws it: the model's geoms, the knob, plates for walls."""
+"""Shapes of a device for any drawing program.
+
+The model's geoms, the knob, and plates for walls.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ ARROW = 0.003
 """Length of an arrow for each newton [m]."""
 
 LEAST_FORCE = 0.05
-"""Below this there is no arrow [N]."""
+"""Least force with an arrow [N]."""
 
 GRIP = np.array([0.0, 0.0, 0.079])
 """Middle of the handle's knob in the flotor [m]."""
@@ -40,13 +43,13 @@ _HIDDEN = 3  # the first group of geoms that is not drawn
 
 
 class Shape(NamedTuple):
-    """One geom of a device with its flotor at the centre.
+    """Geom of a device with its flotor at the centre.
 
     Attributes:
-        moves: Whether it is the flotor's.
+        moves: True for a shape of the flotor.
         kind: box, cylinder or ellipsoid.
         half: Half lengths along its own axes; a cylinder is along its z [m], (3,).
-        position: Of its centre, from the flotor's [m], (3,).
+        position: Position of its centre, from the flotor's [m], (3,).
         turn: Unit quaternion (w, x, y, z).
         colour: Red, green, blue, opacity, each from 0 to 1.
     """
@@ -60,7 +63,9 @@ class Shape(NamedTuple):
 
 
 def shapes(model: Model) -> list[Shape]:
-    """Return the visible geoms of a model, planes and meshes apart; a capsule is three.
+    """Return the visible geoms of a model.
+
+    Planes and meshes are left out; a capsule is three shapes.
 
     Raises:
         ModelError: If the file is missing or cannot be used.
@@ -92,7 +97,9 @@ def shapes(model: Model) -> list[Shape]:
 
 
 def wall_plate(face: tuple[int, float, float]) -> tuple[Array, Array] | None:
-    """Return centre and half lengths of the plate that the knob meets [m], (3,) each; None for a rotation.
+    """Return centre and half lengths of a wall's plate [m].
+
+    (3,) each; the knob meets this plate. None for a rotation.
 
     Args:
         face: Index into AXES, normal (1 or -1), edge [m, rad].
@@ -112,7 +119,10 @@ def wall_plate(face: tuple[int, float, float]) -> tuple[Array, Array] | None:
 
 
 def arrow_start(knob: Array, force: Array) -> Array:
-    """Return where the arrow of a force begins, on the surface of a knob at some place [m], (3,)."""
+    """Return the start of a force arrow [m], (3,).
+
+    It is on the surface of the knob.
+    """
     radius, half_height = KNOB
     start: Array = knob + force / np.linalg.norm(force / [radius, radius, half_height])
     return start

@@ -1,6 +1,8 @@
-"""Table 1 of Salcudean and Vlaar (1997) as data: each figure with its unit and where it comes from.
+"""Table 1 of Salcudean and Vlaar (1997) as data.
 
-ASSUMED marks what the paper does not say.
+Each figure has its unit and source.
+
+ASSUMED marks figures that are not in the paper.
 """
 
 from __future__ import annotations
@@ -11,12 +13,15 @@ from dataclasses import dataclass
 __all__ = ["DRIVER_TIME_CONSTANT", "ESCAPE", "GRAVITY", "INERTIA", "RANGE", "RESOLUTION", "Quantity", "Spec"]
 
 GRAVITY = 9.81
-"""Standard acceleration of free fall to three figures [m/s²]; the paper does not print the value it used."""
+"""Standard acceleration of free fall [m/s²], three digits.
+
+The paper does not print the value it used.
+"""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number, its unit, and where it comes from."""
+    """Number with unit and source."""
 
     value: float
     unit: str
@@ -60,16 +65,19 @@ class Spec:
 
 
 INERTIA = (*[Spec.moving_mass.value] * 3, *[Spec.tilt_inertia.value] * 2, Spec.spin_inertia.value)
-"""Mass and moments of inertia of the six axes [kg, kg m²]."""
+"""Mass and moments of inertia [kg, kg m²], six."""
 
 ESCAPE = 10.0 * Spec.translation_range.value
-"""Distance from the centre beyond which a simulated run has diverged [m]."""
+"""Divergence bound: distance from the centre [m]."""
 
 RESOLUTION = (*[Spec.translation_resolution.value] * 3, *[Spec.rotation_resolution.value] * 3)
-"""Resolution of the pose sensor on the six axes [m, rad]."""
+"""Pose sensor resolution on the six axes [m, rad]."""
 
 DRIVER_TIME_CONSTANT = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
-"""Time constant of the current drivers' first-order lag [s]."""
+"""Time constant of the current drivers' lag [s]."""
 
 RANGE = (*[Spec.translation_range.value] * 3, *[math.radians(Spec.rotation_range.value)] * 3)
-"""Motion range of the six axes, either way from the centre [m, rad]."""
+"""Motion range of the six axes [m, rad].
+
+It is on either side of the centre.
+"""

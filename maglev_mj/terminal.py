@@ -1,4 +1,7 @@
-"""Text on a terminal: figures, and lines of files and other programs, which must not steer it."""
+"""Text output on a terminal.
+
+Control characters in text of files and other programs are escaped.
+"""
 
 from __future__ import annotations
 
@@ -10,28 +13,34 @@ from typing import Any, TextIO
 __all__ = ["WIDTH", "cell", "printable", "say", "wrapped"]
 
 WIDTH = 80
-"""Columns of a table at most."""
+"""Largest number of columns in a table."""
 
 
 def printable(text: str) -> str:
-    """Return a text with its control characters escaped, line ends too; a terminal would obey them."""
+    """Return a text with its control characters escaped.
+
+    Line ends are escaped too; a terminal would obey them.
+    """
     if text.isprintable():
         return text
     return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
 
 
 def say(line: str, file: TextIO | None = None) -> None:
-    """Print one line, whatever is in it.
+    """Print one line, with control characters escaped.
 
     Args:
-        line: What to print.
-        file: Where to; None for standard output.
+        line: The line.
+        file: Output file; None for standard output.
     """
     print(printable(line), file=file, flush=True)
 
 
 def cell(value: Any, scale: float) -> str:
-    """Return a figure to four digits; a dash for one that is not there."""
+    """Return a figure to four digits, or a dash.
+
+    The dash is for a missing figure.
+    """
     number = float(value) * scale
     if not math.isfinite(number):
         return "-"
@@ -39,12 +48,14 @@ def cell(value: Any, scale: float) -> str:
 
 
 def wrapped(text: str, indent: str = "  ", further: str | None = None) -> list[str]:
-    """Return a text as lines of at most 80 characters, a number and its unit on the same one.
+    """Return a text as lines of at most 80 characters.
+
+    A number stays on one line with its unit.
 
     Args:
         text: One paragraph.
-        indent: In front of the first line.
-        further: In front of the others; None for the same.
+        indent: Indentation of the first line.
+        further: Indentation of the others; None for the same.
     """
     joined = re.sub(r"(?<=\d) (?=[^\W\d])", "\0", text)
     lines = wrap(

@@ -1,4 +1,7 @@
-"""The one clock: when samples are taken, and which command acts from when to when."""
+"""Clock of samples and commands.
+
+It defines the sampling instants and the acting command at any time.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +20,16 @@ from maglev_mj.spec import Spec
 __all__ = ["MOST_PERIODS", "Segment", "Timeline", "Timing", "recorded_switches", "split_delay"]
 
 Segment: TypeAlias = tuple[Any, Any]
-"""Duration [s], and the drive that acts, in the form in which the commands were given."""
+"""Duration [s] and acting drive.
+
+The drive is in the form of the given commands.
+"""
 
 MOST_PERIODS = 10_000
 """Longest delay, in sample periods."""
 
 _ROUNDING = 1e-9
-"""Share of a period that is rounding, not time."""
+"""Share of a period that counts as rounding error."""
 
 
 _BLOCK = 256
@@ -31,17 +37,21 @@ _BLOCK = 256
 
 @lru_cache(maxsize=64)
 def _draws(seed: int, block: int) -> tuple[float, ...]:
-    """Return draws between -1 and 1 for a block of ticks.
+    """Return random numbers for a block of ticks.
 
-    They come from seed and tick alone, so that it does not matter who asks, nor in which order.
+    They are uniform between -1 and 1.
+
+    They depend on seed and tick alone, so that the order of calls does not matter.
     """
     return tuple(np.random.default_rng((seed, block)).uniform(-1.0, 1.0, _BLOCK).tolist())
 
 
 def split_delay(delay: Component, period: Component) -> tuple[Component, Component]:
-    """Return whole periods in a delay and the rest of it [s], (...,) each.
+    """Split a delay into whole periods and rest [s].
 
-    A delay within rounding of a whole number of periods is that number.
+    (...,) each.
+
+    A delay within rounding of a whole number of periods counts as that number.
 
     Args:
         delay: Delay [s], 0 or more, (...,).
@@ -54,18 +64,18 @@ def split_delay(delay: Component, period: Component) -> tuple[Component, Compone
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Timing:
-    """When samples are taken and when commands take effect, counted in whole ticks.
+    """Times of samples and command effects, in whole ticks.
 
     Sample k is taken at (k + phase) period after release; its command takes effect `delay` later.
 
     Args:
         period: Sample period [s], above 0.
-        delay: Transport delay [s], 0 or more; may exceed the period, up to 10 000 times. (N,) for N devices that
-            differ, all with the same whole periods in it.
-        phase: In [0, 1); (N,) for N devices that differ.
-        jitter: The delay of each command is drawn evenly from delay ± jitter [s], the same for a whole batch.
-            Commands must stay in order and in their period.
-        seed: Of the jitter: the same seed gives the same run.
+        delay: Transport delay [s], 0 or more; may exceed the period, up to 10 000 times. (N,) for N different
+            devices, all with the same number of whole periods.
+        phase: Phase of the samples in [0, 1); (N,) for N different devices.
+        jitter: Half range of a uniform random delay, delay ± jitter [s], the same for a whole batch. Commands must
+            stay in order and in their period.
+        seed: Seed of the jitter: the same seed gives the same run.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -79,9 +89,9 @@ class Timing:
     whole: int = field(init=False)
     """Whole periods in the delay."""
     rest: Component = field(init=False)
-    """What remains of the delay [s], in [0, period)."""
+    """Rest of the delay [s], in [0, period)."""
     negligible: float = field(init=False)
-    """Stretches shorter than this [s] are rounding, not time."""
+    """Longest time that counts as rounding error [s]."""
 
     def __post_init__(self) -> None:
         period = number("period", self.period, above=0.0)
@@ -113,32 +123,38 @@ class Timing:
         object.__setattr__(self, "rest", rest if rest.ndim else float(rest))
 
     def rest_at(self, tick: int) -> Component:
-        """Return what remains of the delay [s] after whole periods, for the command that takes effect after `tick`."""
+        """Return the rest of a delay [s].
+
+        It remains after whole periods, for the command that takes effect after `tick`.
+        """
         if self.jitter == 0.0:
             return self.rest
         return self.rest + self.jitter * _draws(self.seed, tick // _BLOCK)[tick % _BLOCK]
 
     def time(self, tick: int, offset: Component = 0.0) -> Any:
-        """Return the time [s] of an instant `offset` after sample `tick`; never a running sum."""
+        """Return the time [s] of `offset` after sample `tick`.
+
+        It is computed directly, not as a running sum.
+        """
         return (tick + self.phase) * self.period + offset
 
 
 class Timeline:
-    """Commands on their way, and which of them acts from when to when.
+    """Delayed commands and their times of effect.
 
-    A command is a drive that is held until the next one takes effect, and may begin with a pulse: another drive for
-    its first seconds. The next command ends a pulse; where none comes, it runs out. Drives may be anything: wrenches,
-    currents, or what a plant has made of them.
+    A command is a drive held until the next one takes effect, and may begin with a pulse: another drive for its first
+    seconds. The next command ends a pulse; without one it runs out. Drives may be of any type: wrenches, currents, or
+    values prepared by a plant.
 
     Args:
         timing: Sample period and delay.
-        acting: The drive that acts until the first command takes effect.
+        acting: The drive until the first command takes effect.
         compares: See below.
 
     Attributes:
-        acting: The drive that is held since the last switch.
-        compares: True if drives are tuples, and those with equal first parts are the same: from one to the other there
-            is no switch. It may be changed from period to period.
+        acting: The drive since the last switch.
+        compares: True if drives are tuples, and drives with equal first parts are the same: there is no switch between
+            them. It may be changed from period to period.
     """
 
     def __init__(self, timing: Timing, acting: Any, *, compares: bool = False) -> None:
@@ -157,14 +173,16 @@ class Timeline:
     def answer(
         self, tick: int, held: Any, pulsed: Any = None, width: float = 0.0, *, after: float | None = None
     ) -> None:
-        """Take the answer to a sample; whatever was to take effect then or later no longer does.
+        """Add the answer to a sample.
+
+        Commands with effect at the same time or later are cancelled.
 
         Args:
             tick: Number of the sample.
             held: The drive.
             pulsed: The drive in place of it for the first `width` seconds.
-            width: How long [s]; 0 for no pulse.
-            after: When it takes effect, since the sample [s]; the timing's delay by default.
+            width: Duration of the pulse [s]; 0 for no pulse.
+            after: Time of effect since the sample [s]; the timing's delay by default.
         """
         if after is None:
             tick += self._whole
@@ -178,13 +196,16 @@ class Timeline:
         switches.append((tick, offset, held, pulsed, width))
 
     def period(self, tick: int, answer: tuple[Any, Any, float] | None = None) -> list[Segment]:
-        """Return the segments from sample `tick` to the next, in order; their durations add up to the period.
+        """Return the segments from sample `tick` to the next.
 
-        With delays (N,) durations are (N,), and a segment that a device does not have lasts no time.
+        They are in order; their durations add up to the period.
+
+        With delays (N,) durations are (N,), and a segment missing on a device has duration 0.
 
         Args:
             tick: Number of the sample.
-            answer: The answer to it as for `answer`: held, pulsed, width; None where that was called, or nobody did.
+            answer: The answer to it as for `answer`: held, pulsed, width; None if it was added by `answer`, or there
+                is none.
         """
         switches = self._switches
         if answer is not None:
@@ -219,11 +240,14 @@ class Timeline:
         return segments
 
     def now(self) -> Any:
-        """Return the drive that acts now, a pulse's where one is on."""
+        """Return the present drive, including a pulse."""
         return self.acting if self._pulse is None else self._pulse[0]
 
     def _add_pulse(self, duration: Any, segments: list[Segment]) -> Any:
-        """Add what is left of a pulse within a duration [s]; return the rest of that."""
+        """Add the rest of a pulse within a duration.
+
+        Returns the remaining duration [s].
+        """
         assert self._pulse is not None
         pulsed, width = self._pulse
         inside = np.minimum(width, duration) if self._each else min(width, duration)
@@ -236,18 +260,20 @@ class Timeline:
 def recorded_switches(
     time: Array, held: Array, extra: Array, width: Array, *, period: float, delay: float
 ) -> tuple[Array, Array]:
-    """Return when the wrench of N recorded commands switches [s], (K,), and to what [N, N m], (K, 6).
+    """Return the switches of recorded commands.
 
-    The same rule as `Timeline`'s, for all samples at once: the next recorded command ends a pulse, and where samples
-    are missing it runs out.
+    Times [s], (K,), and wrenches from then on [N, N m], (K, 6), of N commands.
+
+    The rule is that of `Timeline`, for all samples at once: the next recorded command ends a pulse; if samples are
+    missing it runs out.
 
     Args:
-        time: When the samples were taken [s], (N,), N > 1.
+        time: Times of the samples [s], (N,), N > 1.
         held: Held wrenches [N, N m], (N, 6).
         extra: Wrenches of the pulses on top of them [N, N m], (N, 6).
         width: Widths of the pulses [s], (N,); 0 for none.
         period: Sample period [s].
-        delay: From a sample to its command taking effect [s].
+        delay: Time from a sample to the effect of its command [s].
     """
     on, near = time + delay, _ROUNDING * period
     ends = (width > 0.0) & (on + width < np.append(on[1:], np.inf) - near)

@@ -1,4 +1,7 @@
-"""A guided tour of the joystick: steps to be done by hand, each with a check that it was done."""
+"""Guided tour of the joystick, with checked steps.
+
+The user does the steps by hand.
+"""
 
 from __future__ import annotations
 
@@ -17,24 +20,30 @@ from maglev_mj.theory import stability
 __all__ = ["STEPS", "Moment", "Step", "Tour"]
 
 _LOOK, _SHOWN = 1.0 / 30.0, 2.0
-"""Time between two looks at what was done, and time for which a done step or a stopped scene stays [s]."""
+"""Times between checks and of display [s].
+
+The second is that of a done step or a stopped scene.
+"""
 
 _HELD, _STUCK = 1.0, 0.5
 _TOUCH, _MOVED, _STILL = 0.2, 1e-3, 3e-4
 _BUZZ, _BUZZES, _CALM, _CALMER = 1.0, 16, 0.4, 6
-"""Swings of force [N] and their number in a second: from where on a wall buzzes, below which it is quiet."""
+"""Thresholds of a buzzing and a quiet wall.
+
+Swings of force [N] and their number in a second, at least for buzzing, below for quiet.
+"""
 
 _ROUNDING = 1e-9
 
 
 class Moment(NamedTuple):
-    """What a check looks at.
+    """Data for the check of a step.
 
     Attributes:
         begin: Snapshot when the step began.
-        now: Snapshot of now.
-        rows: Samples since then, at most those of the last two seconds, (N, 25); see `Snapshot.history`.
-        stable: Whether the closed loop of the present parameters is.
+        now: Present snapshot.
+        rows: Samples since the begin, at most those of the last two seconds, (N, 25); see `Snapshot.history`.
+        stable: True if the closed loop of the present parameters is stable.
     """
 
     begin: Snapshot
@@ -43,7 +52,10 @@ class Moment(NamedTuple):
     stable: bool
 
     def last(self, duration: float) -> Array:
-        """Return the samples of the last seconds; none before the step is so old."""
+        """Return the samples of the last seconds.
+
+        Empty if the step is younger.
+        """
         begin = self.now.time - duration
         rows = self.rows
         if not len(rows) or rows[0, 0] > begin + 1.5 * self.now.scene.period:
@@ -55,10 +67,10 @@ class Step(NamedTuple):
     """A step of the tour.
 
     Attributes:
-        text: What there is to know.
-        deed: What to do; see `TourLine`.
-        check: Whether it was done.
-        parameters: Of the scene when the step begins.
+        text: Explanation.
+        deed: Task; see `TourLine`.
+        check: Function that returns True once it is done.
+        parameters: Parameters of the scene at the begin of the step.
     """
 
     text: str
@@ -68,13 +80,13 @@ class Step(NamedTuple):
 
 
 class Tour:
-    """A session with a guided tour; a `SnapshotSource`.
+    """Session with a guided tour; a `SnapshotSource`.
 
     Args:
-        session: The session, which shows the joystick; closed with the tour.
+        session: The session of the joystick; closed with the tour.
 
     Attributes:
-        hand: The mouse's.
+        hand: The hand of the mouse.
         simulated: Time simulated so far [s].
     """
 
@@ -85,13 +97,13 @@ class Tour:
         self._begin(0)
 
     def tick(self, elapsed: float) -> int:
-        """Go on by as much as real time has, and look at what was done.
+        """Advance by a real time, and check the step.
 
         Args:
             elapsed: Real time since the last call [s].
 
         Returns:
-            How many control ticks were made.
+            Number of control ticks.
         """
         made = self._session.tick(elapsed)
         self.simulated = self._session.simulated
@@ -102,10 +114,12 @@ class Tour:
         return made
 
     def act(self, action: str) -> None:
-        """Go to the "next" step or "back", or do a session's action.
+        """Run an action of the tour or of its session.
+
+        "next" and "back" go one step forward or back.
 
         Raises:
-            ParameterError: If it is none.
+            ParameterError: If there is no such action.
         """
         if action in ("next", "back"):
             place = self._place + (1 if action == "next" else -1)
@@ -120,7 +134,7 @@ class Tour:
         self._session.change(parameters)
 
     def snapshot(self) -> Snapshot:
-        """Return the picture of now, with the tour's line."""
+        """Return the present snapshot with the tour's line."""
         snapshot, step = self._session.snapshot(), STEPS[self._place]
         deed = step.deed
         if self._made_energy(snapshot):
@@ -136,7 +150,10 @@ class Tour:
         self._session.close()
 
     def _actions(self) -> Sequence[str]:
-        """Return what `act` does; another scene would end the tour, and so would a fall."""
+        """Return the names of the actions of `act`.
+
+        Changes of scene and drops are excluded, because they would end the tour.
+        """
         own = (name for name in self._session.actions if name not in ("next scene", "drop"))
         return "next", "back", *(name for name in own if not name.startswith("scene "))
 
@@ -148,9 +165,12 @@ class Tour:
         self._since = self._at.time
 
     def _look(self, elapsed: float) -> None:
-        """Check the step; go on to the next once it is done, and to the centre once it has made energy."""
+        """Check the step, and go on if it is done.
+
+        After generated energy the scene is reset to the centre.
+        """
         now = self._session.snapshot()
-        if now.reason == EMERGENCY_STOP:  # it stays until the person goes on
+        if now.reason == EMERGENCY_STOP:  # it stays until the user continues
             return
         if self._made_energy(now) or (self._done and self._place < len(STEPS) - 1):
             self._waited += elapsed
@@ -178,23 +198,26 @@ class Tour:
 
 
 def _pushed(moment: Moment) -> bool:
-    """Return whether the hand has moved the handle."""
+    """Return True if the hand has moved the handle."""
     pulled, moved = (np.linalg.norm(moment.rows[:, part : part + 3], axis=1) for part in (19, 1))
     return bool(np.any((pulled >= _TOUCH) & (moved >= _MOVED)))
 
 
 def _met(moment: Moment) -> bool:
-    """Return whether the hand has pressed the handle into a wall."""
+    """Return True if the hand has pressed against a wall."""
     return any((inside & (pressing >= _TOUCH)).any() for inside, pressing, _ in _at_walls(moment, moment.rows))
 
 
 def _braked(moment: Moment) -> bool:
-    """Return whether a wall has given a pulse."""
+    """Return True if a wall has given a pulse."""
     return moment.now.pulses > moment.begin.pulses
 
 
 def _stuck(moment: Moment) -> bool:
-    """Return whether the handle sticks, off the walls, while the hand pulls."""
+    """Return True if the handle sticks under a pull.
+
+    It must be off the walls.
+    """
     rows = moment.last(_STUCK)
     if not len(rows) or moment.now.anchors is None:
         return False
@@ -205,22 +228,25 @@ def _stuck(moment: Moment) -> bool:
 
 
 def _too_stiff(moment: Moment) -> bool:
-    """Return whether more stiffness has made the loop unstable."""
+    """Return True if more stiffness made the loop unstable."""
     return not moment.stable and _raised("stiffness", moment)
 
 
 def _buzzes(moment: Moment) -> bool:
-    """Return whether the force at a wall has alternated while it was held."""
+    """Return True if the force of a held wall alternated."""
     return any(_swings(force, _BUZZ) >= _BUZZES for force in _held(moment))
 
 
 def _too_late(moment: Moment) -> bool:
-    """Return whether more delay has made a wall that is held buzz."""
+    """Return True if more delay makes a held wall buzz."""
     return _raised("delay", moment) and _buzzes(moment)
 
 
 def _mended(moment: Moment) -> bool:
-    """Return whether more damping has made the loop stable, and a wall that is held quiet."""
+    """Return True if more damping made the loop stable.
+
+    A held wall must be quiet too.
+    """
     quiet = any(_swings(force, _CALM) < _CALMER for force in _held(moment))
     return moment.stable and _raised("damping", moment) and quiet
 
@@ -230,7 +256,10 @@ def _raised(name: str, moment: Moment) -> bool:
 
 
 def _at_walls(moment: Moment, rows: Array) -> list[tuple[Mask, Array, Array]]:
-    """Return when the handle is inside each wall, and the forces of hand and wall against each other [N], (N,) each."""
+    """Return contact flags and opposing forces at each wall.
+
+    (N,) each, forces of hand and wall in [N].
+    """
     return [
         (normal * (rows[:, 1 + axis] - edge) <= 0.0, -normal * rows[:, 19 + axis], normal * rows[:, 13 + axis])
         for axis, normal, edge in moment.now.faces
@@ -239,13 +268,19 @@ def _at_walls(moment: Moment, rows: Array) -> list[tuple[Mask, Array, Array]]:
 
 
 def _held(moment: Moment) -> list[Array]:
-    """Return the force of each wall to which the handle was held for the last second [N], (N,) each."""
+    """Return the forces of walls held for a second [N].
+
+    (N,) each.
+    """
     walls = _at_walls(moment, moment.last(_HELD))
     return [back for inside, pressing, back in walls if inside.any() and pressing.all()]
 
 
 def _swings(force: Array, least: float) -> int:
-    """Return how often a force goes from one side of its mean to the other, by half of `least` on each."""
+    """Return the number of swings of a force.
+
+    A swing goes from one side of the mean to the other, by half of `least` on each.
+    """
     side = np.sign(force - force.mean()) * (np.abs(force - force.mean()) >= 0.5 * least)
     return int(np.count_nonzero(np.diff(side[side != 0.0])))
 
@@ -314,4 +349,4 @@ STEPS = (
         {**_BARE, "delay": 0.004},
     ),
 )
-"""The tour."""
+"""Steps of the tour."""

@@ -1,4 +1,7 @@
-"""The motion between samples: every switch of the force, and the exact curve through them."""
+"""Exact motion between samples.
+
+It is stored at every switch of the force.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,13 @@ __all__ = ["Trace", "TraceRecorder"]
 
 
 class TraceRecorder:
-    """Collects the state at each switch, and makes arrays of it at the end.
+    """Recorder of the states at each switch.
+
+    It makes arrays of them at the end.
 
     Args:
-        time: Turns a tick and an offset [s] from it into seconds.
-        arrays: Turns K states, in whatever form they are kept, into pose, twist and wrench, (K, ..., 6) each.
+        time: Function from a tick and an offset [s] to the time [s].
+        arrays: Function from K stored states to pose, twist and wrench, (K, ..., 6) each.
     """
 
     def __init__(
@@ -33,11 +38,14 @@ class TraceRecorder:
         self._rows: list[tuple[int, Component, Any]] = []
 
     def add(self, tick: int, offset: Component, state: Any) -> None:
-        """Keep the state at `offset` [s] after sample `tick`, which nothing may change any more."""
+        """Store the state at `offset` [s] after sample `tick`.
+
+        The state must not change afterwards.
+        """
         self._rows.append((tick, offset, state))
 
     def finish(self, tick: int, state: Any) -> Trace:
-        """Return everything kept so far, closed by the state at sample `tick`."""
+        """Return the trace up to the state at `tick`."""
         ticks, offsets, states = zip(*self._rows, (tick, 0.0, state))
         pose, twist, wrench = self._arrays(states)
         time = np.empty(pose.shape[:-1])
@@ -48,17 +56,19 @@ class TraceRecorder:
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Motion as knots: the state at each switch, and the wrench that acts from each knot to the next.
+    """Motion as knots at the switches of the wrench.
+
+    Each knot has the state, and the wrench that acts until the next knot.
 
     Under a wrench that is constant between knots the motion is a parabola, which the cubic Hermite curve
     through position and velocity at both ends reproduces exactly; evaluation between knots adds no error. For
-    rotation that holds about one axis at a time; about several it is off by the second order of the angle.
+    rotations this is true about one axis at a time; about several axes the error is of second order in the angle.
 
     Attributes:
         time: Knot times since release [s], (K, ...).
         pose: Pose at the knots [m, rad], (K, ..., 6).
         twist: Velocity at the knots [m/s, rad/s], (K, ..., 6).
-        wrench: Wrench of the actuators from each knot on [N, N m], (K, ..., 6); gravity is not in it.
+        wrench: Wrench of the actuators from each knot on [N, N m], (K, ..., 6), without gravity.
     """
 
     time: Array
@@ -106,21 +116,28 @@ class Trace:
         return pose, twist, np.where(final, self.wrench[-1], wrench)
 
     def along(self, axis: int) -> Trace:
-        """Return one coordinate of the motion: the last dimension is 1."""
+        """Return one coordinate of the motion.
+
+        The last dimension is 1.
+        """
         parts = (part[..., axis : axis + 1] for part in (self.pose, self.twist, self.wrench))
         return Trace(self.time, *parts)
 
     def furthest(self) -> Array:
-        """Return the greatest distance from zero on each coordinate [m, rad], (..., 6).
+        """Return the largest distance from zero, (..., 6).
 
-        Between knots too; exact under a constant wrench.
+        On each coordinate [m, rad].
+
+        Motion between knots is included; exact under a constant wrench.
         """
         places = np.concatenate([self.pose, self.turning_points()[1]])
         furthest: Array = np.abs(places).max(axis=0)
         return furthest
 
     def until(self, end: float) -> Trace:
-        """Return the trace cut off at `end` [s]; knots beyond it become copies of the state there.
+        """Return the trace cut off at `end` [s].
+
+        Later knots become copies of the state at the end.
 
         Raises:
             ParameterError: If `end` is outside the trace.
@@ -139,11 +156,11 @@ class Trace:
         return Trace(cut.time[:last], cut.pose[:last], cut.twist[:last], cut.wrench[:last])
 
     def turning_points(self) -> tuple[Array, Array]:
-        """Return the times and poses at which each coordinate turns between knots.
+        """Return times and poses of turning points between knots.
 
         Returns:
-            Times and positions, (K - 1, ..., 6) each; where a coordinate does not turn between two knots, the
-            first of these knots stands instead. Exact under a constant wrench.
+            Times and positions, (K - 1, ..., 6) each; for a coordinate without a turning point between two knots,
+            those of the first knot. Exact under a constant wrench.
         """
         h = np.diff(self.time, axis=0)[..., None]
         v0, v1 = self.twist[:-1], self.twist[1:]

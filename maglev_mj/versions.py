@@ -1,4 +1,7 @@
-"""Which code makes a result: versions, git revision and a digest of the sources."""
+"""Versions of the code behind a result.
+
+Versions of packages, git revision, and a digest of the sources.
+"""
 
 from __future__ import annotations
 
@@ -20,15 +23,18 @@ import maglev_mj
 __all__ = ["MODELS", "TEXT", "Versions", "differences", "file_of", "hash_of", "versions", "versions_read"]
 
 Versions: TypeAlias = Mapping[str, str | bool | None]
-"""See `versions`."""
+"""Versions by name; see `versions`."""
 
 _PACKAGE = Path(__file__).resolve().parent
 _ROOT = _PACKAGE.parent
 MODELS = _PACKAGE / "model" if (_PACKAGE / "model").is_dir() else _ROOT / "model"
-"""Folder of the MJCF files: inside the installed package, or at the top of the repository."""
+"""Folder of the MJCF files.
+
+It is inside the installed package, or at the top of the repository.
+"""
 
 TEXT = "__text__"
-"""Name in a module of a user's own of the text that was executed."""
+"""Attribute of a user's module with its executed text."""
 
 _CODE = ("maglev_mj", "model", "scripts")
 _PATIENCE = 5.0
@@ -36,21 +42,24 @@ _COMPARED = ("maglev_mj", "python", "mujoco", "numpy", "sources")
 
 
 def versions() -> dict[str, str | bool | None]:
-    """Return the versions of all code behind a result, ready for JSON.
+    """Return the versions behind a result, ready for JSON.
 
-    Read once a process, in about 20 ms.
+    They are read once per process, in about 20 ms.
 
     Returns:
         maglev_mj, python, mujoco and numpy: their versions.
         revision: Full git hash; None outside a checkout of this project, as in an installed wheel.
-        changed: Whether package, models or scripts differ from the revision; None without one.
-        sources: First 16 digits of the SHA-256 of package and models. Tells apart what a revision does not.
+        changed: True if package, models or scripts differ from the revision; None without one.
+        sources: First 16 digits of the SHA-256 of package and models, which also detects uncommitted changes.
     """
     return dict(_versions())
 
 
 def versions_read(found: object) -> Versions | None:
-    """Return versions read from a file; None for anything else, such as text that steers a terminal."""
+    """Return versions read from a file, or None.
+
+    None for anything else, such as text with terminal control characters.
+    """
     if not isinstance(found, dict):
         return None
     plain = (
@@ -60,9 +69,9 @@ def versions_read(found: object) -> Versions | None:
 
 
 def differences(theirs: Versions, ours: Versions) -> str:
-    """Return the differing versions as text; empty for the same code.
+    """Return the differing versions as text, or "".
 
-    A revision that is not known on one side is left to the sources.
+    If one side has no revision, only the sources are compared.
     """
     if not theirs:
         return "no versions"
@@ -79,9 +88,11 @@ def hash_of(text: str) -> str:
 
 
 def file_of(thing: Any) -> tuple[Path, str] | None:
-    """Return path and text of the file that has a class or function at its top; None for none.
+    """Return path and text of a class's or function's file.
 
-    The text is the one that was executed, as far as that is known.
+    It must be at the top level; None if there is no such file.
+
+    The text is the executed one, if known.
     """
     module, name = sys.modules.get(thing.__module__), thing.__qualname__
     path = getattr(module, "__file__", None)
@@ -96,7 +107,10 @@ def file_of(thing: Any) -> tuple[Path, str] | None:
 
 @lru_cache(maxsize=64)
 def _read(path: str) -> str:
-    """Return the text of a file as it was when it was first asked for, which is nearest to when it was executed."""
+    """Return a file's text as of its first reading.
+
+    It is nearest to the text that was executed.
+    """
     return Path(path).read_text(encoding="utf-8")
 
 
@@ -115,16 +129,19 @@ def _versions() -> Versions:
 
 
 def _revision(root: Path) -> tuple[str | None, bool | None]:
-    """Return the git revision of a checkout, and whether its code was changed; None and None for anything else."""
+    """Return git revision and changed flag of a checkout.
+
+    None and None for any other folder.
+    """
     try:
-        # the package may lie in somebody else's repository: as a wheel, or copied
+        # the package may lie in another project's repository: as a wheel, or copied
         ours = (root / ".git").exists() and 'name = "maglev-mj"' in (root / "pyproject.toml").read_text("utf-8")
         if not ours:
             return None, None
         said = subprocess.run(
             ["git", "--no-optional-locks", "status", "--porcelain=v2", "--branch", "--", *_CODE],
             cwd=root,
-            # a hook of git names another repository there
+            # a git hook sets these variables to another repository
             env={name: value for name, value in os.environ.items() if not name.startswith("GIT_")},
             capture_output=True,
             text=True,

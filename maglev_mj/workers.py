@@ -1,4 +1,7 @@
-"""Where the jobs of a study run: in this process, in processes of this machine, on a cluster."""
+"""Workers of a study's jobs.
+
+This process, processes of this machine, or a cluster.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ _PATIENCE = 5.0
 
 
 class WorkersError(MaglevError):
-    """Workers are gone, or have other code than this process.
+    """Error of lost workers or workers with other code.
 
     Attributes:
         landed: Cells and results of the study so far.
@@ -33,7 +36,7 @@ class WorkersError(MaglevError):
 
 
 class _Inline(Executor):
-    """Runs each job at once, in this process."""
+    """Executor that runs each job at once, in-process."""
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -46,7 +49,9 @@ class _Inline(Executor):
 
 @contextmanager
 def interrupts_held() -> Iterator[None]:
-    """Hold Ctrl-C back: what is spawned meanwhile never hears it, and this process hears it after.
+    """Block Ctrl-C during the context.
+
+    Processes spawned meanwhile never receive it; this process receives it afterwards.
 
     A terminal sends Ctrl-C to every process, also to one that is still importing and has no handler of its own.
     """
@@ -62,7 +67,10 @@ def interrupts_held() -> Iterator[None]:
 
 
 class _Processes(ProcessPoolExecutor):
-    """Processes of this machine that leave Ctrl-C to this one; spawned, as MuJoCo's threads do not survive a fork."""
+    """Pool of local processes that ignore Ctrl-C.
+
+    They are spawned, because MuJoCo's threads do not survive a fork.
+    """
 
     def __init__(self, count: int) -> None:
         quiet = (signal.SIGINT, signal.SIG_IGN)  # for systems where interrupts cannot be held
@@ -75,13 +83,13 @@ class _Processes(ProcessPoolExecutor):
 
 @dataclass(frozen=True)
 class Workers:
-    """Where cells run.
+    """Executor of cells with its properties.
 
     Attributes:
-        make: Makes an executor; again if the one before has broken.
-        window: How many jobs are handed out at a time.
-        deaths: Errors that mean that a worker died, rather than that a cell failed.
-        cause: Returns a WorkersError for the error of a job that is theirs, the error itself for any other.
+        make: Function that makes an executor, and a new one if the last has broken.
+        window: Number of jobs submitted at a time.
+        deaths: Errors of a dead worker, in contrast to a failed cell.
+        cause: Function that returns a WorkersError if the workers caused a job's error, otherwise the error itself.
     """
 
     make: Callable[[], Executor]
@@ -91,12 +99,14 @@ class Workers:
 
 
 def inline() -> Workers:
-    """Return no workers: this process does it all, one job after the other."""
+    """Return no workers: jobs run in this process."""
     return Workers(_Inline, 1)
 
 
 def local_workers(count: int | None = None) -> Workers:
-    """Return processes of this machine: one a processor unless told, none for 0.
+    """Return processes of this machine as workers.
+
+    By default one per processor; 0 for none.
 
     Raises:
         ParameterError: If the count is negative.
@@ -112,7 +122,9 @@ def local_workers(count: int | None = None) -> Workers:
 
 
 def dask_workers(address: str) -> Workers:
-    """Return the workers of a Dask cluster whose scheduler is at `address`.
+    """Return the workers of a Dask cluster.
+
+    `address` is that of its scheduler.
 
     Raises:
         ParameterError: If nothing answers there.
@@ -122,7 +134,7 @@ def dask_workers(address: str) -> Workers:
     require(("distributed",), "distributed", "a cluster needs Dask")
     from distributed import KilledWorker
 
-    # where it loses the scheduler it logs tracebacks; `_cause` says it in one line
+    # when it loses the scheduler it logs tracebacks; `_cause` reports it in one line
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         client = _client(address)
@@ -135,13 +147,16 @@ def dask_workers(address: str) -> Workers:
 
 
 def _client(address: str) -> Any:
-    """Return a Dask client; an OSError, TimeoutError or ValueError if nothing answers."""
+    """Return a connected Dask client.
+
+    Raises OSError, TimeoutError or ValueError if there is no answer.
+    """
     import asyncio  # as long to load as all of this module
 
     from distributed import Client
     from distributed.core import connect
 
-    async def knock() -> None:  # a client that finds nobody would go on trying as the program ends
+    async def knock() -> None:  # a client without a scheduler would keep trying as the program ends
         door = await connect(address, timeout=_PATIENCE)
         await door.close()
 
@@ -162,8 +177,11 @@ def _other(theirs: Versions | Exception) -> str:
 
 
 def _cause(address: str, error: Exception) -> Exception:
-    """Return a WorkersError if the cluster is the cause of an error, the error itself otherwise."""
-    if isinstance(error, WorkersError):  # a job's own refusal has named its worker
+    """Return the cause of a job's error.
+
+    It is a WorkersError if the cluster is the cause, otherwise the error itself.
+    """
+    if isinstance(error, WorkersError):  # the job's own error names its worker
         return error
     try:
         with _client(address) as client:
@@ -172,7 +190,7 @@ def _cause(address: str, error: Exception) -> Exception:
         return found
     except (OSError, TimeoutError, ValueError):
         return WorkersError(f"the Dask scheduler at {address} is gone")
-    # where they were cancelled, a new scheduler has taken its place
+    # cancelled jobs mean that a new scheduler has replaced the old one
     return (
         WorkersError(f"the Dask scheduler at {address} has lost its jobs")
         if isinstance(error, CancelledError)
@@ -181,7 +199,10 @@ def _cause(address: str, error: Exception) -> Exception:
 
 
 def _run_with_code(code: Versions, function: Callable[..., Any], *args: Any, **keywords: Any) -> Any:
-    """Run a job, unless this worker, which may have joined late, has other code."""
+    """Run a job, unless this worker has other code.
+
+    A worker that joined late was not checked before.
+    """
     if other := differences(versions(), code):
         from distributed import get_worker
 
@@ -190,7 +211,7 @@ def _run_with_code(code: Versions, function: Callable[..., Any], *args: Any, **k
 
 
 class _Cluster(Executor):
-    """A Dask client as an executor that leaves nothing open behind it."""
+    """Dask client as an executor that closes itself."""
 
     def __init__(self, client: Any) -> None:
         self._client, self._inner = client, client.get_executor(pure=False)

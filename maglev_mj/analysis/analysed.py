@@ -1,4 +1,4 @@
-"""Complete analysis of a recording segment."""
+"""Complete analysis of a stretch of a recording."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Analysed:
-    """Results of a segment's analysis.
+    """Results of a stretch's analysis.
 
     Attributes:
         kind: Kind of its setup.
@@ -107,15 +107,15 @@ def analyse(
     rest: float | None = None,
     scene: type[Scene] | None = None,
 ) -> Analysed:
-    """Analyse a segment of at least two samples.
+    """Analyse a stretch of at least two samples.
 
     Args:
         stretch: The stretch.
         rebuild: Function from a setup and a hand to plant and controller; None if there is none: then nothing is
             simulated.
         anchors: Stick positions at each sample [m, rad], (N, 6); None without friction.
-        begin: Start of the analysis, in the segment's time [s].
-        end: End of the analysis [s]; None for the segment's end.
+        begin: Start of the analysis, in the stretch's time [s].
+        end: End of the analysis [s]; None for the stretch's end.
         simulated: True to run the simulation of the same parameters and compare.
         rest: Rest position at a wall [m, rad]; found from the samples by default.
         scene: Scene class of a user's own recording.

@@ -95,7 +95,7 @@ def simulate(
     Args:
         stretch: The recording.
         motion: Its motion.
-        metadata: Metadata of the segment.
+        metadata: Metadata of the stretch.
         rebuild: Function from a setup and a hand to plant and controller.
         scene: Scene class of a user's own recording.
 

@@ -19,7 +19,7 @@ HARDNESS_WINDOW = 0.005
 """Window of the force rise for the hardness [s]."""
 
 _REST = 0.1
-"""Final share of a segment that counts as rest.
+"""Final share of a stretch that counts as rest.
 
 The flotor must rest over it to have settled.
 """

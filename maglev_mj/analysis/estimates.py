@@ -144,14 +144,14 @@ class Friction:
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """All quantities identified from a segment.
+    """All quantities identified from a stretch.
 
     Attributes:
         axes: By index into AXES, for each that moves.
         walls: Every plane of a wall.
         friction: By index into AXES, for each axis with friction.
         samples: Largest number of samples used on an axis.
-        of: Number of samples in the segment.
+        of: Number of samples in the stretch.
     """
 
     axes: Mapping[int, OfAxis]

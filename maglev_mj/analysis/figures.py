@@ -1,4 +1,4 @@
-"""Figures of a segment: walls, energy, friction, missing samples."""
+"""Figures of a stretch: walls, energy, friction, missing samples."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Stick(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StretchFigures:
-    """Figures of a segment.
+    """Figures of a stretch.
 
     Attributes:
         samples: Number of samples.
@@ -122,11 +122,11 @@ class StretchFigures:
 def stretch_figures(
     motion: Motion, metadata: RunMetadata, ticks: Array, hand: Array, anchors: Array | None, rest: float | None = None
 ) -> StretchFigures:
-    """Return the figures of a segment of N samples.
+    """Return the figures of a stretch of N samples.
 
     Args:
         motion: The motion through them.
-        metadata: Metadata of the segment.
+        metadata: Metadata of the stretch.
         ticks: Numbers of the samples, (N,).
         hand: Wrench of the hand from each sample on [N, N m], (N, 6).
         anchors: Stick positions at each sample [m, rad], (N, 6), NaN while sliding; None without friction.

@@ -58,12 +58,12 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
 
     Each quantity has its standard error.
 
-    Each coordinate is treated separately. A long segment is represented by 20 000 samples of each, with the least
+    Each coordinate is treated separately. A long stretch is represented by 20 000 samples of each, with the least
     straight motion.
 
     Args:
         stretch: The stretch.
-        metadata: Metadata of the run; the segment's own by default.
+        metadata: Metadata of the run; the stretch's own by default.
         anchors: Stick positions at each sample [m, rad], (N, 6); None without friction.
 
     Raises:
@@ -107,7 +107,7 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Axis:
-    """One coordinate of a segment, with its fits.
+    """One coordinate of a stretch, with its fits.
 
     Attributes:
         stretch: The samples used, and earlier ones whose commands take effect during them.
@@ -129,7 +129,7 @@ class _Axis:
     def of(cls, stretch: Stretch, metadata: RunMetadata, axis: int, anchors: Array | None) -> _Axis | None:
         """Return the coordinate with its selected samples, or None.
 
-        Of a long segment, the windows with the least straight motion are selected; None if there are none.
+        Of a long stretch, the windows with the least straight motion are selected; None if there are none.
         """
         period = metadata.period
         # after a gap the delayed commands are unknown

@@ -70,7 +70,7 @@ class _Pieces(NamedTuple):
 
 
 def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
-    """Return the motion through the samples of a segment.
+    """Return the motion through the samples of a stretch.
 
     Between two samples the recorded forces and their switching times are known. The speed at the first sample is such
     that the piecewise parabola under these forces ends at the second. Without other forces this is the exact motion.
@@ -81,7 +81,7 @@ def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
 
     Args:
         stretch: The stretch.
-        metadata: Metadata of the segment.
+        metadata: Metadata of the stretch.
 
     Raises:
         InvalidRecordingError: If it has less than two samples, or they are not in order.

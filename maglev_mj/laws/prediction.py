@@ -41,8 +41,8 @@ class PredictiveWall(AxisLaw):
     Raises:
         ParameterError: If a value is outside its bounds or a shape does not fit.
 
-    Source: after Gillespie & Cutkosky 1996, who predict half a sample and treat the crossing by deadbeat control;
-        the mean over the hold is this project's.
+    Source: after Gillespie & Cutkosky 1996, with half-sample prediction and deadbeat control of the crossing there; the
+        mean over the hold is this project's.
     """
 
     lower: ArrayLike = gain(unit="m, rad", default=0.0, at_least=-math.inf)

@@ -217,7 +217,7 @@ def _brake(
         wanted = wanted + (inward & _not(entered)) * owed
     if limit is None:
         return wanted, None
-    # beyond the limit with the pulse, less what the PD force alone has beyond it
+    # excess over the limit with the pulse, less the excess of the PD force alone
     whole = force + wanted
     left = (whole - clipped(whole, limit)) - (force - clipped(force, limit))
     return wanted - left, left if _any(left != 0.0) else None

@@ -352,7 +352,7 @@ def turned_back(
 
     The angle (rx, ry, rz) [rad] is about the quaternion's own axes.
     """
-    # the engine normalizes what it reads
+    # the engine normalizes the quaternion
     p, q, r = -0.5 * rx, -0.5 * ry, -0.5 * rz
     one = 1.0 - 0.5 * (p * p + q * q + r * r)
     return (

@@ -176,7 +176,7 @@ class MuJoCoPlant(SampledPlant):
             free = longest_step(self.device, **needs) is None
             keywords["longest_step"] = longest_step(self.device, stops=stops, **needs)
         super().__init__(timing, batch=(), **keywords)
-        # where stops alone ask for short steps, those are for when the flotor is near one
+        # if only the stops need short steps, these are made only near a stop
         self._reach = None
         if stops and free and self._recorder is None:
             self._reach = float(self.device.range[:3].min()), float(self.device.range[3])
@@ -210,7 +210,7 @@ class MuJoCoPlant(SampledPlant):
         self._turning = slice(device.velocity_address + 3, device.velocity_address + 6)
         self._rotation = np.zeros(9)
         self._last: Drive = (), (), None
-        # whether the coils' map is to be renewed for the next wrench, and the angle measured if there is a sensor
+        # flag of an outdated coil map, renewed for the next wrench; and the measured angle if there is a sensor
         self._stale = self._turned = False
         self._angle: Sequence[float] | None = None
         self._upright = math.inf if self._coils is None else UPRIGHT * UPRIGHT

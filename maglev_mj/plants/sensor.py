@@ -220,7 +220,7 @@ class SpotSensor:
     def _one(self, geometry: Beams) -> Measure:
         """Return the measurement function of one device."""
         reader = SpotReader(geometry, self.quantum, self.noise, self.seed)
-        # how far is too far is for the plant to say (its `escape`); no two poses within a quarter turn look alike
+        # the plant checks the distance (its `escape`); no two poses within a quarter turn give the same spots
         tracker = PoseTracker(geometry, farthest=math.inf, most_turned=0.5 * math.pi)
         return lambda position: tracker(reader(position))
 

@@ -29,6 +29,7 @@ __all__ = ["Drop"]
 class Drop(WallScene):
     """Drop the flotor on a stiff wall (figures 3, 4)."""
 
+    title: ClassVar = "Drop the flotor on a stiff wall (figures 3 and 4)"
     model: ClassVar = "scenes/drop"
     figures: ClassVar = ("penetration", "rebound", "peak_force", "settling_time", "final_z")
     tolerance: ClassVar[float] = 1e-3

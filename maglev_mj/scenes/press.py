@@ -43,6 +43,7 @@ class Press(WallScene):
     Weight is compensated: there is no gravity. The five other axes are held.
     """
 
+    title: ClassVar = "A hand hits the wall several times, then presses against it (figure 6)"
     model: ClassVar = "scenes/press"
     figures: ClassVar = {
         name: name if name == "absorbed" else f"hit_{name}" if index < 5 else f"press_{name}"

@@ -75,6 +75,7 @@ class Scene(Parameters):
 
     Class attributes:
         name: Name on the command line; the class's own in kebab-case by default.
+        title: Heading of its tables; the first line of its docstring by default.
         shown_axis: Axis of plots and figures.
         figures: Figures of a run: names of stock figures, or `Figure`s; a mapping gives them other names in JSON.
         plants: Names of its plants, the default first.
@@ -90,6 +91,7 @@ class Scene(Parameters):
     """
 
     name: ClassVar[str] = ""
+    title: ClassVar[str] = ""
     shown_axis: ClassVar[str] = "z"
     figures: ClassVar[Any] = ()
     plants: ClassVar[Sequence[str]] = ("mujoco", "exact")
@@ -172,7 +174,7 @@ class Scene(Parameters):
 
     def describe(self) -> str:
         """Return a one-line description."""
-        return (type(self).__doc__ or self.name).split("\n")[0].rstrip(".")
+        return self.title or (type(self).__doc__ or self.name).strip().split("\n")[0].rstrip(".")
 
     @property
     def axis(self) -> str:

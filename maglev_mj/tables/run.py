@@ -84,12 +84,7 @@ def _head(scene: Scene, plant: str) -> list[str]:
         shown.append(f"{one.name.replace('_', ' ')} {text}")
     # a name, its number and its unit stay on one line
     lines = wrapped(", ".join(text.replace(" ", "\0") for text in shown))
-    return [*wrapped(f"{_sentence(scene)}, plant {plant}", ""), *lines]
-
-
-def _sentence(scene: Scene) -> str:
-    text = (type(scene).__doc__ or scene.name).strip().split("\n")[0]
-    return text.rstrip(".")
+    return [*wrapped(f"{Scene.describe(scene)}, plant {plant}", ""), *lines]
 
 
 def _rank(first: Result, sweeps: Mapping[str, Phases]) -> str:

@@ -76,11 +76,11 @@ class Font(NamedTuple):
 
     @property
     def row(self) -> int:
-        """Height of a row, with the gap to the next [pixels]."""
+        """Height of a row with its gap [pixels]."""
         return math.ceil(_HEIGHT * self.size) + _GAP
 
     def width(self, text: str) -> int:
-        """Return the width of a text, or a little more [pixels]."""
+        """Return the width of a text, rounded up [pixels]."""
         widths = (int(_WIDTHS[ord(letter) - 32], 16) if " " <= letter <= "~" else 8 for letter in text)
         uneven = 0 if self.size == 1.0 else len(text) // 3 + 1  # some letters grow by more than the others
         return math.ceil(self.size * sum(widths)) + uneven

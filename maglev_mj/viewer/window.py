@@ -70,7 +70,7 @@ def require_display() -> None:
             "a window on macOS needs the program mjpython, which comes with mujoco: `mjpython -m maglev_mj view`; or "
             "without it `maglev-mj view --web`, in a browser"
         )
-    with warnings.catch_warnings():  # it warns of what is raised here
+    with warnings.catch_warnings():  # its warning is raised as an error here
         warnings.simplefilter("ignore")
         if not glfw.init():
             raise DisplayError(f"a window cannot be opened on this display: {instead}")
