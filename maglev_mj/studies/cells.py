@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.versions import Versions, differences, versions, versions_read
-from maglev_mj.workers import Workers, WorkersError, inline
+from maglev_mj.workers import Workers, WorkersError, chosen_workers
 
 __all__ = ["Cell", "Record", "StudyInterrupted", "run_cells"]
 
@@ -111,7 +111,11 @@ class Record:
 
 def _key(cell: Mapping[str, Any]) -> bytes:
     """Return a digest of a cell: a million of them are small."""
-    return blake2b(json.dumps(cell, sort_keys=True).encode(), digest_size=16).digest()
+    try:
+        text = json.dumps(cell, sort_keys=True)
+    except (TypeError, ValueError) as error:
+        raise ParameterError(f"a cell must hold values of JSON, not {cell!r}: {error}") from None
+    return blake2b(text.encode(), digest_size=16).digest()
 
 
 def run_cells(
@@ -119,7 +123,7 @@ def run_cells(
     cells: Sequence[Cell],
     *,
     record: Record | None = None,
-    workers: Workers | None = None,
+    workers: Workers | int | None = None,
     together: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Any]:
@@ -129,7 +133,7 @@ def run_cells(
         function: From some cells to a result for each, all JSON; importable by name, for it runs in other processes.
         cells: The study.
         record: Where results are kept; None for memory.
-        workers: Where cells run; None for this process.
+        workers: Where cells run: how many processes of this machine, or `dask_workers`; None for this process.
         together: How many cells make one job.
         progress: Told how many cells are done, and of how many.
 
@@ -138,10 +142,13 @@ def run_cells(
         is not recorded, so that a rerun tries again.
 
     Raises:
+        ParameterError: If a cell is not JSON, or the function is none or returns anything but a result for each cell.
         StudyInterrupted: On Ctrl-C, after the jobs in hand have landed. They land too where a job fails with an error.
         WorkersError: If a cluster is gone, or one of its workers has other code.
     """
-    study = _Study(function, record or Record(), workers or inline(), progress)
+    if not callable(function):
+        raise ParameterError(f"function must be one from cells to results, not {function!r}")
+    study = _Study(function, record or Record(), chosen_workers(workers), progress)
     keys, found = [_key(cell) for cell in cells], study.record._results
     missing = list({key: cell for key, cell in zip(keys, cells, strict=True) if key not in found}.values())
     study.total = len(set(keys))
@@ -222,6 +229,8 @@ class _Study:
             results = future.result()
         except self.workers.deaths:
             return job
+        if not isinstance(results, Sequence) or len(results) != len(job):
+            raise ParameterError(f"function must return a result for each of its {len(job)} cells, not {results!r}")
         self.record.add(list(zip(job, results, strict=True)))
         self._count(len(job))
         return None
