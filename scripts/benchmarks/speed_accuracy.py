@@ -1,4 +1,4 @@
-"""Speed against accuracy: what each way to simulate a scene costs, and how far it is off.
+"""Speed against accuracy: what each method to simulate a scene costs, and how far it is off.
 
 Draws a chart of every scene, one of the drop with what a user would take instead, and curves of what the step does
 to the stability boundary and to the energy of a bounce; writes every figure to speed_accuracy.json. Costs are medians
@@ -37,8 +37,8 @@ from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.fidelity_cases import preset_of
 from maglev_mj.studies.integrators import INTEGRATORS
 from maglev_mj.versions import versions
+from methods import GROUPS, PEERS, SEMI_IMPLICIT, as_json, boundary_shift, our_methods, peer_methods, take_times
 from peers import Task
-from ways import GROUPS, PEERS, SEMI_IMPLICIT, as_json, boundary_shift, our_ways, peer_ways, take_times
 from work_precision import EXACT_ENOUGH, WorkPoint, work_precision
 
 TITLES = {
@@ -59,7 +59,7 @@ STEPPED = {
     "pinocchio": "free flyer, steps of {} ms",
     "scipy": "solve_ivp a period, RK45, max_step {} ms",
 }
-"""Names of a peer's ways on a fixed grid, the step left out: what its user would try first."""
+"""Names of a peer's methods on a fixed grid, the step left out: what its user would try first."""
 
 PERIOD, DELAY = Timing().period, Timing().delay
 
@@ -147,20 +147,20 @@ def sweep_of_drops(stiffnesses: int, dampings: int, repeats: int) -> dict[str, A
 
 
 def measure(quick: bool, scenes: Sequence[str] = BENCHED) -> dict[str, Any]:
-    """Return cost and error of every way to simulate each scene, the peers' too, and what the step does.
+    """Return cost and error of every method to simulate each scene, the peers' too, and what the step does.
 
     Args:
         quick: Fewer steps and repeats.
         scenes: Names from TITLES.
     """
-    ways = {name: our_ways(name, preset_of(name).scene, quick) for name in scenes}
+    methods = {name: our_methods(name, preset_of(name).scene, quick) for name in scenes}
     drop = PeersDrop()
-    peers, missing = peer_ways(drop, Task(), quick)
-    everyone = our_ways("drop", drop, quick) + peers
-    for some in (*ways.values(), everyone):
+    peers, missing = peer_methods(drop, Task(), quick)
+    everyone = our_methods("drop", drop, quick) + peers
+    for some in (*methods.values(), everyone):
         take_times(some, 2 if quick else 3)
     return {
-        "scenes": {name: as_json(some) for name, some in ways.items()},
+        "scenes": {name: as_json(some) for name, some in methods.items()},
         "peers": as_json(everyone),
         "boundary": boundary_shifts(quick),
         "sweep": sweep_of_drops(10, 10, 1) if quick else sweep_of_drops(40, 25, 1),
@@ -206,7 +206,7 @@ def merged(curves: list[tuple[str, list[Any], list[Any]]]) -> list[tuple[str, li
 
 
 def chart_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
-    """Return the ways of a scene as points of a chart, those of raw Euler for all that are one with it."""
+    """Return the methods of a scene as points of a chart, those of raw Euler for all that are one with it."""
     points = []
     for row in rows:
         integrator, step, group = row["integrator"], row["step"], row["group"]
@@ -223,7 +223,7 @@ def chart_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
 
 
 def _stem(name: str) -> str:
-    """Return the name of a way with its step left out."""
+    """Return the name of a method with its step left out."""
     return re.sub(r"[0-9.]+ ms", "{} ms", name)
 
 
@@ -233,7 +233,7 @@ def _point(row: Mapping[str, Any], group: str, label: str, joined: bool) -> Work
 
 
 def peer_points(rows: Sequence[Mapping[str, Any]]) -> list[WorkPoint]:
-    """Return this package's plants and, of each peer, the ways that no other of its own beats."""
+    """Return this package's plants and, of each peer, the methods that no other of its own beats."""
     ours = {"exact plant", "exact plant, 1000 at once", GROUPS["corrected"], GROUPS["rk4"]}
     points = [
         _point(row, f"this package, {row['group']}", "", False)
@@ -254,7 +254,7 @@ def step_panels(data: Mapping[str, Any]) -> list[Panel]:
     shifts = [(name, boundary["steps"], np.abs(boundary["shifts"][name]).tolist()) for name in boundary["orders"]]
     energies = []
     for kind in SEMI_IMPLICIT:
-        rows = [row for row in data["scenes"].get("drop-no-pulse", {}).get("ways", ()) if row["integrator"] == kind]
+        rows = [row for row in data["scenes"].get("drop-no-pulse", {}).get("methods", ()) if row["integrator"] == kind]
         mine = sorted((row["step"], row["energy_error"]) for row in rows if row["step"])
         energies.append((kind, [step for step, _ in mine], [error for _, error in mine]))
     tables = {
@@ -271,10 +271,12 @@ def step_panels(data: Mapping[str, Any]) -> list[Panel]:
 def draw(pictures: PictureFolder, data: Mapping[str, Any]) -> list[Path]:
     """Draw the charts; return their files."""
     drawn = [
-        work_precision(f"{name}: {TITLES[name]}", chart_points(part["ways"]), pictures.path(f"speed_accuracy_{name}"))
+        work_precision(
+            f"{name}: {TITLES[name]}", chart_points(part["methods"]), pictures.path(f"speed_accuracy_{name}")
+        )
         for name, part in data["scenes"].items()
     ]
-    everyone = peer_points(data["peers"]["ways"])
+    everyone = peer_points(data["peers"]["methods"])
     title = "a drop on the wall, six axes, with what else one might take"
     drawn.append(work_precision(title, everyone, pictures.path("speed_accuracy_peers")))
     return [*drawn, small_multiples(step_panels(data), pictures.path("speed_accuracy_steps"))]

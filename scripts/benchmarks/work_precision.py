@@ -18,7 +18,7 @@ from maglev_mj.plots.drawing import TITLE, new_figure, save
 __all__ = ["EXACT_ENOUGH", "WorkPoint", "pareto", "work_precision"]
 
 EXACT_ENOUGH = 1e-9
-"""Error below which ways differ in nothing but their cost [m]."""
+"""Error below which methods differ in nothing but their cost [m]."""
 
 _ROW = 0.75  # distance of two rows, in decades of the error
 _INCH = 0.27  # height of a decade
@@ -33,11 +33,11 @@ _PARTS = np.linspace(0.1, 0.9, 9)  # of a line that labels keep off
 
 @dataclass(frozen=True)
 class WorkPoint:
-    """One way to an answer.
+    """One method to an answer.
 
     Attributes:
-        name: Of the way.
-        group: Ways of one kind share a colour, and a row for the cheapest that is exact enough.
+        name: Of the method.
+        group: Methods of one kind share a colour, and a row for the cheapest that is exact enough.
         cost: Of a simulated second [s], of each device where there are many.
         error: [m]; what is below `EXACT_ENOUGH` counts as none.
         many: Whether that takes many devices at once.
@@ -68,9 +68,9 @@ def pareto(points: Sequence[WorkPoint]) -> list[WorkPoint]:
 
 
 def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
-    """Draw error over cost, and below it the cheapest way of each group that is exact enough, a row each.
+    """Draw error over cost, and below it the cheapest method of each group that is exact enough, a row each.
 
-    What no other way beats is ringed and its row bold, among single devices and among many at once.
+    What no other method beats is ringed and its row bold, among single devices and among many at once.
 
     Args:
         title: Above the panel.
@@ -107,7 +107,7 @@ def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
 
 
 def exact_rows(points: Sequence[WorkPoint]) -> list[WorkPoint]:
-    """Return the cheapest way of each group that is exact enough, the cheapest first."""
+    """Return the cheapest method of each group that is exact enough, the cheapest first."""
     best: dict[str, WorkPoint] = {}
     for point in points:
         if point.error <= EXACT_ENOUGH and (point.group not in best or point.cost < best[point.group].cost):

@@ -1,4 +1,4 @@
-"""The flotor in MuJoCo, and the ways to its numbers that cost least."""
+"""The flotor in MuJoCo, and the methods to its numbers that cost least."""
 
 from __future__ import annotations
 
