@@ -34,6 +34,8 @@ from maglev_mj.workers import dask_workers
 EXAMPLES = Path(__file__).resolve().parent.parent / "scripts" / "examples"
 SHORT = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name != "live_client.py")
 
+GALLERY = (EXAMPLES.parents[1] / "docs" / "gallery.md").read_text(encoding="utf-8").splitlines()
+
 RunExample = Callable[..., list[list[float]]]
 
 
@@ -46,7 +48,7 @@ def run_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[s
         monkeypatch.setattr(sys, "argv", [path, *arguments])
         runpy.run_path(path, run_name="__main__")
         out = capsys.readouterr().out
-        assert out
+        assert out and [line for line in out.splitlines() if line not in GALLERY] == []
         return [[float(one) for one in re.findall(r"[-+]?\d+(?:\.\d+)?(?:e-?\d+)?", line)] for line in out.splitlines()]
 
     return run
@@ -58,7 +60,7 @@ def test_an_example_is_short(name: str) -> None:
 
 
 def test_the_gallery_shows_every_example() -> None:
-    page = (EXAMPLES.parents[1] / "docs" / "gallery.md").read_text(encoding="utf-8")
+    page = "\n".join(GALLERY)
     names = [path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".c")]
     assert len(names) > 10 and [name for name in names if f"(../scripts/examples/{name})" not in page] == []
 
@@ -145,6 +147,16 @@ def test_own_study_brings_its_module_to_workers_that_lack_it(
     assert set(clicks) == {200.0, 500.0, 1000.0} and all(values == sorted(values) for values in clicks.values())
     ideal = [0.7 * stiffness * 0.0015 for stiffness in (2000.0, 3000.0, 4000.0)]
     assert clicks[1000.0] == pytest.approx(ideal, rel=0.1)
+
+
+def test_the_picture_of_the_gallery_is_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("gymnasium")
+    monkeypatch.setattr(sys, "argv", ["gallery.py", "--out", str(tmp_path)])
+    runpy.run_path(str(EXAMPLES / "gallery.py"), run_name="__main__")
+    assert "gallery.png" in capsys.readouterr().out and (tmp_path / "gallery.png").stat().st_size > 50_000
 
 
 class WrongSensor:
