@@ -190,6 +190,7 @@ MISUSES: dict[str, tuple[Callable[[], object], str]] = {
     "cell": (lambda: run_cells(lambda cells: [0], [WRONG]), "a cell must hold values of JSON"),
     "workers": (lambda: run_cells(lambda cells: [0], [{}], workers=-1), "workers must be at least 0, not -1"),
     "number": (lambda: run_cells(lambda cells: [0], [{}], workers="two"), "workers must be a number of processes"),  # type: ignore[arg-type]
+    "word": (lambda: sweep(DROP, {"plant": "exact"}), "vary must give a list of values for plant, not 'exact'"),
     "values": (lambda: sweep(DROP, {"height": 0.001}), "vary must give a list of values for height"),  # type: ignore[dict-item]
 }
 
