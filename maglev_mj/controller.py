@@ -37,7 +37,7 @@ class Controller:
         velocity: The velocity estimator.
 
     Raises:
-        ParameterError: If the period is not above 0, one of the laws is not a law, or their pulse widths differ.
+        ParameterError: If the period is not above 0, `laws` is not a list of laws, or their pulse widths differ.
     """
 
     def __init__(
@@ -48,6 +48,8 @@ class Controller:
         velocity: VelocityEstimator | None = None,
     ) -> None:
         self.period = number("period", period, above=0.0)
+        if not isinstance(laws, Sequence):
+            raise ParameterError(f"laws must be a list of laws, not {laws!r}")
         self.laws = tuple(map(as_law, laws))
         widths = {law.pulse_width for law in self.laws if law.pulse_width > 0.0}
         if len(widths) > 1:

@@ -225,6 +225,8 @@ def load(
     if coil_map is not None:
         if device.coils is None:
             raise ParameterError("coil_map needs coils=True")
+        if not isinstance(coil_map, CoilMap):
+            raise ParameterError(f"coil_map must be a CoilMap, not {coil_map!r}")
         _put_coils(device, coil_map)
         device = replace(device, coils=coil_map)
     return device

@@ -15,12 +15,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context, resource_tracker
+from pathlib import Path
 from typing import Any
 
 from maglev_mj.errors import MaglevError, ParameterError, require
 from maglev_mj.versions import Versions, differences, versions
 
-__all__ = ["Workers", "WorkersError", "dask_workers", "inline", "interrupts_held", "local_workers"]
+__all__ = ["Workers", "WorkersError", "chosen_workers", "dask_workers", "inline", "interrupts_held", "local_workers"]
 
 _PATIENCE = 5.0
 
@@ -121,13 +122,29 @@ def local_workers(count: int | None = None) -> Workers:
     return Workers(lambda: _Processes(number), 2 * number)
 
 
-def dask_workers(address: str) -> Workers:
-    """Return the workers of a Dask cluster.
-
-    `address` is that of its scheduler.
+def chosen_workers(workers: Workers | int | None) -> Workers:
+    """Return workers, or processes of this machine by their number; none by default.
 
     Raises:
-        ParameterError: If nothing answers there.
+        ParameterError: If it is neither.
+    """
+    if isinstance(workers, int):
+        return local_workers(workers)
+    if not isinstance(workers, Workers | None):
+        raise ParameterError(f"workers must be a number of processes or dask_workers(...), not {workers!r}")
+    return workers or inline()
+
+
+def dask_workers(address: str, *, files: Path | str | Sequence[Path | str] = ()) -> Workers:
+    """Return the workers of a Dask cluster.
+
+    Args:
+        address: Address of its scheduler.
+        files: Module, or modules, of the user's own that jobs import (.py, .zip or .egg); workers that join later get
+            them too.
+
+    Raises:
+        ParameterError: If nothing answers there, or a file is not there or fails on import.
         WorkersError: If a worker has other code than this process; it names each.
         MissingPackageError: If Dask is not installed.
     """
@@ -143,7 +160,19 @@ def dask_workers(address: str) -> Workers:
     with client:
         window = 4 * max(sum(client.nthreads().values()), 1)
         _check_code(client)
+        for file in [files] if isinstance(files, Path | str) else files:
+            _send(client, Path(file))
     return Workers(lambda: _Cluster(_client(address)), window, (KilledWorker,), partial(_cause, address))
+
+
+def _send(client: Any, file: Path) -> None:
+    """Send a module to the workers, which import it."""
+    try:
+        if file.suffix not in (".py", ".zip", ".egg"):
+            raise ValueError("it is no .py, .zip or .egg")
+        client.upload_file(str(file))
+    except Exception as error:  # of the import, anything
+        raise ParameterError(f"files must be modules that workers can import, not {str(file)!r}: {error}") from None
 
 
 def _client(address: str) -> Any:

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 import bench
-import bench_tables
 import growth
 import others
 import realism
+import speed_tables
 from maglev_mj.plots import PictureFolder
 from peers import available
 from tests.test_charts import complaints
@@ -50,11 +50,11 @@ def test_ratios_are_formed_pair_by_pair() -> None:
 def test_a_table_for_a_terminal_keeps_to_80_columns_and_says_what_failed() -> None:
     long = "a name that does not fit into the first column"
     one = {"group": {"x": 123456.0, long: 1.234e-18}}, {"group": {"x": 0.0123456, long: 5.678e-18}}
-    told = bench_tables.terminal("name", section({"before": list(one), "after": list(one)}, failed={"after": "why"}))
+    told = speed_tables.terminal("name", section({"before": list(one), "after": list(one)}, failed={"after": "why"}))
     assert max(map(len, told.splitlines())) <= 80
     assert "after: why" in told and " group" in told.splitlines() and f"  {long}" in told.splitlines()
     missing = section({"after": [{"x": 1.0}]}, details={"missing": ["drake is not installed"]})
-    assert bench_tables.terminal("name", missing).splitlines()[-1] == "  drake is not installed"
+    assert speed_tables.terminal("name", missing).splitlines()[-1] == "  drake is not installed"
 
 
 def test_tables_of_the_documentation_have_every_number_with_its_range() -> None:
@@ -62,17 +62,17 @@ def test_tables_of_the_documentation_have_every_number_with_its_range() -> None:
     sides = {
         "after": [{"cost": {"a": 1.0, "b": 2.0}, "error": {"a": 0.0}}, {"cost": {"a": 3.0, "b": 2.0}, "error": {}}]
     }
-    lines = bench_tables.compared_table(bench.summary(pair))
+    lines = speed_tables.compared_table(bench.summary(pair))
     assert lines[2:] == ["| x | 2 | 2 | 1 to 3 | 1 | 0.5 to 1.5 |"]
-    assert bench_tables.side_by_side(bench.summary(sides))[2:] == ["| a | 2 (1 to 3) | 0 |", "| b | 2 |  |"]
-    apart = bench_tables.side_by_side(bench.summary({"after": [{"one": {"a": 1.0}, "other": {"b": 2.0}}]}))
+    assert speed_tables.side_by_side(bench.summary(sides))[2:] == ["| a | 2 (1 to 3) | 0 |", "| b | 2 |  |"]
+    apart = speed_tables.side_by_side(bench.summary({"after": [{"one": {"a": 1.0}, "other": {"b": 2.0}}]}))
     assert apart[2:] == ["| *one* | |", "| a | 1 |", "| *other* | |", "| b | 2 |"]
 
 
 def test_the_table_of_options_has_a_column_for_each_plant() -> None:
     one = {"exact plant": {"over plain": {"plain": 1.0, "jitter": 3.0}}, "RK4": {"over plain": {"jitter": 2.0}}}
     other = {"exact plant": {"over plain": {"plain": 1.0, "jitter": 1.2}, "µs": {"jitter": 4.0}}}
-    lines = bench_tables.options_table(bench.summary({"before": [one], "after": [other]}))
+    lines = speed_tables.options_table(bench.summary({"before": [one], "after": [other]}))
     assert lines == ["| | exact plant |", "|---|---|", "| jitter | 3 → 1.2 |"]
 
 

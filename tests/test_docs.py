@@ -27,7 +27,7 @@ from maglev_mj.session import Session
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [
     str(path.relative_to(ROOT))
-    for pattern in ("*.md", "docs/**/*.md", "model/*.md")
+    for pattern in ("*.md", "docs/**/*.md", "model/*.md", "scripts/**/*.md")
     for path in sorted(ROOT.glob(pattern))
 ]
 

@@ -284,13 +284,13 @@ def test_an_installed_scene_runs_by_its_name(folder: Path, say: Say, monkeypatch
 
 
 TEXT = EXAMPLE.read_text()
-LINE = TEXT[: TEXT.index("return [Bias")].count("\n") + 1
+LINE = TEXT[: TEXT.index("return [detent")].count("\n") + 1
 FAULTS: dict[str, tuple[str, int, str]] = {
     "not Python": ("def (", 2, "detents.py cannot be read: SyntaxError"),
     "an error at the top": (TEXT + "\n1 / 0\n", 2, "detents.py cannot be read: ZeroDivisionError: division by zero"),
     "two classes": (TEXT + "\n\nclass Other(Detents):\n    pass\n", 2, "name one as detents.py:CLASS"),
     "an error in a method": (
-        TEXT.replace("return [Bias", "return 1 / 0, [Bias"),
+        TEXT.replace("return [detent", "return 1 / 0, [detent"),
         2,
         f"detents.py, line {LINE}: ZeroDiv",
     ),

@@ -144,7 +144,7 @@ def test_the_chart_holds_every_scene_and_says_what_is_missing(scenes: list[str],
     data = json.loads((tmp_path / "speed_accuracy.json").read_text())
     assert list(data["scenes"]) == scenes
     for scene in data["scenes"].values():
-        errors = {way["name"]: way["error"] for way in scene["ways"]}
+        errors = {method["name"]: method["error"] for method in scene["methods"]}
         assert scene["front"] and set(scene["front"]) <= set(errors)
         assert errors["rk4, a step a segment"] < 1e-9 < errors["euler, a step a segment"]
     misjudged = data["sweep"]["misjudged"]

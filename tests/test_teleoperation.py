@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gantry.coupling import Coupling, CouplingLaw
+from gantry.energy import Ledger, ledger
+from gantry.limits import GRIPS, bodies, contacts, growth, measured_boundary
+from gantry.run import History, carry_out
+from gantry.slave import BLOCK_DAMPING, Slave
+from gantry.task import DELAY_SHARE, FIRM, Task
+from gantry.theory import NO_GAINS, Gains, TwoBodies, chosen_gains, stiffest_coupling
 from maglev_mj.frames import Array
 from maglev_mj.plants import Timing
 from maglev_mj.scenes.parts import MASS
 from maglev_mj.spacenav.navigation import Navigation, Navigator
-from teleoperation_coupling import Coupling, CouplingLaw
-from teleoperation_energy import Ledger, ledger
-from teleoperation_limits import GRIPS, bodies, contacts, growth, measured_boundary
-from teleoperation_run import History, carry_out
-from teleoperation_slave import BLOCK_DAMPING, Slave
-from teleoperation_task import DELAY_SHARE, FIRM, Task
-from teleoperation_theory import NO_GAINS, Gains, TwoBodies, chosen_gains, stiffest_coupling
 
 SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "studies" / "teleoperation.py"
 RATES = (200, 1000)

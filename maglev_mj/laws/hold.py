@@ -7,11 +7,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import field
 from typing import Any, Self
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.frames import AXES, Component
 from maglev_mj.laws.base import AxisLaw, Gains, gain
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import axis_indices, number, numbers
+from maglev_mj.spec import INERTIA
 
 __all__ = ["Hold"]
 
@@ -49,9 +51,9 @@ class Hold(AxisLaw):
         cls,
         axes: str | Sequence[str] = AXES,
         *,
-        inertia: ArrayLike,
         period: float,
         delay: float,
+        inertia: ArrayLike | None = None,
         target: ArrayLike = 0.0,
     ) -> Self:
         """Return a critically damped hold with wide stability margin.
@@ -61,14 +63,18 @@ class Hold(AxisLaw):
 
         Args:
             axes: Names from AXES.
-            inertia: Mass or moment of inertia on these axes [kg, kg m²].
             period: Sample period [s].
             delay: Transport delay [s].
+            inertia: Mass or moment of inertia on these axes [kg, kg m²]; the published device's by default.
             target: Pose held [m, rad].
         """
         reach = number("period", period, above=0.0) + number("delay", delay, at_least=0.0)
         frequency = min(50.0, 0.25 / reach)
-        body = numbers("inertia", inertia, at_least=0.0)
+        body = (
+            np.array(INERTIA)[list(axis_indices(axes))]
+            if inertia is None
+            else numbers("inertia", inertia, at_least=0.0)
+        )
         return cls(axes=axes, stiffness=body * frequency**2, damping=2.0 * body * frequency, target=target)
 
     def __call__(

@@ -18,7 +18,7 @@ from maglev_mj.errors import DivergenceError, ParameterError, PlantError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, clipped, components, join
 from maglev_mj.hand import Hand, HandForce
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.plants.sensor import PoseSensor
+from maglev_mj.plants.sensor import PoseSensor, measuring
 from maglev_mj.spec import ESCAPE
 from maglev_mj.timeline import Segment, Timeline, Timing
 from maglev_mj.trace import Trace, TraceRecorder
@@ -118,7 +118,7 @@ class SampledPlant(ABC):
         self.timing = timing
         self.batch = batch
         self._limit = None if wrench_limit is None else components(self.six("wrench_limit", wrench_limit))
-        self._measure = None if sensor is None else sensor.start()
+        self._measure = None if sensor is None else measuring(sensor)
         distance, angle = (number("escape", value, above=0.0) for value in escape)
         self._escape = distance * distance, angle * angle
         self._longest_step = None if longest_step is None else number("longest_step", longest_step, above=0.0)
@@ -192,7 +192,7 @@ class SampledPlant(ABC):
 
         Raises:
             DivergenceError: If the flotor has left its range by a wide margin.
-            PlantError: If the plant is closed or the engine warned.
+            PlantError: If the plant is closed, the engine warned, or a hand or sensor does not give six components.
         """
         if self._closed:
             raise PlantError("the plant is closed")
@@ -218,6 +218,8 @@ class SampledPlant(ABC):
             self._exert(self._effort)
         if self._measure is not None:
             position = self._measure(position)
+            if len(position) != 6:
+                raise PlantError(f"a sensor must return 6 components, not {len(position)}")
         return Sample(tick, time, position)
 
     def write(self, command: Command) -> Command:

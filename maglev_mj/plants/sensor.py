@@ -19,7 +19,7 @@ from maglev_mj.parameters import number, numbers, whole
 from maglev_mj.sensing.geometry import Beams
 from maglev_mj.sensing.solver import FastBeams, PoseTracker
 
-__all__ = ["PoseSensor", "Sensor", "SpotReader", "SpotSensor"]
+__all__ = ["PoseSensor", "Sensor", "SpotReader", "SpotSensor", "measuring"]
 
 Measure: TypeAlias = Callable[[Sequence[Component]], list[Component]]
 """Function from true to measured pose components."""
@@ -33,6 +33,19 @@ class PoseSensor(Protocol):
 
         It maps the components of the true pose to the measured ones.
         """
+
+
+def measuring(sensor: PoseSensor) -> Measure:
+    """Start a sensor and return its measuring function.
+
+    Raises:
+        ParameterError: If it has no `start`, or that returns no function.
+    """
+    start = None if isinstance(sensor, type) else getattr(sensor, "start", None)
+    measure = start() if callable(start) else None
+    if not callable(measure):
+        raise ParameterError(f"sensor must have start(), which returns a function of six components, not {sensor!r}")
+    return measure  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -138,7 +138,15 @@ class Phases:
     furthest: Array
 
     def percentile(self, share: float) -> dict[str, Array]:
-        """Return a percentile of each figure over the phases."""
+        """Return a percentile of each figure over the phases.
+
+        Args:
+            share: Percentile, 0 to 100.
+
+        Raises:
+            ParameterError: If it is outside its bounds.
+        """
+        number("share", share, at_least=0.0, at_most=100.0)
         named: Mapping[str, Figure] = self.scene.figures
         return {name: named[name].percentile(values, share) for name, values in self.figures.items()}
 
@@ -245,8 +253,10 @@ def checked_plant(scene: Scene, plant: str | None) -> str:
     """Return the checked name of a scene's plant.
 
     Raises:
-        ParameterError: If the scene does not run on it.
+        ParameterError: If the scene does not run on it, or `scene` is not a scene.
     """
+    if not isinstance(scene, Scene):
+        raise ParameterError(f"scene must be a Scene, such as find_scene('drop')(), not {scene!r}")
     chosen = scene.plants[0] if plant is None else plant
     if chosen not in scene.plants:
         raise ParameterError(not_one_of("plant", sorted(scene.plants), plant))

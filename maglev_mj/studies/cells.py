@@ -20,7 +20,7 @@ from typing import Any, TypeAlias
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.versions import Versions, differences, versions, versions_read
-from maglev_mj.workers import Workers, WorkersError, inline
+from maglev_mj.workers import Workers, WorkersError, chosen_workers
 
 __all__ = ["Cell", "Record", "StudyInterrupted", "run_cells"]
 
@@ -115,7 +115,11 @@ class Record:
 
 def _key(cell: Mapping[str, Any]) -> bytes:
     """Return a short digest of a cell, to save memory."""
-    return blake2b(json.dumps(cell, sort_keys=True).encode(), digest_size=16).digest()
+    try:
+        text = json.dumps(cell, sort_keys=True)
+    except (TypeError, ValueError) as error:
+        raise ParameterError(f"a cell must hold values of JSON, not {cell!r}: {error}") from None
+    return blake2b(text.encode(), digest_size=16).digest()
 
 
 def run_cells(
@@ -123,7 +127,7 @@ def run_cells(
     cells: Sequence[Cell],
     *,
     record: Record | None = None,
-    workers: Workers | None = None,
+    workers: Workers | int | None = None,
     together: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Any]:
@@ -134,7 +138,7 @@ def run_cells(
             processes.
         cells: The study.
         record: Record of the results; None for memory.
-        workers: Workers that compute the cells; None for this process.
+        workers: Workers that compute the cells, or a number of processes of this machine; None for this process.
         together: Number of cells in one job.
         progress: Function called with the number of cells done and the number of all.
 
@@ -143,10 +147,13 @@ def run_cells(
         is not recorded, so that a rerun tries again.
 
     Raises:
+        ParameterError: If a cell is not JSON, or `function` is not a function that returns a result for each cell.
         StudyInterrupted: On Ctrl-C, after the running jobs have finished. They also finish if a job fails.
         WorkersError: If a cluster is gone, or one of its workers has other code.
     """
-    study = _Study(function, record or Record(), workers or inline(), progress)
+    if not callable(function):
+        raise ParameterError(f"function must be one from cells to results, not {function!r}")
+    study = _Study(function, record or Record(), chosen_workers(workers), progress)
     keys, found = [_key(cell) for cell in cells], study.record._results
     missing = list({key: cell for key, cell in zip(keys, cells, strict=True) if key not in found}.values())
     study.total = len(set(keys))
@@ -236,6 +243,8 @@ class _Study:
             results = future.result()
         except self.workers.deaths:
             return job
+        if not isinstance(results, Sequence) or len(results) != len(job):
+            raise ParameterError(f"function must return a result for each of its {len(job)} cells, not {results!r}")
         self.record.add(list(zip(job, results, strict=True)))
         self._count(len(job))
         return None

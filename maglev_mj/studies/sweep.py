@@ -26,7 +26,7 @@ from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Cell, Record, run_cells
-from maglev_mj.workers import Workers, inline, local_workers
+from maglev_mj.workers import Workers, chosen_workers
 
 __all__ = ["MOST_CELLS", "Sweep", "run_scene_cells", "sweep", "swept_cells", "value_of"]
 
@@ -111,7 +111,7 @@ def sweep(
     cells = swept_cells(made, vary, plant=plant, phase=phase)
     kept = Record(None if record is None else Path(record))
     known = 0 if record is None else sum(cell in kept for cell in cells)
-    hands = local_workers(workers) if isinstance(workers, int) else workers or inline()
+    hands = chosen_workers(workers)
     function = partial(run_scene_cells, text=_text(type(made)))
     together = _cells_a_job(len(cells) - known, hands.window, all(cell["plant"] == "exact" for cell in cells))
     others = kept.others(cells)
@@ -141,6 +141,9 @@ def swept_cells(
     Raises:
         ParameterError: If there is no such parameter, a value is outside its bounds, or the grid is too large.
     """
+    for name, values in vary.items():
+        if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
+            raise ParameterError(f"vary must give a list of values for {name}, not {values!r}")
     count = math.prod(len(values) for values in vary.values())
     if count > MOST_CELLS:
         raise ParameterError(f"a sweep must have at most {MOST_CELLS} cells, not {count}")

@@ -20,7 +20,7 @@ from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory.closed_loop import SampledLoop
 
-__all__ = ["ClosedLoop", "Linearised", "linearise", "loop_matrices"]
+__all__ = ["ClosedLoop", "Linearised", "check_controller", "linearise", "loop_matrices"]
 
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
 """Largest speed of a test displacement [m/s, rad/s].
@@ -99,7 +99,10 @@ class Linearised:
             ParameterError: If a value is outside its bounds.
         """
         chosen = list(range(6)) if axes is None else list(axis_indices(axes))
-        body = numbers("inertia", inertia, at_least=0.0)[chosen]
+        body = numbers("inertia", inertia, at_least=0.0)
+        if body.shape != (6,):
+            raise ParameterError(f"inertia must be (6,), not {body.shape}")
+        body = body[chosen]
         response = self.response[:, chosen][:, :, chosen]
         matrix = loop_matrices(response[None], period=self.period, delay=delay, inertia=body)[0]
         enters, seen = np.zeros((len(matrix), len(chosen))), np.zeros((len(chosen), len(matrix)))
@@ -159,6 +162,12 @@ class ClosedLoop:
         )
 
 
+def check_controller(controller: object) -> None:
+    """Raise a ParameterError unless this is a controller."""
+    if not isinstance(controller, Controller):
+        raise ParameterError(f"controller must be a Controller, not {controller!r}")
+
+
 def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
     """Return a controller's linearisation at each pose.
 
@@ -169,12 +178,16 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
 
     Args:
         controller: The controller, of laws for one device; it is not changed.
-        poses: Poses [m, rad], (P, 6).
+        poses: Poses [m, rad], (P, 6) or (6,).
 
     Raises:
+        ParameterError: If `controller` is no Controller, or the poses have another shape.
         MaglevError: If a law fails at a pose.
     """
+    check_controller(controller)
     rest = np.atleast_2d(numbers("poses", poses))
+    if rest.ndim != 2 or rest.shape[1] != 6:
+        raise ParameterError(f"poses must be (6,) or (P, 6), not {np.shape(poses)}")
     size = np.minimum(_LARGEST, _SPEED * controller.period)
     shift = np.zeros((13, 6))
     shift[1:7], shift[7:] = np.diag(size), np.diag(-0.5 * size)

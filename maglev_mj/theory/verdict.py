@@ -20,7 +20,7 @@ from maglev_mj.model import load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.closed_loop import largest_modulus
-from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
+from maglev_mj.theory.linearise import Linearised, check_controller, linearise, loop_matrices
 
 __all__ = ["Judged", "Verdict", "inertia_of", "judge", "stability", "stated_gains"]
 
@@ -147,7 +147,12 @@ def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float |
         scene: The scene.
         inertia: Mass and moments of inertia in place of the scene's own [kg, kg m²], (6,).
         delay: Transport delay in place of the scene's own [s]; the gains of the scene stay unchanged.
+
+    Raises:
+        ParameterError: If `scene` is not a scene, or a value is outside its bounds.
     """
+    if isinstance(scene, type) or not hasattr(scene, "controller"):
+        raise ParameterError(f"scene must be a scene, such as find_scene('drop')(), not {scene!r}")
     body, late = inertia_of(scene) if inertia is None else inertia, scene.delay if delay is None else delay
     return judge(scene.controller(), delay=late, pose=scene.start().pose, inertia=body)
 
@@ -166,9 +171,10 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
         inertia: Mass and moments of inertia [kg, kg m²], (6,).
 
     Raises:
-        ParameterError: If a value is outside its bounds.
+        ParameterError: If `controller` is no Controller, or a value is outside its bounds.
         MaglevError: If a law fails at a pose.
     """
+    check_controller(controller)
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0)
     if start.shape != (6,) or body.shape != (6,):
         raise ParameterError(f"pose and inertia must be (6,), not {start.shape} and {body.shape}")

@@ -27,8 +27,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import bench_tables
-import pictures_of_speed
+import speed_pictures
+import speed_tables
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.errors import ParameterError
@@ -225,7 +225,7 @@ def main() -> int:
     try:
         number("repeats", options.repeats, at_least=1)
         if options.tables is not None:
-            print(bench_tables.markdown(json.loads(options.tables.read_text(encoding="utf-8"))))
+            print(speed_tables.markdown(json.loads(options.tables.read_text(encoding="utf-8"))))
             return 0
     except (ParameterError, OSError, ValueError, KeyError, TypeError) as error:
         print(
@@ -235,23 +235,23 @@ def main() -> int:
     found: dict[str, Any] = {
         "before": options.before,
         "versions": versions(),
-        "machine": bench_tables.machine(),
+        "machine": speed_tables.machine(),
         "quick": options.quick,
         "repeats": options.repeats,
         "sections": {},
     }
-    print(bench_tables.heading(found))
+    print(speed_tables.heading(found))
     with package_of(options.before) as packages:
         for name in options.only:
             section = SECTIONS[name]
             sides = packages if section.compared else {"after": packages["after"]}
             repeats = min(options.repeats, section.repeats or options.repeats)
             found["sections"][name] = measured(name, sides, repeats, options.quick)
-            print(bench_tables.terminal(name, found["sections"][name]), flush=True)
-    print(bench_tables.times(found["sections"]))
+            print(speed_tables.terminal(name, found["sections"][name]), flush=True)
+    print(speed_tables.times(found["sections"]))
     path = options.pictures.path("bench", "json")
     path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    for written in [path, *pictures_of_speed.draw(options.pictures, found["sections"])]:
+    for written in [path, *speed_pictures.draw(options.pictures, found["sections"])]:
         print(f"wrote {written}")
     return int(any(section["failed"] for section in found["sections"].values()))
 

@@ -2,7 +2,7 @@
 
 The best variant of each within a nanometre.
 
-`measure` is a section of bench.py. Every way runs in turn, so that costs are compared pair by pair.
+`measure` is a section of bench.py. Every method runs in turn, so that costs are compared pair by pair.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def our_run(make: Callable[..., Any], task: Task) -> Callable[[], list[Any]]:
 
 def prepared(task: Task) -> tuple[dict[str, Callable[[], Callable[[], Any]]], list[str]]:
     """Return the runs by name, and missing peers."""
-    ways: dict[str, Callable[[], Callable[[], Any]]] = {
+    methods: dict[str, Callable[[], Callable[[], Any]]] = {
         name: partial(our_run, make, task) for name, make in OURS.items()
     }
     variants, missing = available()
@@ -75,8 +75,8 @@ def prepared(task: Task) -> tuple[dict[str, Callable[[], Callable[[], Any]]], li
     for name, (peer, variant) in THEIRS.items():
         if peer in installed:
             simulate = built[peer, variant](task)
-            ways[name] = partial(_itself, simulate)
-    return ways, missing
+            methods[name] = partial(_itself, simulate)
+    return methods, missing
 
 
 def _itself(simulate: Callable[[], Any]) -> Callable[[], Any]:
@@ -93,16 +93,16 @@ def measure(quick: bool) -> dict[str, Any]:
         quick: Few turns, for a test.
     """
     task = Task()
-    ways, missing = prepared(task)
+    methods, missing = prepared(task)
     truth = np.array(our_run(ExactPlant, task)())
-    errors = {name: float(apart(np.array(prepare()()), truth)) for name, prepare in ways.items()}
-    costs: dict[str, list[float]] = {name: [] for name in ways}
+    errors = {name: float(apart(np.array(prepare()()), truth)) for name, prepare in methods.items()}
+    costs: dict[str, list[float]] = {name: [] for name in methods}
     for turn in range(3 if quick else _TURNS):
-        for name, prepare in ways.items():
+        for name, prepare in methods.items():
             dear = bool(costs[name]) and costs[name][0] * task.duration > _DEAR
             if turn >= _DEAR_TURNS and dear:
                 costs[name].append(math.nan)
-            else:  # the least of several, as the way before has left the processor's caches cold
+            else:  # the least of several, as the method before has left the processor's caches cold
                 costs[name].append(min(timed(prepare()) for _ in range(1 if dear else _RUNS)) / task.duration)
     first = np.array(next(iter(costs.values())))
     return {

@@ -37,8 +37,8 @@ from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.fidelity_cases import preset_of
 from maglev_mj.studies.integrators import INTEGRATORS
 from maglev_mj.versions import versions
+from methods import GROUPS, PEERS, SEMI_IMPLICIT, as_json, boundary_shift, our_methods, peer_methods, take_times
 from peers import Task
-from ways import GROUPS, PEERS, SEMI_IMPLICIT, as_json, boundary_shift, our_ways, peer_ways, take_times
 from work_precision import EXACT_ENOUGH, WorkPoint, work_precision
 
 TITLES = {
@@ -166,14 +166,14 @@ def measure(quick: bool, scenes: Sequence[str] = BENCHED) -> dict[str, Any]:
         quick: Fewer steps and repeats.
         scenes: Names from TITLES.
     """
-    ways = {name: our_ways(name, preset_of(name).scene, quick) for name in scenes}
+    methods = {name: our_methods(name, preset_of(name).scene, quick) for name in scenes}
     drop = PeersDrop()
-    peers, missing = peer_ways(drop, Task(), quick)
-    everyone = our_ways("drop", drop, quick) + peers
-    for some in (*ways.values(), everyone):
+    peers, missing = peer_methods(drop, Task(), quick)
+    everyone = our_methods("drop", drop, quick) + peers
+    for some in (*methods.values(), everyone):
         take_times(some, 2 if quick else 3)
     return {
-        "scenes": {name: as_json(some) for name, some in ways.items()},
+        "scenes": {name: as_json(some) for name, some in methods.items()},
         "peers": as_json(everyone),
         "boundary": boundary_shifts(quick),
         "sweep": sweep_of_drops(10, 10, 1) if quick else sweep_of_drops(40, 25, 1),
@@ -276,7 +276,7 @@ def step_panels(data: Mapping[str, Any]) -> list[Panel]:
     shifts = [(name, boundary["steps"], np.abs(boundary["shifts"][name]).tolist()) for name in boundary["orders"]]
     energies = []
     for kind in SEMI_IMPLICIT:
-        rows = [row for row in data["scenes"].get("drop-no-pulse", {}).get("ways", ()) if row["integrator"] == kind]
+        rows = [row for row in data["scenes"].get("drop-no-pulse", {}).get("methods", ()) if row["integrator"] == kind]
         mine = sorted((row["step"], row["energy_error"]) for row in rows if row["step"])
         energies.append((kind, [step for step, _ in mine], [error for _, error in mine]))
     tables = {
@@ -293,10 +293,12 @@ def step_panels(data: Mapping[str, Any]) -> list[Panel]:
 def draw(pictures: PictureFolder, data: Mapping[str, Any]) -> list[Path]:
     """Draw the charts; return their files."""
     drawn = [
-        work_precision(f"{name}: {TITLES[name]}", chart_points(part["ways"]), pictures.path(f"speed_accuracy_{name}"))
+        work_precision(
+            f"{name}: {TITLES[name]}", chart_points(part["methods"]), pictures.path(f"speed_accuracy_{name}")
+        )
         for name, part in data["scenes"].items()
     ]
-    everyone = peer_points(data["peers"]["ways"])
+    everyone = peer_points(data["peers"]["methods"])
     title = "a drop on the wall, six axes, with what else one might take"
     drawn.append(work_precision(title, everyone, pictures.path("speed_accuracy_peers")))
     return [*drawn, small_multiples(step_panels(data), pictures.path("speed_accuracy_steps"))]

@@ -33,11 +33,11 @@ _PARTS = np.linspace(0.1, 0.9, 9)  # of a line that labels keep off
 
 @dataclass(frozen=True)
 class WorkPoint:
-    """One way to an answer.
+    """One method to an answer.
 
     Attributes:
-        name: Of the way.
-        group: Ways of one kind share a colour, and a row for the cheapest that is exact enough.
+        name: Of the method.
+        group: Methods of one kind share a colour, and a row for the cheapest that is exact enough.
         cost: Of a simulated second [s], of each device where there are many.
         error: [m]; what is below `EXACT_ENOUGH` counts as none.
         many: Whether that takes many devices at once.
@@ -70,7 +70,7 @@ def pareto(points: Sequence[WorkPoint]) -> list[WorkPoint]:
 def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
     """Draw error over cost, and the cheapest exact methods.
 
-    What no other way beats is ringed and its row bold, among single devices and among many at once.
+    What no other method beats is ringed and its row bold, among single devices and among many at once.
 
     Args:
         title: Above the panel.

@@ -1,10 +1,12 @@
-"""A row of detents along x: a scene of one's own, with a law of one's own. Try: maglev-mj run detents.py."""
+"""Own scene: a row of detents along x, with a law of its own.
+
+maglev-mj run scripts/examples/detents.py --stiffness 3000 --out figures
+maglev-mj view scripts/examples/detents.py --web
+"""
 
 import numpy as np
 
-from maglev_mj import AXES, AxisLaw, Bias, Scene, Start, gain, param
-from maglev_mj.scenes.bench import hold
-from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj import AXES, AxisLaw, Hold, Scene, Start, gain, param, run
 
 
 class Detent(AxisLaw):
@@ -21,7 +23,7 @@ class Detent(AxisLaw):
 
 
 class Detents(Scene):
-    """Let the flotor go beside a detent."""
+    """Release the flotor beside a detent."""
 
     shown_axis = "x"
     figures = ("final_position", "peak_speed", "ripple")
@@ -33,10 +35,16 @@ class Detents(Scene):
     duration: float = param("simulated time", "s", default=0.5, above=0.0, at_most=100.0)
 
     def laws(self):
-        """Carry the flotor, give the detents, hold the other axes."""
+        """Return the detents, and a hold of the other axes."""
         detent = Detent(axes="x", pitch=self.pitch, stiffness=self.stiffness, damping=self.damping)
-        return [Bias(WEIGHT), detent, hold(self, AXES[1:])]
+        return [detent, Hold.critically_damped(AXES[1:], period=self.period, delay=self.delay)]
 
     def start(self):
-        """Rest beside the detent."""
-        return Start(pose=(self.away, 0.0, 0.0, 0.0, 0.0, 0.0), wrench=WEIGHT)
+        """Return the start: at rest beside the detent, the weight carried."""
+        return Start(pose=(self.away, 0.0, 0.0, 0.0, 0.0, 0.0), gravity=0.0)
+
+
+if __name__ == "__main__":
+    for away in (0.0002, 0.0009, 0.0011):
+        end = run(Detents(away=away)).figures["final_position"]
+        print(f"released at {1e3 * away:.1f} mm, rests at {1e3 * abs(end):.2f} mm")

@@ -17,6 +17,13 @@ os.environ.setdefault("MUJOCO_GL", "osmesa")  # before the engine is imported
 
 import numpy as np
 
+from gantry.coupling import Coupling
+from gantry.energy import Ledger, ledger
+from gantry.limits import GRIPS, bodies, contacts, growth, measured_boundary
+from gantry.pictures import balance, limits, motion, scenes
+from gantry.run import History, carry_out
+from gantry.task import DELAY_SHARE, Task
+from gantry.theory import NO_GAINS, Gains, stiffest_coupling
 from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import number_option
@@ -24,13 +31,6 @@ from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
-from teleoperation_coupling import Coupling
-from teleoperation_energy import Ledger, ledger
-from teleoperation_limits import GRIPS, bodies, contacts, growth, measured_boundary
-from teleoperation_pictures import balance, limits, motion, scenes
-from teleoperation_run import History, carry_out
-from teleoperation_task import DELAY_SHARE, Task
-from teleoperation_theory import NO_GAINS, Gains, stiffest_coupling
 
 __all__ = ["main"]
 

@@ -22,7 +22,7 @@ __all__ = ["variants"]
 
 
 def variants() -> list[Variant]:
-    """Return the ways to simulate the task with bdsim."""
+    """Return the methods to simulate the task with bdsim."""
     one_step = {"rtol": 1.0, "atol": 1.0, "first_step": 4e-4}
     table: list[tuple[str, dict[str, Any], str]] = [
         ("block diagram, RK45, default", {}, "rtol 1e-3, steps of at most a hundredth of the run"),

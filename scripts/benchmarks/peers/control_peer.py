@@ -26,7 +26,7 @@ _TIGHT: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-12}
 
 
 def variants() -> list[Variant]:
-    """Return the ways to simulate the task with python-control."""
+    """Return the methods to simulate the task with python-control."""
     table: list[tuple[str, Callable[[Task], Callable[[], Array]], str]] = [
         ("nlsys a segment, RK45, default", partial(_nonlinear, method="RK45", options={}), "rtol 1e-3"),
         ("nlsys a segment, RK45, 1e-9", partial(_nonlinear, method="RK45", options=_TIGHT), ""),

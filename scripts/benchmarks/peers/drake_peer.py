@@ -1,7 +1,7 @@
 """The task in Drake: a MultibodyPlant and a Python controller.
 
-Two ways to close the loop: a LeafSystem with periodic events in a diagram, or a script that advances the simulator from
-switch to switch of the wrench.
+Two methods to close the loop: a LeafSystem with periodic events in a diagram, or a script that advances the simulator
+from switch to switch of the wrench.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class _Choice:
 
 
 def variants() -> list[Variant]:
-    """Return the ways to simulate the task in Drake."""
+    """Return the methods to simulate the task in Drake."""
     rk2 = _Choice(scheme="runge_kutta2")
     rk3 = _Choice(scheme="runge_kutta3", roll_pitch_yaw=False)
     careful = _Choice(scheme="runge_kutta3", accuracy=1e-9, roll_pitch_yaw=False)

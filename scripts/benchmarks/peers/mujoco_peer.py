@@ -31,7 +31,7 @@ _NOTES = {
 
 
 def variants() -> list[Variant]:
-    """Return the ways to simulate the task in MuJoCo."""
+    """Return the methods to simulate the task in MuJoCo."""
     return [*_on_a_grid(), *_at_switches(), *_timed_by_engine()]
 
 

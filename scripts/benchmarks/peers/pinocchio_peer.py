@@ -29,7 +29,7 @@ _RAW, _MEAN = 1.0, 0.5  # shares of a step's change of velocity that the flotor 
 
 
 def variants() -> list[Variant]:
-    """Return the ways to simulate the task with Pinocchio."""
+    """Return the methods to simulate the task with Pinocchio."""
     table: list[tuple[str, Callable[[Task], Callable[[], Array]], str]] = [
         (f"free flyer, steps of {step * 1e3:g} ms", partial(_stepped, step=step), "semi-implicit Euler")
         for step in (1e-3, 5e-4, 1e-4)

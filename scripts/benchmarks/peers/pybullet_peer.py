@@ -20,7 +20,7 @@ __all__ = ["variants"]
 
 
 def variants() -> list[Variant]:
-    """Return the ways to simulate the task in PyBullet."""
+    """Return the methods to simulate the task in PyBullet."""
     table: list[tuple[str, Callable[[Task], Callable[[], Array]], str]] = [
         ("steps of 1 ms", partial(_stepped, step=1e-3), "switches at 1.5 ms fall between steps"),
         ("steps of 0.5 ms", partial(_stepped, step=5e-4), "all switches on the grid"),

@@ -27,7 +27,7 @@ _TIGHT: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-12}
 
 
 def variants() -> list[Variant]:
-    """Return the ways to simulate the task with SciPy."""
+    """Return the methods to simulate the task with SciPy."""
     table: list[tuple[str, Callable[[Task], Callable[[], Array]], str]] = []
     for method in ("RK23", "RK45", "DOP853", "LSODA"):
         for label, options in (("default tolerances", _LOOSE), ("1e-9", _TIGHT)):

@@ -130,7 +130,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to simulate the task with one peer.
+    """One method to simulate the task with one peer.
 
     Attributes:
         peer: Name of the package.

@@ -9,15 +9,15 @@ from typing import TypeAlias
 
 import numpy as np
 
+from gantry.coupling import Coupling
+from gantry.slave import BLOCK_STIFFNESS
+from gantry.theory import Gains, chosen_gains
 from maglev_mj import Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand, Trajectory
 from maglev_mj.parameters import number
 from maglev_mj.spec import Spec
-from teleoperation_coupling import Coupling
-from teleoperation_slave import BLOCK_STIFFNESS
-from teleoperation_theory import Gains, chosen_gains
 
 __all__ = ["DELAY_SHARE", "FIRM", "Task"]
 

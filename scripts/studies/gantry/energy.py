@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gantry.run import History
 from maglev_mj.frames import Array
 from maglev_mj.scenes.parts import MASS
-from teleoperation_run import History
 
 __all__ = ["Ledger", "ledger"]
 

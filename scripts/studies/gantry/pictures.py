@@ -9,14 +9,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from gantry.energy import Ledger
+from gantry.limits import Growth
+from gantry.run import History
+from gantry.slave import Slave
 from maglev_mj.colours import GRID, HAND, REFERENCE, SERIES, STOP, TOUCHED
 from maglev_mj.frames import Array
 from maglev_mj.plots.drawing import BESIDE, FIRST, SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.viewer.offscreen import DisplayError
-from teleoperation_energy import Ledger
-from teleoperation_limits import Growth
-from teleoperation_run import History
-from teleoperation_slave import Slave
 
 __all__ = ["balance", "limits", "motion", "scenes"]
 

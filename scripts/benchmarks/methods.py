@@ -24,7 +24,16 @@ from maglev_mj.theory.closed_loop import SampledLoop
 from peers import Task, available
 from work_precision import WorkPoint, pareto
 
-__all__ = ["GROUPS", "SEMI_IMPLICIT", "Way", "as_json", "boundary_shift", "our_ways", "peer_ways", "take_times"]
+__all__ = [
+    "GROUPS",
+    "SEMI_IMPLICIT",
+    "Method",
+    "as_json",
+    "boundary_shift",
+    "our_methods",
+    "peer_methods",
+    "take_times",
+]
 
 CLOSED_FORM = ("drop", "drop-no-pulse", "press", "stick-slip")
 _LOOP = SampledLoop()
@@ -46,7 +55,7 @@ PEERS = {
 
 
 @dataclass
-class Way:
+class Method:
     """A method to simulate a scene.
 
     Its timed run, for how much simulated time, and its error.
@@ -80,7 +89,7 @@ def energy_error(motion: Motion, truth: Motion) -> float:
     return float(np.abs(kept[0] - kept[1]).max() / (mass * GRAVITY * fall))
 
 
-def single_ways(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
+def single_methods(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
     """Yield the methods for one device.
 
     Level, group, integrator and longest step.
@@ -96,7 +105,7 @@ def single_ways(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
         yield "turning", f"{GROUPS[integrator]}, coils", integrator, None
 
 
-def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
+def our_methods(name: str, scene: Scene, quick: bool) -> list[Method]:
     """Return every method of this package for a scene."""
     truths = {
         "turning": motion_of(*level_parts(scene, "turning", longest_step=2e-5)),
@@ -107,33 +116,33 @@ def our_ways(name: str, scene: Scene, quick: bool) -> list[Way]:
     exact = partial(level_parts, scene, "axes")
     truth, duration = truths["body"], exact()[2] * scene.period
     error = float(apart(motion_of(*exact()).pose, truth.pose))
-    ways = [Way("exact", "exact plant", partial(closed_loop, exact), error, duration, "exact", None, 0.0)]
-    for level, group, integrator, step in single_ways(quick):
+    methods = [Method("exact", "exact plant", partial(closed_loop, exact), error, duration, "exact", None, 0.0)]
+    for level, group, integrator, step in single_methods(quick):
         make = partial(level_parts, scene, level, integrator=integrator, longest_step=step)
         motion = motion_of(*make())
-        way = stepping_name(integrator, step) + (", coils" if level == "turning" else "")
+        method = stepping_name(integrator, step) + (", coils" if level == "turning" else "")
         energy = energy_error(motion, truths[level]) if name.startswith("drop") else None
         error = float(apart(motion.pose, truths[level].pose))
-        ways.append(Way(way, group, partial(closed_loop, make), error, duration, integrator, step, energy))
+        methods.append(Method(method, group, partial(closed_loop, make), error, duration, integrator, step, energy))
     count = 100 if quick else 1000
     many: tuple[tuple[str, str, Callable[..., SampledPlant], dict[str, Any]], ...] = (
         ("exact", "exact plant", ExactPlant, {}),
         ("corrected", GROUPS["corrected"], MuJoCoBatchPlant, {"coils": False, "integrator": "corrected"}),
         ("rk4", GROUPS["rk4"], MuJoCoBatchPlant, {"coils": False}),
     )
-    for way, group, kind, options in many:
+    for method, group, kind, options in many:
         many_parts = partial(batch_of, scene, kind, count, **options)
         error = float(apart(poses_of(*many_parts()), truth.pose))
-        ways.append(
-            Way(
-                f"{way}, {count} at once",
+        methods.append(
+            Method(
+                f"{method}, {count} at once",
                 f"{group}, {count} at once",
                 partial(closed_loop, many_parts),
                 error,
                 duration * count,
             )
         )
-    return ways
+    return methods
 
 
 def poses_of(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
@@ -143,11 +152,11 @@ def poses_of(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
     return np.array([*poses, plant.state()[0][-1]])
 
 
-def peer_ways(scene: Scene, task: Task, quick: bool) -> tuple[list[Way], list[str]]:
+def peer_methods(scene: Scene, task: Task, quick: bool) -> tuple[list[Method], list[str]]:
     """Return the peers' methods, and a line each missing."""
     truth = motion_of(*level_parts(scene, "axes", inertia=task.inertia)).pose
     variants, missing = available()
-    ways = []
+    methods = []
     for variant in variants:
         simulate = variant.build(task)
         start = time.perf_counter()
@@ -158,8 +167,8 @@ def peer_ways(scene: Scene, task: Task, quick: bool) -> tuple[list[Way], list[st
         group = PEERS[variant.peer]
         if np.isnan(poses).any():  # one slide: it leaves the five other axes out
             group += ", z alone"
-        ways.append(Way(variant.name, group, partial(_same, simulate), error, task.duration))
-    return ways, missing
+        methods.append(Method(variant.name, group, partial(_same, simulate), error, task.duration))
+    return methods, missing
 
 
 def _same(simulate: Callable[[], object]) -> Callable[[], object]:
@@ -167,10 +176,10 @@ def _same(simulate: Callable[[], object]) -> Callable[[], object]:
     return simulate
 
 
-def take_times(ways: list[Way], repeats: int) -> None:
-    """Time every way in turn."""
-    for way, taken in zip(ways, median_times([way.prepare for way in ways], repeats), strict=True):
-        way.cost = taken / way.simulated
+def take_times(methods: list[Method], repeats: int) -> None:
+    """Time every method in turn."""
+    for method, taken in zip(methods, median_times([method.prepare for method in methods], repeats), strict=True):
+        method.cost = taken / method.simulated
 
 
 @cache
@@ -182,26 +191,26 @@ def boundary_shift(integrator: str, step: float, aligned: bool = True) -> float:
     return integrators.boundary_shift(integrator, step, _LOOP, aligned=aligned)
 
 
-def as_json(ways: list[Way]) -> dict[str, Any]:
+def as_json(methods: list[Method]) -> dict[str, Any]:
     """Return a scene's methods, and names of the best."""
     rows = [
         {
-            "name": way.name,
-            "group": way.group,
-            "microseconds_a_millisecond": way.cost * 1e3,
-            "real_time_factor": 1.0 / way.cost,
-            "error": way.error,
-            "energy_error": way.energy,
+            "name": method.name,
+            "group": method.group,
+            "microseconds_a_millisecond": method.cost * 1e3,
+            "real_time_factor": 1.0 / method.cost,
+            "error": method.error,
+            "energy_error": method.energy,
             "boundary_shift": None
-            if way.integrator is None
-            else boundary_shift(way.integrator, way.step or Timing().period),
-            "integrator": way.integrator,
-            "step": way.step,
+            if method.integrator is None
+            else boundary_shift(method.integrator, method.step or Timing().period),
+            "integrator": method.integrator,
+            "step": method.step,
         }
-        for way in ways
+        for method in methods
     ]
-    front = [[point.name for point in pareto(some)] for some in _parted(points_of(ways))]
-    return {"ways": rows, "front": front[0], "front_of_many": front[1]}
+    front = [[point.name for point in pareto(some)] for some in _parted(points_of(methods))]
+    return {"methods": rows, "front": front[0], "front_of_many": front[1]}
 
 
 def _parted(points: list[WorkPoint]) -> tuple[list[WorkPoint], list[WorkPoint]]:
@@ -209,10 +218,10 @@ def _parted(points: list[WorkPoint]) -> tuple[list[WorkPoint], list[WorkPoint]]:
     return [point for point in points if not point.many], [point for point in points if point.many]
 
 
-def points_of(ways: list[Way]) -> list[WorkPoint]:
-    """Return the ways as points of a chart."""
+def points_of(methods: list[Method]) -> list[WorkPoint]:
+    """Return the methods as points of a chart."""
     return [
-        WorkPoint(way.name, way.group, way.cost, way.error, many="at once" in way.name)
-        for way in ways
-        if math.isfinite(way.error)
+        WorkPoint(method.name, method.group, method.cost, method.error, many="at once" in method.name)
+        for method in methods
+        if math.isfinite(method.error)
     ]

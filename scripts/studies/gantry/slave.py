@@ -15,7 +15,7 @@ from maglev_mj.timeline import Timeline, Timing
 
 __all__ = ["BLOCK_DAMPING", "BLOCK_STIFFNESS", "Slave"]
 
-MODEL = Path(__file__).with_name("teleoperation_slave.xml")
+MODEL = Path(__file__).with_name("slave.xml")
 
 BLOCK_STIFFNESS = 1e5
 """Stiffness of the contact with the block [N/m]."""

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gantry.coupling import Coupling
+from gantry.run import carry_out
+from gantry.slave import BLOCK_DAMPING
+from gantry.task import FIRM, Task
+from gantry.theory import Gains, TwoBodies
 from maglev_mj.hand import HANDS, hand_called
-from teleoperation_coupling import Coupling
-from teleoperation_run import carry_out
-from teleoperation_slave import BLOCK_DAMPING
-from teleoperation_task import FIRM, Task
-from teleoperation_theory import Gains, TwoBodies
 
 __all__ = ["GRIPS", "Contact", "Growth", "bodies", "contacts", "growth", "measured_boundary"]
 

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gantry.coupling import Coupling, CouplingLaw
+from gantry.slave import Slave
+from gantry.task import Task
 from maglev_mj import Controller, drive
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import GuidedHand
@@ -14,9 +17,6 @@ from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.scenes.parts import INERTIA, MASS, WEIGHT
 from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import GRAVITY
-from teleoperation_coupling import Coupling, CouplingLaw
-from teleoperation_slave import Slave
-from teleoperation_task import Task
 
 __all__ = ["History", "carry_out"]
 

@@ -1,0 +1,46 @@
+"""Pictures of the examples, for the gallery."""
+
+import numpy as np
+
+from gym_environment import SAMPLES, TargetEnv, spring_and_damper
+from maglev_mj import Timing, run, run_phases
+from maglev_mj.cli.pictures import script_options
+from maglev_mj.plots import Panel, small_multiples
+from maglev_mj.scenes.drop import Drop
+from own_law import Button, press
+from own_sensor import AveragedDrop
+
+pictures = script_options(__doc__).pictures
+
+depth, force = press(Button(axes="z", stiffness=3000.0), Timing(period=0.001, delay=0.0005))
+deepest = int(depth.argmax())
+strokes = [("pressed", slice(0, deepest + 1)), ("released", slice(deepest, None))]
+button = [(name, 1e3 * depth[part], force[part]) for name, part in strokes]
+
+falls = []
+for count in (1, 2, 3):
+    result = run(AveragedDrop(count=count, duration=0.2), plant="exact")
+    time = result.times(0.0005)
+    falls.append((f"mean of {count}", time, 1e3 * result.motion(time)[0]))
+
+phases = np.arange(100) / 100
+depths = []
+for name, scene in {"pulse": Drop(), "no pulse": Drop(pulse=0.0)}.items():
+    depths.append((name, phases, 1e3 * run_phases(scene, phases, plant="exact").figures["penetration"]))
+
+env = TargetEnv()
+observation, _ = env.reset(seed=1)
+heights = [env.height]
+for _ in range(SAMPLES // 4):
+    observation, *_ = env.step(spring_and_damper(observation))
+    heights.append(env.height)
+times = np.arange(len(heights)) * Timing().period
+episode = [("flotor", times, 1e3 * np.array(heights)), ("target", times, np.full_like(times, 1e3 * env.target))]
+
+panels = [
+    Panel(title="own_law: a button that clicks", labels=("depth (mm)", "force (N)"), curves=button),
+    Panel(title="own_sensor: an average is late", labels=("time (s)", "height (mm)"), curves=falls, level=0.0),
+    Panel(title="phases: depth of 100 drops", labels=("phase of the sampler", "depth (mm)"), curves=depths),
+    Panel(title="gym_environment: an episode of PD", labels=("time (s)", "height (mm)"), curves=episode),
+]
+print("wrote", small_multiples(panels, pictures.path("gallery")))

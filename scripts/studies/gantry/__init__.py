@@ -1,0 +1,1 @@
+"""Teleoperation of a gantry by the joystick: the modules of teleoperation.py."""
