@@ -107,7 +107,7 @@ class Rig:
     ) -> Array:
         """Fly, by default a soft hold; return the true poses.
 
-        (N, 6).
+        The shape is (N, 6).
         """
         start = len(self.witness.poses)
 

@@ -32,10 +32,7 @@ def idle() -> Controller:
 
 
 def poses(plant: SampledPlant, controller: Controller, ticks: int) -> Array:
-    """Return the true poses at the samples.
-
-    (ticks + 1, ..., 6).
-    """
+    """Return the true poses, (ticks + 1, ..., 6)."""
     seen: list[Array] = []
     drive(plant, controller, ticks, observe=lambda *_: seen.append(plant.state()[0]))
     return np.array([*seen, plant.state()[0]])

@@ -35,7 +35,7 @@ EXACT = {
 def truth(task: Any) -> tuple[Array, Array]:
     """Return true poses and commanded wrenches.
 
-    (81, 6) and (80, 2, 6).
+    Their shapes are (81, 6) and (80, 2, 6).
     """
     plant = ExactPlant(Timing(delay=task.delay), pose=task.pose)
     gains: dict[str, Any] = {"stiffness": 6000.0, "damping": 80.0, "pulse": 220.0, "pulse_width": task.pulse_width}

@@ -41,7 +41,7 @@ _AGAIN = 0.02
 
 _HELLO_AGAIN, _ESTOP_AGAIN = 0.1, 0.005
 _TAKEOVER = 1.0
-"""Silence after which a device drops an inactive host [s]."""
+"""Silence after which an idle device drops its host [s]."""
 
 _STILL = 4
 """Equal timestamps that show a stopped clock, as in lockstep."""

@@ -88,7 +88,7 @@ class StopSwitch:
         self._plant: RemotePlant | None = None  # that flies
 
     def land(self) -> None:
-        """Land, from any thread."""
+        """Request landing, from any thread."""
         self.landing = True
 
     def cut(self) -> None:

@@ -315,9 +315,7 @@ class Identified:
 
 
 def added_mass(without: Identified, carrying: Identified, added: float) -> float:
-    """Return the moving mass from runs without and with weight.
-
-    The result is in [kg].
+    """Identify the moving mass [kg] by an added weight.
 
     The map is the same in both: the translations' block of A₁ A₂⁻¹ = M₁⁻¹ M₂ is (1 + added/mass) times the identity,
     at any position of the weight.

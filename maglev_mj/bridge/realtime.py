@@ -52,10 +52,7 @@ class LatencyHistogram:
         return self._ring[: self.count]
 
     def percentile(self, share: float) -> float:
-        """Return a percentile of the recent latencies [s].
-
-        NaN without latencies.
-        """
+        """Return a percentile of recent latencies [s]; NaN without any."""
         return float(np.percentile(self.kept, share)) * 1e-9 if self.count else math.nan
 
     @property

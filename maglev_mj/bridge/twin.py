@@ -352,7 +352,7 @@ class TwinServer:
         return ServerReport(twin.tick + 1, self.missed, wall, self.latency)
 
     def stop(self) -> None:
-        """Let `run` end; from any thread."""
+        """Stop `run`, from any thread."""
         self._stopped.set()
 
     def close(self) -> None:

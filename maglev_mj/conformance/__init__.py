@@ -1,10 +1,7 @@
 """Conformance of a device to docs/reference/protocol.md.
 
-It is tested at the wire, first without flying, then flying.
-
-First without flying, then flying.
-
-Without flying, no check sends more than half the currents that carry the flotor.
+It is tested at the wire, first without flying, then flying. Without flying, no check sends more than half the currents
+that carry the flotor.
 """
 
 from __future__ import annotations

@@ -133,9 +133,7 @@ class GuidedHand:
 class SpringHand:
     """Spring and damper from the flotor to a movable pose.
 
-    The hand of the mouse.
-
-    Force and torque at the flotor's centre, within their limits, are held from sample to
+    It is the hand of the mouse. Force and torque at the flotor's centre, within their limits, are held from sample to
     sample. A period T reduces the damping by K T / 2; the damping must be larger than that.
 
     Args:

@@ -133,10 +133,7 @@ class RowReader:
         self._place, self.lost = 0, 0
 
     def rows(self) -> Iterator[tuple[int, Row]]:
-        """Yield available rows with their index in the run.
-
-        The index is from 0.
-        """
+        """Yield available rows with their index from 0."""
         while True:
             start = _HEAD + (self._place & (ROWS - 1)) * _SLOT.size
             data = self._memory[start : start + _SLOT.size]

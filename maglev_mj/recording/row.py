@@ -43,10 +43,7 @@ class RecordedPlant(Protocol):
 
     @property
     def hand_wrench(self) -> Sequence[Any]:
-        """Wrench of the hand since the last sample.
-
-        Six components [N, N m].
-        """
+        """Hand wrench since the last sample [N, N m], six."""
 
 
 class Field(NamedTuple):
@@ -161,7 +158,7 @@ def _arrays() -> Mapping[str, Sequence[Field]]:
 ARRAYS = _arrays()
 """Fields in each array of an .npz file.
 
-(N,) for one number per sample, or (N, columns).
+Their shapes are (N,) for one number per sample, or (N, columns).
 """
 
 
@@ -220,10 +217,7 @@ _PLACES = dict(_places())
 
 
 def named(row: Row) -> dict[str, Any]:
-    """Return the values of a sample by name.
-
-    Six components are a sequence.
-    """
+    """Return a sample's values by name, six components as sequence."""
     return {name: row[place] for name, place in _PLACES.items()}
 
 
@@ -246,8 +240,5 @@ def told(field: Field, values: Array) -> bool:
 
 
 def units() -> dict[str, str]:
-    """Return the unit of each column, totals included.
-
-    Empty for a whole number.
-    """
+    """Return each column's unit, totals included; empty for whole numbers."""
     return {name: unit for field in (*FIELDS, *TOTALS) for name, unit in field.units}

@@ -18,10 +18,7 @@ __all__ = ["tee"]
 
 
 def tee(*files: RecordingFile | None) -> RecordingFile | None:
-    """Return one file that writes to all given files.
-
-    None for no file.
-    """
+    """Return one file that writes to all given, or None."""
     given = [file for file in files if file is not None]
     return _Tee(given) if len(given) > 1 else given[0] if given else None
 

@@ -211,7 +211,7 @@ def _rows(recorded: ArrayLike, again: ArrayLike | None) -> tuple[Array, Array | 
 def _answers(stretch: Stretch, controller: Controller) -> Rows:
     """Return a new controller's commands for the recorded samples.
 
-    (N,) with the fields of a command.
+    The array is (N,), with the fields of a command.
     """
     samples = zip(stretch.tick.tolist(), stretch.time.tolist(), stretch.position.tolist(), strict=True)
     answers = [_values(controller.step(Sample(int(tick), time, place))) for tick, time, place in samples]

@@ -69,10 +69,7 @@ class _File:
 
     @contextmanager
     def checked(self) -> Iterator[None]:
-        """Raise the first error in place of foxglove-sdk's.
-
-        Also if foxglove-sdk raises none.
-        """
+        """Raise the first error, in place of foxglove-sdk's if any."""
         try:
             yield
         except RuntimeError:

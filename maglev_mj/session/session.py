@@ -314,10 +314,7 @@ class Session:
         self._restart(self._scene.start().pose)
 
     def _go_on(self) -> None:
-        """Rebuild plant and controller at the present state.
-
-        A stopped scene starts again.
-        """
+        """Rebuild plant and controller in the present state, or restart."""
         if self._stopped:
             self._restart(self._scene.start().pose)
         else:

@@ -164,10 +164,7 @@ class SnapshotSource(Protocol):
 
 
 class History:
-    """Samples of the last two seconds.
-
-    Returned rows are never overwritten.
-    """
+    """Samples of the last two seconds; returned rows never change."""
 
     def __init__(self) -> None:
         self.clear()
@@ -288,10 +285,7 @@ class Publishers:
         return bool(self._publishers)
 
     def show(self, snapshot: Callable[[], Snapshot]) -> None:
-        """Publish a snapshot if one is due.
-
-        It is made only then.
-        """
+        """Make and publish a snapshot if one is due."""
         if not self._publishers or not self._due():
             return
         made = snapshot()

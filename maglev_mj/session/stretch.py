@@ -105,10 +105,7 @@ class LiveStretch:
 
     @property
     def rendered(self) -> Array:
-        """Wrench of the device, without weight compensation, (6,).
-
-        In [N, N m].
-        """
+        """Device wrench without weight compensation [N, N m], (6,)."""
         rendered: Array = np.array(self.force) - self._carried
         return rendered
 

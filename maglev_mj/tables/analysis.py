@@ -100,10 +100,7 @@ def _wall(face: FaceFigures, *, turning: bool) -> list[str]:
 
 
 def _contacts(faces: Sequence[FaceFigures], *, turning: bool) -> list[str]:
-    """Return a row for each of the first contacts.
-
-    In order of time.
-    """
+    """Return a row per contact, the first ones, by time."""
     small, force = ("mrad", "N m") if turning else ("mm", "N")
     lines = [
         _cells("contact", ("at", "for", "approach", "depth", "peak"), _CONTACT),

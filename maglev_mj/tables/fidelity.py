@@ -106,10 +106,7 @@ def _range_lines(result: FidelityResult) -> list[str]:
 
 
 def levels_table(found: Mapping[str, Sequence[LevelResult]]) -> str:
-    """Return the effect of each level in each scene.
-
-    As text.
-    """
+    """Return each level's effect in each scene as text."""
     names = list(found)
     heads = {name: name.split("-", 1) for name in names}  # over two lines
     lines = [

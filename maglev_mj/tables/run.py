@@ -126,10 +126,7 @@ def _blocks(scene: Scene, blocks: Sequence[tuple[str, Mapping[str, Sequence[str]
 
 
 def _columns(columns: Mapping[str, Sequence[str]]) -> list[list[str]]:
-    """Return the cells of each label, equally wide.
-
-    The label comes first.
-    """
+    """Return the cells of each label, equally wide, label first."""
     widths = [max(_LEAST, *(len(text) + 1 for text in (label, *texts))) for label, texts in columns.items()]
     return [[f"{text:>{width}}" for text in (label, *texts)] for width, (label, texts) in zip(widths, columns.items())]
 
@@ -145,10 +142,7 @@ def _fitting(columns: Sequence[list[str]], room: int) -> list[list[list[str]]]:
 
 
 def _spread(figure: Figure, values: Any) -> str:
-    """Return median and 5 to 95 % over phases.
-
-    Several hits are pooled.
-    """
+    """Return median and 5 to 95 % over phases, hits."""
     pooled = np.ravel(values) if np.ndim(values) > 1 else values
     return _cell(figure, *(figure.percentile(pooled, share) for share in _SHARES))
 
@@ -190,10 +184,7 @@ _ROUNDING = 1.0 + 1e-9
 
 
 def _beyond_force(results: Mapping[str, Result]) -> list[str]:
-    """Return a line on vertical forces beyond the device's.
-
-    Empty if there are none.
-    """
+    """Return any line on vertical forces beyond the device's."""
     device = Spec.largest_vertical_force.value
     # the last knot's force has not acted yet
     peaks = {label: float(np.abs(one.trace.wrench[:-1, 2]).max(initial=0.0)) for label, one in results.items()}
@@ -233,10 +224,7 @@ def _outside(furthest: Array) -> Mask:
 
 
 def _distances(furthest: Array) -> str:
-    """Return the largest translation and rotation with units.
-
-    Zero is left out.
-    """
+    """Return the largest nonzero translation and rotation with units."""
     parts = [(furthest[:3].max() * 1e3, "mm"), (np.degrees(furthest[3:].max()), "deg")]
     return " and ".join(f"{value:.4g} {unit}" for value, unit in parts if value > 0.0)
 
