@@ -69,7 +69,7 @@ def write_files(page: str, folder: Path) -> None:
 
 @contextmanager
 def device(_: list[str]) -> Iterator[dict[str, str]]:
-    """Run the README's twin, in lockstep.
+    """Run a twin, in lockstep.
 
     No flight then waits for real time.
     """
@@ -100,6 +100,7 @@ def scene(_: list[str]) -> Iterator[dict[str, str]]:
 
 BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]] = {
     "README.md": device,
+    "docs/howto/fly.md": device,
     "docs/reference/live.md": scene,
 }
 
