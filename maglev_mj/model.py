@@ -45,10 +45,7 @@ JOINTS = ("x", "y", "z", "rotation")
 
 
 Model: TypeAlias = str | Path | mujoco.MjSpec
-"""Model name, MJCF file, or specification.
-
-A name is that of a model of the package; a file is a text with the ending .xml, or a path.
-"""
+"""Name in the package, MJCF file (.xml), or specification."""
 
 
 def scenes() -> list[str]:

@@ -123,7 +123,9 @@ def local_workers(count: int | None = None) -> Workers:
 
 
 def chosen_workers(workers: Workers | int | None) -> Workers:
-    """Return workers, or processes of this machine by their number; none by default.
+    """Return workers from a number of processes, workers, or None.
+
+    A number gives processes of this machine; None gives this process.
 
     Raises:
         ParameterError: If it is neither.

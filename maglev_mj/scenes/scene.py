@@ -183,7 +183,7 @@ class Scene(Parameters):
 
     @property
     def axis_index(self) -> int:
-        """Index into AXES of that axis."""
+        """Index into AXES of the shown axis."""
         return AXES.index(self.axis)
 
     @property

@@ -64,7 +64,7 @@ def require_display() -> None:
     instead = "use `maglev-mj render SCENE --out FILE.png` for a picture, or `maglev-mj drop --out DIR`"
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise DisplayError(f"a window needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set: {instead}")
-    # mjpython has loaded the engine's viewer, and left itself there
+    # mjpython has loaded the viewer module and set this attribute
     if sys.platform == "darwin" and getattr(sys.modules.get("mujoco.viewer"), "_MJPYTHON", None) is None:
         raise DisplayError(
             "a window on macOS needs the program mjpython, which comes with mujoco: `mjpython -m maglev_mj view`; or "
