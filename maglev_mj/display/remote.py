@@ -135,7 +135,7 @@ class RemoteViewer:
             self.show(source.snapshot())
 
     def _look(self) -> None:
-        """Let go of the hand once the front is closed."""
+        """Release the hand once the viewer is closed."""
         if self._front.ended and self._open:
             self._open = False
             self._glide.aim(None)

@@ -1,4 +1,6 @@
-"""Walls better than PD: what stiffness each design reaches, with its model right, wrong by 20 %, and under hands.
+"""Walls better than PD: stiffness that each design reaches.
+
+With its model right, wrong by 20 %, and under hands.
 
 Prints three tables, writes every figure to better_walls.json. Figures are the best over the gains of the least
 dynamic stiffness, the force a hand needs at least for each metre at any frequency: the least over mass and delay right
@@ -40,7 +42,7 @@ if not options.quick:
 
 
 def requirements(case: str, delay: float) -> WallRequirements:
-    """Return what a wall must bear in a case: stability in all of its loops."""
+    """Return a case's requirements: stability of all loops."""
     low, high = (0.8, 1.2) if case in ("off", "all") else (1.0, 1.0)
     hands = tuple(HANDS) if case in ("hands", "all") else ("none",)
     return WallRequirements(
@@ -49,7 +51,10 @@ def requirements(case: str, delay: float) -> WallRequirements:
 
 
 def returned(laws: list[Law], delay: float) -> Array:
-    """Return the share of its energy that a flotor thrown at a wall comes back with, at 40 phases."""
+    """Return the share of energy a wall gives back.
+
+    To a flotor thrown at it, at 40 phases.
+    """
     phase = np.arange(40) / 40
     pose, twist = np.zeros((40, 6)), np.zeros((40, 6))
     pose[:, 2], twist[:, 2] = 3e-3, -0.2

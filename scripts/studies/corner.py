@@ -1,4 +1,7 @@
-"""A corner of two walls and a rotation: three contacts at once, on axes that the device couples."""
+"""A corner of two walls and a rotation stop.
+
+Three contacts at once, on axes that the device couples.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,9 @@ _MASS = INERTIA[0]
 
 
 def corner(plant: str, pose: Sequence[float], twist: Sequence[float], *, duration: float = 2.0) -> tuple[Array, Array]:
-    """Throw the flotor into a corner of walls at x = 0 and z = 0 and a stop at ry = 0, pulled in by a soft spring.
+    """Throw the flotor into a corner, pulled by a spring.
+
+    Walls at x = 0 and z = 0 and a stop at ry = 0.
 
     The gains of the stop are those of the walls scaled by inertia, and so is the spring, on all six axes.
 

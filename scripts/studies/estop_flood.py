@@ -1,4 +1,6 @@
-"""Flood a flying twin with frames from another process, stop it, and time the cut.
+"""Stop a flying twin under a flood of frames.
+
+The cut is timed.
 
     python scripts/studies/estop_flood.py [20]
 
@@ -68,7 +70,10 @@ def flood(address: str, data: bytes) -> None:
 
 
 def stopped(kind: str) -> tuple[float, float]:
-    """Fly, flood and stop once; return the times to the cut and to a sample without current [ms]."""
+    """Fly, flood and stop once; return both times [ms].
+
+    To the cut, and to a sample without current.
+    """
     child: Any = subprocess.Popen([sys.executable, __file__, "device"], stdout=subprocess.PIPE, text=True)
     address = child.stdout.readline().split(" at ")[1].split(",")[0]
     hold = Hold.critically_damped(inertia=INERTIA, period=0.005, delay=0.003)

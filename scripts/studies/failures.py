@@ -1,4 +1,4 @@
-"""Where walls fail: at the edge under a light press, and under a delay that varies."""
+"""Failures of walls: light presses and varying delays."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _DELAY = Spec.transport_delay.value
 
 
 class Chatter(NamedTuple):
-    """What goes on at a wall's edge.
+    """Activity at a wall's edge.
 
     Attributes:
         pulses: Braking pulses a second, mean over the phases.
@@ -45,7 +45,7 @@ def press_at_edge(
     period: float = _PERIOD,
     delay: float = _DELAY,
 ) -> Chatter:
-    """Press the flotor lightly on the paper's wall with its pulse, and count how often the pulse fires.
+    """Press lightly on the wall; count its braking pulses.
 
     Args:
         press: Constant force of the hand towards the wall, weight compensated [N].
@@ -88,7 +88,9 @@ def press_at_edge(
 
 
 def random_delay_rate(stiffness: float, damping: float, delays: ArrayLike, loop: LoopKeywords | None = None) -> float:
-    """Return the mean growth a sample of a loop whose delay changes from sample to sample, by its matrices' product.
+    """Return the mean growth a sample under random delays.
+
+    By the product of the matrices.
 
     Args:
         stiffness: Wall stiffness [N/m].

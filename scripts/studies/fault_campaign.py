@@ -1,4 +1,4 @@
-"""Make every fault of a device and its host happen in flight, and time the cut at the device.
+"""Inject every fault in flight, and time the cut.
 
     python scripts/studies/fault_campaign.py [udp | serial] [NAME ...]
 
@@ -42,13 +42,15 @@ from maglev_mj.net.udp import open_link
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
 
 AT, TIMES = 2.0, 5
-"""When a fault begins, on the twin's clock [s], and how often each is tried."""
+"""Time of a fault [s] and number of tries."""
 
 Act = Callable[[RemotePlant, str], float | None]
 
 
 class Case(NamedTuple):
-    """A fault: what it may be called, options of the twin, largest K, what the host does and its limits, time to cut.
+    """A fault to inject, and its allowed outcome.
+
+    Its names, options of the twin, largest K, the host's act and limits, and the time to cut.
 
     What the host does may return the force to which it then pushes along z within a second [N].
     """
@@ -62,7 +64,7 @@ class Case(NamedTuple):
 
 
 def commanding(ahead: int = 0, **changes: Any) -> Act:
-    """Return an act that sends a command that no host may send."""
+    """Return an act that sends a forbidden command."""
 
     def act(plant: RemotePlant, _: str) -> None:
         line, hover = plant._line, tuple(plant.calibration.hover.tolist())
@@ -82,7 +84,7 @@ def stop(plant: RemotePlant, address: str) -> None:
 
 
 def injected(names: Fault, largest: int, what: str, push: str = "", seconds: float = 1.5) -> Case:
-    """Return a fault of the device, with a hand that pushes."""
+    """Return a device fault with a pushing hand."""
     options = f"--fault {what}@{{at}}" if "@" not in what else f"--fault {what}"
     return Case(names, f"{options} --push {push}" if push else options, largest, seconds=seconds)
 
@@ -127,7 +129,7 @@ CASES: dict[str, Case] = {
 
 
 def device(options: Sequence[str]) -> None:
-    """Be the twin's process: what the command does, and a record of how long currents flow."""
+    """Run the twin's process, and record its currents."""
     run, record = TwinServer.run, {"flowing": 0, "faults": 0, "zero": 0}
 
     def recorded(server: TwinServer, *_: Any) -> Any:
@@ -150,7 +152,10 @@ def device(options: Sequence[str]) -> None:
 
 
 def flown(case: Case, k: int, line: str) -> tuple[Fault, float]:
-    """Fly once; return what was latched at either end, and for how long currents flowed after it began [ms]."""
+    """Fly once; return latched faults and cut times [ms].
+
+    At both ends.
+    """
     listen = "pty" if line == "serial" else "udp://127.0.0.1:0"
     options = case.options.format(k=k % (case.largest + 1), at=AT).split()
     command = [sys.executable, __file__, "--device", "--listen", listen, "--seed", str(k), *options]
@@ -187,7 +192,7 @@ def flown(case: Case, k: int, line: str) -> tuple[Fault, float]:
 
 
 def campaign() -> None:
-    """Fly each case so many times over each line; print a table."""
+    """Fly each case repeatedly over each line; print a table."""
     lines = [line for line in ("udp", "serial") if line in sys.argv[1:]] or ["udp", "serial"]
     names = [name for name in CASES if name in sys.argv[1:]] or list(CASES)
     print("| fault | line | tried | cut | named | called | ms, median and largest | flown again |")

@@ -1,4 +1,6 @@
-"""Friction laws compared: figure 8's case and four hard tests, from 200 Hz to 5 kHz, at the same delay.
+"""Friction laws compared, from 200 Hz to 5 kHz.
+
+Figure 8's case and four hard tests, at the same delay.
 
 Prints three tables, writes every figure to friction_laws.json and a picture to friction_laws.png.
 """
@@ -32,12 +34,15 @@ CYCLES = 20 if QUICK else 200
 
 
 def fixed(value: float) -> str:
-    """Return a figure with two digits after the point, and no sign on a zero."""
+    """Return a figure with two digits; zero has no sign."""
     return f"{round(value, 2) + 0.0:.2f}"
 
 
 def microseconds(name: str, period: float) -> float:
-    """Return the cost of one controller tick with this law alone [µs], the least of five runs."""
+    """Return the law's cost a controller tick [µs].
+
+    The least of five runs.
+    """
     samples = [Sample(k, k * period, [1e-3 * (k % 7), 0.0, 0.0, 0.0, 0.0, 0.0]) for k in range(200 if QUICK else 2000)]
     costs = []
     for _ in range(5):
@@ -50,7 +55,10 @@ def microseconds(name: str, period: float) -> float:
 
 
 def estimator_rows() -> list[dict[str, Any]]:
-    """Return what each velocity estimate costs a tick at 1 kHz over a slow motion on the 5 µm sensor [µs]."""
+    """Return the cost of each velocity estimate [µs].
+
+    A tick at 1 kHz over a slow motion on the 5 µm sensor.
+    """
     rows = []
     for velocity, make in VELOCITIES.items():
         estimator = make(5e-6)
@@ -64,7 +72,10 @@ def estimator_rows() -> list[dict[str, Any]]:
 
 
 def spring_rows() -> list[dict[str, Any]]:
-    """Return figure 8's case for each law, rate, sensor and, with the quantized one, velocity estimate."""
+    """Return figure 8's case for each combination.
+
+    Of law, rate, sensor and, with the quantized one, velocity estimate.
+    """
     rows = []
     for name in LAWS:
         for rate in RATES:
@@ -82,7 +93,10 @@ def spring_rows() -> list[dict[str, Any]]:
 
 
 def hard_rows() -> list[dict[str, Any]]:
-    """Return the hard tests for each law at each rate, with the ideal sensor and the quantized one."""
+    """Return the hard tests for each law and rate.
+
+    With the ideal sensor and the quantized one.
+    """
     rows = []
     for name in LAWS:
         for rate in RATES:
@@ -106,7 +120,9 @@ def hard_rows() -> list[dict[str, Any]]:
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
-    """Draw the error of each friction law over the rate, for an ideal and a quantized sensor.
+    """Draw each law's error over the rate.
+
+    For an ideal and a quantized sensor.
 
     Args:
         rows: Each with law, rate [Hz], quantize [m], velocity (an estimator's name) and error [m].

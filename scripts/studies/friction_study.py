@@ -1,4 +1,7 @@
-"""What friction laws do where they are tried hardest: small load cycles, creeping loads, speed, closed cycles."""
+"""Hard tests of friction laws.
+
+Small load cycles, creeping loads, speed, closed cycles.
+"""
 
 from __future__ import annotations
 
@@ -28,16 +31,22 @@ __all__ = [
 ]
 
 STIFFNESS, DAMPING, BREAKAWAY, V_MIN = 6000.0, 80.0, 2.0, 0.005
-"""Figure 8's values [N/m, N s/m, N, m/s]: what the functions here use unless told otherwise."""
+"""Defaults from figure 8 [N/m, N s/m, N, m/s]."""
 
 
 def friction_law(name: str, period: float, *, damping: float = DAMPING, stiffness: float = STIFFNESS) -> Friction:
-    """Return a friction law along x by its name in LAWS, with figure 8's breakaway force and v_min."""
+    """Return a friction law along x by name.
+
+    Of LAWS, with figure 8's breakaway force and v_min.
+    """
     return LAWS[name](v_min=V_MIN, period=period, axes="x", stiffness=stiffness, damping=damping, breakaway=BREAKAWAY)
 
 
 class LoadOutcome(NamedTuple):
-    """What a law did under a load: at each sample, position [m], stick position [m], and whether it stuck."""
+    """Motion under a load, sample by sample.
+
+    Position [m], stick position [m], and True if stuck.
+    """
 
     position: Array
     anchor: Array
@@ -59,7 +68,7 @@ def under_load(
     velocity: str = "difference",
     stiffness: float = STIFFNESS,
 ) -> LoadOutcome:
-    """Push along x on a flotor at rest that a friction law holds, on the exact plant.
+    """Push on a flotor that a friction law holds.
 
     The push is a hand's, so it acts at once; what the law answers comes after the delay.
 
@@ -102,7 +111,7 @@ def creep(
     amplitude: float = 0.3,
     quantize: float = 0.0,
 ) -> float:
-    """Return how far the flotor drifts over small load cycles that never reach the breakaway force [m].
+    """Return the drift over small load cycles [m].
 
     The load is mean + amplitude sin, at 20 Hz; the first 20 cycles settle and are not counted.
 
@@ -133,7 +142,7 @@ def chatter(
     quantize: float = 0.0,
     velocity: str = "difference",
 ) -> int:
-    """Return how often a law changes state under a load that rises slowly to just above its breakaway force.
+    """Count state changes under a slowly rising load.
 
     Args:
         name: Name from LAWS.
@@ -152,7 +161,10 @@ def chatter(
 
 
 def mean_friction(name: str, speed: float, *, period: float, travel: float = 0.02) -> float:
-    """Return the mean friction against a steady motion [N], viscous damping apart, after breakaway."""
+    """Return the mean friction against a steady motion [N].
+
+    Viscous damping apart, after breakaway.
+    """
     positions = np.arange(0.0, travel, speed * period)
     forces = _driven(friction_law(name, period, damping=0.0), positions, period)
     return float(-np.mean(forces[len(forces) // 4 :]))
@@ -169,7 +181,9 @@ def cycle_work(
     quantize: float = 0.0,
     damping: float = 0.0,
 ) -> float:
-    """Return the work that a law does on a hand that moves it to and fro, a cycle [J]; above 0 it makes energy.
+    """Return a law's work on a hand a cycle [J].
+
+    Above 0 it makes energy.
 
     Each force takes effect after the delay and is held for one period, while the hand moves on. The first quarter of
     the cycles is not counted.
@@ -197,7 +211,7 @@ def cycle_work(
 
 
 def _driven(law: Friction, positions: Array, period: float) -> Array:
-    """Return the force of a law at each sample of a prescribed motion along x."""
+    """Return a law's force during a prescribed motion."""
     controller = Controller([law], period=period)
     forces = [
         controller.step(Sample(tick, tick * period, [place, 0.0, 0.0, 0.0, 0.0, 0.0])).force[0]
@@ -207,10 +221,13 @@ def _driven(law: Friction, positions: Array, period: float) -> Array:
 
 
 class SpringOutcome(NamedTuple):
-    """Figure 8's case with one law: how far from the exact motion, and how restless."""
+    """Figure 8's case with one law: error and restlessness."""
 
     error: float
-    """Greatest distance from the exact motion of the friction that the law stands for [m]."""
+    """Greatest distance from the exact motion [m].
+
+    That of the friction that the law stands for.
+    """
     final_error: float
     """The same at the end [m]."""
     transitions: int
@@ -220,7 +237,7 @@ class SpringOutcome(NamedTuple):
 def against_exact(
     name: str, *, period: float, delay: float, quantize: float = 0.0, velocity: str = "difference"
 ) -> SpringOutcome:
-    """Run figure 8's case with one law on the exact plant and compare it with exact friction.
+    """Compare one law with exact friction in figure 8's case.
 
     Stick-slip and spring reset are held against Karnopp's friction, the others against Coulomb friction; see
     `StickSlip.exact`.

@@ -1,4 +1,6 @@
-"""Feeds a device and a host damaged frames, keeps those that take a device somewhere new, and damages them further.
+"""Feed damaged frames to a device and a host.
+
+Those that take a device somewhere new are kept and damaged further.
 
     python scripts/studies/fuzz_wire.py [--device 100000] [--host 20000] [--runs N] [--seed 0]
 
@@ -54,14 +56,17 @@ STRANGE = [
 ]
 MOST_FRAMES, MOST_BYTES = 12, 400
 TRACED = 2000
-"""Inputs that are looked at line by line; after that one in twenty."""
+"""Inputs traced line by line; after that one in twenty."""
 
 SESSION_CYCLES, DAMAGED = 40, 0.75
 WEIGHT = [0.0, 0.0, 7.0, 0.0, 0.0, 0.0]
 
 
 class Amplifiers:
-    """See that nothing drives them but an active device with currents that it allows."""
+    """Check that only an active device drives the coils.
+
+    With currents that it allows.
+    """
 
     firmware: Firmware
     on = False
@@ -83,7 +88,7 @@ class Amplifiers:
 
 
 class Coverage:
-    """Counts steps from line to line in the watched files, while it is on."""
+    """Count steps from line to line in watched files."""
 
     def __init__(self) -> None:
         self.edges: set[tuple[str, int, int]] = set()
@@ -129,14 +134,20 @@ class Damage:
         self.codec = Codec(key)
 
     def sealed(self, data: bytearray) -> bytes:
-        """Return data with a CRC that is right, and with a key a tag that is right, or is not."""
+        """Return data with a CRC, and perhaps a tag.
+
+        The CRC is right; the tag, with a key, is right or wrong.
+        """
         if self.key is not None and len(data) >= 24 and self.draw.random() < 0.5:
             data[-20:-4] = tag(data[:-20])
         data[-4:] = struct.pack("<I", zlib.crc32(memoryview(data)[:-4]))
         return bytes(data)
 
     def frame(self, data: bytes, other: bytes, again: float = 0.8) -> bytes:
-        """Return a frame with some damage, or with a piece of another; sealed again with a probability."""
+        """Return a damaged frame.
+
+        Or one with a piece of another; sealed again with a probability.
+        """
         draw, new = self.draw, bytearray(data)
         kind, place = draw.randrange(6), draw.randrange(len(data) + 1)
         if kind == 0 and new:
@@ -158,7 +169,10 @@ class Damage:
         return bytes(new[:MOST_BYTES])
 
     def repeated(self, data: bytes) -> bytes:
-        """Return a frame as it is sent again: with a newer number; and perhaps not quite the same."""
+        """Return a repeated frame with a newer number.
+
+        And perhaps not quite the same.
+        """
         draw, new = self.draw, bytearray(data)
         if len(new) >= 32:
             new[8:12] = struct.pack("<I", draw.randrange(1, 100))
@@ -194,7 +208,7 @@ def tag(data: bytes | bytearray) -> bytes:
 
 
 def seeds(codec: Codec) -> list[Frames]:
-    """Return sessions as they should be, and one frame of each type."""
+    """Return correct sessions, and one frame of each type."""
 
     def frame(number: int, body: Any) -> bytes:
         session = 0 if isinstance(body, (Hello, Estop)) else SESSION
@@ -217,7 +231,7 @@ def seeds(codec: Codec) -> list[Frames]:
 
 
 def execute(frames: Frames, key: bytes | None, seen: Counter[str]) -> int:
-    """Give a new device these frames; return how many its codec took.
+    """Feed frames to a new device; return those accepted.
 
     Raises:
         AssertionError: If the device is not sane, is deaf to an emergency stop, or took a frame without its tag.
@@ -262,7 +276,10 @@ def sane(device: Firmware, amplifiers: Amplifiers) -> None:
 
 
 def fuzz_device(damage: Damage, enough: Callable[[int, int], bool]) -> bool:
-    """Fuzz a device, print what came of it, and return whether nothing raised."""
+    """Fuzz a device; return True if nothing raised.
+
+    The outcome is printed.
+    """
     coverage, seen, begun = Coverage(), Counter[str](), time.monotonic()
     first = seeds(damage.codec)
     corpus = list(first)
@@ -291,7 +308,11 @@ def fuzz_device(damage: Damage, enough: Callable[[int, int], bool]) -> bool:
 
 
 class DamagedLine:
-    """A line to a twin whose frames to the host are damaged copies, three in four; what the host sends is looked at.
+    """A line to a twin that damages most answers.
+
+    Three in four.
+
+    The host's frames are checked.
 
     Attributes:
         damaged: How many frames reached the host that are none of the last twenty of the twin.
@@ -337,7 +358,7 @@ class DamagedLine:
 
 
 def fly(twin: Twin, line: DamagedLine, damage: Damage, folder: Path) -> None:
-    """Fly for some cycles; stop at the end, now and then by ESTOP.
+    """Fly for some cycles; stop at the end.
 
     Raises:
         MaglevError: If the host gives up, as it should.
@@ -356,7 +377,10 @@ def fly(twin: Twin, line: DamagedLine, damage: Damage, folder: Path) -> None:
 
 
 def fuzz_host(damage: Damage, count: int) -> bool:
-    """Fuzz a host, print what came of it, and return whether nothing raised but what it may raise."""
+    """Fuzz a host; return True without unexpected errors.
+
+    The outcome is printed.
+    """
     ends, raised, begun = Counter[str](), 0, time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         twin = Twin(TwinParameters(seed=1), key=damage.key)
@@ -393,7 +417,7 @@ def complain(frames: Iterable[bytes]) -> None:
 
 
 def main() -> int:
-    """Fuzz, print what came of it, and return the exit status."""
+    """Fuzz, print the outcome, and return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument(
         "--device", type=int, default=100_000, help="damaged frames for the device, each way of sealing"

@@ -1,4 +1,6 @@
-"""Coverage of the intervals that `analyse` states: how many of them hold the truth, over recordings drawn at random.
+"""Coverage of the intervals that `analyse` states.
+
+The share that holds the truth, over recordings drawn at random.
 
 Prints a table by quantity, writes every estimate to identification.json. Each recording is of a flotor that falls or is
 drawn by an arm on a wall along z, and is drawn back and forth through friction along x; mass, delay, gravity, gains,
@@ -30,7 +32,10 @@ from maglev_mj.versions import versions
 
 MASS = INERTIA[0]
 ARM = (HANDS["arm"][0], HANDS["arm"][1], 400.0)
-"""Mass, damping and stiffness of the arm: published, the stiffness that of one that presses."""
+"""Published mass, damping and stiffness of an arm.
+
+The stiffness is that of one that presses.
+"""
 _PULL, _TIME = 400.0, 1.0
 
 
@@ -94,7 +99,10 @@ def draw(seed: int) -> Case:
 
 @dataclass(frozen=True)
 class Draws:
-    """A hand that draws the flotor back and forth along x, and an arm down and up along z; held between samples."""
+    """A hand that moves along x, an arm along z.
+
+    Held between samples.
+    """
 
     pull: float
     path: Trajectory
@@ -106,7 +114,7 @@ class Draws:
 
 
 def record(case: Case) -> tuple[Stretch, Array]:
-    """Return a recording of a case, and where it stuck."""
+    """Return a recording of a case, and its stick positions."""
     period, reach, z = 1.0 / case.rate, 1e-3 + 2.0 * case.breakaway / _PULL, case.height
     arm = Hand(mass=ARM[0], damping=ARM[1], stiffness=ARM[2], axes="z") if case.arm else None
     down = -3.0 * (1.0 / case.stiffness + 1.0 / ARM[2])
@@ -149,7 +157,7 @@ def record(case: Case) -> tuple[Stretch, Array]:
 
 
 def truth(case: Case) -> dict[str, float]:
-    """Return what there is to be identified, by the names of `estimates`."""
+    """Return the true values by the names of `estimates`."""
     moving = case.mass + (ARM[0] if case.arm else 0.0)
     stated = moving + MASS - case.mass
     most = float(largest_stable_stiffness(case.damping, period=1.0 / case.rate, delay=case.delay, mass=moving))
@@ -176,7 +184,7 @@ def truth(case: Case) -> dict[str, float]:
 
 
 def estimates(found: Identification) -> dict[str, Estimate]:
-    """Return what is identified, by name."""
+    """Return the identified values by name."""
     x, z, (wall,), rub = found.axes[0], found.axes[2], found.walls, found.friction[0]
     values = (
         *(wall.stiffness, wall.damping, wall.commanded_stiffness, wall.commanded_damping, wall.share),
@@ -187,7 +195,10 @@ def estimates(found: Identification) -> dict[str, Estimate]:
 
 
 def holds(one: Estimate, value: float) -> bool:
-    """Return whether an interval holds the truth; one that is exact, to rounding."""
+    """Return True if an interval holds the truth.
+
+    One that is exact, to rounding.
+    """
     near = 1e-9 * abs(value) + 1e-10
     return one.low - near <= value <= one.high + near
 

@@ -1,4 +1,7 @@
-"""Impacts under a force limit: of a flotor between two walls, and of one that is dropped."""
+"""Impacts under a force limit: rattles and drops.
+
+Of a flotor between two walls, and of one that is dropped.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,10 @@ class Rattle(NamedTuple):
 
 
 RATTLE = 0.01
-"""Speed that only a rattle has left after the default duration [m/s]; a flotor that coasts loses it."""
+"""Speed above which a flotor still rattles [m/s].
+
+After the default duration; a flotor that coasts loses it.
+"""
 
 
 def rattle(
@@ -92,7 +98,7 @@ def rattle(
 
 
 class LimitedDrop(NamedTuple):
-    """Drops on a wall whose actuators saturate, of the shape of the starts.
+    """Drops on a wall whose actuators saturate.
 
     Attributes:
         swing: Swing of the position in the last second [m].
@@ -140,6 +146,6 @@ def limited_drop(
 
 
 def _starts(**given: ArrayLike) -> tuple[tuple[int, ...], list[Array]]:
-    """Return the shape that values broadcast to, and each of them so many times, (N,)."""
+    """Return the broadcast shape and each value, (N,)."""
     values = np.broadcast_arrays(*(numbers(name, value) for name, value in given.items()))
     return values[0].shape, [value.ravel() for value in values]

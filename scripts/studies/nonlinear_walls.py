@@ -1,4 +1,7 @@
-"""Where pulse, force limit and sensor's steps move the boundary of stability: a million drops for each picture."""
+"""Stability boundary with pulse, force limit and quantized sensor.
+
+A million drops for each picture.
+"""
 
 import json
 import time

@@ -1,4 +1,7 @@
-"""Published bounds beside the exact boundary, and what a simulation's time step makes of that boundary."""
+"""Published bounds beside the exact boundary.
+
+And the shift of that boundary by a simulation's time step.
+"""
 
 import json
 
@@ -53,7 +56,10 @@ LOOPS = {delay: SampledLoop(period=PERIOD, delay=delay) for delay in (0.0, DELAY
 
 
 def shift(kind: str, delay: float, aligned: bool) -> Array:
-    """Return how much stiffer than the exact one a simulation's stiffest wall is, in percent, and print it."""
+    """Return a simulation's shift of the stiffest wall [%].
+
+    It is printed too.
+    """
     loop = LOOPS[delay]
     found = [boundary_shift(kind, step, loop, aligned=aligned) for step in steps]
     percent = np.round(np.array(found) * 100.0, 6) + 0.0

@@ -1,4 +1,6 @@
-"""A gantry moved by the joystick through a virtual coupling: it goes to a block, presses on it and feels it.
+"""A gantry moved by the joystick through a virtual coupling.
+
+It goes to a block, presses on it and feels it.
 
 Prints how stable the coupling is by its eigenvalues, how the contact went, and where the energy went; with --out it
 writes pictures, with --sweep and --limits it looks at many contacts, and at where they fail.
@@ -54,7 +56,7 @@ _ROWS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Do what is asked for."""
+    """Run the chosen parts of the study."""
     try:
         options = _parser().parse_args(arguments)
         task = _task(options)
@@ -95,7 +97,7 @@ def _task(options: argparse.Namespace) -> Task:
 
 
 def _tell(task: Task, pictures: plots.PictureFolder | None) -> None:
-    """Do the task and print what there is to say of it."""
+    """Do the task and print its figures."""
     history = carry_out(task)
     energies = ledger(history)
     print(_heading(history))
@@ -130,7 +132,10 @@ def _heading(history: History) -> str:
 
 
 def _margins(task: Task, history: History) -> str:
-    """Return how stable the coupling is in each hand, with the slave free and on the block."""
+    """Return the coupling's stability in each hand.
+
+    With the slave free and on the block.
+    """
     coupling = history.coupling
     gains = Gains(coupling.stiffness, coupling.damping)
     friction = task.friction if task.mode == "rate" else NO_GAINS
@@ -207,7 +212,7 @@ def _sweep(task: Task) -> None:
 
 
 def _limits(task: Task, pictures: plots.PictureFolder | None) -> None:
-    """Print and draw how an oscillation grows around the stiffness at which the coupling fails."""
+    """Print and draw growth around the failing stiffness."""
     shares = [0.94, 0.97, 1.0, 1.03, 1.06]
     print()
     print("growth from sample to sample with the coupling's damping, measured (by the eigenvalues), at parts of the")
@@ -229,7 +234,7 @@ def _limits(task: Task, pictures: plots.PictureFolder | None) -> None:
 
 
 def _fails(near: Task, coupling: Coupling, edge: float) -> None:
-    """Print how the pin stays on the block on both sides of the stiffness at which the coupling fails there."""
+    """Print the pin's contact around the failing stiffness."""
     for share in (0.85, 1.15):
         history = carry_out(replace(near, hold=2.0, coupling=replace(coupling, stiffness=share * edge)))
         print(

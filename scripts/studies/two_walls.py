@@ -1,4 +1,7 @@
-"""Two walls close together: from which starts the flotor rattles between them, by gap, delay and braking pulse."""
+"""Two walls close together: rattling starts.
+
+By gap, delay and braking pulse.
+"""
 
 import json
 from collections.abc import Sequence
@@ -29,14 +32,20 @@ DURATION = 4.0 if quick else 16.0
 
 
 def shares(pulse: float, delay: float) -> tuple[Array, Mask]:
-    """Return the share of the starts that rattle in each gap, and whether one leaves the device's range."""
+    """Return the share of rattling starts in each gap.
+
+    And whether one leaves the device's range.
+    """
     gaps = GAPS[:, None, None] * 1e-3
     found = rattle(gaps, SPEEDS[:, None], PHASES, pulse=pulse, delay=delay * 1e-3, duration=DURATION)
     return (found.speed > RATTLE).mean(axis=(1, 2)), np.any(found.furthest > RANGE[2], axis=(1, 2))
 
 
 def widest(pulse: float, delay: float, seed: int) -> float:
-    """Return the widest gap that rattles among random gaps, speeds, phases and places [mm]; 0 for none."""
+    """Return the widest rattling gap found [mm].
+
+    Among random gaps, speeds, phases and positions; 0 for none.
+    """
     random = np.random.default_rng(seed)
     gap = np.exp(random.uniform(np.log(1e-5), np.log(5e-3), RANDOM_STARTS))
     speed = random.uniform(0.02, 0.45, RANDOM_STARTS) * random.choice([-1.0, 1.0], RANDOM_STARTS)
@@ -48,7 +57,7 @@ def widest(pulse: float, delay: float, seed: int) -> float:
 def draw(
     maps: Sequence[tuple[str, Array, Mask]], axes: tuple[Array, Array], labels: tuple[str, str, str], path: Path
 ) -> Path:
-    """Draw maps of shares over two values, two side by side.
+    """Draw two maps of shares side by side.
 
     Args:
         maps: Title, shares (M, N), and which cells leave the device's range (M, N), of each map.

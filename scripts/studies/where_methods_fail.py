@@ -1,4 +1,6 @@
-"""Where walls fail, and what cures it: four figures of two panels, each over phases, seeds or a sweep.
+"""Failures of walls and their cures.
+
+Four figures of two panels, each over phases, seeds or a sweep.
 
 `two_walls.py` draws the fourth one's subject over every delay.
 """
@@ -36,7 +38,10 @@ def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **opti
 
 
 def just_above_the_boundary() -> plots.Panel:
-    """With one sample of delay: how many samples to grow ten-thousandfold, foretold and simulated."""
+    """Compare growth above the boundary with theory.
+
+    With one sample of delay: the samples to grow ten-thousandfold, foretold and simulated.
+    """
     best = stiffest_wall(period=T, delay=T)
     over = np.geomspace(0.1 if options.quick else 0.01, 0.3, COUNT)
     stiffness, damping = float(best.stiffness) * (1.0 + over), np.full(COUNT, float(best.damping))
@@ -56,7 +61,10 @@ def just_above_the_boundary() -> plots.Panel:
 
 
 def jitter() -> plots.Panel:
-    """6000 N/m and 80 N s/m under delays drawn afresh each sample, spread evenly around their mean."""
+    """Simulate delays drawn afresh each sample.
+
+    6000 N/m and 80 N s/m, delays spread evenly around their mean.
+    """
     means = np.linspace(0.0025, 0.004, COUNT)
     curves = [("no jitter", means * 1e3, largest_modulus(6000.0, 80.0, period=T, delay=means))]
     for spread in (0.5e-3, 1e-3):
@@ -71,7 +79,10 @@ def jitter() -> plots.Panel:
 
 
 def chatter() -> plots.Panel:
-    """Press lightly at the edge of the paper's wall, over a 5 µm sensor with noise: how often the pulse fires."""
+    """Press lightly at a wall's edge; count pulses.
+
+    Of the paper's wall, over a 5 µm sensor with noise.
+    """
     presses = np.geomspace(0.003, 1.0, 3 if options.quick else 16)
     curves, gated = [], np.zeros(presses.size)
     for noise in (0.0, 1e-6, 2e-6, 5e-6, 10e-6):
@@ -91,7 +102,10 @@ def chatter() -> plots.Panel:
 
 
 def gaps() -> plots.Panel:
-    """Two walls of 6000 N/m and 80 N s/m with 60 N: from how many of 128 starts the flotor rattles between them."""
+    """Count rattling starts between two walls.
+
+    Of 128; 6000 N/m and 80 N s/m with 60 N.
+    """
     widths = np.geomspace(1e-5, 5e-3, COUNT + 2)
     speeds, duration = np.arange(1, 17) * 0.02, 2.0 if options.quick else 16.0
     stops = MASS / 0.003 - 80.0
@@ -120,7 +134,10 @@ def gaps() -> plots.Panel:
 
 
 def saturation() -> plots.Panel:
-    """Drop on walls under a force limit, the observer's of 27 000 N/m gain: how far it goes, the worst phase."""
+    """Drop on walls under a force limit.
+
+    The observer's of 27 000 N/m gain: the largest distance of the worst phase.
+    """
     heights = np.geomspace(5e-5, RANGE[2], COUNT + 4)
     paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
     cases: list[tuple[str, Law, float]] = []
@@ -154,7 +171,10 @@ def saturation() -> plots.Panel:
 
 
 def quantization() -> plots.Panel:
-    """Swing of a flotor at rest over a 5 µm sensor, by friction of its own over Abbott and Okamura's."""
+    """Measure a resting flotor's swing over a coarse sensor.
+
+    5 µm, by friction of its own over Abbott and Okamura's.
+    """
     shares = np.linspace(0.0, 1.2, COUNT + 3)
     curves = []
     for stiffness, damping in ((2000.0, 30.0), (4000.0, 60.0), (6000.0, 80.0)):
@@ -170,7 +190,7 @@ def quantization() -> plots.Panel:
 
 
 def hands() -> plots.Panel:
-    """Put the paper's wall in a clamp, and let go of a wall tuned with the hand on."""
+    """Clamp the paper's wall; release a wall tuned in hand."""
     share = np.linspace(0.0, 1.0, 60)
     clamp = Hand(stiffness=20000.0 * share)
     arm = Hand(mass=0.554 * share, damping=6.45 * share, stiffness=135.0 * share)
@@ -182,7 +202,10 @@ def hands() -> plots.Panel:
 
 
 def corners() -> plots.Panel:
-    """Kinetic energy of a flotor thrown into a corner of two walls and a rotation."""
+    """Follow kinetic energy in a corner.
+
+    Of a flotor thrown into a corner of two walls and a rotation.
+    """
     curves = []
     for plant, spin in itertools.product(("exact", "mujoco"), (0.0, 0.5)):
         _, energy = corner(plant, [2e-3, 1e-3, 3e-3, 0.0, 0.02, 0.0], [-0.1, 0.0, -0.15, spin, -1.0, spin])

@@ -1,1 +1,1 @@
-"""Teleoperation of a gantry by the joystick: the modules of teleoperation.py."""
+"""Modules of teleoperation.py: a gantry moved by the joystick."""

@@ -1,4 +1,6 @@
-"""A virtual coupling between joystick and slave: one law of the joystick's controller, whose opposite drives the slave.
+"""Virtual coupling between joystick and slave.
+
+One law of the joystick's controller, whose opposite drives the slave.
 
 In what follows a figure is the joystick's unless it is said to be the slave's: a way of the slave counts as way / scale
 and a force on it as force * reflection, so that what the slave weighs, feels like and takes in energy is seen from
@@ -23,7 +25,7 @@ __all__ = ["Coupling", "CouplingLaw"]
 
 @dataclass(frozen=True, kw_only=True)
 class Coupling:
-    """A spring and a damper from the joystick to the slave.
+    """A spring and a damper from joystick to slave.
 
     Args:
         stiffness: Of the spring [N/m].
@@ -53,17 +55,22 @@ class Coupling:
 
     @property
     def felt(self) -> float:
-        """What the slave's masses, stiffnesses and dampings are multiplied by to be the joystick's [1]."""
+        """Factor from the slave's impedance to the joystick's [1].
+
+        For masses, stiffnesses and dampings.
+        """
         return self.scale * self.reflection
 
     @property
     def energy(self) -> float:
-        """What the slave's energies are multiplied by to be the joystick's [1]."""
+        """Factor from the slave's energies to the joystick's [1]."""
         return self.reflection / self.scale
 
 
 class CouplingLaw(Law):
-    """Stick-slip, where there is any, and the coupling's force, which it also keeps for the slave.
+    """Stick-slip, if any, and the coupling's force.
+
+    The force is also kept for the slave.
 
     The slave is asked where it is when the joystick is. Where it is drawn to, the target, moves by the navigator's
     increments. In rate mode the target stays where the spring would pull harder than the coupling may: else it would
@@ -98,7 +105,7 @@ class CouplingLaw(Law):
         self._stretch: Array | None = None
 
     def start(self) -> Any:
-        """Return the state before the first sample: that of the friction."""
+        """Return the friction's state before the first sample."""
         return None if self._friction is None else self._friction.start()
 
     def __call__(
@@ -129,7 +136,10 @@ class CouplingLaw(Law):
         return np.clip(pull, -coupling.bound, coupling.bound)
 
     def _allowed(self, moved: Array, ahead: Array) -> Array:
-        """Return by how much the target moves [m, the slave's], given by how much it would and is ahead."""
+        """Return the target's allowed movement [m].
+
+        The slave's, given its wish and its lead.
+        """
         rates = [mode is Mode.RATE for mode in self.modes]
         most = self.coupling.bound / self.coupling.stiffness * self.coupling.scale
         cut = np.clip(moved, np.minimum(-most - ahead, 0.0), np.maximum(most - ahead, 0.0))

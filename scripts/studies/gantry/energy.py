@@ -1,4 +1,7 @@
-"""Where the energy of a task went, from the hand through joystick and coupling to the slave and the block."""
+"""Energy of a task, from the hand to the block.
+
+Through joystick and coupling to the slave.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,9 @@ __all__ = ["Ledger", "ledger"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ledger:
-    """Energies from the start up to each step [J], (N,) each; those of the slave as felt at the joystick.
+    """Energies up to each step [J], (N,) each.
+
+    Those of the slave as felt at the joystick.
 
     Attributes:
         time: [s]
@@ -108,7 +113,10 @@ def ledger(history: History) -> Ledger:
 
 
 def _offset(history: History) -> Array:
-    """Return how far the target is ahead of the joystick [m], (N, 3): straight from sample to sample."""
+    """Return the target's lead over the joystick [m], (N, 3).
+
+    Straight from sample to sample.
+    """
     period, time = history.task.period, history.time
     ticks = np.arange(len(history.target)) * period
     places = np.stack([np.interp(ticks, time, history.joystick[0][:, axis]) for axis in range(3)], axis=1)
@@ -119,18 +127,24 @@ def _offset(history: History) -> Array:
 
 
 def _at_steps(history: History, values: Array) -> Array:
-    """Return what holds from sample to sample, (K, 3), at the steps, (N, 3)."""
+    """Return sample-held values, (K, 3), at the steps, (N, 3)."""
     tick = np.floor(history.time / history.task.period + 1e-6).astype(int)
     return np.asarray(values[np.minimum(tick, len(values) - 1)])
 
 
 def _sum(parts: Array) -> Array:
-    """Return the running sum of (N - 1, 3) over steps and axes, from 0, (N,)."""
+    """Return a running sum over steps and axes, (N,).
+
+    Of (N - 1, 3), from 0.
+    """
     return np.concatenate([[0.0], np.cumsum(parts.sum(axis=1))])
 
 
 def _squares(time: Array, start: Array, end: Array) -> Array:
-    """Return the running integral of the square of what goes straight over each step, over all axes, (N,)."""
+    """Return the running integral of a square, (N,).
+
+    Of a value that is linear over each step, over all axes.
+    """
     return _sum(np.diff(time)[:, None] * (start**2 + start * end + end**2) / 3.0)
 
 

@@ -1,4 +1,7 @@
-"""How far the theory holds: growth measured against eigenvalues, and contacts over phases, speeds, forces and hands."""
+"""Limits of the theory: growth and contacts.
+
+Growth measured against eigenvalues, and contacts over phases, speeds, forces and hands.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,7 @@ _START, _SAMPLES = 0.72, 200
 
 
 class Growth(NamedTuple):
-    """By how much an oscillation grows from sample to sample, as measured and by the eigenvalues."""
+    """Growth a sample, as measured and by the eigenvalues."""
 
     measured: float
     foreseen: float
@@ -40,7 +43,7 @@ class Contact(NamedTuple):
     speed: float
     """Of the joystick at contact [m/s]."""
     asked: float
-    """What the hand presses with, as felt at the slave."""
+    """Force of the hand's press, as felt at the slave."""
     press: float
     """Mean force in the last half second of the hold."""
     ripple: float
@@ -52,7 +55,7 @@ class Contact(NamedTuple):
 
 
 def bodies(task: Task, coupling: Coupling, slave_mass: float) -> TwoBodies:
-    """Return what the coupling joins along z in a task; the slave is on the block, unless the task is "free".
+    """Return the bodies that the coupling joins along z.
 
     Args:
         task: The task.
@@ -70,7 +73,7 @@ def bodies(task: Task, coupling: Coupling, slave_mass: float) -> TwoBodies:
 
 
 def growth(task: Task) -> Growth:
-    """Measure how fast the joystick's oscillation grows or dies out along z, with the coupling of a task.
+    """Measure the growth of the joystick's oscillation along z.
 
     By fourth differences of its samples, in which slow motion does not count: their root mean square over 100 samples,
     over that of the 100 before.
@@ -89,7 +92,9 @@ def growth(task: Task) -> Growth:
 
 
 def measured_boundary(shares: Sequence[float], found: Sequence[Growth]) -> float:
-    """Return the share at which an oscillation neither grows nor dies out, straight between those measured.
+    """Return the share without growth or decay.
+
+    Interpolated between those measured.
 
     Args:
         shares: Of the stiffness that the eigenvalues foresee, increasing.
@@ -101,7 +106,9 @@ def measured_boundary(shares: Sequence[float], found: Sequence[Growth]) -> float
 def contacts(
     task: Task, hands: Sequence[str], phases: Sequence[float], approaches: Sequence[tuple[float, float]]
 ) -> Iterator[Contact]:
-    """Do a task over hands, phases of the sampler, and pairs of speed [m/s] and force of the press [N].
+    """Run a task over hands, phases and presses.
+
+    Pairs of speed [m/s] and force of the press [N].
 
     Raises:
         PlantError: If joystick or slave go where they cannot be.

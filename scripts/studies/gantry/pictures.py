@@ -1,4 +1,4 @@
-"""Pictures of teleoperation: motion, force and energy over time, how far the theory holds, and the slave itself."""
+"""Charts of teleoperation: motion, force, energy, limits, slave."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _PARTS = {
 
 
 def motion(history: History, path: Path) -> Path:
-    """Draw the slave's position, and the forces on slave and joystick.
+    """Draw the slave's position, and both forces.
 
     Args:
         history: What was seen.
@@ -47,7 +47,7 @@ def motion(history: History, path: Path) -> Path:
 
 
 def balance(history: History, energies: Ledger, path: Path) -> Path:
-    """Draw where the energy went.
+    """Draw the energy balance.
 
     Args:
         history: What was seen.
@@ -69,7 +69,7 @@ def balance(history: History, energies: Ledger, path: Path) -> Path:
 
 
 def _finished(figure: Any, panels: Sequence[Any], history: History, path: Path) -> Path:
-    """Add time, title and legends, each beside its panel, and write the figure."""
+    """Add time, title and legends, and write the figure."""
     task = history.task
     for panel in panels:
         panel.legend(**BESIDE)
@@ -84,7 +84,7 @@ def _finished(figure: Any, panels: Sequence[Any], history: History, path: Path) 
 
 
 def _draw_places(panel: Any, history: History) -> None:
-    """Draw slave and target, and when an axis is in rate mode."""
+    """Draw slave, target and rate-mode intervals."""
     ticks = np.arange(len(history.target)) * history.task.period
     for axis, name, color in ((0, "x", FIRST), (2, "z", SECOND)):
         panel.plot(history.time, history.slave[0][:, axis] * 1e3, color=color, linewidth=1.6, label=f"slave, {name}")
@@ -99,7 +99,7 @@ def _draw_places(panel: Any, history: History) -> None:
 
 
 def _draw_forces(panel: Any, history: History) -> None:
-    """Draw what the slave feels, and what the hand does."""
+    """Draw the slave's and the hand's forces."""
     felt = -history.force[:, 2] / history.coupling.reflection
     block = history.contact[:, 2]
     panel.plot(history.time, block, color=FIRST, linewidth=1.5, label="of the block, on the slave")
@@ -110,7 +110,7 @@ def _draw_forces(panel: Any, history: History) -> None:
 
 
 def _draw_balance(panel: Any, energies: Ledger) -> None:
-    """Draw what was put in, over what has become of it."""
+    """Draw energy put in over its uses."""
     names = [name for name in _PARTS if np.abs(getattr(energies, name)).max() > 1e-9]
     labels, colours = zip(*(_PARTS[name] for name in names), strict=True)
     parts = [1e3 * getattr(energies, name) for name in names]
@@ -144,7 +144,9 @@ def limits(rows: Sequence[tuple[str, Sequence[float], Sequence[Growth]]], path: 
 
 
 def scenes(history: History, moments: Sequence[tuple[float, str]], path: Path) -> Path:
-    """Draw the slave at some moments: where it is drawn to as a ball, the block's force as an arrow.
+    """Draw the slave at some moments.
+
+    Its target as a ball, the block's force as an arrow.
 
     Args:
         history: What was seen.
@@ -200,7 +202,7 @@ def _add_ball(scene: Any, place: Array) -> None:
 
 
 def _add_arrow(scene: Any, tail: Array, force: Array) -> None:
-    """Add an arrow of 3 mm for each newton, if there is a force."""
+    """Add a force arrow, 3 mm a newton."""
     if np.linalg.norm(force) < 0.5:
         return
     geom = scene.geoms[scene.ngeom]

@@ -1,4 +1,7 @@
-"""A task carried out: joystick and slave side by side, from sample to sample; and all that was seen of it."""
+"""One run of a task, recorded sample by sample.
+
+Joystick and slave side by side.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,9 @@ _EVERYWHERE = 1.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class History:
-    """What was seen, N times at the slave's steps and K times at samples; as at the joystick where not the slave's.
+    """Record of a run at steps and samples.
+
+    N at the slave's steps and K at samples; as at the joystick if not the slave's.
 
     Attributes:
         task: What was done.
@@ -65,30 +70,39 @@ class History:
     work: float
 
     def held(self, seconds: float = 0.5) -> Mask:
-        """Return which steps are in the last part of the hold, (N,)."""
+        """Return the steps in the end of the hold, (N,)."""
         end = self.pressed + self.task.hold
         return (self.time >= end - seconds) & (self.time < end)
 
     @property
     def press(self) -> float:
-        """Mean force on the block in the last half second of the hold [N, the slave's]."""
+        """Mean force on the block in the hold [N].
+
+        Over its last half second; the slave's.
+        """
         return float(self.contact[self.held(), 2].mean())
 
     @property
     def ripple(self) -> float:
-        """How far the force on the block is from its mean in that time, root mean square [N, the slave's]."""
+        """Ripple of the force on the block, RMS [N].
+
+        In that time; the slave's.
+        """
         return float(self.contact[self.held(), 2].std())
 
     @property
     def pull(self) -> float:
-        """Force of the hand along z in that time, its muscles' less its arm's [N]; with a rigid grip."""
+        """Net force of the hand along z [N].
+
+        Its muscles' less its arm's in that time, with a rigid grip.
+        """
         step, arm = int(np.flatnonzero(self.held())[-1]), float(np.asarray(self.task.hand.stiffness))
         tick = int(self.time[step] / self.task.period)
         return float(arm * self.joystick[0][step, 2] - self.muscles[tick, 2])
 
     @property
     def losses(self) -> tuple[int, int]:
-        """How often the pin left the block before the hand was done with pushing, and in the hold after it."""
+        """Contacts lost before the release, and in the hold."""
         period = self.task.period
         start, end = (round(when / period) for when in (self.pressed, self.pressed + self.task.hold))
         first, last = (int(self.contacts[min(tick, len(self.contacts) - 1)]) for tick in (start, end - 1))
@@ -96,7 +110,7 @@ class History:
 
 
 class _Exchange:
-    """What passes between both sides at a sample: the slave gets its command, and all is noted down."""
+    """Exchange of both sides at a sample, recorded."""
 
     def __init__(self, plant: MuJoCoPlant, slave: Slave, law: CouplingLaw) -> None:
         self._plant, self._slave, self._law = plant, slave, law
@@ -137,7 +151,10 @@ def carry_out(task: Task) -> History:
 
 
 def _law(task: Task, coupling: Coupling, slave: Slave) -> CouplingLaw:
-    """Return the coupling's law; in rate mode with friction, by which the hand is told to push or to let go."""
+    """Return the coupling's law.
+
+    In rate mode with friction, by which the hand is told to push or to release.
+    """
     scale, friction = coupling.scale, None
     way = Navigation(edge=_EVERYWHERE, scale=scale)
     if task.mode == "rate":
@@ -154,7 +171,7 @@ def _law(task: Task, coupling: Coupling, slave: Slave) -> CouplingLaw:
 def _history(
     task: Task, coupling: Coupling, pressed: float, plant: MuJoCoPlant, slave: Slave, exchange: _Exchange
 ) -> History:
-    """Put together what was seen."""
+    """Return the assembled record."""
     rows = np.array(slave.rows)
     time = rows[:, 0]
     pose, twist, wrench = plant.trace().at(time + task.phase * task.period)

@@ -1,4 +1,7 @@
-"""The slave: a gantry in MuJoCo that carries a pin in its gripper, over a stiff block."""
+"""The slave: a gantry in MuJoCo over a stiff block.
+
+It carries a pin in its gripper.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,9 @@ BLOCK_DAMPING = 190.0
 
 
 class Slave:
-    """The gantry, driven by forces that take effect a delay after a sample and hold, as those on the joystick do.
+    """Gantry driven by delayed and held forces.
+
+    As those on the joystick are.
 
     Args:
         timing: Sample period and delay, as the joystick's.
@@ -80,11 +85,11 @@ class Slave:
 
     @property
     def position(self) -> Array:
-        """Where the pin's tip is, from where it started [m], (3,)."""
+        """Displacement of the pin's tip [m], (3,)."""
         return np.array(self.data.qpos)
 
     def step(self, force: Array) -> None:
-        """Take the answer to the sample of now, and live through the period up to the next.
+        """Take a sample's answer, and advance one period.
 
         Args:
             force: What the actuators are to give, from `delay` on [N], (3,).
@@ -115,7 +120,10 @@ class Slave:
             self._touched = touches
 
     def note(self, offset: float = 0.0) -> None:
-        """Keep where it is and what acts on it, at a time [s] after the last sample."""
+        """Record position and forces at a time [s].
+
+        After the last sample.
+        """
         data = self.data
         mujoco.mj_forward(self.model, data)
         time = self._tick * self._timing.period + offset

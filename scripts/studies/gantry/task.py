@@ -1,4 +1,7 @@
-"""What is to be done by teleoperation: go to the block, press on it, hold, let go; and with what."""
+"""Task of the teleoperation study.
+
+Go to the block, press on it, hold, release; and its means.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +25,13 @@ from maglev_mj.spec import Spec
 __all__ = ["DELAY_SHARE", "FIRM", "Task"]
 
 DELAY_SHARE = 0.3
-"""Transport delay in parts of the period: the paper's 1.5 ms at 200 Hz, 0.3 ms at 1 kHz."""
+"""Transport delay in parts of the period.
+
+The paper's 1.5 ms at 200 Hz, 0.3 ms at 1 kHz.
+"""
 
 FIRM = Hand(mass=0.5, damping=25.0, stiffness=1000.0)
-"""A firm grip, near the top of what was published of hands."""
+"""A firm grip, near the top of published hands."""
 
 _Point: TypeAlias = tuple[float, float, float, float]
 
@@ -36,12 +42,15 @@ _BLOCK = {
     "touching": (0.0, 0.0, 0.0),
     "free": (0.0, 0.0, -0.1),
 }
-"""Where the block is in each mode, from where the pin's tip starts [m, the slave's]."""
+"""Position of the block in each mode [m].
+
+From the start of the pin's tip, the slave's.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What is done, and by what.
+    """The task and its means.
 
     Args:
         mode: "position", or "rate": stick-slip on the joystick, and a rate beyond its edge. For studies of stability
@@ -86,7 +95,10 @@ class Task:
         return Timing(period=self.period, delay=self.delay, phase=self.phase)
 
     def chosen(self, slave_mass: float) -> Coupling:
-        """Return the coupling; by default one for a slave of this mass along its lightest axis [kg, the slave's]."""
+        """Return the coupling.
+
+        By default one for a slave of this mass along its lightest axis [kg, the slave's].
+        """
         if self.coupling is not None:
             return self.coupling
         start = Coupling(stiffness=1.0, damping=0.0)
@@ -94,16 +106,22 @@ class Task:
 
     @property
     def friction(self) -> Gains:
-        """Gains of the stick-slip law, in rate mode: no stiffer than at the paper's rate and delay, which serves."""
+        """Gains of the stick-slip law in rate mode.
+
+        No stiffer than at the paper's rate and delay, which serves.
+        """
         return min(chosen_gains(self.timing, math.inf), chosen_gains(Timing(), math.inf))
 
     @property
     def block_top(self) -> Array:
-        """Middle of the block's top, from where the pin's tip starts [m, the slave's], (3,)."""
+        """Middle of the block's top [m], (3,).
+
+        From the start of the pin's tip, the slave's.
+        """
         return np.array(_BLOCK[self.mode])
 
     def path(self, coupling: Coupling) -> tuple[Trajectory, float]:
-        """Return where the hand's arm is drawn to, and when it is done with pushing [s]."""
+        """Return the arm's path, and its end of pushing [s]."""
         _, _, arm, _, grip = (float(value) for value in self.hand.values)
         reach = 1e3 * self.press * (1.0 / arm + (1.0 / grip if grip else 0.0))
         if self.mode == "rate":
@@ -116,7 +134,9 @@ class Task:
 
 
 def _drawn(task: Task, reach: float) -> tuple[Trajectory, float]:
-    """Return the way to the block in position mode: aside, down at a speed that is greatest on contact, and press.
+    """Return the way to the block in position mode.
+
+    Aside, down at a speed that is greatest on contact, and press.
 
     Args:
         task: The task.
@@ -132,7 +152,9 @@ def _drawn(task: Task, reach: float) -> tuple[Trajectory, float]:
 
 
 def _steered(task: Task, reach: float) -> tuple[Trajectory, float]:
-    """Return the way to the block in rate mode: push aside, let go, push down onto the block, press, let go.
+    """Return the way to the block in rate mode.
+
+    Push aside, release, push down onto the block, press, release.
 
     Args:
         task: The task.

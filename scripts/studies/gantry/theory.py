@@ -1,4 +1,7 @@
-"""Joystick, coupling and slave along one axis as one matrix from sample to sample, and gains chosen by it."""
+"""Joystick, coupling and slave as one matrix.
+
+Along one axis from sample to sample, and gains chosen by it.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,9 @@ class Gains(NamedTuple):
 
 
 def stiffest_coupling(timing: Timing, slave_mass: float, mass: float = _MASS) -> Gains:
-    """Return the stiffest stable coupling between two free bodies, and its damping.
+    """Return the stiffest stable coupling, and its damping.
+
+    Between two free bodies.
 
     The force comes at the same instants on both, one way and the other. So their distance moves as one body of the
     reduced mass would before a wall, and the coupling has that wall's bound.
@@ -48,7 +53,9 @@ def _stiffest(period: float, delay: float, mass: float) -> Gains:
 
 
 def chosen_gains(timing: Timing, slave_mass: float, mass: float = _MASS) -> Gains:
-    """Return a quarter of the stiffest stable stiffness and half of its damping: half the frequency, as well damped.
+    """Return a quarter of that stiffness, half its damping.
+
+    That is half the frequency, as well damped.
 
     Args:
         timing: Sample period and delay.
@@ -65,7 +72,9 @@ NO_GAINS = Gains(0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class TwoBodies:
-    """What the coupling joins, along one axis, all as felt at the joystick.
+    """Bodies that the coupling joins, along one axis.
+
+    All as felt at the joystick.
 
     Args:
         timing: Sample period and delay.
@@ -111,11 +120,17 @@ class TwoBodies:
         return m
 
     def modulus(self, coupling: Gains) -> float:
-        """Return the largest modulus of the matrix's eigenvalues; where nothing holds both bodies, at least 1."""
+        """Return the largest modulus of the eigenvalues.
+
+        At least 1 if both bodies are free.
+        """
         return float(np.abs(np.linalg.eigvals(self.matrix(coupling))).max())
 
     def boundary(self, damping: float) -> float:
-        """Return the stiffness at which a coupling of some damping [N s/m] stops being stable [N/m], from below."""
+        """Return the largest stable coupling stiffness [N/m].
+
+        At some damping [N s/m].
+        """
         low, high = 1.0, 1e7
         for stiffness in np.geomspace(low, high, 200).tolist():
             if self.modulus(Gains(stiffness, damping)) > 1.0:
@@ -128,7 +143,7 @@ class TwoBodies:
         return low
 
     def _motion(self) -> tuple[Array, Array]:
-        """Return the continuous equations, for the forces on joystick and slave."""
+        """Return the continuous equations for both forces."""
         own, push = motion(self.mass, self.hand)
         size, slave = len(own) + 2, self.slave_mass
         a, b = np.zeros((size, size)), np.zeros((size, 2))
