@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 import maglev_mj
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
@@ -26,6 +27,7 @@ from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Cell, Record, run_cells
+from maglev_mj.tabular import Table, Tabular
 from maglev_mj.workers import Workers, chosen_workers
 
 __all__ = ["MOST_CELLS", "Sweep", "run_scene_cells", "sweep", "swept_cells", "value_of"]
@@ -41,7 +43,7 @@ _Run: TypeAlias = tuple[Scene, str, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(Tabular):
     """Results of a scene over a grid.
 
     Attributes:
@@ -59,6 +61,35 @@ class Sweep:
     results: Sequence[Mapping[str, Any]]
     known: int
     others: Sequence[Mapping[str, Any]]
+    drawn_by: ClassVar = "maglev_mj.plots.results:sweep"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the values that vary and the figures in SI units, a row for each cell; NaN where there is none.
+
+        Figures of several hits are left out; `error` is there if a cell failed.
+        """
+        rows = list(itertools.product(*self.varied.values()))
+        found: dict[str, NDArray[Any]] = {
+            name: np.array([row[place] for row in rows]) for place, name in enumerate(self.varied)
+        }
+        found |= {name: self.figure(name).ravel() for name in self.scene.figures if self.is_number(name)}
+        if any("error" in result for result in self.results):
+            found["error"] = np.array([result.get("error", "") for result in self.results])
+        return found
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        units = {name: self.scene.parameter(name).unit for name in self.varied if name not in ("plant", "phase")}
+        return units | {name: one.si_unit for name, one in self.scene.figures.items() if self.is_number(name)}
+
+    def table(self) -> Table:
+        """Return the first cells."""
+        return super().table()._replace(title=f"sweep of {self.scene.name}, {len(self.cells)} cells")
+
+    def is_number(self, name: str) -> bool:
+        """Return whether a figure is one number a cell."""
+        return not any(isinstance(result.get(name), Sequence) for result in self.results)
 
     def figure(self, name: str) -> Array:
         """Return a figure over the grid.
