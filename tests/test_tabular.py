@@ -88,7 +88,7 @@ def test_the_series_of_a_run_are_those_of_its_trace() -> None:
     at = one.trace.at(drawn.get_xdata())[0][:, 2] * 1e3
     np.testing.assert_array_equal(drawn.get_ydata(), at)
     assert len(one.plot(picture="drop_phase_plane").axes) == 1
-    with pytest.raises(ParameterError, match="picture must be one of drop_time, drop_phase_plane, .* not 'x'"):
+    with pytest.raises(ParameterError, match=r"picture must be one of drop_time, drop_phase_plane, .* not 'x'"):
         one.plot(picture="x")
 
 
@@ -148,6 +148,10 @@ def test_a_sweep_has_a_row_for_each_cell_and_a_line_for_each_value() -> None:
     assert failed["error"][0] == "" and "diverged" in failed["error"][1] and np.isnan(failed["penetration"][1])
     with pytest.raises(ParameterError, match="a sweep must vary a parameter to be drawn, not none"):
         sweep(Drop(), {}, plant="exact").plot()
+    with pytest.raises(ParameterError, match="figure must be one of penetration, .* not 'penetraton'; did you mean"):
+        found.figure("penetraton")
+    walls = sweep(find_scene("wall"), {"stiffness": [7000.0, 11000.0]}, plant="exact")
+    assert list(walls.to_pandas()["simulated_stable"]) == [1.0, 0.0] and len(walls.plot().axes) == 6
     assert "penetration" not in sweep(Press(hits=2), {"height": [0.002]}, plant="exact").to_pandas()
 
 

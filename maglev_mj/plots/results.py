@@ -13,7 +13,7 @@ import numpy as np
 from maglev_mj.colours import SERIES
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.plots.drawing import TITLE, name_curves, new_figure, save
-from maglev_mj.scenes.figures import unit_along
+from maglev_mj.scenes.figures import Figure, unit_along
 from maglev_mj.scenes.run import Phases, Result
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.sweep import Sweep
@@ -86,7 +86,8 @@ def sweep(found: Sweep) -> Any:
         raise ParameterError("a sweep must vary a parameter to be drawn, not none")
     first, *others = found.varied
     lines = list(itertools.product(*(found.varied[name] for name in others)))
-    named = {name: one for name, one in found.scene.figures.items() if found.is_number(name)}
+    bare = Figure("", lambda result: None)
+    named = {name: found.scene.figures.get(name, bare) for name in found.names if found.is_number(name)}
     rows = max(-(-len(named) // _COLUMNS), 1)
     figure, panels = new_figure(rows, min(max(len(named), 1), _COLUMNS), 0.9 + 2.8 * rows)
     for panel, (name, one) in zip(panels, named.items()):

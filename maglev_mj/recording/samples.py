@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +17,6 @@ from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.recording import Recording, Stretch, read_file
 from maglev_mj.recording.row import FIELDS, TOTALS, Field
 from maglev_mj.tabular import Tabular
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 __all__ = ["Samples", "load", "samples_of"]
 
@@ -81,7 +78,7 @@ class Samples(Tabular):
                 found[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
         return found
 
-    def to_pandas(self) -> DataFrame:
+    def to_pandas(self) -> Any:
         """Return a data frame with one row per sample.
 
         Its `attrs` hold units and events.

@@ -72,7 +72,7 @@ class Sweep(Tabular):
         found: dict[str, NDArray[Any]] = {
             name: np.array([row[place] for row in rows]) for place, name in enumerate(self.varied)
         }
-        found |= {name: self.figure(name).ravel() for name in self.scene.figures if self.is_number(name)}
+        found |= {name: self.figure(name).ravel() for name in self.names if self.is_number(name)}
         if any("error" in result for result in self.results):
             found["error"] = np.array([result.get("error", "") for result in self.results])
         return found
@@ -81,11 +81,17 @@ class Sweep(Tabular):
     def units(self) -> dict[str, str]:
         """Unit of each column."""
         units = {name: self.scene.parameter(name).unit for name in self.varied if name not in ("plant", "phase")}
-        return units | {name: one.si_unit for name, one in self.scene.figures.items() if self.is_number(name)}
+        return units | {name: self.scene.figures[name].si_unit for name in self.names if name in self.scene.figures}
 
     def table(self) -> Table:
         """Return the first cells."""
         return super().table()._replace(title=f"sweep of {self.scene.name}, {len(self.cells)} cells")
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the figures: those of the cells, or of the scene where every cell failed."""
+        found = dict.fromkeys(name for result in self.results if "error" not in result for name in result)
+        return list(found or self.scene.figures)
 
     def is_number(self, name: str) -> bool:
         """Return whether a figure is one number a cell."""
@@ -95,7 +101,12 @@ class Sweep(Tabular):
         """Return a figure over the grid.
 
         It has a dimension for each varied parameter, and NaN for missing values.
+
+        Raises:
+            ParameterError: If the scene has no such figure.
         """
+        if name not in self.names:
+            raise ParameterError(not_one_of("figure", self.names, name))
         found = [result.get(name) for result in self.results]
         values = np.array([math.nan if value is None else value for value in found], dtype=np.float64)
         return values.reshape([len(given) for given in self.varied.values()])
