@@ -7,14 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, Component
+from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import numbers
+from maglev_mj.tabular import Tabular
 
 __all__ = ["Trace", "TraceRecorder"]
 
@@ -55,7 +56,7 @@ class TraceRecorder:
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
+class Trace(Tabular):
     """Motion as knots at the switches of the wrench.
 
     Each knot has the state, and the wrench that acts until the next knot.
@@ -75,6 +76,26 @@ class Trace:
     pose: Array
     twist: Array
     wrench: Array
+    drawn_by: ClassVar = "maglev_mj.plots.recorded:trace"
+
+    def columns(self) -> dict[str, Array]:
+        """Return the knots of one device, a column for each coordinate, such as `pose.z`, (K,) each.
+
+        Raises:
+            ParameterError: If the trace is not of one device on six axes.
+        """
+        if self.pose.ndim != 2 or self.pose.shape[1] != len(AXES):
+            raise ParameterError(f"trace must be of one device on six axes, (K, 6), not {self.pose.shape}")
+        parts = {"pose": self.pose, "twist": self.twist, "wrench": self.wrench}
+        six = {f"{name}.{axis}": part[:, index] for name, part in parts.items() for index, axis in enumerate(AXES)}
+        return {"time": self.time, **six}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        units = {"pose": ("m", "rad"), "twist": ("m/s", "rad/s"), "wrench": ("N", "N m")}
+        six = {f"{name}.{axis}": of[index // 3] for name, of in units.items() for index, axis in enumerate(AXES)}
+        return {"time": "s", **six}
 
     def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
         """Evaluate at given times.

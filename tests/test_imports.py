@@ -31,6 +31,7 @@ FLOORS = {
     "colours": 0,
     "parameters": 1,
     "workers": 1,
+    "tabular": 1,
     "timeline": 1.5,
     "process": 1.5,
     "laws": 2,
@@ -82,6 +83,7 @@ ALLOWED = {
     "argcomplete": {"cli"},
     "mcap": {"recording"},
     "foxglove": {"live", "recording"},
+    "pandas": {"tabular"},
     "pyarrow": {"recording"},
     "control": {"theory"},
 }

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from maglev_mj.analysis.comparison import Comparison, compare, simulate
-from maglev_mj.analysis.estimates import Identification
+from maglev_mj.analysis.estimates import Estimate, Identification
 from maglev_mj.analysis.figures import StretchFigures, stretch_figures
 from maglev_mj.analysis.identification import identify
 from maglev_mj.analysis.motion import Motion, reconstruct
@@ -17,6 +18,7 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import flag, number
 from maglev_mj.recording import InvalidRecordingError, Rebuild, RunMetadata, Stretch, metadata_of
 from maglev_mj.scenes import Scene
+from maglev_mj.tabular import Table, Tabular
 
 __all__ = ["Analysed", "Run", "analyse"]
 
@@ -41,7 +43,7 @@ class Run:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Analysed:
+class Analysed(Tabular):
     """Results of a stretch's analysis.
 
     Attributes:
@@ -59,6 +61,46 @@ class Analysed:
     simulated: Run | None
     comparison: Comparison | None
     identified: Identification
+    drawn_by: ClassVar = "maglev_mj.plots.recorded:analysed"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return time, recorded and simulated positions of each sample, (N,) each; NaN where the simulation ended."""
+        sides = {"recorded": self.recorded, "simulated": self.simulated}
+        time = self.recorded.motion.time
+        found = {"time": time}
+        for name, run in sides.items():
+            if run is not None:
+                poses = np.full((len(time), len(AXES)), np.nan)
+                poses[: len(run.motion.starts)] = run.motion.trace.pose[run.motion.starts]
+                found |= {f"{name}.{axis}": poses[:, index] for index, axis in enumerate(AXES)}
+        return found
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        sides = "recorded", "simulated"
+        return {"time": "s"} | {f"{side}.{axis}": "m" if axis in AXES[:3] else "rad" for side in sides for axis in AXES}
+
+    def table(self) -> Table:
+        """Return what was identified, with the ends of the 95 % intervals."""
+        found = self.identified
+        parts: dict[str, Any] = {AXES[axis]: one for axis, one in found.axes.items()}
+        parts |= {f"wall {one.name}": one for one in found.walls}
+        parts |= {f"friction {AXES[axis]}": one for axis, one in found.friction.items()}
+        estimates = [
+            (where, name.replace("_", " "), one)
+            for where, part in parts.items()
+            for name, one in vars(part).items()
+            if isinstance(one, Estimate)
+        ]
+        rows = [(where, name, one.value, one.low, one.high) for where, name, one in estimates if one.known]
+        title = "" if self.comparison is None else f"; {self.comparison.sentence}"
+        return Table(
+            f"{self.metadata.name}, {self.recorded.figures.samples} samples{title}",
+            ("of", "quantity (SI units)", "value", "from", "to (95 %)"),
+            rows,
+            f"{len(estimates) - len(rows)} quantities cannot be told; `identified` says why",
+        )
 
     def axis(self, name: str | None = None) -> int:
         """Return the index of the axis to draw.

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -51,6 +52,7 @@ A page shows no more than 8.6 (830 px), so that letters keep their size.
 FORMATS = "png", "pdf", "svg"
 """Formats of pictures."""
 
+_SHOWN = 100.0  # resolution in a notebook [dots per inch]
 _WORDS = 9.0  # size of a legend's words [pt]
 _UNDER = 36.0  # what stands between a panel and its legend: ticks, their numbers, the axis' name [pt]
 
@@ -103,7 +105,15 @@ def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    class Shown(Figure):
+        """Figure that a notebook shows, pyplot or not."""
+
+        def _repr_png_(self) -> bytes:
+            file = BytesIO()
+            self.savefig(file, dpi=_SHOWN)
+            return file.getvalue()
+
+    figure = Shown(figsize=(WIDTH, height), layout="constrained")
     FigureCanvasAgg(figure)
     axes = list(np.atleast_1d(figure.subplots(rows, columns, **options)).ravel())
     for panel in axes:
@@ -116,7 +126,15 @@ def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[
     return figure, axes
 
 
-def save(figure: Any, path: Path) -> Path:
+@overload
+def save(figure: Any, path: Path) -> Path: ...
+
+
+@overload
+def save(figure: Any, path: Path | None) -> Any: ...
+
+
+def save(figure: Any, path: Path | None) -> Any:
     """Write the figure in its path's format; return the path."""
     figure.savefig(path, dpi=150, **({"pil_kwargs": {"optimize": True}} if path.suffix == ".png" else {}))
     return path

@@ -38,7 +38,7 @@ class _Drop:
     """Share of the phases with less penetration than the line."""
 
 
-def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw position and force over time, as figure 3 does.
 
     One column for each drop with a pulse; a drop without one and the analog wall stand in all of them. A band
@@ -47,7 +47,7 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
     Args:
         results: Drops by label.
         sweeps: Not drawn: the band has phases of its own.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -78,7 +78,7 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
     return save(figure, path)
 
 
-def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw velocity over position beside the analog wall (figure 4).
 
     One panel for each drop with a pulse; a drop without one and the analog wall stand in all of them. Thin lines
@@ -87,7 +87,7 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
     Args:
         results: Drops by label.
         sweeps: Not drawn: the band has phases of its own.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -114,13 +114,13 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
     return save(figure, path)
 
 
-def phases(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+def phases(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw penetration, rebound and peak force over the phase.
 
     Args:
         results: Drops by label.
         sweeps: The same at many phases; without any they are run at 50 on the exact plant.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -227,7 +227,7 @@ def _describe(result: Result) -> str:
     )
 
 
-def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw position and control force over time (figure 6).
 
     The hand's target is drawn too.
@@ -235,7 +235,7 @@ def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: 
     Args:
         results: Runs by label; the first is drawn in front.
         sweeps: Not drawn.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -275,13 +275,13 @@ def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: 
     return save(figure, path)
 
 
-def stick_slip(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+def stick_slip(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw position and velocity against exact friction (figure 8).
 
     Args:
         results: Runs by label, the first of which is drawn.
         sweeps: Not drawn.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.

@@ -12,23 +12,86 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.analysis import Analysed, Run
-from maglev_mj.colours import REFERENCE, STUCK
+from maglev_mj.colours import REFERENCE, SERIES, STUCK
 from maglev_mj.frames import AXES, Array
 from maglev_mj.plots.drawing import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
+from maglev_mj.recording import Recording
+from maglev_mj.recording.samples import Samples
+from maglev_mj.trace import Trace
 
-__all__ = ["first_contact", "staircases", "sticks", "whole_run"]
+__all__ = ["analysed", "first_contact", "recording", "samples", "staircases", "sticks", "trace", "whole_run"]
 
+_STILL = 1e-6
 _SHOWN, _LEAD, _POINTS = 0.4, 0.1, 2001
 _MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045
 
 
-def first_contact(analysed: Analysed, axis: int, path: Path) -> Path:
+def trace(motion: Trace) -> Any:
+    """Return a figure of position and force over time, on each axis that moves.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+        ParameterError: If the trace is not of one device on six axes.
+    """
+    motion.columns()
+    return _moving(motion.time, motion.pose, motion.wrench)
+
+
+def samples(found: Samples) -> Any:
+    """Return a figure of position and commanded force over time, on each axis that moves.
+
+    Raises:
+        AttributeError: If time, position or command were not loaded.
+        MissingPackageError: If matplotlib is not installed.
+    """
+    return _moving(found.time, found.position, found.command)
+
+
+def recording(found: Recording) -> Any:
+    """Return a figure of position and commanded force over time, on each axis that moves; see `samples`."""
+    return samples(found.samples())
+
+
+def _moving(time: Array, position: Array, force: Array) -> Any:
+    """Return a figure of the axes that move, translations and rotations side by side; of z if none does."""
+    moving = np.flatnonzero(np.ptp(position, axis=0) > _STILL)
+    groups = ((0, 1, 2), "mm", "force (N)"), ((3, 4, 5), "mrad", "torque (N m)")
+    shown = [group for group in groups if np.isin(group[0], moving).any()] or [groups[0]]
+    figure, panels = new_figure(2, len(shown), 5.6, sharex=True)
+    for upper, lower, (axes, length, effort) in zip(panels, panels[len(shown) :], shown):
+        for axis in np.intersect1d(axes, moving) if moving.size else (2,):
+            style = {"color": SERIES[axis % 3], "linewidth": 1.3, "label": AXES[axis]}
+            upper.plot(time, position[:, axis] * 1e3, **style)
+            lower.step(time, force[:, axis], where="post", **style)
+        upper.set_ylabel(f"position ({length})")
+        lower.set_ylabel(effort)
+        lower.set_xlabel("time (s)")
+        _no_narrower(upper, 0.02)
+        name_curves(lower)
+    return figure
+
+
+def analysed(found: Analysed, axis: str | None = None) -> Any:
+    """Return a figure of recording and simulation over the whole run; see `whole_run`.
+
+    Args:
+        found: The analysed stretch.
+        axis: Name from AXES; the one that tells most by default.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+        ParameterError: If the axis does not move.
+    """
+    return whole_run(found, found.axis(axis))
+
+
+def first_contact(analysed: Analysed, axis: int, path: Path | None = None) -> Any:
     """Draw 0.4 s around the first contact (figure 5).
 
     Args:
         analysed: The recording, and its simulation if there is one.
         axis: Index into AXES.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -42,7 +105,7 @@ def first_contact(analysed: Analysed, axis: int, path: Path) -> Path:
     return _over_time(analysed, axis, path, (start, min(start + _SHOWN, end)), marks=False)
 
 
-def whole_run(analysed: Analysed, axis: int, path: Path) -> Path:
+def whole_run(analysed: Analysed, axis: int, path: Path | None = None) -> Any:
     """Draw position and force of the whole run (figure 6).
 
     Each contact is marked with its depth.
@@ -50,7 +113,7 @@ def whole_run(analysed: Analysed, axis: int, path: Path) -> Path:
     Args:
         analysed: The recording, and its simulation if there is one.
         axis: Index into AXES.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -107,7 +170,7 @@ def staircases(time: Array, position: Array, anchors: Array, said: Mapping[int, 
     return save(figure, path)
 
 
-def _over_time(analysed: Analysed, axis: int, path: Path, window: tuple[float, float], *, marks: bool) -> Path:
+def _over_time(analysed: Analysed, axis: int, path: Path | None, window: tuple[float, float], *, marks: bool) -> Any:
     """Draw position and force over a time window [s].
 
     Of recording and simulation.

@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from maglev_mj.colours import SERIES
+from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.plots.drawing import TITLE, name_curves, new_figure, save
+from maglev_mj.scenes.figures import Figure, unit_along
 from maglev_mj.scenes.run import Phases, Result
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.studies.sweep import Sweep
 
-__all__ = ["Picture", "pictures_of", "series", "spread"]
+__all__ = ["Picture", "phases", "pictures_of", "result", "series", "spread", "sweep"]
 
-Picture: TypeAlias = Callable[[Mapping[str, Result], Mapping[str, Phases], Path], Path]
-"""Draws results and phases, each by label, to a file."""
+Picture: TypeAlias = Callable[[Mapping[str, Result], Mapping[str, Phases], Path | None], Any]
+"""Draws results and phases, each by label, to a file; or, for no file, returns the figure."""
 
 _FINE = 1e-4
-_UNITS = {"position": "position (m)", "velocity": "velocity (m/s)", "force": "force (N)", "z": "height (m)"}
+_NAMES = {"z": "height"}
 _MOST_PANELS, _COLUMNS = 4, 3
 
 
@@ -43,26 +47,91 @@ def _found(place: str) -> Picture:
     return found
 
 
-def series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+def result(one: Result, picture: str | None = None) -> Any:
+    """Return a figure of one run.
+
+    Args:
+        one: The run, of one phase.
+        picture: One of the scene's pictures by name; the first by default.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+        ParameterError: If there is no such picture, or the run is of several phases.
+    """
+    one.times()  # several phases have no grid in common
+    known = pictures_of(one.scene, {})
+    name = next(iter(known)) if picture is None else picture
+    if name not in known:
+        raise ParameterError(not_one_of("picture", known, picture))
+    return known[name]({one.scene.name: one}, {}, None)
+
+
+def phases(found: Phases) -> Any:
+    """Return a figure of each of a scene's figures over the phase.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    return spread({}, {found.scene.name: found})
+
+
+def sweep(found: Sweep) -> Any:
+    """Return a figure of each of a scene's figures over the first parameter, a line for each value of the others.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+        ParameterError: If nothing varies.
+    """
+    if not found.varied:
+        raise ParameterError("a sweep must vary a parameter to be drawn, not none")
+    first, *others = found.varied
+    lines = list(itertools.product(*(found.varied[name] for name in others)))
+    bare = Figure("", lambda result: None)
+    named = {name: found.scene.figures.get(name, bare) for name in found.names if found.is_number(name)}
+    rows = max(-(-len(named) // _COLUMNS), 1)
+    figure, panels = new_figure(rows, min(max(len(named), 1), _COLUMNS), 0.9 + 2.8 * rows)
+    for panel, (name, one) in zip(panels, named.items()):
+        values = found.figure(name).reshape(len(found.varied[first]), -1) * one.scale
+        for index, line in enumerate(lines):
+            label = ", ".join(map(_chosen, others, line, (found.units.get(other, "") for other in others)))
+            panel.plot(found.varied[first], values[:, index], "o-", color=SERIES[index % len(SERIES)], label=label)
+        panel.set_title(_label(name, one.unit), **TITLE)
+        panel.set_xlabel(_label(first, found.units.get(first)))
+    for panel in panels[len(named) :]:
+        panel.set_axis_off()
+    if others:
+        name_curves(figure, panels[:1])
+    return figure
+
+
+def _chosen(name: str, value: Any, unit: str) -> str:
+    return f"{name} {value:g} {unit}".rstrip() if isinstance(value, int | float) else f"{name} {value}"
+
+
+def _label(name: str, unit: str | None) -> str:
+    return f"{name.replace('_', ' ')} ({unit})" if unit else name.replace("_", " ")
+
+
+def series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw each series over time, one line a run.
 
     Args:
         results: Runs by label.
         sweeps: Not drawn.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     shown = {label: result.series(_FINE) for label, result in results.items()}
-    first = next(iter(shown.values()))
+    first, units = next(iter(shown.values())), next(iter(results.values())).units
     names = [name for name, values in first.items() if name != "time" and values.dtype.kind in "fiu"][:_MOST_PANELS]
     figure, panels = new_figure(len(names), 1, 1.2 + 2.2 * len(names), sharex=True)
     for panel, name in zip(panels, names, strict=True):
         step = "steps-post" if "force" in name else "default"
         for place, (label, values) in enumerate(shown.items()):
             panel.plot(values["time"], values[name], color=SERIES[place % len(SERIES)], drawstyle=step, label=label)
-        panel.set_ylabel(_UNITS.get(name, name.replace("_", " ")))
+        panel.set_ylabel(_label(_NAMES.get(name, name), units.get(name)))
     panels[-1].set_xlabel("time (s)")
     panels[-1].set_xlim(0.0, max(float(first["time"][-1]), _FINE))
     result = next(iter(results.values()))
@@ -76,13 +145,13 @@ def series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
     return save(figure, path)
 
 
-def spread(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path) -> Path:
+def spread(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw each figure over the sampling phase.
 
     Args:
         results: Not drawn.
         sweeps: Phases by label.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -95,8 +164,7 @@ def spread(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
             values = np.asarray(sweep.figures[name], dtype=np.float64).reshape(len(sweep.phases), -1) * one.scale
             lines = panel.plot(sweep.phases, values, color=SERIES[place % len(SERIES)])
             lines[0].set_label(label)
-        unit = f" ({one.unit})" if one.unit else ""
-        panel.set_title(f"{name.replace('_', ' ')}{unit}", **TITLE)
+        panel.set_title(_label(name, unit_along(scene.axis, one.unit)), **TITLE)
         panel.set_xlim(0.0, 1.0)
         panel.set_xlabel("phase of the first sample")
     for panel in panels[len(scene.figures) :]:

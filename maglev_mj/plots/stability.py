@@ -47,14 +47,14 @@ def _room(segments: Any, extents: tuple[float, float]) -> bool:
     return any(len(points) > 1 and (np.ptp(points, axis=0) > 0.15 * np.array(extents)).all() for points in segments)
 
 
-def stability_map(result: StabilityMap, path: Path) -> Path:
+def stability_map(result: StabilityMap, path: Path | None = None) -> Any:
     """Draw the stability map.
 
     Level sets by theory, simulated verdicts as dots, the stiffest wall marked.
 
     Args:
         result: The map; its grid must have at least two values on each axis.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -88,14 +88,14 @@ def stability_map(result: StabilityMap, path: Path) -> Path:
     return save(figure, path)
 
 
-def drop_map(result: DropMap, path: Path) -> Path:
+def drop_map(result: DropMap, path: Path | None = None) -> Any:
     """Draw the final swing of drops over the gains.
 
     With theory's boundary, and that of the drops that settle.
 
     Args:
         result: The map; its grid must have at least two values on each axis.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -147,7 +147,7 @@ def _outer(values: Array) -> tuple[float, float]:
     return float(values[0] - half), float(values[-1] + half)
 
 
-def design_map(result: DesignResult, path: Path) -> Path:
+def design_map(result: DesignResult, path: Path | None = None) -> Any:
     """Draw the largest modulus over mass and delay.
 
     The worst of the hands, with the worst case marked.
@@ -156,7 +156,7 @@ def design_map(result: DesignResult, path: Path) -> Path:
 
     Args:
         result: The design.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.

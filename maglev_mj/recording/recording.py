@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from dataclasses import replace as replaced
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any, ClassVar
 from zipfile import ZIP_STORED, ZipFile
 
 import numpy as np
@@ -30,9 +30,11 @@ from maglev_mj.recording.checks import (
 )
 from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, told, units
+from maglev_mj.tabular import Table, Tabular
 
 if TYPE_CHECKING:
     from maglev_mj.recording.mcap import Found
+    from maglev_mj.recording.samples import Samples
 
 __all__ = ["InvalidRecordingError", "Recording", "RecordingError", "Stretch", "aside", "read_file", "split_setup"]
 
@@ -103,7 +105,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(Tabular):
     """Recording of one run.
 
     Attributes:
@@ -121,6 +123,32 @@ class Recording:
     damage: str = ""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     about: Mapping[str, str] = field(default_factory=dict)
+    drawn_by: ClassVar = "maglev_mj.plots.recorded:recording"
+
+    def samples(self) -> Samples:
+        """Return all samples of all stretches as arrays."""
+        from maglev_mj.recording.samples import samples_of  # which needs what is defined here
+
+        return samples_of(self, [one.name for one in FIELDS])
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the columns of all samples, (N,) each; see `Samples.columns`."""
+        return self.samples().columns()
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each column."""
+        return units()
+
+    def table(self) -> Table:
+        """Return a row for each stretch."""
+        head = "stretch", "kind", "samples", "from [s]", "to [s]"
+        rows = [
+            (index, one.setup["kind"], len(one), *map(float, one.time[[0, -1]]))
+            for index, one in enumerate(self.stretches)
+        ]
+        events = f", {len(self.events)} events" if self.events else ""
+        return Table(f"recording of {self.ticks} samples{events}", head, rows)
 
     def save(self, path: Path | str) -> None:
         """Write to a file atomically.

@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import ParameterError, require
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.recording.mcap import Found, Part
 from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.recording import Recording, Stretch, read_file
 from maglev_mj.recording.row import FIELDS, TOTALS, Field
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from maglev_mj.tabular import Tabular
 
 __all__ = ["Samples", "load", "samples_of"]
 
@@ -26,7 +24,7 @@ _FIELDS: Mapping[str, Field] = {field.name: field for field in (*FIELDS, *TOTALS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Samples:
+class Samples(Tabular):
     """All N samples of a recording, fields as attributes.
 
     For example `samples.position`.
@@ -51,6 +49,7 @@ class Samples:
     about: Mapping[str, str]
     attachments: Mapping[str, bytes]
     damage: str
+    drawn_by: ClassVar = "maglev_mj.plots.recorded:samples"
 
     def __getattr__(self, name: str) -> Array:
         arrays = self.__dict__.get("arrays", {})
@@ -79,7 +78,7 @@ class Samples:
                 found[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
         return found
 
-    def to_pandas(self) -> DataFrame:
+    def to_pandas(self) -> Any:
         """Return a data frame with one row per sample.
 
         Its `attrs` hold units and events.
@@ -87,11 +86,8 @@ class Samples:
         Raises:
             MissingPackageError: If pandas is not installed.
         """
-        require(("pandas",), "pandas", "data frames need pandas")
-        from pandas import DataFrame
-
-        frame = DataFrame(self.columns())
-        frame.attrs |= {"units": dict(self.units), "events": list(self.events)}
+        frame = super().to_pandas()
+        frame.attrs["events"] = list(self.events)
         return frame
 
 

@@ -15,11 +15,25 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.metrics import BounceSummary, summarise_bounce
 from maglev_mj.parameters import flag
 from maglev_mj.scenes.press_figures import HIT_FIGURES, PressSummary, summarise_press
+from maglev_mj.terminal import cell
 
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["STOCK", "Figure", "changes", "figure", "figures_named"]
+__all__ = ["STOCK", "Figure", "changes", "figure", "figures_named", "unit_along"]
+
+_MOST_SHOWN = 4
+_SHARES = 50.0, 5.0, 95.0
+_SMALLER = {1.0: "", 1e3: "m", 1e6: "µ"}
+_TURNING = {
+    **{"m": "rad", "mm": "mrad", "µm": "µrad", "m/s": "rad/s", "mm/s": "mrad/s"},
+    **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N s/m": "N m s/rad"},
+}
+
+
+def unit_along(axis: str, unit: str) -> str:
+    """Return the unit of a quantity along an axis: a translation's, or a rotation's in its place."""
+    return _TURNING.get(unit, unit) if AXES.index(axis) >= 3 else unit
 
 
 @dataclass(frozen=True)
@@ -51,6 +65,29 @@ class Figure:
     def __call__(self, result: Result) -> Any:
         """Return the figure of a result."""
         return self.function(result)
+
+    @property
+    def si_unit(self) -> str:
+        """Unit of what the function returns; empty where the scale is that of no prefix."""
+        prefix = _SMALLER.get(self.scale)
+        return "" if prefix is None else self.unit.removeprefix(prefix)
+
+    def text(self, value: Any, *bounds: Any) -> str:
+        """Return one value, those of several hits, or a median with its bounds where these differ."""
+        values = np.atleast_1d(np.asarray(value, dtype=np.float64))
+        if values.size > _MOST_SHOWN:
+            return f"{self._number(values.min())} to {self._number(values.max())}"
+        text = "/".join(self._number(one) for one in values)
+        around = [self._number(bound) for bound in bounds]
+        return f"{text} ({around[0]} to {around[1]})" if len(set(around)) > 1 else text
+
+    def spread(self, values: Any) -> str:
+        """Return median, and 5 to 95 %, over phases, and over hits together where there are several."""
+        pooled = np.ravel(values) if np.ndim(values) > 1 else values
+        return self.text(*(self.percentile(pooled, share) for share in _SHARES))
+
+    def _number(self, value: float) -> str:
+        return f"{value:zg}" if not self.unit and np.isfinite(value) else cell(value, self.scale)
 
     def percentile(self, values: Array, share: float) -> Array:
         """Return a percentile over the runs, the first dimension.

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Integral
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,10 @@ from maglev_mj.frames import AXES, Array, Command, Component, Sample
 from maglev_mj.loop import drive
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.scenes.figures import Figure
+from maglev_mj.scenes.figures import Figure, unit_along
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.spec import ESCAPE
+from maglev_mj.tabular import Table, Tabular
 from maglev_mj.trace import Trace
 
 __all__ = ["Phases", "Result", "plain", "run", "run_phases"]
@@ -28,12 +29,13 @@ __all__ = ["Phases", "Result", "plain", "run", "run_phases"]
 _MOST_PHASES = 10_000
 _TOGETHER = 64
 _STEP = 1e-3
+_UNITS = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "z": "m", "target": "m", "stick_position": "m"}
 
 Observe = Callable[[Sample, Command], object]
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(Tabular):
     """Result of one run or of a batch.
 
     Attributes:
@@ -51,6 +53,7 @@ class Result:
     trace: Trace
     sample_time: Array
     samples: Mapping[str, Array]
+    drawn_by: ClassVar = "maglev_mj.plots.results:result"
     _known: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -81,8 +84,10 @@ class Result:
         """Return a time grid over the run [s], (M,).
 
         Raises:
-            ParameterError: If the step is not above 0.
+            ParameterError: If the step is not above 0, or the run is of several phases.
         """
+        if np.ndim(self.phase):
+            raise ParameterError(f"result must be of one phase, as result[0] is, not of {len(self.phase)}")
         count = math.floor(float(self.trace.time[-1]) / number("step", step, above=0.0) + 1e-9) + 1
         grid: Array = np.arange(count, dtype=np.float64) * step
         return grid
@@ -94,6 +99,22 @@ class Result:
         """
         time = self.times(step)
         return {"time": time, **self.scene.series(self, time)}
+
+    def columns(self) -> dict[str, Array]:
+        """Return time and the scene's series every millisecond, (M,) each; see `times`."""
+        return self.series()
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column; none for a series that the package does not know."""
+        return {name: unit_along(self.scene.axis, unit) for name, unit in _UNITS.items()}
+
+    def table(self) -> Table:
+        """Return the figures of the run; over several phases see `Phases.table`."""
+        several = np.ndim(self.phase)
+        where = f"{len(self.phase)} phases" if several else f"phase {self.phase:g}"
+        title = f"{self.scene.name} on {self.plant}, {where}"
+        return _figures_table(self.scene, title, self.figures, several=bool(several))
 
     def as_json(self) -> dict[str, Any]:
         """Return parameters, series every millisecond and figures, ready for JSON."""
@@ -120,7 +141,7 @@ class Result:
 
 
 @dataclass(frozen=True, eq=False)
-class Phases:
+class Phases(Tabular):
     """Results of a scene at several phases.
 
     Attributes:
@@ -136,6 +157,28 @@ class Phases:
     phases: Array
     figures: Mapping[str, Array]
     furthest: Array
+    drawn_by: ClassVar = "maglev_mj.plots.results:phases"
+
+    def columns(self) -> dict[str, Array]:
+        """Return the phases and the figures in SI units, (N,) each; a figure of several hits is a column a hit."""
+        found = {"phase": self.phases}
+        for name, values in self.figures.items():
+            rows = values.reshape(len(self.phases), -1)
+            names = [name] if values.ndim == 1 else [f"{name}.{index}" for index in range(rows.shape[1])]
+            found |= dict(zip(names, rows.T, strict=True))
+        return found
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        named: Mapping[str, Figure] = self.scene.figures
+        known = {name: unit_along(self.scene.axis, one.si_unit) for name, one in named.items()}
+        return {column: known[column.partition(".")[0]] for column in self.columns() if column != "phase"}
+
+    def table(self) -> Table:
+        """Return median and 5 to 95 % of each figure."""
+        title = f"{self.scene.name} on {self.plant}, {len(self.phases)} phases"
+        return _figures_table(self.scene, title, self.figures, several=True)
 
     def percentile(self, share: float) -> dict[str, Array]:
         """Return a percentile of each figure over the phases.
@@ -164,6 +207,21 @@ class Phases:
             "percentile_5": plain(self.percentile(5.0)),
             "percentile_95": plain(self.percentile(95.0)),
         }
+
+
+def _figures_table(scene: Scene, title: str, figures: Mapping[str, Any], *, several: bool) -> Table:
+    """Return figures of one run, or their spread over the phases of several."""
+    named: Mapping[str, Figure] = scene.figures
+    rows = [
+        (
+            name.replace("_", " "),
+            one.spread(figures[name]) if several else one.text(figures[name]),
+            unit_along(scene.axis, one.unit),
+            one.help,
+        )
+        for name, one in named.items()
+    ]
+    return Table(title, ("figure", "median (5 to 95 %)" if several else "value", "unit", "meaning"), rows)
 
 
 def run(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import along_z, around_wall, hum, wall_controller
+from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.design import Case, DesignedWall
 from maglev_mj.timeline import split_delay
 
@@ -77,7 +78,7 @@ class Contact(Parameters):
 
 
 @dataclass(frozen=True, eq=False)
-class DesignResult:
+class DesignResult(Tabular):
     """Designed wall with its simulated figures.
 
     Attributes:
@@ -105,6 +106,31 @@ class DesignResult:
     masses: Array
     delays: Array
     map: Array
+    drawn_by: ClassVar = "maglev_mj.plots.stability:design_map"
+
+    def columns(self) -> dict[str, Array]:
+        """Return mass, delay and largest modulus over the hands of each cell of the map, (M D,) each."""
+        mass, delay = np.meshgrid(self.masses, self.delays, indexing="ij")
+        return {"mass": mass.ravel(), "delay": delay.ravel(), "modulus": self.map.ravel()}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        return {"mass": "kg", "delay": "s"}
+
+    def table(self) -> Table:
+        """Return the figures of the wall."""
+        wall, growing = self.wall, int(np.sum(self.grows))
+        rows = [
+            ("stiffness", wall.stiffness, "N/m"),
+            ("damping", wall.damping, "N s/m"),
+            ("largest modulus", wall.modulus, ""),
+            ("least dynamic stiffness", wall.dynamic_stiffness, "N/m"),
+            ("greatest depth", self.depth, "m"),
+            ("peak force", self.peak, "N"),
+            ("hum", self.hum, "N"),
+        ]
+        return Table(f"designed wall: {growing} of {len(self.cases)} cases grow", ("figure", "value", "unit"), rows)
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""

@@ -6,9 +6,10 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 import maglev_mj
 import maglev_mj.theory as theory
@@ -21,7 +22,7 @@ from maglev_mj.scenes.bench import along, stepped
 from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import along_z, wall_controller
 from maglev_mj.studies.cells import Cell, Record, run_cells
-from maglev_mj.studies.stability_map import StabilityParameters, gain_axes
+from maglev_mj.studies.stability_map import GainMap, StabilityParameters, gain_axes
 from maglev_mj.workers import Workers
 
 __all__ = ["PART", "SAMPLES", "DropMap", "DropMapParameters", "Ending", "judge_drops", "run_drop_map"]
@@ -94,7 +95,7 @@ class DropMapParameters(StabilityParameters):
 
 
 @dataclass(frozen=True, eq=False)
-class DropMap:
+class DropMap(GainMap):
     """Endings of drops on a grid of walls.
 
     The stability boundary by theory is included.
@@ -118,6 +119,12 @@ class DropMap:
     boundary: Array
     maximum: theory.StiffestWall
     others: Sequence[Mapping[str, Any]] = ()
+    drawn_by: ClassVar = "maglev_mj.plots.stability:drop_map"
+
+    def cells(self) -> dict[str, NDArray[Any]]:
+        """Return how far each drop swings in the end, and how it ends."""
+        endings = np.array([one.name.lower().replace("_", " ") for one in Ending])
+        return {"swing": self.swing, "ending": endings[self.ending.astype(np.intp)]}
 
     @property
     def settles(self) -> Mask:

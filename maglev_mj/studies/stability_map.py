@@ -8,9 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 import maglev_mj
 import maglev_mj.theory as theory
@@ -21,10 +22,11 @@ from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Cell, Record, run_cells
 from maglev_mj.studies.growth import HAND_HELP, RestingWall, grow_together, stiffest_in
+from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 from maglev_mj.workers import Workers
 
-__all__ = ["StabilityMap", "StabilityParameters", "gain_axes", "run_stability"]
+__all__ = ["GainMap", "StabilityMap", "StabilityParameters", "gain_axes", "run_stability"]
 
 _NEAR = 0.005
 _TOGETHER = 240
@@ -78,8 +80,43 @@ class StabilityParameters(Parameters):
         return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": hand_called(self.hand)}
 
 
+class GainMap(Tabular):
+    """Map over a grid of gains.
+
+    Attributes:
+        damping: Dampings of the grid [N s/m], (B,).
+        stiffness: Its stiffnesses [N/m], (K,).
+        maximum: The stiffest wall by theory over all dampings, in the grid or not.
+    """
+
+    damping: Array
+    stiffness: Array
+    maximum: theory.StiffestWall
+
+    def cells(self) -> Mapping[str, NDArray[Any]]:
+        """Return the map's values by name, (K, B) each."""
+        raise NotImplementedError
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return gains and values of each cell, (K B,) each, the damping varying fastest."""
+        stiffness, damping = np.meshgrid(self.stiffness, self.damping, indexing="ij")
+        found: dict[str, NDArray[Any]] = {"stiffness": stiffness, "damping": damping, **self.cells()}
+        return {name: values.ravel() for name, values in found.items()}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        return {"stiffness": "N/m", "damping": "N s/m", "swing": "m"}
+
+    def table(self) -> Table:
+        """Return the first cells, under the stiffest wall."""
+        best = self.maximum
+        title = f"stiffest wall by theory: {float(best.stiffness):.0f} N/m at {float(best.damping):.1f} N s/m"
+        return super().table()._replace(title=title)
+
+
 @dataclass(frozen=True, eq=False)
-class StabilityMap:
+class StabilityMap(GainMap):
     """Stability of each cell by theory and simulation.
 
     Attributes:
@@ -103,6 +140,11 @@ class StabilityMap:
     simulated: Mask | None
     near: Mask
     others: Sequence[Mapping[str, Any]] = ()
+    drawn_by: ClassVar = "maglev_mj.plots.stability:stability_map"
+
+    def cells(self) -> dict[str, NDArray[Any]]:
+        """Return the largest modulus, and `settles` where walls were simulated."""
+        return {"modulus": self.modulus} | ({} if self.simulated is None else {"settles": self.simulated})
 
     @property
     def misjudged(self) -> Mask | None:

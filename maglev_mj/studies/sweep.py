@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 import maglev_mj
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
@@ -26,6 +27,7 @@ from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Cell, Record, run_cells
+from maglev_mj.tabular import Table, Tabular
 from maglev_mj.workers import Workers, chosen_workers
 
 __all__ = ["MOST_CELLS", "Sweep", "run_scene_cells", "sweep", "swept_cells", "value_of"]
@@ -41,7 +43,7 @@ _Run: TypeAlias = tuple[Scene, str, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Sweep(Tabular):
     """Results of a scene over a grid.
 
     Attributes:
@@ -59,12 +61,52 @@ class Sweep:
     results: Sequence[Mapping[str, Any]]
     known: int
     others: Sequence[Mapping[str, Any]]
+    drawn_by: ClassVar = "maglev_mj.plots.results:sweep"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the values that vary and the figures in SI units, a row for each cell; NaN where there is none.
+
+        Figures of several hits are left out; `error` is there if a cell failed.
+        """
+        rows = list(itertools.product(*self.varied.values()))
+        found: dict[str, NDArray[Any]] = {
+            name: np.array([row[place] for row in rows]) for place, name in enumerate(self.varied)
+        }
+        found |= {name: self.figure(name).ravel() for name in self.names if self.is_number(name)}
+        if any("error" in result for result in self.results):
+            found["error"] = np.array([result.get("error", "") for result in self.results])
+        return found
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        units = {name: self.scene.parameter(name).unit for name in self.varied if name not in ("plant", "phase")}
+        return units | {name: self.scene.figures[name].si_unit for name in self.names if name in self.scene.figures}
+
+    def table(self) -> Table:
+        """Return the first cells."""
+        return super().table()._replace(title=f"sweep of {self.scene.name}, {len(self.cells)} cells")
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the figures: those of the cells, or of the scene where every cell failed."""
+        found = dict.fromkeys(name for result in self.results if "error" not in result for name in result)
+        return list(found or self.scene.figures)
+
+    def is_number(self, name: str) -> bool:
+        """Return whether a figure is one number a cell."""
+        return not any(isinstance(result.get(name), Sequence) for result in self.results)
 
     def figure(self, name: str) -> Array:
         """Return a figure over the grid.
 
         It has a dimension for each varied parameter, and NaN for missing values.
+
+        Raises:
+            ParameterError: If the scene has no such figure.
         """
+        if name not in self.names:
+            raise ParameterError(not_one_of("figure", self.names, name))
         found = [result.get(name) for result in self.results]
         values = np.array([math.nan if value is None else value for value in found], dtype=np.float64)
         return values.reshape([len(given) for given in self.varied.values()])

@@ -6,17 +6,17 @@ Excesses over the device's limits are included.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.frames import AXES, Array, Mask
-from maglev_mj.scenes.figures import Figure
+from maglev_mj.frames import Array, Mask
+from maglev_mj.scenes.figures import unit_along
 from maglev_mj.scenes.run import Phases, Result
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import RANGE, Spec
-from maglev_mj.terminal import WIDTH, cell, printable, wrapped
+from maglev_mj.terminal import WIDTH, printable, wrapped
 
 if TYPE_CHECKING:
     from maglev_mj.studies.sweep import Sweep
@@ -24,12 +24,6 @@ if TYPE_CHECKING:
 __all__ = ["run_table", "sweep_table"]
 
 _NAME, _LEAST = 13, 12
-_MOST_SHOWN = 4
-_SHARES = 50.0, 5.0, 95.0
-_TURNING = {
-    **{"m": "rad", "mm": "mrad", "µm": "µrad", "m/s": "rad/s", "mm/s": "mrad/s"},
-    **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N s/m": "N m s/rad"},
-}
 
 
 def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: float | None) -> str:
@@ -45,16 +39,16 @@ def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: 
     exact = scene.compared(first)
     runs = {
         **{
-            label: [_cell(figure, one.figures[name]) for name, figure in scene.figures.items()]
+            label: [figure.text(one.figures[name]) for name, figure in scene.figures.items()]
             for label, one in results.items()
         },
         **{
-            label: [_cell(figure, told.get(name, np.nan)) for name, figure in scene.figures.items()]
+            label: [figure.text(told.get(name, np.nan)) for name, figure in scene.figures.items()]
             for label, told in exact.items()
         },
     }
     spreads = {
-        label: [_spread(figure, sweep.figures[name]) for name, figure in scene.figures.items()]
+        label: [figure.spread(sweep.figures[name]) for name, figure in scene.figures.items()]
         for label, sweep in sweeps.items()
     }
     where = f"at phase {first.phase:g}" if scene.takes_phase else ""
@@ -68,7 +62,7 @@ def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: 
         list(results), [one.trace.furthest() for one in results.values()], [one.furthest for one in sweeps.values()]
     )
     if gap is not None:
-        remarks.append(f"MuJoCo and the exact plant differ by at most {gap:.1e} {_unit(scene, 'm')}")
+        remarks.append(f"MuJoCo and the exact plant differ by at most {gap:.1e} {unit_along(scene.axis, 'm')}")
     told = [line for remark in remarks for line in wrapped(remark, further="    ")]
     return "\n".join([*lines, *(["", *told] if told else [])])
 
@@ -80,7 +74,7 @@ def _head(scene: Scene, plant: str) -> list[str]:
         value = getattr(scene, one.name)
         if one.name in ("period", "delay") or one.kind in (object, bool) or value is None:
             continue
-        text = f"{value:.6g} {_unit(scene, one.unit)}".rstrip() if one.kind in (int, float) else str(value)
+        text = f"{value:.6g} {unit_along(scene.axis, one.unit)}".rstrip() if one.kind in (int, float) else str(value)
         shown.append(f"{one.name.replace('_', ' ')} {text}")
     # a name, its number and its unit stay on one line
     lines = wrapped(", ".join(text.replace(" ", "\0") for text in shown))
@@ -108,7 +102,7 @@ def _blocks(scene: Scene, blocks: Sequence[tuple[str, Mapping[str, Sequence[str]
     Columns beyond the width go on below.
     """
     names = [name.replace("_", " ") for name in scene.figures]
-    units = [_unit(scene, figure.unit) for figure in scene.figures.values()]
+    units = [unit_along(scene.axis, figure.unit) for figure in scene.figures.values()]
     left = max([_NAME, *map(len, names)]) + 2
     room = WIDTH - left - 2 - max(map(len, units), default=0)
     parts = [(title, _columns(columns)) for title, columns in blocks]
@@ -141,29 +135,6 @@ def _fitting(columns: Sequence[list[str]], room: int) -> list[list[list[str]]]:
     return groups
 
 
-def _spread(figure: Figure, values: Any) -> str:
-    """Return median and 5 to 95 % over phases, hits."""
-    pooled = np.ravel(values) if np.ndim(values) > 1 else values
-    return _cell(figure, *(figure.percentile(pooled, share) for share in _SHARES))
-
-
-def _cell(figure: Figure, value: Any, *bounds: Any) -> str:
-    """Return one or several values, or a median with bounds.
-
-    Bounds only if they differ.
-    """
-    values = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    if values.size > _MOST_SHOWN:
-        return f"{_number(figure, values.min())} to {_number(figure, values.max())}"
-    text = "/".join(_number(figure, one) for one in values)
-    around = [_number(figure, bound) for bound in bounds]
-    return f"{text} ({around[0]} to {around[1]})" if len(set(around)) > 1 else text
-
-
-def _number(figure: Figure, value: float) -> str:
-    return f"{value:zg}" if not figure.unit and np.isfinite(value) else cell(value, figure.scale)
-
-
 def _missing(sweeps: Mapping[str, Phases]) -> list[str]:
     """Return a line for each figure missing at some phases."""
     lines = []
@@ -173,11 +144,6 @@ def _missing(sweeps: Mapping[str, Phases]) -> list[str]:
             if there < len(values):
                 lines.append(f"{label}: {name.replace('_', ' ')} is there at {there} of {len(values)} phases")
     return lines
-
-
-def _unit(scene: Scene, unit: str) -> str:
-    turns = AXES.index(scene.axis) >= 3
-    return _TURNING.get(unit, unit) if turns else unit
 
 
 _ROUNDING = 1.0 + 1e-9

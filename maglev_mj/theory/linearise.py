@@ -8,16 +8,17 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import Array, Mask, Sample, components
+from maglev_mj.frames import AXES, Array, Mask, Sample, components
 from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.spec import INERTIA
+from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import SampledLoop
 
 __all__ = ["ClosedLoop", "Linearised", "check_controller", "linearise", "loop_matrices"]
@@ -43,7 +44,7 @@ Shares of the largest answer: below the first an answer counts as zero, above th
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Linearised:
+class Linearised(Tabular):
     """Controller linearised at a pose.
 
     Attributes:
@@ -59,6 +60,30 @@ class Linearised:
     response: Array
     jumps: Mask
     settled: Mask
+    drawn_by: ClassVar = "maglev_mj.plots.poles:impulse_response"
+
+    def columns(self) -> dict[str, Array]:
+        """Return the time and each response that is not zero, (M,) each: `z.x` is along z to a displacement along x."""
+        found: dict[str, Array] = {"time": np.linspace(0.0, (len(self.response) - 1) * self.period, len(self.response))}
+        for to, come in zip(*np.nonzero(self.response.any(axis=0))):
+            found[f"{AXES[to]}.{AXES[come]}"] = self.response[:, to, come]
+        return found
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        force = {to: "N" if to in AXES[:3] else "N m" for to in AXES}
+        pairs = [(to, come) for to in AXES for come in AXES]
+        return {"time": "s"} | {
+            f"{to}.{come}": f"{force[to]}/{'m' if come in AXES[:3] else 'rad'}" for to, come in pairs
+        }
+
+    def table(self) -> Table:
+        """Return stiffness and damping of each axis against its own motion."""
+        gains = zip(AXES, np.diag(self.stiffness).tolist(), np.diag(self.damping).tolist(), self.jumps, self.settled)
+        head = "axis", "stiffness [N/m, N m/rad]", "damping [N s/m, N m s/rad]", "wrench jumps", "settles"
+        rows = [(*row[:3], *("yes" if part else "no" for part in row[3:])) for row in gains]
+        return Table(f"controller linearised, {1.0 / self.period:g} Hz", head, rows)
 
     @property
     def stiffness(self) -> Array:
@@ -129,7 +154,7 @@ class Linearised:
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoop:
+class ClosedLoop(Tabular):
     """Closed loop as a discrete-time state-space system.
 
     s[k+1] = matrix s[k] + enters w[k]; position[k] = seen s[k], with w a wrench held from sample to sample.
@@ -145,11 +170,34 @@ class ClosedLoop:
     enters: Array
     seen: Array
     period: float
+    drawn_by: ClassVar = "maglev_mj.plots.poles:pole_map"
+
+    @property
+    def eigenvalues(self) -> NDArray[np.complex128]:
+        """Eigenvalues of the matrix, the largest modulus first, (S,)."""
+        found = np.linalg.eigvals(self.matrix).astype(np.complex128)
+        return found[np.argsort(-np.abs(found))]
 
     @property
     def modulus(self) -> float:
         """Largest eigenvalue modulus; below 1 the loop is stable."""
-        return float(np.abs(np.linalg.eigvals(self.matrix)).max())
+        return float(np.abs(self.eigenvalues[0]))
+
+    def columns(self) -> dict[str, Array]:
+        """Return the eigenvalues, the largest modulus first, (S,) each."""
+        poles = self.eigenvalues
+        frequency = np.abs(np.angle(poles)) / (2.0 * np.pi * self.period)
+        return {"real": poles.real, "imaginary": poles.imag, "modulus": np.abs(poles), "frequency": frequency}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        return {"frequency": "Hz"}
+
+    def table(self) -> Table:
+        """Return the first eigenvalues."""
+        word = "stable" if self.modulus < 1.0 else "not stable"
+        return super().table()._replace(title=f"closed loop, {word}: largest modulus {self.modulus:.4g}")
 
     def to_statespace(self) -> Any:
         """Return python-control's StateSpace: from a hand's wrench to the position.

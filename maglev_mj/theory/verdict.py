@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress, product
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
@@ -19,7 +19,8 @@ from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.model import load
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import INERTIA, RANGE
-from maglev_mj.theory.closed_loop import largest_modulus
+from maglev_mj.tabular import Table, Tabular
+from maglev_mj.theory.closed_loop import SampledLoop, largest_modulus
 from maglev_mj.theory.linearise import Linearised, check_controller, linearise, loop_matrices
 
 __all__ = ["Judged", "Verdict", "inertia_of", "judge", "stability", "stated_gains"]
@@ -43,7 +44,7 @@ _SCALE = np.array([1.0] * 3 + [10.0] * 3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Verdict:
+class Verdict(Tabular):
     """Stability verdict with the worst closed loop of a controller.
 
     Attributes:
@@ -68,10 +69,28 @@ class Verdict:
     pose: Array
     stiffness: Array
     damping: Array
+    eigenvalues: NDArray[np.complex128]
     stated: bool
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
     unknown: Array = field(default_factory=lambda: np.zeros((0, 6)))
     away: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    drawn_by: ClassVar = "maglev_mj.plots.poles:pole_map"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return pose, stiffness and damping of each axis against its own motion, (6,) each."""
+        gains = {"stiffness": np.diag(self.stiffness), "damping": np.diag(self.damping)}
+        return {"axis": np.array(AXES), "pose": self.pose, **gains}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column, of a translation and of a rotation."""
+        return {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
+
+    def table(self) -> Table:
+        """Return the gains that act at the pose of the worst loop."""
+        acting = f", with {' and '.join(self.acting)}" if self.acting else ""
+        remarks = "".join(f"; {remark}" for remark in self.remarks)
+        return super().table()._replace(title=f"{self}{acting}{remarks}")
 
     def __str__(self) -> str:
         word = {True: "stable", False: "UNSTABLE", None: "not known"}[self.stable]
@@ -218,7 +237,7 @@ def _by_gains(
 ) -> Verdict:
     """Return the verdict from stated gains, in closed form."""
     worst: tuple[bool, float] = False, -1.0
-    verdict: Verdict | None = None
+    found: tuple[int, tuple[str, ...]] = 0, ()
     for acting, (stiffness, damping) in gains.items():
         velocity: Any = controller.velocity
         loop = {"period": controller.period, "delay": delay, "mass": body, "velocity": velocity}
@@ -228,18 +247,21 @@ def _by_gains(
         for index in range(len(AXES)):
             if wrong[index] > worst[0] or (wrong[index] == worst[0] and modulus[index] > worst[1] * (1.0 + _ROUNDING)):
                 worst = bool(wrong[index]), float(modulus[index])
-                verdict = Verdict(
-                    stable=not worst[0],
-                    modulus=worst[1],
-                    axes=(AXES[index],),
-                    acting=acting,
-                    pose=pose,
-                    stiffness=np.diag(stiffness),
-                    damping=np.diag(damping),
-                    stated=True,
-                )
-    assert verdict is not None
-    return verdict
+                found = index, acting
+    index, acting = found
+    stiffness, damping = gains[acting]
+    around = SampledLoop(period=controller.period, delay=delay, mass=body[index], velocity=controller.velocity)
+    return Verdict(
+        stable=not worst[0],
+        modulus=worst[1],
+        axes=(AXES[index],),
+        acting=acting,
+        pose=pose,
+        stiffness=np.diag(stiffness),
+        damping=np.diag(damping),
+        eigenvalues=np.linalg.eigvals(around.matrix(stiffness[index], damping[index])).astype(np.complex128),
+        stated=True,
+    )
 
 
 class _Loop(NamedTuple):
@@ -277,11 +299,13 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
     lost = [loop for loop in away if not judged.issuperset(loop.axes)]
     nowhere = set(range(len(AXES))) - judged - {axis for loop in lost for axis in loop.axes}
     worst: tuple[bool, float, _Loop | None] = False, np.nan, None
-    for loop, modulus in _moduli(loops + lost, delay, body):
+    eigenvalues = np.empty(0, dtype=np.complex128)
+    for loop, roots in _roots(loops + lost, delay, body):
+        modulus = float(np.abs(roots).max())
         free = np.abs(loop.stiffness).min() <= _FREE * max(_FREE, np.abs(loop.scaled).max())
         wrong = modulus >= 1.0 + (_FREE if free else -_ROUNDING)
         if worst[2] is None or wrong > worst[0] or (wrong == worst[0] and modulus > worst[1] * (1.0 + _ROUNDING)):
-            worst = wrong, modulus, loop
+            worst, eigenvalues = (wrong, modulus, loop), roots
     unstable, modulus, found = worst
     known = bool(unstable) or not (unknown or nowhere)
     return Verdict(
@@ -291,6 +315,7 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
         pose=pose if found is None else found.near.pose,
         stiffness=np.full((6, 6), np.nan) if found is None else found.near.stiffness,
         damping=np.full((6, 6), np.nan) if found is None else found.near.damping,
+        eigenvalues=eigenvalues,
         stated=False,
         jumps=_distinct(jumps),
         unknown=_distinct(unknown),
@@ -298,8 +323,8 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
     )
 
 
-def _moduli(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[_Loop, float]]:
-    """Yield different loops with their largest modulus.
+def _roots(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[_Loop, NDArray[np.complex128]]]:
+    """Yield different loops with their eigenvalues.
 
     Loops of one size are computed at once.
     """
@@ -317,8 +342,7 @@ def _moduli(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple
         response = np.array([loop.near.response[:memory, chosen][:, :, chosen] for loop in different])
         period = different[0].near.period
         matrices = loop_matrices(response, period=period, delay=delay, inertia=body[chosen])
-        moduli = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
-        yield from zip(different, moduli.tolist(), strict=True)
+        yield from zip(different, np.linalg.eigvals(matrices).astype(np.complex128), strict=True)
 
 
 def _coupled(scaled: Array) -> list[tuple[int, ...]]:

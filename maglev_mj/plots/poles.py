@@ -1,0 +1,60 @@
+"""Pictures of a linearised controller: its impulse response, and the eigenvalues of its closed loop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.colours import REFERENCE, SERIES
+from maglev_mj.plots.drawing import FIRST, SECOND, TITLE, name_curves, new_figure
+from maglev_mj.theory import ClosedLoop, Linearised, Verdict
+
+__all__ = ["impulse_response", "pole_map"]
+
+
+def pole_map(loop: ClosedLoop | Verdict) -> Any:
+    """Return a figure of the closed loop's eigenvalues in the unit circle.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    figure, (panel,) = new_figure(1, 1, 5.4)
+    turn = np.linspace(0.0, 2.0 * np.pi, 361)
+    panel.plot(np.cos(turn), np.sin(turn), color=REFERENCE, linewidth=1.2, label="unit circle: boundary of stability")
+    outside = np.abs(loop.eigenvalues) >= 1.0
+    for chosen, color, label in (
+        (~outside, FIRST, "eigenvalues inside"),
+        (outside, SECOND, "outside, or on it"),
+    ):
+        poles = loop.eigenvalues[chosen]
+        if poles.size:
+            panel.plot(poles.real, poles.imag, "x", color=color, markersize=9, markeredgewidth=2.0, label=label)
+    panel.set_aspect("equal")
+    panel.set_xlabel("real part")
+    panel.set_ylabel("imaginary part")
+    panel.set_title(f"largest modulus {loop.modulus:.4g}", **TITLE)
+    name_curves(figure, [panel])
+    return figure
+
+
+def impulse_response(near: Linearised) -> Any:
+    """Return a figure of the wrench at each sample after a unit displacement at the first.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    columns = near.columns()
+    time = columns.pop("time") * 1e3
+    groups = {"force to a displacement": ("N/m", "N/rad"), "torque to a displacement": ("N m/m", "N m/rad")}
+    shown = {title: [name for name in columns if near.units[name] in units] for title, units in groups.items()}
+    shown = {title: names for title, names in shown.items() if names} or shown
+    figure, panels = new_figure(1, len(shown), 4.0)
+    for panel, (title, names) in zip(panels, shown.items()):
+        for index, name in enumerate(names):
+            color = SERIES[index % len(SERIES)]
+            panel.plot(time, columns[name], "o:", color=color, markersize=7 - 2 * (index % 3), label=name)
+        panel.set_title(f"{title} ({', '.join(dict.fromkeys(near.units[name] for name in names))})", **TITLE)
+        panel.set_xlabel("time after it (ms)")
+        name_curves(panel)
+    return figure
