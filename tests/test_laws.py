@@ -205,6 +205,15 @@ def test_critically_damped_hold_is_stable_at_every_delay(period: float, share: f
     assert damping == pytest.approx(2.0 * 0.7 * frequency)
 
 
+def test_a_critically_damped_hold_is_of_the_published_device_by_default() -> None:
+    axes, timing = ("rz", "x"), {"period": 0.005, "delay": 0.0015}
+    default, given = (
+        Hold.critically_damped(axes, **timing),
+        Hold.critically_damped(axes, inertia=[8.2e-4, 0.7], **timing),
+    )
+    assert np.array_equal(default.stiffness, given.stiffness) and np.array_equal(default.damping, given.damping)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

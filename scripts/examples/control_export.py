@@ -1,4 +1,6 @@
-"""Export to python-control: poles and step response of a wall, beside this package's own answers.
+"""Export to python-control: poles and step response.
+
+Both stand beside this package's own answers.
 
 pip install control
 """

@@ -1,4 +1,4 @@
-"""Own scene: a row of detents along x, with a law of its own.
+"""Own scene: detents along x, with their own law.
 
 maglev-mj run scripts/examples/detents.py --stiffness 3000 --out figures
 maglev-mj view scripts/examples/detents.py --web
@@ -10,7 +10,10 @@ from maglev_mj import AXES, AxisLaw, Hold, Scene, Start, gain, param, run
 
 
 class Detent(AxisLaw):
-    """Sine detents: -stiffness pitch / 2π sin(2π x / pitch) - damping v."""
+    """Detents as a sine of the position.
+
+    f = -stiffness pitch / 2π sin(2π x / pitch) - damping v
+    """
 
     pitch: float = gain("distance between detents", "m", above=0.0)
     stiffness: float = gain("stiffness at the bottom of one", "N/m")
@@ -40,7 +43,7 @@ class Detents(Scene):
         return [detent, Hold.critically_damped(AXES[1:], period=self.period, delay=self.delay)]
 
     def start(self):
-        """Return the start: at rest beside the detent, the weight carried."""
+        """Return the state beside the detent, the weight carried."""
         return Start(pose=(self.away, 0.0, 0.0, 0.0, 0.0, 0.0), gravity=0.0)
 
 

@@ -1,4 +1,4 @@
-"""Gymnasium environment: an agent moves the flotor to a target by force, while a hand pushes it along z."""
+"""Gymnasium environment: an agent moves the flotor to a target."""
 
 import gymnasium
 import numpy as np
@@ -14,9 +14,9 @@ FORCE, PUSH, REACH, SAMPLES = 20.0, 4.0, RANGE[2], 200
 class TargetEnv(gymnasium.Env):
     """Move the flotor to a target.
 
-    The weight is carried; the seed draws target and push. Action (1,): force as a share of 20 N. Observation (3,):
-    height, height one sample before, target [m]. Reward of a sample: 1 on the target, 0 at 9 mm from it. An episode
-    terminates 4.5 mm off the centre and is truncated after 1 s.
+    All acts along z; the weight is carried; the seed draws the target and a hand's push. Action (1,): force as a share
+    of 20 N. Observation (3,): height, height one sample before, target [m]. Reward of a sample: 1 on the target, 0 at
+    9 mm from it. An episode terminates 4.5 mm off the centre and is truncated after 1 s.
     """
 
     action_space = Box(-1.0, 1.0, (1,), np.float64)

@@ -1,4 +1,4 @@
-"""A program that watches a scene over the Foxglove protocol, and sets it.
+"""Watch and set a scene over the Foxglove protocol.
 
     maglev-mj view --foxglove                                  # or bridge, or twin: in another terminal
     python scripts/examples/live_client.py [ws://127.0.0.1:8765] [--seconds X] [--set NAME=VALUE]
@@ -32,7 +32,7 @@ PATIENCE = 30.0
 
 
 class Message(NamedTuple):
-    """What was logged: its topic, when [ns], and its fields."""
+    """Logged message: topic, time [ns], and fields."""
 
     topic: str
     time: int
@@ -78,7 +78,10 @@ class LiveClient:
         return {one["name"]: one["value"] for one in said["parameters"]}
 
     def set(self, **values: Any) -> dict[str, Any]:
-        """Ask for parameters, wait until they are in force or refused, and return which; see docs/reference/live.md."""
+        """Set parameters and return the answer.
+
+        It waits until they are in force or refused; see docs/reference/live.md.
+        """
         if "/maglev/set" not in self._services:
             self.heard(lambda said: said["op"] == "advertiseServices")
         head = struct.pack("<BIII", CALL, self._services["/maglev/set"], 0, 4)
@@ -94,7 +97,10 @@ class LiveClient:
         self._line.close_socket()
 
     def heard(self, so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Wait for something that is no message, and return it; messages are kept."""
+        """Wait for an answer of some kind and return it.
+
+        Logged messages that arrive meanwhile are kept.
+        """
         end = time.monotonic() + PATIENCE
         while time.monotonic() < end:
             said = self._hear(end - time.monotonic())
@@ -103,7 +109,7 @@ class LiveClient:
         raise TimeoutError(f"no answer from {self._url}")
 
     def _hear(self, seconds: float) -> dict[str, Any] | None:
-        """Take what comes next; return it if it is no message."""
+        """Receive one frame; return it unless it is logged data."""
         try:
             data = self._line.recv(timeout=max(seconds, 0.0))
         except TimeoutError:
@@ -133,7 +139,7 @@ class LiveClient:
 
 
 def reader(encoding: str, name: str, schema: bytes) -> Callable[[bytes], Any]:
-    """Return what reads the messages of a channel, which says how."""
+    """Return a decoder of a channel's messages."""
     if encoding == "json":
         return json.loads
     pool = DescriptorPool()

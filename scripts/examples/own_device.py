@@ -1,4 +1,6 @@
-"""Own device: a heavier flotor and stronger coils further out, as an MJCF file, dropped on a wall.
+"""Own device: an MJCF file, dropped on a wall.
+
+The flotor is heavier, the coils are stronger and further out.
 
 Numbers alone need no file: `mass`, `inertia` and `driver_time_constant` are keywords of both plants, and `coil_map`
 of the MuJoCo plant.
@@ -29,7 +31,10 @@ def write_device(path):
 
 
 def deepest(model):
-    """Return the penetration of a drop from 3 mm [m]; no coil takes more than 10 A."""
+    """Return the penetration of a drop from 3 mm [m].
+
+    No coil takes more than 10 A.
+    """
     timing, device = Timing(), load(model)
     inertia = [device.mass, device.mass, *device.inertia]
     others = Hold.critically_damped(OTHERS, period=timing.period, delay=timing.delay, inertia=inertia)

@@ -1,4 +1,4 @@
-"""Own law: a push button along z that clicks, pressed by a hand and let up again.
+"""Own law: a push button along z that clicks.
 
 Its spring gives way beyond the travel and recovers at half of it. The law remembers on each axis whether it is down.
 """
@@ -20,7 +20,7 @@ class Button(AxisLaw):
     left: float = gain("share of the stiffness that is left when it is down", default=0.3)
 
     def force(self, x, v, gains, state):
-        """Return the force on one axis [N], and whether the button is down."""
+        """Return the force on one axis [N], and the state."""
         depth = np.maximum(-x, 0.0)
         was_down = False if state is None else state
         down = (depth > gains.travel) | (was_down & (depth > 0.5 * gains.travel))
@@ -29,13 +29,16 @@ class Button(AxisLaw):
 
 
 def controller_of(button, timing):
-    """Return a controller of the button that holds the other axes."""
+    """Return a controller: button along z, other axes held."""
     others = Hold.critically_damped(("x", "y", "rx", "ry", "rz"), period=timing.period, delay=timing.delay)
     return Controller([button, others], period=timing.period)
 
 
 def press(button, timing):
-    """Return depth [m] and force [N] at each sample while a hand presses 4 mm and returns."""
+    """Return depth [m] and force [N] at samples, (2, N).
+
+    A hand presses towards 4 mm and returns.
+    """
     path = Trajectory([0.8, 1.6], [[0.0, 0.0, -0.004, 0.0, 0.0, 0.0], [0.0] * 6])
     plant = ExactPlant(timing, gravity=0.0, hand_force=SpringHand(stiffness=2000.0, damping=20.0, target=path))
     rows = []

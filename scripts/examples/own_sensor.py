@@ -1,4 +1,6 @@
-"""Own sensor: the mean of the last samples, which is late, and its price at a wall.
+"""Own sensor: the mean of the last samples.
+
+Its delay makes a stiff wall bounce.
 
 A sensor has `start()`, which returns a function from the six true components to the six measured ones. It is called at
 each sample, with floats for one device and with arrays for N.
@@ -12,12 +14,12 @@ from maglev_mj.scenes.drop import Drop
 
 @dataclass(frozen=True)
 class AveragingSensor:
-    """The mean of the true pose over the last `count` samples."""
+    """Mean of the true pose over the last samples."""
 
     count: int
 
     def start(self):
-        """Return what measures one run."""
+        """Return the measuring function of one run."""
         kept = []
 
         def measure(position):

@@ -1,4 +1,6 @@
-"""Own study on a Dask cluster: the click of a button, over its stiffness and the sample rate.
+"""Own study on Dask: the click of a button.
+
+It varies the button's stiffness and the sample rate.
 
     python scripts/examples/own_study.py [tcp://SCHEDULER:8786]
 
@@ -21,7 +23,7 @@ RATES, STIFFNESSES = (200.0, 500.0, 1000.0), (2000.0, 3000.0, 4000.0)
 
 
 def clicks(cells):
-    """Return the force that is lost in the click of each cell [N]."""
+    """Return the force lost in the click, by cell [N]."""
     found = []
     for cell in cells:
         period = 1.0 / cell["rate"]

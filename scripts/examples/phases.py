@@ -1,4 +1,6 @@
-"""Statistics over phases of the sampler: a drop on a wall with and without the braking pulse.
+"""Statistics over phases of the sampler.
+
+A drop on a wall, with and without the braking pulse.
 
 The flotor meets the wall at some instant between two samples, and the bounce depends on it. One run is one case; the
 median and the 5th to 95th percentile over all phases describe the wall.

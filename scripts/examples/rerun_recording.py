@@ -1,4 +1,6 @@
-"""What Rerun makes of a recording: the flotor's transform, and a field of its samples as scalars.
+"""Read a recording with Rerun.
+
+It finds the flotor's transform, and a field of its samples as scalars.
 
     pip install rerun-sdk && python scripts/examples/rerun_recording.py run.mcap [position.z]
 
@@ -18,7 +20,7 @@ MESSAGE = "maglev_mj.Sample:message"
 
 
 def columns(stream: Any, entity: str, name: str) -> list[Any]:
-    """Return the values of a component of an entity, in the order of time."""
+    """Return the values of an entity's component over time."""
     found: list[Any] = []
     for chunk in stream:
         batch = chunk.to_record_batch()
@@ -29,7 +31,10 @@ def columns(stream: Any, entity: str, name: str) -> list[Any]:
 
 
 def main() -> None:
-    """Print where the flotor is by its transform, and by a field of the samples."""
+    """Print the flotor's position.
+
+    It stands in the transform, and in a field of the samples.
+    """
     path, field = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else "position.z"
     reader = McapReader(path)
     names = columns(reader.stream(), "/tf", "Transform3D:child_frame")

@@ -1,4 +1,7 @@
-"""Figure 2: level sets of the largest root modulus over (c_p, c_v), with one sample of delay and with the device's."""
+"""Draw figure 2: level sets of the largest root modulus.
+
+Over the gains (c_p, c_v), with one sample of delay and with the device's delay.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +19,9 @@ pictures = script_options(__doc__).pictures
 
 
 def draw(cases: Sequence[tuple[str, Array, Array, Array, tuple[float, float]]], path: Path) -> Path:
-    """Draw level sets of the largest modulus over (c_p, c_v), as figure 2 does, the maximum of c_p marked.
+    """Draw level sets of the largest modulus over (c_p, c_v).
+
+    The maximum of c_p is marked, as in figure 2.
 
     Args:
         cases: Title, values of c_v (B,) and c_p (K,), modulus (K, B), and the maximum (c_v, c_p) of each panel.

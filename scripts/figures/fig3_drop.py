@@ -1,4 +1,7 @@
-"""Figure 3: height and force of the flotor dropped on an emulated wall, by both readings of the braking pulse."""
+"""Draw figure 3: height and force in a drop.
+
+The flotor falls on an emulated wall, with both readings of the braking pulse.
+"""
 
 from maglev_mj import plots
 from maglev_mj.cli.pictures import script_options

@@ -1,4 +1,7 @@
-"""Figure 4: the drop in the phase plane, by both readings of the pulse, beside the ideal analog wall."""
+"""Draw figure 4: the drop in the phase plane.
+
+Both readings of the pulse, beside the ideal analog wall.
+"""
 
 from maglev_mj import plots
 from maglev_mj.cli.pictures import script_options

@@ -1,4 +1,7 @@
-"""Figure 6: position and control force while a hand hits the wall several times and then presses against it."""
+"""Draw figure 6: position and force of a press.
+
+A hand hits the wall several times, then presses against it.
+"""
 
 from maglev_mj import plots
 from maglev_mj.cli.pictures import script_options

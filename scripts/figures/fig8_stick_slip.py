@@ -1,4 +1,7 @@
-"""Figure 8: the flotor pulled out of emulated friction by a virtual spring, against exact Karnopp friction."""
+"""Draw figure 8: stick-slip under a virtual spring.
+
+The flotor is pulled out of emulated friction, beside exact Karnopp friction.
+"""
 
 from maglev_mj import plots
 from maglev_mj.cli.pictures import script_options

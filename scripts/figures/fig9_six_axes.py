@@ -1,4 +1,7 @@
-"""Figure 9: all six axes in stick-slip while a smooth seeded hand moves the flotor, a staircase on each axis."""
+"""Draw figure 9: all six axes in stick-slip.
+
+A smooth seeded hand moves the flotor; each axis shows a staircase.
+"""
 
 import itertools
 

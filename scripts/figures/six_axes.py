@@ -1,4 +1,7 @@
-"""All six axes in stick-slip while a hand moves the flotor: figure 9 of Salcudean and Vlaar (1997)."""
+"""Stick-slip on all six axes, moved by a hand.
+
+Figure 9 of Salcudean and Vlaar (1997).
+"""
 
 from __future__ import annotations
 
@@ -25,7 +28,9 @@ _RADIUS = np.sqrt(np.array(INERTIA) / INERTIA[0])
 
 
 class _Hand:
-    """A spring on each axis whose far end moves smoothly: a sum of three seeded sines, slow enough to stick.
+    """Spring on each axis, its far end moved smoothly.
+
+    The motion is a sum of three seeded sines, slow enough to stick.
 
     It pulls at the flotor from where that truly is, held from one sample to the next. The spring of a rotation turns by
     one component of the rotation vector, about that axis of the stator.
@@ -38,7 +43,7 @@ class _Hand:
         self._stiffness, self._reach = stiffness, reach
 
     def __call__(self, tick: int, time: Component, state: Callable[[], tuple[Array, Array]]) -> Sequence[Component]:
-        """Pull towards where the far end is now; see `HandForce`."""
+        """Pull towards the spring's far end; see `HandForce`."""
         waves = np.sin(2.0 * math.pi * self._frequency * time + self._phase) - np.sin(self._phase)
         target = self._reach / 3.0 * waves.sum(axis=0)
         pull: list[Component] = (self._stiffness * (target - state()[0])).tolist()
@@ -47,7 +52,7 @@ class _Hand:
 
 @dataclass(frozen=True, eq=False)
 class SixAxesResult:
-    """What the samples saw.
+    """Samples of a run in stick-slip.
 
     Attributes:
         time: Sample times [s], (K,).
@@ -65,7 +70,9 @@ class SixAxesResult:
 
     @property
     def stretch(self) -> tuple[Array, Array]:
-        """Bounds of the distance from the stick position at which each axis breaks away [m, rad], (6,) each.
+        """Bounds of the distance at breakaway [m, rad], (6,) each.
+
+        The distance of each axis is from its stick position.
 
         Before every slip one sample still sticks and the next one does not: the greatest of the former and the least
         of the latter hold the true distance between them.
@@ -75,7 +82,7 @@ class SixAxesResult:
         return np.where(held, distance, 0.0).max(axis=0), np.where(gone, distance, np.inf).min(axis=0)
 
     def steps(self, least: float = 0.04) -> list[Array]:
-        """Return the distances between successive resting places, for each axis [m, rad].
+        """Return distances between successive resting positions [m, rad], by axis.
 
         A resting place is a stick position kept for at least `least` [s]: after most breakaways the law sticks once
         more, for 15 to 20 ms, and the hand pulls on.
@@ -106,7 +113,9 @@ def run_six_axes(
     phase: float = 0.0,
     hand_stiffness: float = 1500.0,
 ) -> SixAxesResult:
-    """Move the flotor about by a smooth seeded hand, with figure 8's stick-slip on every axis.
+    """Move the flotor by a smooth seeded hand.
+
+    Figure 8's stick-slip acts on every axis.
 
     On rotation axes figure 8's values are taken at the radius of gyration. Gravity is compensated.
 
