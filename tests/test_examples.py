@@ -41,7 +41,7 @@ RunExample = Callable[..., list[list[float]]]
 
 @pytest.fixture
 def run_example(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> RunExample:
-    """Return a function that runs an example in this process, and returns the numbers of each line it prints."""
+    """Return a function from an example to its printed numbers."""
 
     def run(name: str, *arguments: str) -> list[list[float]]:
         path = str(EXAMPLES / f"{name}.py")
