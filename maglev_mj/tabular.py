@@ -1,4 +1,4 @@
-"""Results as data frames, pictures and the tables of a notebook, all in the same way."""
+"""Results as data frames, pictures and tables of a notebook."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Table(NamedTuple):
 
 
 class Tabular:
-    """Result with a data frame, a picture, and a table in notebooks.
+    """Result with data frame, picture and table.
 
     A subclass gives `columns` and `units`; `table` for a table other than the first rows of the columns.
 
@@ -67,7 +67,9 @@ class Tabular:
         return Table(type(self).__name__.lower(), head, rows, note)
 
     def to_pandas(self) -> DataFrame:
-        """Return the columns as a data frame; `attrs["units"]` has their units.
+        """Return the columns as a data frame.
+
+        Its `attrs["units"]` has their units.
 
         Raises:
             MissingPackageError: If pandas is not installed.
@@ -106,7 +108,10 @@ def _cells(tag: str, values: Sequence[Any]) -> str:
 
 
 def _text(value: Any) -> str:
-    """Return a number to four digits, a dash for one that is not there; anything else as it is."""
+    """Return a value as text, numbers to four digits.
+
+    NaN is a dash.
+    """
     if not isinstance(value, float):
         return str(value)
     if math.isnan(value):

@@ -79,7 +79,9 @@ class Trace(Tabular):
     drawn_by: ClassVar = "maglev_mj.plots.recorded:trace"
 
     def columns(self) -> dict[str, Array]:
-        """Return the knots of one device, a column for each coordinate, such as `pose.z`, (K,) each.
+        """Return the knots, a column for each coordinate, (K,) each.
+
+        Such as `pose.z`.
 
         Raises:
             ParameterError: If the trace is not of one device on six axes.

@@ -1,4 +1,4 @@
-"""Results as data frames, pictures and tables: the numbers in them are those of the result."""
+"""Numbers in data frames, pictures and tables of results."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ def test_a_sweep_has_a_row_for_each_cell_and_a_line_for_each_value() -> None:
     assert failed["error"][0] == "" and "diverged" in failed["error"][1] and np.isnan(failed["penetration"][1])
     with pytest.raises(ParameterError, match="a sweep must vary a parameter to be drawn, not none"):
         sweep(Drop(), {}, plant="exact").plot()
-    with pytest.raises(ParameterError, match="figure must be one of penetration, .* not 'penetraton'; did you mean"):
+    with pytest.raises(ParameterError, match=r"figure must be one of penetration, .* not 'penetraton'; did you mean"):
         found.figure("penetraton")
     walls = sweep(find_scene("wall"), {"stiffness": [7000.0, 11000.0]}, plant="exact")
     assert list(walls.to_pandas()["simulated_stable"]) == [1.0, 0.0] and len(walls.plot().axes) == 6

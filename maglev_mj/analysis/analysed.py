@@ -64,7 +64,10 @@ class Analysed(Tabular):
     drawn_by: ClassVar = "maglev_mj.plots.recorded:analysed"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return time, recorded and simulated positions of each sample, (N,) each; NaN where the simulation ended."""
+        """Return time, recorded and simulated positions, (N,) each.
+
+        A simulation that ended early goes on with NaN.
+        """
         sides = {"recorded": self.recorded, "simulated": self.simulated}
         time = self.recorded.motion.time
         found = {"time": time}
@@ -82,7 +85,7 @@ class Analysed(Tabular):
         return {"time": "s"} | {f"{side}.{axis}": "m" if axis in AXES[:3] else "rad" for side in sides for axis in AXES}
 
     def table(self) -> Table:
-        """Return what was identified, with the ends of the 95 % intervals."""
+        """Return the identified quantities with their 95 % intervals."""
         found = self.identified
         parts: dict[str, Any] = {AXES[axis]: one for axis, one in found.axes.items()}
         parts |= {f"wall {one.name}": one for one in found.walls}

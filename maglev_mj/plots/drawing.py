@@ -135,7 +135,12 @@ def save(figure: Any, path: Path | None) -> Any: ...
 
 
 def save(figure: Any, path: Path | None) -> Any:
-    """Write the figure in its path's format; return the path."""
+    """Write the figure in its path's format; return the path.
+
+    Without a path, return the figure.
+    """
+    if path is None:
+        return figure
     figure.savefig(path, dpi=150, **({"pil_kwargs": {"optimize": True}} if path.suffix == ".png" else {}))
     return path
 

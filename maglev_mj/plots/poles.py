@@ -1,4 +1,4 @@
-"""Pictures of a linearised controller: its impulse response, and the eigenvalues of its closed loop."""
+"""Pictures of linearised controllers and their closed loops."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from maglev_mj.theory import ClosedLoop, Linearised, Verdict
 
 __all__ = ["impulse_response", "pole_map"]
 
+_FREE = 1e-6  # to which the double root at 1 of an axis without stiffness is found
+
 
 def pole_map(loop: ClosedLoop | Verdict) -> Any:
-    """Return a figure of the closed loop's eigenvalues in the unit circle.
+    """Draw the closed loop's eigenvalues in the unit circle.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -22,7 +24,7 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
     figure, (panel,) = new_figure(1, 1, 5.4)
     turn = np.linspace(0.0, 2.0 * np.pi, 361)
     panel.plot(np.cos(turn), np.sin(turn), color=REFERENCE, linewidth=1.2, label="unit circle: boundary of stability")
-    outside = np.abs(loop.eigenvalues) >= 1.0
+    outside = np.abs(loop.eigenvalues) > 1.0 + _FREE
     for chosen, color, label in (
         (~outside, FIRST, "eigenvalues inside"),
         (outside, SECOND, "outside, or on it"),
@@ -39,7 +41,7 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
 
 
 def impulse_response(near: Linearised) -> Any:
-    """Return a figure of the wrench at each sample after a unit displacement at the first.
+    """Draw the wrench after a unit displacement at one sample.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.

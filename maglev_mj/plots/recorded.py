@@ -27,7 +27,7 @@ _MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045
 
 
 def trace(motion: Trace) -> Any:
-    """Return a figure of position and force over time, on each axis that moves.
+    """Draw position and force of the moving axes over time.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -38,7 +38,7 @@ def trace(motion: Trace) -> Any:
 
 
 def samples(found: Samples) -> Any:
-    """Return a figure of position and commanded force over time, on each axis that moves.
+    """Draw position and command of the moving axes over time.
 
     Raises:
         AttributeError: If time, position or command were not loaded.
@@ -48,12 +48,15 @@ def samples(found: Samples) -> Any:
 
 
 def recording(found: Recording) -> Any:
-    """Return a figure of position and commanded force over time, on each axis that moves; see `samples`."""
+    """Draw position and command over time; see `samples`."""
     return samples(found.samples())
 
 
 def _moving(time: Array, position: Array, force: Array) -> Any:
-    """Return a figure of the axes that move, translations and rotations side by side; of z if none does."""
+    """Draw the moving axes, translations and rotations side by side.
+
+    If none moves, draw z.
+    """
     moving = np.flatnonzero(np.ptp(position, axis=0) > _STILL)
     groups = ((0, 1, 2), "mm", "force (N)"), ((3, 4, 5), "mrad", "torque (N m)")
     shown = [group for group in groups if np.isin(group[0], moving).any()] or [groups[0]]
@@ -72,7 +75,7 @@ def _moving(time: Array, position: Array, force: Array) -> Any:
 
 
 def analysed(found: Analysed, axis: str | None = None) -> Any:
-    """Return a figure of recording and simulation over the whole run; see `whole_run`.
+    """Draw recording and simulation of the run; see `whole_run`.
 
     Args:
         found: The analysed stretch.

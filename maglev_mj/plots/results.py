@@ -21,7 +21,7 @@ from maglev_mj.studies.sweep import Sweep
 __all__ = ["Picture", "phases", "pictures_of", "result", "series", "spread", "sweep"]
 
 Picture: TypeAlias = Callable[[Mapping[str, Result], Mapping[str, Phases], Path | None], Any]
-"""Draws results and phases, each by label, to a file; or, for no file, returns the figure."""
+"""Draws results and phases by label; see `series`."""
 
 _FINE = 1e-4
 _NAMES = {"z": "height"}
@@ -48,7 +48,7 @@ def _found(place: str) -> Picture:
 
 
 def result(one: Result, picture: str | None = None) -> Any:
-    """Return a figure of one run.
+    """Draw one run.
 
     Args:
         one: The run, of one phase.
@@ -67,7 +67,7 @@ def result(one: Result, picture: str | None = None) -> Any:
 
 
 def phases(found: Phases) -> Any:
-    """Return a figure of each of a scene's figures over the phase.
+    """Draw each figure over the phase.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -76,7 +76,9 @@ def phases(found: Phases) -> Any:
 
 
 def sweep(found: Sweep) -> Any:
-    """Return a figure of each of a scene's figures over the first parameter, a line for each value of the others.
+    """Draw each figure over the first varied parameter.
+
+    Each combination of the others is a line.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.

@@ -32,7 +32,7 @@ _TURNING = {
 
 
 def unit_along(axis: str, unit: str) -> str:
-    """Return the unit of a quantity along an axis: a translation's, or a rotation's in its place."""
+    """Return the unit along a translation or rotation axis."""
     return _TURNING.get(unit, unit) if AXES.index(axis) >= 3 else unit
 
 
@@ -68,12 +68,15 @@ class Figure:
 
     @property
     def si_unit(self) -> str:
-        """Unit of what the function returns; empty where the scale is that of no prefix."""
+        """SI unit of the function's values; empty if not known."""
         prefix = _SMALLER.get(self.scale)
         return "" if prefix is None else self.unit.removeprefix(prefix)
 
     def text(self, value: Any, *bounds: Any) -> str:
-        """Return one value, those of several hits, or a median with its bounds where these differ."""
+        """Return one or several values, or a median with bounds.
+
+        Bounds only if they differ.
+        """
         values = np.atleast_1d(np.asarray(value, dtype=np.float64))
         if values.size > _MOST_SHOWN:
             return f"{self._number(values.min())} to {self._number(values.max())}"
@@ -82,7 +85,10 @@ class Figure:
         return f"{text} ({around[0]} to {around[1]})" if len(set(around)) > 1 else text
 
     def spread(self, values: Any) -> str:
-        """Return median, and 5 to 95 %, over phases, and over hits together where there are several."""
+        """Return median and 5 to 95 % over phases.
+
+        Several hits are pooled.
+        """
         pooled = np.ravel(values) if np.ndim(values) > 1 else values
         return self.text(*(self.percentile(pooled, share) for share in _SHARES))
 

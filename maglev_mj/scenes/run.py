@@ -101,16 +101,16 @@ class Result(Tabular):
         return {"time": time, **self.scene.series(self, time)}
 
     def columns(self) -> dict[str, Array]:
-        """Return time and the scene's series every millisecond, (M,) each; see `times`."""
+        """Return time and series every millisecond; see `times`."""
         return self.series()
 
     @property
     def units(self) -> dict[str, str]:
-        """Unit of each column; none for a series that the package does not know."""
+        """Unit of each column the package knows."""
         return {name: unit_along(self.scene.axis, unit) for name, unit in _UNITS.items()}
 
     def table(self) -> Table:
-        """Return the figures of the run; over several phases see `Phases.table`."""
+        """Return the figures; those of several phases as `Phases` does."""
         several = np.ndim(self.phase)
         where = f"{len(self.phase)} phases" if several else f"phase {self.phase:g}"
         title = f"{self.scene.name} on {self.plant}, {where}"
@@ -160,7 +160,10 @@ class Phases(Tabular):
     drawn_by: ClassVar = "maglev_mj.plots.results:phases"
 
     def columns(self) -> dict[str, Array]:
-        """Return the phases and the figures in SI units, (N,) each; a figure of several hits is a column a hit."""
+        """Return phases and figures in SI units, (N,) each.
+
+        A figure of several hits has a column for each hit.
+        """
         found = {"phase": self.phases}
         for name, values in self.figures.items():
             rows = values.reshape(len(self.phases), -1)
@@ -210,7 +213,7 @@ class Phases(Tabular):
 
 
 def _figures_table(scene: Scene, title: str, figures: Mapping[str, Any], *, several: bool) -> Table:
-    """Return figures of one run, or their spread over the phases of several."""
+    """Return a table of figures, or of their spread."""
     named: Mapping[str, Figure] = scene.figures
     rows = [
         (

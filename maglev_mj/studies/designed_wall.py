@@ -109,7 +109,7 @@ class DesignResult(Tabular):
     drawn_by: ClassVar = "maglev_mj.plots.stability:design_map"
 
     def columns(self) -> dict[str, Array]:
-        """Return mass, delay and largest modulus over the hands of each cell of the map, (M D,) each."""
+        """Return mass, delay and largest modulus of each cell."""
         mass, delay = np.meshgrid(self.masses, self.delays, indexing="ij")
         return {"mass": mass.ravel(), "delay": delay.ravel(), "modulus": self.map.ravel()}
 

@@ -122,7 +122,7 @@ class DropMap(GainMap):
     drawn_by: ClassVar = "maglev_mj.plots.stability:drop_map"
 
     def cells(self) -> dict[str, NDArray[Any]]:
-        """Return how far each drop swings in the end, and how it ends."""
+        """Return swing and ending of each drop."""
         endings = np.array([one.name.lower().replace("_", " ") for one in Ending])
         return {"swing": self.swing, "ending": endings[self.ending.astype(np.intp)]}
 

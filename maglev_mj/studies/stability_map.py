@@ -98,7 +98,10 @@ class GainMap(Tabular):
         raise NotImplementedError
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return gains and values of each cell, (K B,) each, the damping varying fastest."""
+        """Return gains and values of each cell, (K B,) each.
+
+        The damping varies fastest.
+        """
         stiffness, damping = np.meshgrid(self.stiffness, self.damping, indexing="ij")
         found: dict[str, NDArray[Any]] = {"stiffness": stiffness, "damping": damping, **self.cells()}
         return {name: values.ravel() for name, values in found.items()}
@@ -143,7 +146,7 @@ class StabilityMap(GainMap):
     drawn_by: ClassVar = "maglev_mj.plots.stability:stability_map"
 
     def cells(self) -> dict[str, NDArray[Any]]:
-        """Return the largest modulus, and `settles` where walls were simulated."""
+        """Return modulus, and `settles` if walls were simulated."""
         return {"modulus": self.modulus} | ({} if self.simulated is None else {"settles": self.simulated})
 
     @property

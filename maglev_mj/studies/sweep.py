@@ -64,9 +64,9 @@ class Sweep(Tabular):
     drawn_by: ClassVar = "maglev_mj.plots.results:sweep"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return the values that vary and the figures in SI units, a row for each cell; NaN where there is none.
+        """Return varied values and figures, a row for each cell.
 
-        Figures of several hits are left out; `error` is there if a cell failed.
+        Figures are in SI units, NaN if missing; those of several hits are left out. `error` is there if a cell failed.
         """
         rows = list(itertools.product(*self.varied.values()))
         found: dict[str, NDArray[Any]] = {
@@ -89,7 +89,7 @@ class Sweep(Tabular):
 
     @property
     def names(self) -> list[str]:
-        """Names of the figures: those of the cells, or of the scene where every cell failed."""
+        """Names of the figures of the cells."""
         found = dict.fromkeys(name for result in self.results if "error" not in result for name in result)
         return list(found or self.scene.figures)
 

@@ -63,7 +63,10 @@ class Linearised(Tabular):
     drawn_by: ClassVar = "maglev_mj.plots.poles:impulse_response"
 
     def columns(self) -> dict[str, Array]:
-        """Return the time and each response that is not zero, (M,) each: `z.x` is along z to a displacement along x."""
+        """Return time and each nonzero response, (M,) each.
+
+        `z.x` is the force along z to a displacement along x.
+        """
         found: dict[str, Array] = {"time": np.linspace(0.0, (len(self.response) - 1) * self.period, len(self.response))}
         for to, come in zip(*np.nonzero(self.response.any(axis=0))):
             found[f"{AXES[to]}.{AXES[come]}"] = self.response[:, to, come]
@@ -79,7 +82,7 @@ class Linearised(Tabular):
         }
 
     def table(self) -> Table:
-        """Return stiffness and damping of each axis against its own motion."""
+        """Return stiffness and damping of each axis."""
         gains = zip(AXES, np.diag(self.stiffness).tolist(), np.diag(self.damping).tolist(), self.jumps, self.settled)
         head = "axis", "stiffness [N/m, N m/rad]", "damping [N s/m, N m s/rad]", "wrench jumps", "settles"
         rows = [(*row[:3], *("yes" if part else "no" for part in row[3:])) for row in gains]

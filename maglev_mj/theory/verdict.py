@@ -77,17 +77,17 @@ class Verdict(Tabular):
     drawn_by: ClassVar = "maglev_mj.plots.poles:pole_map"
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return pose, stiffness and damping of each axis against its own motion, (6,) each."""
+        """Return pose, stiffness and damping of each axis."""
         gains = {"stiffness": np.diag(self.stiffness), "damping": np.diag(self.damping)}
         return {"axis": np.array(AXES), "pose": self.pose, **gains}
 
     @property
     def units(self) -> dict[str, str]:
-        """Unit of each column, of a translation and of a rotation."""
+        """Units of each column: translation, rotation."""
         return {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
 
     def table(self) -> Table:
-        """Return the gains that act at the pose of the worst loop."""
+        """Return the gains of the worst loop."""
         acting = f", with {' and '.join(self.acting)}" if self.acting else ""
         remarks = "".join(f"; {remark}" for remark in self.remarks)
         return super().table()._replace(title=f"{self}{acting}{remarks}")
