@@ -70,6 +70,7 @@ Stability and design:
 Studies:
 
     sweep                    runs a scene over a grid of parameters
+    run_cells                runs a function of your own over a grid
     local_workers            processes of this machine
     dask_workers             workers of a Dask cluster
     measure_fidelity         cheapest model and step within a tolerance
@@ -182,6 +183,7 @@ if TYPE_CHECKING:
     from maglev_mj.session import Session as Session
     from maglev_mj.session import real_time as real_time
     from maglev_mj.spacenav import AxisMapping as AxisMapping
+    from maglev_mj.studies.cells import run_cells as run_cells
     from maglev_mj.studies.fidelity import Range as Range
     from maglev_mj.studies.fidelity import measure_fidelity as measure_fidelity
     from maglev_mj.studies.sweep import sweep as sweep
@@ -222,6 +224,7 @@ else:
         "scenes.scene": "Scene Start",
         "session": "Session real_time",
         "spacenav": "AxisMapping",
+        "studies.cells": "run_cells",
         "studies.fidelity": "Range measure_fidelity",
         "studies.sweep": "sweep",
         "theory": "WallRequirements design_wall judge largest_stable_stiffness linearise stability",
