@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+import maglev_mj
 from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.twin import TwinServer
@@ -209,3 +210,7 @@ def test_the_readme_of_the_package_has_no_relative_link() -> None:
 
 def test_the_readme_is_short() -> None:
     assert len(text_of("README.md").split()) <= 800
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    assert re.findall(r"^version: (.*)$", text_of("CITATION.cff"), re.MULTILINE) == [maglev_mj.__version__]
