@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 import subprocess
@@ -214,3 +215,18 @@ def test_the_readme_is_short() -> None:
 
 def test_the_citation_has_the_version_of_the_package() -> None:
     assert re.findall(r"^version: (.*)$", text_of("CITATION.cff"), re.MULTILINE) == [maglev_mj.__version__]
+
+
+def test_pages_and_examples_take_a_name_from_the_top_of_the_package() -> None:
+    pages = [page for page in PAGES if page.startswith(("README", "docs/tutorials", "docs/howto"))]
+    code = {page: "".join(block for _, block in blocks(page, "python")) for page in pages}
+    code |= {path.name: path.read_text(encoding="utf-8") for path in ROOT.glob("scripts/examples/*.py")}
+    taken = {
+        f"{name}: {alias.name}"
+        for name, text in code.items()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("maglev_mj.")
+        for alias in node.names
+        if alias.name in dir(maglev_mj)
+    }
+    assert taken == set() and len(code) > 15
