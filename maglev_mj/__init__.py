@@ -64,6 +64,7 @@ Stability and design:
     judge                    verdict on a controller
     linearise                linear model of a controller, to `python-control` too
     largest_stable_stiffness stiffest wall, by period, delay, mass and hand
+    critical_delay           delay at which a wall becomes unstable
     design_wall              gains that bear a range of loops
     WallRequirements         such a range, and a margin
 
@@ -188,6 +189,7 @@ if TYPE_CHECKING:
     from maglev_mj.studies.fidelity import measure_fidelity as measure_fidelity
     from maglev_mj.studies.sweep import sweep as sweep
     from maglev_mj.theory import WallRequirements as WallRequirements
+    from maglev_mj.theory import critical_delay as critical_delay
     from maglev_mj.theory import design_wall as design_wall
     from maglev_mj.theory import largest_stable_stiffness as largest_stable_stiffness
     from maglev_mj.theory.linearise import linearise as linearise
@@ -227,7 +229,7 @@ else:
         "studies.cells": "run_cells",
         "studies.fidelity": "Range measure_fidelity",
         "studies.sweep": "sweep",
-        "theory": "WallRequirements design_wall judge largest_stable_stiffness linearise stability",
+        "theory": "WallRequirements critical_delay design_wall judge largest_stable_stiffness linearise stability",
         "workers": "dask_workers local_workers",
     }
     __getattr__, __dir__, __all__ = attach(__name__, _HOMES)
