@@ -30,11 +30,11 @@ studies: $(READY)  ## run the sweeps behind the published figures in full: minut
 bench: $(PEERS)  ## all benchmarks, before against after, with others' simulators: ten minutes, figures/bench.json
 	$(BIN)/python scripts/benchmarks/bench.py --before $(BEFORE) --out figures
 
-# thumbnails, three in a row of a page 830 pixels wide, at twice their size for sharp screens, and a clip as wide as the page;
-# words would be too small to read in a thumbnail
-pictures: $(READY)  ## draw the README's pictures of the scenes anew
+# thumbnails, three in a row of a page 830 pixels wide, at twice their size for sharp screens, and the README's clip at its size;
+# words would be too small to read
+pictures: $(READY)  ## draw the pictures of the scenes anew
 	for scene in $(SCENES); do $(BIN)/maglev-mj render $$scene --plain --out docs/images/scene_$$scene.png --size 560x350 || exit 1; done
-	$(BIN)/maglev-mj render joystick --out docs/images/joystick.gif --size 830x520 --fps 12 --seconds 4.2
+	$(BIN)/maglev-mj render joystick --plain --out docs/images/joystick.gif --size 640x400 --fps 12 --seconds 4.2
 
 check: lint types test  ## what a change must pass
 

@@ -30,7 +30,7 @@ __all__ = [
     "Model",
     "beams",
     "envelope",
-    "load",
+    "load_model",
     "model_files",
     "model_names",
     "model_path",
@@ -166,7 +166,7 @@ _MODE = 1000.0
 _MODE_DAMPING = 0.01
 
 
-def load(
+def load_model(
     model: Model = "drop",
     *,
     lean: bool = True,
@@ -237,7 +237,7 @@ def _moments(inertia: ArrayLike) -> tuple[float, ...]:
 
 
 class _Chosen(NamedTuple):
-    """Options of `load` that affect the compiled model."""
+    """Options of `load_model` that affect the compiled model."""
 
     lean: bool
     driver_lag: bool
@@ -251,7 +251,7 @@ class _Chosen(NamedTuple):
 
 @lru_cache(maxsize=32)
 def _compiled(path: Path, written: tuple[tuple[str, int], ...], chosen: _Chosen) -> Device:
-    """See `load`."""
+    """See `load_model`."""
     name = path.stem if path.parent == MODELS else path.name
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -265,7 +265,7 @@ def _unusable(name: str, error: object) -> ModelError:
 
 
 def _compile(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> Device:
-    """See `load`."""
+    """See `load_model`."""
     _check_names(name, spec, chosen)
     numeric = spec.numeric("driver_time_constant")
     constant = math.nan if numeric is None else float(numeric.data[0])

@@ -13,7 +13,7 @@ from maglev_mj.energy import hand_work
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
-from maglev_mj.model import load
+from maglev_mj.model import load_model
 from maglev_mj.parameters import number
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch, metadata_of
 from maglev_mj.replay import OwnCode, rebuild_for, shown_scene, stick_positions
@@ -249,6 +249,6 @@ def _current_per_wrench() -> Array:
 
     In [A/N, A/(N m)].
     """
-    coils = load("drop").coils
+    coils = load_model("drop").coils
     assert coils is not None
     return coils.current_per_wrench

@@ -12,7 +12,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.laws import Hold
 from maglev_mj.loop import drive
-from maglev_mj.model import COILS, Device, envelope, load
+from maglev_mj.model import COILS, Device, envelope, load_model
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.spec import GRAVITY, Spec
@@ -55,7 +55,7 @@ def device_report() -> DeviceReport:
 
     Source: Salcudean & Vlaar 1997, Table 1 and section 2.
     """
-    figures = _measure(load("maglev", lean=False))
+    figures = _measure(load_model("maglev", lean=False))
     return DeviceReport(_table(figures), figures, _contradictions(figures))
 
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from maglev_mj.frames import Array
-from maglev_mj.model import Model, load
+from maglev_mj.model import Model, load_model
 
 __all__ = ["ARROW", "GRIP", "KNOB", "LEAST_FORCE", "UNDER_KNOB", "Shape", "arrow_start", "shapes", "wall_plate"]
 
@@ -70,7 +70,7 @@ def shapes(model: Model) -> list[Shape]:
     Raises:
         ModelError: If the file is missing or cannot be used.
     """
-    device = load(model, lean=False)
+    device = load_model(model, lean=False)
     compiled, data = device.model, mujoco.MjData(device.model)
     mujoco.mj_kinematics(compiled, data)
     origin, turn, found = data.xpos[device.flotor], np.zeros(4), []

@@ -14,8 +14,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand, hand_called
 from maglev_mj.laws import LinearController, LowPass, ObserverWall, Window
-from maglev_mj.theory import boundary_of, is_stable, largest_stable_stiffness, ranges_of, stable_ranges, stiffest_of
-from maglev_mj.theory.boundary import first_end, spans
+from maglev_mj.theory import is_stable, largest_stable_stiffness, stable_ranges
+from maglev_mj.theory.boundary import boundary_of, first_end, ranges_of, spans, stiffest_of
 from maglev_mj.theory.characteristic import SampledCurve, characteristic, scales
 from maglev_mj.theory.closed_loop import SampledLoop, pd
 

@@ -16,7 +16,7 @@ from maglev_mj.bridge.calibration import Calibration, CalibrationError
 from maglev_mj.coils import CoilMap
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.model import beams, load
+from maglev_mj.model import beams, load_model
 from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.sensing.geometry import Beams
 
@@ -61,7 +61,7 @@ def bits(one: Calibration) -> list[bytes]:
 
 
 def test_the_nominal_calibration_is_the_model_to_the_last_bit() -> None:
-    one, device = Calibration.nominal(), load("drop")
+    one, device = Calibration.nominal(), load_model("drop")
     assert device.coils is not None
     for name in _COILS:
         assert getattr(one.coils, name).tobytes() == getattr(device.coils, name).tobytes()

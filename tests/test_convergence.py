@@ -19,7 +19,8 @@ from maglev_mj.spec import INERTIA
 from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.integrators import INTEGRATORS, SteppedLoop
 from maglev_mj.studies.levels import apart, level_parts, motion_of
-from maglev_mj.theory import stiffest_of, stiffest_wall
+from maglev_mj.theory import stiffest_wall
+from maglev_mj.theory.boundary import stiffest_of
 
 SEMI_IMPLICIT = [name for name in INTEGRATORS if name not in ("rk4", "corrected")]
 CORRECTED: Any = partial(MuJoCoPlant, integrator="corrected")

@@ -17,7 +17,8 @@ from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import HANDS, hand_called
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall, growing_cases, hardest_contact
-from maglev_mj.theory import Case, DesignedWall, WallRequirements, design_wall, ranges_of, worst_case
+from maglev_mj.theory import Case, DesignedWall, WallRequirements, design_wall, worst_case
+from maglev_mj.theory.boundary import ranges_of
 from maglev_mj.theory.closed_loop import SampledLoop
 
 EVERYTHING: dict[str, Any] = {"mass": (0.56, 0.84), "delay": (0.0012, 0.0018), "hands": tuple(HANDS)}

@@ -23,7 +23,7 @@ from maglev_mj.coils import CoilMap
 from maglev_mj.energy import HandWork, PassivityObserver, actuator_work, hand_work
 from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
-from maglev_mj.model import load, model_path
+from maglev_mj.model import load_model, model_path
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
 from maglev_mj.plants.currents import CoilDrive
 from maglev_mj.spec import GRAVITY, INERTIA
@@ -172,7 +172,7 @@ def test_the_currents_of_a_constant_wrench_follow_the_angle(sensor: Sensor | Non
 
 
 def test_currents_are_computed_once_a_tick() -> None:
-    coils = load().coils
+    coils = load_model().coils
     assert coils is not None
     drive = CoilDrive(coils, 10.0)
     for force in ([0.0, 0.0, 5.0, 0.0, 0.0, 0.0], [0.0, 0.0, 500.0, 0.0, 0.0, 0.0]):
@@ -233,7 +233,7 @@ def test_a_device_from_a_file_obeys_its_own_numbers(tmp_path: Path) -> None:
     path = own_model(tmp_path, *HEAVIER)
     spec = mujoco.MjSpec.from_file(str(path))
     for model in (path, str(path), spec):
-        device = load(model)
+        device = load_model(model)
         assert device.mass == pytest.approx(1.0, rel=1e-12)
         assert device.coils is not None
         np.testing.assert_allclose(np.hypot(*device.coils.points[:3, :2].T), 0.060, rtol=1e-12)
@@ -241,7 +241,7 @@ def test_a_device_from_a_file_obeys_its_own_numbers(tmp_path: Path) -> None:
         for plant in (MuJoCoPlant(Timing(delay=0.0), model=model), ExactPlant(Timing(delay=0.0), model=model)):
             assert falls(plant, 5.0) == pytest.approx(5.0 / 1.0 - GRAVITY, rel=1e-9)
     sites = len(spec.sites)
-    assert load(spec, coils=False).coils is None
+    assert load_model(spec, coils=False).coils is None
     assert (len(spec.actuators), len(spec.sites)) == (6, sites)  # it is the user's, and left as it was
     carrying = MuJoCoPlant(Timing(delay=0.0), model=path)
     falls(carrying, 1.0 * GRAVITY)
@@ -314,7 +314,7 @@ def test_own_stops_hold_the_flotor_at_their_own_range(tmp_path: Path) -> None:
 def test_inertia_of_ones_own_turns_the_flotor_as_it_says() -> None:
     moments = [1.3e-3, 1.1e-3, 9e-4]
     for mass in (None, 1.2):
-        device = load(inertia=moments, mass=mass)
+        device = load_model(inertia=moments, mass=mass)
         np.testing.assert_allclose(device.inertia, moments, rtol=1e-12)
         np.testing.assert_allclose(device.mass_matrix, np.diag(np.diag(device.mass_matrix)), atol=1e-16)
         assert device.mass == pytest.approx(mass or INERTIA[0])
@@ -325,7 +325,7 @@ def test_inertia_of_ones_own_turns_the_flotor_as_it_says() -> None:
         plant.read()
         assert np.ravel(plant.state()[1])[4] == pytest.approx(1e-3 * PERIOD / moments[1], rel=1e-6)
     with pytest.raises(ParameterError, match="inertia must leave the flotor without its handle a body's, not"):
-        load("maglev", inertia=[2e-4, 1e-3, 1e-3])
+        load_model("maglev", inertia=[2e-4, 1e-3, 1e-3])
     with pytest.raises(ParameterError, match=r"not \[0.001, 0.0001, 0.0001\] kg m²"):
         MuJoCoPlant(inertia=[1e-3, 1e-4, 1e-4])
     with pytest.raises(ParameterError, match="inertia must be three numbers above 0, not"):
@@ -347,7 +347,7 @@ def test_drivers_time_constant_of_ones_own(kind: Any) -> None:
 
 
 def test_calibrated_coils_take_the_place_of_the_models() -> None:
-    known = load().coils
+    known = load_model().coils
     assert known is not None
     weaker = CoilMap(points=known.points, directions=known.directions, force_constants=0.5 * known.force_constants)
     ones = MuJoCoPlant(Timing(delay=0.0)), MuJoCoPlant(Timing(delay=0.0), coil_map=weaker)
@@ -403,9 +403,9 @@ def test_what_an_option_needs_of_a_model_is_named(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_changed_is_read_again(tmp_path: Path) -> None:
-    assert load(own_model(tmp_path)).mass == pytest.approx(0.7)
+    assert load_model(own_model(tmp_path)).mass == pytest.approx(0.7)
     path = own_model(tmp_path, *HEAVIER)
-    assert load(path).mass == pytest.approx(1.0)
+    assert load_model(path).mass == pytest.approx(1.0)
 
 
 def test_options_of_a_plant_go_to_another_process() -> None:
@@ -418,4 +418,4 @@ def test_a_twin_has_the_inertia_that_it_truly_has() -> None:
     values = nominal.as_json() | {"inertia": [1.3e-3, 1.1e-3, 9e-4]}
     twin = Twin(TwinParameters(truth=Calibration.from_json(values)))
     np.testing.assert_allclose(twin.plant.device.inertia, [1.3e-3, 1.1e-3, 9e-4], rtol=1e-12)
-    np.testing.assert_array_equal(Twin(TwinParameters()).plant.device.inertia, load().inertia)
+    np.testing.assert_array_equal(Twin(TwinParameters()).plant.device.inertia, load_model().inertia)

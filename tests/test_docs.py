@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 import subprocess
 import sys
 import threading
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from ctypes.util import find_library
@@ -15,6 +17,7 @@ from typing import Any
 
 import pytest
 
+import maglev_mj
 from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.twin import TwinServer
@@ -99,7 +102,6 @@ def scene(_: list[str]) -> Iterator[dict[str, str]]:
 
 
 BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]] = {
-    "README.md": device,
     "docs/howto/fly.md": device,
     "docs/reference/live.md": scene,
 }
@@ -127,7 +129,7 @@ def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytes
     monkeypatch.chdir(tmp_path)
     write_files(page, tmp_path)
     lines = run_page(page)
-    if page == "README.md":
+    if page == "docs/explanation/drop.md":
         assert len(code_of(page)[0][1].strip().splitlines()) <= 12  # a drop in ten lines
         assert lines[0].startswith("height in mm:") and "force in N:" in lines[0]
     elif page == "docs/reference/recording.md":
@@ -193,3 +195,38 @@ def test_the_files_that_a_page_names_are_there(page: str) -> None:
     named = [ROOT / name for name in re.findall(r"\b(?:scripts|tests|docs|model)/[\w/]+\.\w+", text_of(page))]
     missing = {str(path.relative_to(ROOT)) for path in linked + named if not path.exists()}
     assert missing <= {"model/scenes/shaft.xml"}  # the reader's own
+
+
+def test_the_readme_of_the_package_has_no_relative_link() -> None:
+    build = tomllib.loads(text_of("pyproject.toml"))["tool"]["hatch"]["metadata"]["hooks"]["fancy-pypi-readme"]
+    text = text_of("README.md")
+    linked = re.findall(r"\]\(([^)#]+)|<img src=\"([^\"]+)", text)
+    for one in build["substitutions"]:
+        text = re.sub(one["pattern"], one["replacement"], text)
+    assert len(linked) > 20
+    assert re.findall(r"(?:\]\(|<img src=\")(?!https://).*", text) == []
+    images = re.findall(r"https://raw[^)\"]*/main/([^)\"]+)", text)
+    assert images and all((ROOT / image).is_file() for image in images)
+
+
+def test_the_readme_is_short() -> None:
+    assert len(text_of("README.md").split()) <= 800
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    assert re.findall(r"^version: (.*)$", text_of("CITATION.cff"), re.MULTILINE) == [maglev_mj.__version__]
+
+
+def test_pages_and_examples_take_a_name_from_the_top_of_the_package() -> None:
+    pages = [page for page in PAGES if page.startswith(("README", "docs/tutorials", "docs/howto"))]
+    code = {page: "".join(block for _, block in blocks(page, "python")) for page in pages}
+    code |= {path.name: path.read_text(encoding="utf-8") for path in ROOT.glob("scripts/examples/*.py")}
+    taken = {
+        f"{name}: {alias.name}"
+        for name, text in code.items()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("maglev_mj.")
+        for alias in node.names
+        if alias.name in dir(maglev_mj)
+    }
+    assert taken == set() and len(code) > 15

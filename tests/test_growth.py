@@ -21,14 +21,8 @@ from maglev_mj.studies import growth as growing
 from maglev_mj.studies.growth import RestingWall, measure_growth
 from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
-from maglev_mj.theory import (
-    boundary_of,
-    critical_delay,
-    largest_modulus,
-    largest_stable_stiffness,
-    stiffest_of,
-    stiffest_wall,
-)
+from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory.boundary import boundary_of, stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop
 
 T, M = 0.005, 0.7

@@ -8,6 +8,8 @@ from __future__ import annotations
 import ast
 import inspect
 import pkgutil
+import pydoc
+import re
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -168,6 +170,13 @@ def test_a_name_that_is_loaded_late_is_the_one_that_is_typed(package: str) -> No
         assert getattr(face, name) is getattr(import_module(home), name)
 
 
+def test_the_help_of_the_package_is_its_table_of_contents() -> None:
+    rows = re.findall(r"^    (\w+) +\S", maglev_mj.__doc__ or "", re.MULTILINE)
+    assert sorted(rows) == sorted(dir(maglev_mj))
+    page = pydoc.plain(pydoc.render_doc(maglev_mj))
+    assert page.index(rows[-1]) < page.index("PACKAGE CONTENTS")  # before the page of each class
+
+
 LIGHT = "numpy", "mujoco", "importlib.metadata"
 OTHERS = "asyncio", "multiprocessing", "matplotlib", "mujoco.batch", "numpy.polynomial"
 UNUSED = [f"maglev_mj.{name}" for name in "recording session studies bridge analysis replay workers".split()]
@@ -184,3 +193,9 @@ def test_a_command_loads_what_it_runs(words: str, absent: Sequence[str]) -> None
     loaded = set(done.stdout.splitlines()[-1].split())
     assert "maglev_mj.cli.program" in loaded
     assert sorted(loaded.intersection(absent)) == []
+
+
+def test_the_package_alone_loads_neither_arrays_nor_physics() -> None:
+    ask = "import sys, maglev_mj; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()).isdisjoint({*LIGHT, "maglev_mj.errors"})

@@ -28,7 +28,7 @@ from maglev_mj.laws import (
     SpringReset,
     StickSlip,
     Wall,
-    check,
+    check_law,
     gain,
 )
 
@@ -85,7 +85,7 @@ LAWS: dict[str, Law] = {
 
 @pytest.mark.parametrize("name", list(LAWS))
 def test_every_law_is_the_same_alone_and_in_a_batch(name: str) -> None:
-    check(LAWS[name])
+    check_law(LAWS[name])
 
 
 def test_a_law_of_gains_and_one_function_serves_one_device_and_thousand() -> None:
@@ -152,7 +152,7 @@ def test_a_controller_tells_what_its_laws_are() -> None:
     ],
 )
 def test_a_plain_function_is_a_law(function: Callable[..., Any]) -> None:
-    check(function)
+    check_law(function)
     controller = Controller([function, Hold(stiffness=500.0, damping=0.0)], period=T)
     force = controller.step(Sample(0, 0.0, [1e-3] * 6)).force
     assert list(force) == pytest.approx([-1.5] * 6) and all(part.__class__ is float for part in force)
@@ -198,7 +198,7 @@ BAD: dict[str, tuple[Callable[..., Any], str, bool]] = {
 
 @pytest.mark.parametrize("name", list(BAD))
 def test_a_law_that_is_wrong_is_refused_in_one_line(name: str) -> None:
-    # By `check`, and where that needs no batch and no second look, at the first sample.
+    # By `check_law`, and where that needs no batch and no second look, at the first sample.
     body, message, first = BAD[name]
 
     class Wrong(Law):
@@ -206,7 +206,7 @@ def test_a_law_that_is_wrong_is_refused_in_one_line(name: str) -> None:
             return body(position, velocity, state, wrench)
 
     with pytest.raises(ParameterError, match=message) as caught:
-        check(Wrong())
+        check_law(Wrong())
     assert "\n" not in str(caught.value) and "law Wrong" in str(caught.value)
     if first:
         with pytest.raises(ParameterError, match=message):
@@ -239,7 +239,7 @@ def test_what_is_no_law_is_refused(given: Any, message: str) -> None:
 
 def test_a_law_of_a_batch_is_not_checked() -> None:
     with pytest.raises(ParameterError, match=r"must be of one device to be checked, not of shape \(2,\)"):
-        check(Hold(stiffness=np.ones((2, 6)), damping=0.0))
+        check_law(Hold(stiffness=np.ones((2, 6)), damping=0.0))
 
 
 def test_gains_that_are_wrong_are_refused_at_construction() -> None:
@@ -284,4 +284,4 @@ def test_axes_are_all_six_by_default_and_laws_inherit_gains() -> None:
 
     law = Scaled(pitch=0.002, stiffness=1.0)
     assert law.indices == tuple(range(len(AXES))) and law.share == 2.0
-    check(law)
+    check_law(law)

@@ -16,7 +16,7 @@ from maglev_mj.coils import CoilMap
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.hand import Hand, hand_called
-from maglev_mj.model import COILS, Device, envelope, load, model_path, scenes
+from maglev_mj.model import COILS, Device, envelope, load_model, model_path, scenes
 from maglev_mj.plants import Sensor
 from maglev_mj.report import device_report, device_table, position_bandwidth
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, Spec
@@ -26,7 +26,7 @@ SPEC = Spec()
 
 @pytest.fixture(scope="module")
 def device() -> Device:
-    return load("maglev", lean=False)
+    return load_model("maglev", lean=False)
 
 
 def coil_map(device: Device) -> CoilMap:
@@ -47,7 +47,7 @@ def test_masses(device: Device) -> None:
     assert device.model.body("stator").mass[0] == SPEC.stator_mass.value
     assert device.model.body("flotor").mass[0] == SPEC.flotor_mass.value
     assert device.mass == pytest.approx(SPEC.moving_mass.value, rel=1e-15)
-    assert load("drop").mass == device.mass
+    assert load_model("drop").mass == device.mass
 
 
 def test_payload_of_table_1_contradicts_its_current(device: Device) -> None:
@@ -69,7 +69,7 @@ def test_ranges(device: Device) -> None:
 
 def test_range_is_a_stop_in_the_device() -> None:
     # Pushed with 60 N against its range the flotor stays inside it but for the stop's own softness.
-    device = load("maglev")
+    device = load_model("maglev")
     data = mujoco.MjData(device.model)
     data.ctrl[:3] = 10.0
     for _ in range(2000):
@@ -202,7 +202,7 @@ def test_every_compiled_model_is_the_one_device(
 ) -> None:
     # Mass, moments, and the centre of mass at the origin: by mass matrix and weight, upright and turned.
     held = hand_called(hand) if isinstance(hand, str) else hand
-    one = load(scene, mass=mass, hand=held, flexible=flexible)
+    one = load_model(scene, mass=mass, hand=held, flexible=flexible)
     body = np.array([*[mass or INERTIA[0]] * 3, *INERTIA[3:]])
     data, full = mujoco.MjData(one.model), np.zeros((one.model.nv, one.model.nv))
     one.model.opt.gravity[:] = 0.0, 0.0, -GRAVITY
@@ -223,7 +223,7 @@ def test_every_compiled_model_is_the_one_device(
 
 @pytest.mark.parametrize("name", scenes())
 def test_every_scene_runs_with_noise_and_without_a_warning(name: str) -> None:
-    compiled = load(name, lean=False).model
+    compiled = load_model(name, lean=False).model
     data = mujoco.MjData(compiled)
     random = np.random.default_rng(5)
     for _ in range(500):
@@ -237,15 +237,15 @@ def test_unknown_and_broken_models_are_named(tmp_path: Path, monkeypatch: pytest
     with pytest.raises(ModelError, match="model must be one of drop, maglev, scene, or an MJCF file, not 'nothing'"):
         model_path("nothing")
     with pytest.raises(ParameterError, match="mass must be"):
-        load("drop", mass=-1.0)
+        load_model("drop", mass=-1.0)
     text = model_path("maglev").read_text(encoding="utf-8")
     monkeypatch.setattr(model, "MODELS", tmp_path)
     (tmp_path / "bad.xml").write_text(text.replace('name="vertical1"', 'name="upright"'), encoding="utf-8")
     with pytest.raises(ModelError, match=r"model 'bad' cannot be used: .*vertical1"):
-        load("bad")
+        load_model("bad")
     (tmp_path / "worse.xml").write_text("<mujoco><nonsense/></mujoco>", encoding="utf-8")
     with pytest.raises(ModelError, match=r"model 'worse' cannot be used: .*nonsense"):
-        load("worse")
+        load_model("worse")
 
 
 # -- no more than a scene needs --------------------------------------------------------------------------
@@ -276,14 +276,14 @@ def variant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tu
         with monkeypatch.context() as patch:
             patch.setattr(model, "MODELS", tmp_path)
             if not lean:
-                patch.setattr("maglev_mj.plants.engine.load", lambda *a, **k: load(*a, **k, lean=False))
+                patch.setattr("maglev_mj.plants.engine.load_model", lambda *a, **k: load_model(*a, **k, lean=False))
             return drop_bits()
 
     return run_changed
 
 
 def test_drop_scene_compiles_to_the_bare_mechanics() -> None:
-    compiled = load("drop").model
+    compiled = load_model("drop").model
     assert (compiled.nbody, compiled.njnt, compiled.nv, compiled.nu) == (2, 4, 6, 6)  # world and flotor
     nothing = ("ngeom", "nlight", "ncam", "nmesh", "nmat", "ntex", "nsensor", "ntendon", "neq", "nkey", "na")
     assert {name: getattr(compiled, name) for name in nothing} == dict.fromkeys(nothing, 0)

@@ -13,7 +13,7 @@ import pytest
 import maglev_mj
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.errors import ParameterError
-from maglev_mj.model import load
+from maglev_mj.model import load_model
 from maglev_mj.parameters import flag, number, numbers, parsed_number
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.base import PlantKeywords
@@ -26,7 +26,7 @@ NEEDED: dict[str, Any] = {
     "damping": 80.0,
     "breakaway": 2.0,
     "delay": 0.0015,
-    "device": load("drop"),
+    "device": load_model("drop"),
     "felt": True,
     "inertia": 0.7,
     "integrator": "rk4",

@@ -3,6 +3,7 @@
 Pictures of scenes without a window too.
 """
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -248,8 +249,12 @@ def test_what_is_no_recording_is_called_none(tmp_path: Path, capsys: Any) -> Non
     assert capsys.readouterr().err.endswith("is not a whole recording: it is neither MCAP nor .npz\n")
 
 
-def test_a_session_records_to_what_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_session_records_to_what_can_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert best_suffix() == ".mcap"
+    with monkeypatch.context() as elsewhere, pytest.raises(RecordingError, match="need a POSIX system"):
+        elsewhere.delattr(os, "fork")
+        assert best_suffix() == ".npz"
+        open_recording(tmp_path / "run.mcap")
     for missing in ("mcap", "foxglove"):
         monkeypatch.setattr("maglev_mj.recording.files.find_spec", lambda name, missing=missing: name != missing)
         assert best_suffix() == ".npz"

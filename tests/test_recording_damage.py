@@ -12,7 +12,7 @@ from maglev_mj.controller import Controller
 from maglev_mj.laws import Wall
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import Recording, RecordingError, load, open_recording, setup_of
+from maglev_mj.recording import Recording, RecordingError, load_samples, open_recording, setup_of
 from maglev_mj.recording.files import row_of
 from maglev_mj.recording.writer import McapWriter
 
@@ -183,4 +183,4 @@ def test_a_file_that_can_grow_no_more_is_one_line_at_the_end(tmp_path: Path, cap
     assert not said.out and not said.err
     part = Recording.load(path)
     assert part.damage and 500 < part.ticks < 20_000 and os.path.getsize(path) <= 100_000
-    assert len(load(path)) == part.ticks
+    assert len(load_samples(path)) == part.ticks

@@ -30,7 +30,7 @@ from maglev_mj.recording import (
     ArrayFile,
     Recording,
     RecordingError,
-    load,
+    load_samples,
     open_recording,
     setup_of,
     verify,
@@ -413,7 +413,7 @@ def test_a_recording_is_exported_with_every_field_unit_event_and_attachment(
             drive(plant, controller, 40, record=file.begin(plant, controller, {"kind": "test"}))
         file.event("missed", "too slow", 5)
     file.close()
-    recording, samples = Recording.load(path), load(path)
+    recording, samples = Recording.load(path), load_samples(path)
     for kind in ("csv", "parquet"):
         assert main(["export", str(path), "--to", kind]) == 0
         assert capsys.readouterr().out == f"  wrote {tmp_path / f'run.{kind}'}: 80 samples\n"
@@ -449,7 +449,7 @@ def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, mon
     for suffix in (".mcap", ".npz"):
         path = tmp_path / f"run{suffix}"
         write_run(path, Drop(), plant="exact")
-        samples, (stretch,) = load(path), Recording.load(path).stretches
+        samples, (stretch,) = load_samples(path), Recording.load(path).stretches
         assert len(samples) == 81 and samples.position.shape == (81, 6) and not samples.damage
         for name in ROW.names or ():
             np.testing.assert_array_equal(samples.arrays[name], stretch.rows[name])
@@ -457,7 +457,7 @@ def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, mon
             totals = np.full(81, np.nan) if stretch.totals is None else stretch.totals[name]
             np.testing.assert_array_equal(samples.arrays[name], totals)
         assert samples.metadata[0] is not None and samples.metadata[0].faces and samples.setups[0]["kind"]
-        some = load(path, fields=("time", "hand"))
+        some = load_samples(path, fields=("time", "hand"))
         assert list(some.arrays) == ["time", "hand"] and (some.time == samples.time).all()
         with pytest.raises(AttributeError, match="the samples have no 'position'"):
             _ = some.position
@@ -465,12 +465,12 @@ def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, mon
         assert (frame["position.z"] == stretch.position[:, 2]).all() and frame["tick"].dtype == np.int64
         assert frame.attrs["units"]["hand.rx"] == "N m"
         with pytest.raises(ParameterError, match=r"fields must be of tick, time, position, .* not 'positions'"):
-            load(path, fields=["positions"])
+            load_samples(path, fields=["positions"])
     monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
     with pytest.raises(MissingPackageError, match=r"pip install 'maglev-mj\[pandas\]'"):
         samples.to_pandas()
     with pytest.raises(RecordingError, match="cannot be read: No such file"):
-        load(tmp_path / "none.mcap")
+        load_samples(tmp_path / "none.mcap")
 
 
 def test_what_is_constant_or_equal_to_another_is_kept_once(tmp_path: Path) -> None:
@@ -484,7 +484,7 @@ def test_what_is_constant_or_equal_to_another_is_kept_once(tmp_path: Path) -> No
         pulse = [0.0] * 5 + [float(tick > 16_000)]
         record(Sample(tick, tick * 0.001, list(ZERO)), Command(force, pulse, 0.001), Command(applied, pulse, 0.001))
     file.close()
-    samples = load(path)
+    samples = load_samples(path)
     assert samples.position.strides[0] == samples.pulse_width.strides[0] == 0
     assert samples.applied_pulse is samples.pulse and samples.applied_pulse_width.strides[0] == 0
     assert samples.applied is not samples.command

@@ -75,11 +75,11 @@ def test_render_device_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
     assert picture[..., :3].std() > 0.1  # a device, not an empty sky
 
 
-def test_pulse_effect_prints_the_table_of_the_readme(run_script: Script) -> None:
+def test_pulse_effect_prints_the_table_of_its_page(run_script: Script) -> None:
     out = run_script("figures/pulse_effect.py").splitlines()
     assert sum(line.startswith("| from") for line in out) == 8
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    (table,) = re.findall(r"^\| from 4\.5 mm (?:.*\n)+?\n", readme, re.MULTILINE)
+    page = (ROOT / "docs" / "explanation" / "drop.md").read_text(encoding="utf-8")
+    (table,) = re.findall(r"^\| from 4\.5 mm (?:.*\n)+?\n", page, re.MULTILINE)
     rows = table.splitlines()[:-1]
     assert len(rows) > 8
     assert [row for row in rows if row not in out] == []

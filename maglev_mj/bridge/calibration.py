@@ -16,7 +16,7 @@ import numpy as np
 from maglev_mj.coils import CoilMap
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.model import beams, load
+from maglev_mj.model import beams, load_model
 from maglev_mj.parameters import number, numbers
 from maglev_mj.sensing.geometry import Beams
 from maglev_mj.spec import GRAVITY, INERTIA
@@ -82,7 +82,7 @@ class Calibration:
     @classmethod
     def nominal(cls) -> Self:
         """Return the nominal calibration: model and paper, level, without offsets."""
-        coils = load("drop").coils
+        coils = load_model("drop").coils
         assert coils is not None  # the model is loaded with them
         return cls(
             coils=coils,

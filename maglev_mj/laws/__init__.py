@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from maglev_mj.laws.bristle import ElastoPlastic as ElastoPlastic
     from maglev_mj.laws.bristle import HaywardArmstrong as HaywardArmstrong
     from maglev_mj.laws.bristle import LuGre as LuGre
-    from maglev_mj.laws.checking import check as check
+    from maglev_mj.laws.checking import check_law as check_law
     from maglev_mj.laws.friction import Friction as Friction
     from maglev_mj.laws.friction import FrictionState as FrictionState
     from maglev_mj.laws.friction import ImplicitCoulomb as ImplicitCoulomb
@@ -42,7 +42,7 @@ else:
         "base": "AxisLaw Gains Law LinearController VelocityEstimator gain",
         "bias": "Bias",
         "bristle": "Dahl ElastoPlastic HaywardArmstrong LuGre",
-        "checking": "check",
+        "checking": "check_law",
         "friction": "Friction FrictionState ImplicitCoulomb SpringReset StickSlip",
         "hold": "Hold",
         "passivity": "PassivityController",

@@ -15,13 +15,13 @@ from maglev_mj.frames import AXES, Array, Component, components
 from maglev_mj.laws.base import Law, answer, as_law
 from maglev_mj.laws.velocity import FiniteDifference
 
-__all__ = ["check"]
+__all__ = ["check_law"]
 
 _DEVICES, _SAMPLES, _PERIOD = 7, 60, 0.005
 _REACH = np.array([4e-3] * 3 + [0.09] * 3)
 
 
-def check(law: Law | Callable[..., Any]) -> None:
+def check_law(law: Law | Callable[..., Any]) -> None:
     """Check a law along random trajectories of seven devices.
 
     The trajectories are seeded and cover the motion range.
@@ -35,7 +35,7 @@ def check(law: Law | Callable[..., Any]) -> None:
 
     Example:
         >>> from maglev_mj.laws import Hold
-        >>> check(Hold(axes="z", stiffness=3000.0, damping=50.0))
+        >>> check_law(Hold(axes="z", stiffness=3000.0, damping=50.0))
     """
     one = as_law(law)
     name = f"law {getattr(one, 'name', type(one).__name__)}"

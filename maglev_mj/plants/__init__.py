@@ -6,7 +6,6 @@ from maglev_mj.lazy import attach
 
 if TYPE_CHECKING:
     from maglev_mj.plants.base import Plant as Plant
-    from maglev_mj.plants.base import PlantKeywords as PlantKeywords
     from maglev_mj.plants.base import SampledPlant as SampledPlant
     from maglev_mj.plants.batch import MuJoCoBatchPlant as MuJoCoBatchPlant
     from maglev_mj.plants.engine import INTEGRATORS as INTEGRATORS
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
     from maglev_mj.timeline import Timing as Timing
 else:
     _HOMES = {
-        "base": "Plant PlantKeywords SampledPlant",
+        "base": "Plant SampledPlant",
         "batch": "MuJoCoBatchPlant",
         "engine": "INTEGRATORS engine_warnings_silenced one_step",
         "exact": "ExactPlant",

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ModelError, ParameterError, not_one_of
 from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.hand import Hand
-from maglev_mj.model import COILS, Device, Model, load
+from maglev_mj.model import COILS, Device, Model, load_model
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.spec import GRAVITY
 
@@ -101,12 +101,12 @@ def prepared(
     """Load a device with its model configured for a plant.
 
     Args:
-        model: See `load`.
+        model: See `load_model`.
         gravity: Acceleration of free fall along -z, or in stator axes (3,) [m/s²].
         integrator: One of `INTEGRATORS`.
         stops: Let the metal stops act.
         force_falloff: See `MuJoCoPlant`; the model must have a range for it.
-        device: Further keywords of `load`.
+        device: Further keywords of `load_model`.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -114,7 +114,7 @@ def prepared(
     """
     if integrator not in INTEGRATORS:
         raise ParameterError(not_one_of("integrator", INTEGRATORS, integrator))
-    made = load(model, **device)
+    made = load_model(model, **device)
     options = made.model.opt
     options.integrator = INTEGRATORS[integrator]
     falling = numbers("gravity", gravity)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.hand import Hand
-from maglev_mj.model import Model, load
+from maglev_mj.model import Model, load_model
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.axes import Amendment, DryFriction, HeldAxis, Lag
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
@@ -82,7 +82,7 @@ class ExactPlant(SampledPlant):
         timing = timing or Timing()
         moving, moments, lag = INERTIA[0], np.array(INERTIA[3:]), DRIVER_TIME_CONSTANT
         if model is not None:
-            device = load(model, driver_lag=driver_lag, driver_time_constant=driver_time_constant)
+            device = load_model(model, driver_lag=driver_lag, driver_time_constant=driver_time_constant)
             moving, moments, lag = device.mass, device.inertia, device.driver_time_constant
         if driver_time_constant is not None:
             lag = number("driver_time_constant", driver_time_constant, above=0.0)

@@ -15,7 +15,7 @@ from maglev_mj.coils import UPRIGHT, CoilMap
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, rotation_vector
 from maglev_mj.hand import Hand
-from maglev_mj.model import COILS, Model, load
+from maglev_mj.model import COILS, Model, load_model
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.currents import CoilDrive
@@ -56,7 +56,7 @@ class MuJoCoPlant(SampledPlant):
 
     Args:
         timing: Sample period, delay and phase (a number).
-        model: The device: name of a model of the package, MJCF file, or specification; see `load`.
+        model: The device: name of a model of the package, MJCF file, or specification; see `load_model`.
         mass: Moving mass in place of the model's [kg].
         inertia: Moments of inertia about x, y, z in place of the model's [kg m²], (3,).
         pose: Pose at release [m, rad], (6,).
@@ -76,7 +76,7 @@ class MuJoCoPlant(SampledPlant):
             flotor slides and turns along its stops without end.
         force_falloff: Loss of a coil's force constant at the end of the device's range along its force, as a share;
             it grows with the square of the distance from the magnets' centre. Assumed.
-        flexible: The handle swings against the flotor along z; see `load`.
+        flexible: The handle swings against the flotor along z; see `load_model`.
         keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, hand_force, longest_step,
             metered. Without a longest integration step a step lasts as long as the wrench is constant; the default is
             a quarter of the drivers' time constant with driver lag, 0.5 ms with a hand.
@@ -161,7 +161,7 @@ class MuJoCoPlant(SampledPlant):
         self._coils = self.device.coils
         known = self._coils
         if known is None and current_limit is not None:
-            known = load(model, coil_map=coil_map).coils
+            known = load_model(model, coil_map=coil_map).coils
         self._coil_drive = None if known is None else CoilDrive(known, self.current_limit)
         self._open(integrator, force_falloff, flag("stop_damping", stop_damping), hand)
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)

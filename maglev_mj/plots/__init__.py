@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from maglev_mj.plots.results import pictures_of as pictures_of
     from maglev_mj.plots.stability import design_map as design_map
     from maglev_mj.plots.stability import drop_map as drop_map
-    from maglev_mj.plots.stability import drop_panels as drop_panels
     from maglev_mj.plots.stability import stability_map as stability_map
 else:
     _HOMES = {
@@ -31,6 +30,6 @@ else:
         "paper": "figure_6 phase_plane stick_slip time_series",
         "recorded": "first_contact staircases sticks whole_run",
         "results": "pictures_of",
-        "stability": "design_map drop_map drop_panels stability_map",
+        "stability": "design_map drop_map stability_map",
     }
     __getattr__, __dir__, __all__ = attach(__name__, _HOMES)

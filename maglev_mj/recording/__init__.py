@@ -5,7 +5,7 @@ from maglev_mj.recording.files import ArrayFile, Recorder, RecordingFile, best_s
 from maglev_mj.recording.legacy import metadata_of
 from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup
 from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
-from maglev_mj.recording.samples import Samples, load
+from maglev_mj.recording.samples import Samples, load_samples
 from maglev_mj.recording.setup import OwnCodeError, setup_of
 from maglev_mj.recording.tee import tee
 from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
@@ -30,7 +30,7 @@ __all__ = [
     "best_suffix",
     "check_name",
     "export",
-    "load",
+    "load_samples",
     "metadata_of",
     "open_recording",
     "setup_of",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -190,8 +191,8 @@ class ArrayFile:
 
 
 def best_suffix() -> str:
-    """Return ".mcap" if its packages are installed, else ".npz"."""
-    return ".mcap" if find_spec("mcap") and find_spec("foxglove") else ".npz"
+    """Return ".mcap" if this system can write it, else ".npz"."""
+    return ".mcap" if hasattr(os, "fork") and find_spec("mcap") and find_spec("foxglove") else ".npz"
 
 
 def check_name(path: Path) -> None:

@@ -97,7 +97,7 @@ class Messages:
 
     Args:
         context: Destination; all files and servers attached to it get every message.
-        model: Model of the drawn device, as of `maglev_mj.model.load`.
+        model: Model of the drawn device, as of `maglev_mj.model.load_model`.
 
     Raises:
         ModelError: If the model cannot be used.

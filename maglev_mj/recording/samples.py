@@ -18,7 +18,7 @@ from maglev_mj.recording.recording import Recording, Stretch, read_file
 from maglev_mj.recording.row import FIELDS, TOTALS, Field
 from maglev_mj.tabular import Tabular
 
-__all__ = ["Samples", "load", "samples_of"]
+__all__ = ["Samples", "load_samples", "samples_of"]
 
 _FIELDS: Mapping[str, Field] = {field.name: field for field in (*FIELDS, *TOTALS)}
 
@@ -91,7 +91,7 @@ class Samples(Tabular):
         return frame
 
 
-def load(path: Path | str, fields: Sequence[str] | None = None) -> Samples:
+def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Samples:
     """Read a recording as arrays.
 
     An hour at 1 kHz takes some seconds and below 1 GB: a field that is constant or equals another is stored once.

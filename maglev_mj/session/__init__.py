@@ -3,7 +3,7 @@
 Pacing, changes by keys, recording, and snapshots.
 """
 
-from maglev_mj.scenes.admission import STEP_FORCE, Refusal, check_step, own_code_refused, refusal, stability_warning
+from maglev_mj.scenes.admission import STEP_FORCE, Refusal, check_step, own_code_refused, refusal
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, device_actions, settable
 from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import TIME_SCALES, Due, Note, Pacer, next_scale, real_time
@@ -51,5 +51,4 @@ __all__ = [
     "real_time",
     "refusal",
     "settable",
-    "stability_warning",
 ]

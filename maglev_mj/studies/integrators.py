@@ -15,7 +15,7 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import INTEGRATORS, one_step
-from maglev_mj.theory import stiffest_of
+from maglev_mj.theory.boundary import stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.timeline import split_delay
 

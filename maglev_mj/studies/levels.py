@@ -18,7 +18,7 @@ from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.loop import drive
-from maglev_mj.model import load
+from maglev_mj.model import load_model
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.plants.engine import longest_step as step_needed
 from maglev_mj.scenes.scene import Scene
@@ -164,7 +164,7 @@ def step_of(scene: Scene, level: str) -> float:
     own = scene.plant_options().get("longest_step")
     asked = own("mujoco") if callable(own) else own
     needs = {name: value for name, value in options_of(level).items() if name in _SHORTEN}
-    needed = step_needed(load("drop"), hand=_hand_of(scene), **needs)
+    needed = step_needed(load_model("drop"), hand=_hand_of(scene), **needs)
     return min(bound for bound in (needed, asked, scene.period) if bound is not None)
 
 

@@ -10,11 +10,8 @@ from maglev_mj.theory.linearise import linearise as linearise  # now: its module
 
 if TYPE_CHECKING:
     from maglev_mj.theory.boundary import StiffestWall as StiffestWall
-    from maglev_mj.theory.boundary import boundary_of as boundary_of
     from maglev_mj.theory.boundary import largest_stable_stiffness as largest_stable_stiffness
-    from maglev_mj.theory.boundary import ranges_of as ranges_of
     from maglev_mj.theory.boundary import stable_ranges as stable_ranges
-    from maglev_mj.theory.boundary import stiffest_of as stiffest_of
     from maglev_mj.theory.boundary import stiffest_wall as stiffest_wall
     from maglev_mj.theory.closed_loop import critical_delay as critical_delay
     from maglev_mj.theory.closed_loop import is_stable as is_stable
@@ -36,8 +33,7 @@ if TYPE_CHECKING:
     from maglev_mj.theory.verdict import stated_gains as stated_gains
 else:
     _HOMES = {
-        "boundary": "StiffestWall boundary_of largest_stable_stiffness ranges_of"
-        " stable_ranges stiffest_of stiffest_wall",
+        "boundary": "StiffestWall largest_stable_stiffness stable_ranges stiffest_wall",
         "closed_loop": "critical_delay is_stable largest_modulus least_dynamic_stiffness",
         "design": "Case DesignedWall GOALS LAWS WallRequirements design_wall worst_case",
         "linearise": "ClosedLoop Linearised linearise",

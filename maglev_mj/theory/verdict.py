@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array
-from maglev_mj.model import load
+from maglev_mj.model import load_model
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.tabular import Table, Tabular
@@ -151,7 +151,7 @@ def inertia_of(scene: Judged) -> Array:
     options = scene.plant_options()
     body = np.array(INERTIA)
     if options.get("model") is not None:
-        device = load(options["model"])
+        device = load_model(options["model"])
         body[:3], body[3:] = device.mass, device.inertia
     for name, axes in (("mass", slice(3)), ("inertia", slice(3, None))):
         if options.get(name) is not None:

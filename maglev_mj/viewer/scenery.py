@@ -13,7 +13,7 @@ import numpy as np
 from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.display.stops import met_stops
 from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
-from maglev_mj.model import COILS, load
+from maglev_mj.model import COILS, load_model
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, UNDER_KNOB, arrow_start, wall_plate
@@ -49,7 +49,7 @@ class Scenery:
     """
 
     def __init__(self, scene: Scene | type[Scene]) -> None:
-        device = load(scene.model, lean=False)
+        device = load_model(scene.model, lean=False)
         self.shown = scene.model
         self.model = device.model
         self.model.vis.quality.numslices, self.model.vis.quality.numstacks = _SLICES

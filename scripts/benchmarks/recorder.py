@@ -31,7 +31,7 @@ import numpy as np
 
 from maglev_mj import Command, Sample
 from maglev_mj.loop import ControlLoop, Record
-from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load, setup_of, tee
+from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load_samples, setup_of, tee
 from maglev_mj.recording.files import row_of
 from maglev_mj.recording.live import LiveFile, Ring
 from maglev_mj.recording.row import ROW, as_table
@@ -178,7 +178,7 @@ def kept_up(rate: float, seconds: float) -> dict[str, float]:
         with suppress(RecordingError):  # of lost samples, which are counted
             file.close()
         rest = time.perf_counter() - start
-        lost = done - len(load(path, ["tick"]))
+        lost = done - len(load_samples(path, ["tick"]))
     return {"samples": done, "lost": lost, "rest": rest}
 
 
@@ -256,9 +256,9 @@ def make_file(path: Path, samples: int) -> None:
 
 READ = """
 import json, resource, sys, time
-from maglev_mj.recording import load
+from maglev_mj.recording import load_samples
 start, used = time.perf_counter(), time.process_time()
-samples = load(sys.argv[1], sys.argv[2].split(",") if len(sys.argv) > 2 else None)
+samples = load_samples(sys.argv[1], sys.argv[2].split(",") if len(sys.argv) > 2 else None)
 found = [len(samples), time.perf_counter() - start, time.process_time() - used]
 print(json.dumps([*found, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024]))
 """

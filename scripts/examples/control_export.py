@@ -8,8 +8,7 @@ pip install control
 import control
 import numpy as np
 
-from maglev_mj import Controller, ExactPlant, Hold, Timing, drive, linearise
-from maglev_mj.theory import judge
+from maglev_mj import Controller, ExactPlant, Hold, Timing, drive, judge, linearise
 
 PERIOD, DELAY = 0.005, 0.0015
 

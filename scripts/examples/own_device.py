@@ -11,8 +11,7 @@ from tempfile import TemporaryDirectory
 
 import mujoco
 
-from maglev_mj import Controller, Hold, MuJoCoPlant, Timing, Wall, drive
-from maglev_mj.model import load, model_path
+from maglev_mj import Controller, Hold, MuJoCoPlant, Timing, Wall, drive, load_model, model_path
 
 OTHERS = ("x", "y", "rx", "ry", "rz")
 START = [0.0, 0.0, 0.003, 0.0, 0.0, 0.0]
@@ -35,7 +34,7 @@ def deepest(model):
 
     No coil takes more than 10 A.
     """
-    timing, device = Timing(), load(model)
+    timing, device = Timing(), load_model(model)
     inertia = [device.mass, device.mass, *device.inertia]
     others = Hold.critically_damped(OTHERS, period=timing.period, delay=timing.delay, inertia=inertia)
     wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
@@ -49,7 +48,7 @@ if __name__ == "__main__":
         mine = Path(folder) / "mine.xml"
         write_device(mine)
         for name, model in {"published": "maglev", "mine": mine}.items():
-            device = load(model)
+            device = load_model(model)
             wrench = device.coils.largest_wrench(10.0)
             print(f"{name}: {device.mass:.2f} kg, {wrench[2]:.0f} N along z and {wrench[3]:.2f} N m about x at 10 A,")
             print(f"  falls {1e3 * deepest(model):.2f} mm into the wall")

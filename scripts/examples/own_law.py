@@ -5,10 +5,8 @@ Its spring gives way beyond the travel and recovers at half of it. The law remem
 
 import numpy as np
 
-from maglev_mj import AxisLaw, Controller, ExactPlant, Hold, Timing, drive, gain
-from maglev_mj.hand import SpringHand, Trajectory
-from maglev_mj.laws import check
-from maglev_mj.theory import judge
+import maglev_mj
+from maglev_mj import AxisLaw, Controller, ExactPlant, Hold, SpringHand, Timing, Trajectory, drive, gain, judge
 
 
 class Button(AxisLaw):
@@ -49,7 +47,7 @@ def press(button, timing):
 
 if __name__ == "__main__":
     timing, button = Timing(period=0.001, delay=0.0005), Button(axes="z", stiffness=3000.0)
-    check(button)  # one device and a batch alike, finite, nothing changed but the wrench
+    maglev_mj.check_law(button)  # one device and a batch alike, finite, nothing changed but the wrench
     depth, force = press(button, timing)
     step = np.diff(force)
     for word, at in (("pressed: clicks", step.argmin()), ("released: returns", step.argmax())):

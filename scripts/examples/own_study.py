@@ -14,9 +14,7 @@ from pathlib import Path
 import numpy as np
 from distributed import LocalCluster
 
-from maglev_mj import Timing
-from maglev_mj.studies.cells import run_cells
-from maglev_mj.workers import dask_workers
+from maglev_mj import Timing, dask_workers, run_cells
 from own_law import Button, press
 
 RATES, STIFFNESSES = (200.0, 500.0, 1000.0), (2000.0, 3000.0, 4000.0)
