@@ -32,6 +32,7 @@ __all__ = [
 ]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""Names of the six axes: translations along stator axes, then rotations about them."""
 
 ZERO = (0.0,) * 6
 """Six zeros: no wrench, twist or currents.
@@ -40,7 +41,10 @@ It is also the pose of a flotor at the centre.
 """
 
 Array: TypeAlias = NDArray[np.float64]
+"""Array of numbers."""
+
 Mask: TypeAlias = NDArray[np.bool_]
+"""Array of truth values."""
 
 Component: TypeAlias = Any
 """One coordinate of one device or of N devices.

@@ -73,7 +73,9 @@ def _add_parameter(parser: Container, option: str, one: Parameter, default: Any,
     read, metavar = kinds[one.kind]
     if one.optional:
         read = partial(_or_none, read)
-    offer(parser.add_argument(option, type=read, metavar=metavar, **kept), one.choices)
+    made = parser.add_argument(option, type=read, metavar=metavar, **kept)
+    offer(made, one.choices)
+    setattr(made, "parameter", one)  # noqa: B010, its bounds are in the reference of commands
 
 
 def described(one: Parameter, default: Any) -> str:

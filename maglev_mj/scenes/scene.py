@@ -77,7 +77,7 @@ class Scene(Parameters):
         name: Name on the command line; the class's own in kebab-case by default.
         title: Heading of its tables; the first line of its docstring by default.
         shown_axis: Axis of plots and figures.
-        figures: Figures of a run: names of stock figures, or `Figure`s; a mapping gives them other names in JSON.
+        figures: Figures of a run: names of stock figures, or `Figure` objects; a mapping renames them in JSON.
         plants: Names of its plants, the default first.
         takes_phase: True if the phase of the samples makes a difference worth a sweep.
         tolerance: Negligible displacement of a coil [m], as in `fidelity`.

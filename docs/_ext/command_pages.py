@@ -1,0 +1,135 @@
+"""Reference pages of the commands, from the parser itself: usage, options, example."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from inspect import getdoc
+from pathlib import Path
+
+from sphinx.application import Sphinx
+from sphinx.util.osutil import FileAvoidWrite
+
+from maglev_mj.cli import parser
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.commands import GROUPS
+from maglev_mj.cli.options import add_parameters
+from maglev_mj.scenes.find import find_scene
+from maglev_mj.scenes.names import scene_names
+
+_FOLDER = "reference/commands"
+_COLUMNS = "Option", "Meaning", "Default", "Allowed"
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the generator."""
+    app.connect("config-inited", write_pages)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def write_pages(app: Sphinx, _: object) -> None:
+    """Write a page for each command, one for the scenes' parameters, and their index."""
+    folder = Path(app.srcdir, _FOLDER)
+    folder.mkdir(exist_ok=True)
+    commands = next(one for one in parser()._actions if isinstance(one, argparse._SubParsersAction)).choices
+    pages = {name: _command_page(name, commands[name]) for group in GROUPS.values() for name in group}
+    for name, page in {**pages, "scenes": _scenes_page(), "index": _index_page()}.items():
+        write(folder / f"{name}.rst", page)
+
+
+def _index_page() -> Iterator[str]:
+    yield from title("Commands", "=")
+    yield "Every command, by what it is for. ``maglev-mj COMMAND --help`` prints the same. Exit status: 0; 1 for a run"
+    yield "that failed, 2 for bad input, 130 for Ctrl-C, 141 for a closed output."
+    for purpose, group in GROUPS.items():
+        yield from title(purpose.capitalize(), "-")
+        rows = [(f":doc:`{name}`", as_rst(one.summary)) for name, one in group.items()]
+        yield from table(("Command", "Summary"), rows, (20, 80))
+    yield from ("", ".. toctree::", "   :hidden:", "", *(f"   {name}" for group in GROUPS.values() for name in group))
+    yield "   scenes"
+
+
+def _command_page(name: str, command: Parser) -> Iterator[str]:
+    command.prepare([])
+    yield from title(name, "=")
+    yield as_rst(str(command.description))
+    yield from _block(command.format_usage().removeprefix("usage: "))
+    yield from ("Example:", *_block(command.example))
+    for group in command._action_groups:
+        options = [one for one in group._group_actions if one.help != argparse.SUPPRESS and one.dest != "help"]
+        if options:
+            yield from title("Arguments" if group is command._positionals else str(group.title).capitalize(), "-")
+            yield from _options(options)
+    if command.epilog:
+        yield from title("Notes", "-")
+        for paragraph in re.split(r"\n(?!\s)", command.epilog):
+            yield from _block(paragraph) if "\n " in paragraph else (as_rst(paragraph), "")
+    if "SCENE" in command.format_help():
+        yield "Each scene has parameters of its own, which are further options: see :doc:`scenes`."
+
+
+def _scenes_page() -> Iterator[str]:
+    yield from title("Parameters of the scenes", "=")
+    yield "Each scene of the package, and the options that its parameters make in any command that takes a ``SCENE``."
+    for name in scene_names():
+        scene = find_scene(name)
+        made = Parser()
+        add_parameters(made, scene)
+        yield from title(name, "-")
+        yield from (as_rst(str(getdoc(scene))), "", f"Plants: {', '.join(scene.plants)}.")
+        yield from _options([one for one in made._actions if one.dest != "help"])
+
+
+def _options(options: Sequence[argparse.Action]) -> Iterator[str]:
+    yield from table(_COLUMNS, [_row(one) for one in options], (25, 45, 12, 18))
+
+
+def _row(option: argparse.Action) -> tuple[str, str, str, str]:
+    """Return an option, its meaning, its default and the values allowed."""
+    words = " ".join(filter(None, (", ".join(option.option_strings), _value(option))))
+    told, _, default = (option.help or "").replace("%%", "%").partition(" (default")
+    default, _, rest = default.strip(": ").rpartition(")")
+    declared = getattr(option, "parameter", None)
+    allowed = ", ".join(map(str, option.choices or getattr(option, "offered", ())))
+    if declared is not None and declared.bounds:
+        allowed = ", ".join(f"{name.replace('_', ' ')} {bound:g}" for name, bound in declared.bounds.items())
+    return f"``{words}``", as_rst(told + rest), as_rst(default), as_rst(allowed)
+
+
+def _value(option: argparse.Action) -> str:
+    if option.nargs == 0:
+        return ""
+    name = str(option.metavar or (option.dest if not option.option_strings else "NAME"))
+    return f"[{name}]" if option.nargs == "?" else name
+
+
+def write(path: Path, lines: Iterable[str]) -> None:
+    """Write a page, unless it is there already."""
+    text = "\n".join(lines) + "\n"
+    with FileAvoidWrite(path) as file:
+        file.write(text)
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]], widths: Sequence[int]) -> Iterator[str]:
+    """Yield the lines of a table."""
+    yield from ("", ".. list-table::", "   :header-rows: 1", f"   :widths: {' '.join(map(str, widths))}", "")
+    for row in [heads, *rows]:
+        for first, cell in enumerate(row):
+            yield f"   {'  -' if first else '* -'} {cell}"
+    yield ""
+
+
+def title(text: str, line: str) -> tuple[str, ...]:
+    """Return the lines of a title, underlined."""
+    return "", text, line * len(text), ""
+
+
+def _block(text: str) -> Iterator[str]:
+    yield from ("", ".. code-block:: text", "", *(f"   {line}" for line in text.splitlines()), "")
+
+
+def as_rst(text: str) -> str:
+    """Return plain text as reStructuredText, what stands in backticks as code."""
+    parts = text.split("`")
+    return "".join(f"``{part}``" if n % 2 else re.sub(r"([\\*|_])", r"\\\1", part) for n, part in enumerate(parts))

@@ -1,0 +1,157 @@
+"""Reference pages of the public names, from docstrings: a page for each room of the package."""
+
+from __future__ import annotations
+
+import ast
+import pkgutil
+from collections.abc import Iterator, Mapping, Sequence
+from importlib import import_module
+from inspect import getdoc, getsource, isclass, isroutine
+from itertools import groupby
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
+
+from command_pages import as_rst, table, title, write
+from sphinx.application import Sphinx
+
+import maglev_mj
+
+_FOLDER = "reference/api"
+_INTERNAL = {"__main__", "colours", "lazy", "process", "terminal", "versions"}
+_INTERNAL |= {"cli", "display", "hand_devices", "net", "viewer", "web"}  # programs: their reference is the commands'
+_BESIDE = "modules"
+"""Page of the modules beside the rooms."""
+
+Homes: TypeAlias = dict[int | str, tuple[str, str]]
+
+
+class Name(NamedTuple):
+    """A public name.
+
+    Attributes:
+        module: Module that gives it.
+        name: Its name there.
+        found: The object.
+    """
+
+    module: str
+    name: str
+    found: Any
+
+    @property
+    def path(self) -> str:
+        """Name from the package on."""
+        return f"{self.module}.{self.name}"
+
+    @property
+    def is_data(self) -> bool:
+        """True for a value, which does not know its name."""
+        named = isclass(self.found) or isroutine(self.found)
+        return not (named and str(self.found.__module__).startswith("maglev_mj."))
+
+    @property
+    def key(self) -> int | str:
+        """Key that is equal for an object of two names."""
+        return self.path if self.is_data else id(self.found)
+
+    @property
+    def room(self) -> str:
+        """Room of its source."""
+        return str(self.module if self.is_data else self.found.__module__).split(".")[1]
+
+    @property
+    def directive(self) -> str:
+        """Directive that documents it."""
+        if isclass(self.found):
+            return "autoexception" if issubclass(self.found, BaseException) else "autoclass"
+        return "autodata" if self.is_data else "autofunction"
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the generator."""
+    app.connect("config-inited", write_pages)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def write_pages(app: Sphinx, _: object) -> None:
+    """Write a page for each room, one for the modules beside them, and one for the names of the package."""
+    folder = Path(app.srcdir, _FOLDER)
+    folder.mkdir(exist_ok=True)
+    rooms = [one.name for one in pkgutil.iter_modules(maglev_mj.__path__) if one.ispkg and one.name not in _INTERNAL]
+    given = {room: _names(f"maglev_mj.{room}") for room in rooms}
+    for name in _names("maglev_mj"):  # one that its room does not give
+        if name.room in given and name.key not in {one.key for one in given[name.room]}:
+            given[name.room].append(name)
+    given[_BESIDE] = [name for module in _modules("maglev_mj") for name in _names(module)]
+    homes = _homes(given)
+    pages = {room: _page(room, names, homes) for room, names in given.items()}
+    for page, lines in {**pages, "index": _index(given, homes)}.items():
+        write(folder / f"{page}.rst", lines)
+
+
+def _modules(package: str) -> list[str]:
+    found = pkgutil.iter_modules(import_module(package).__path__)
+    return [f"{package}.{one.name}" for one in found if not one.ispkg and one.name not in _INTERNAL]
+
+
+def _names(module: str) -> list[Name]:
+    """Return the names of a module; of a package without names of its own those of its modules."""
+    loaded = import_module(module)
+    if not hasattr(loaded, "__all__"):
+        return [name for inner in _modules(module) for name in _names(inner)]
+    names = [Name(module, name, getattr(loaded, name)) for name in loaded.__all__]
+    return [one._replace(module=_source(module, one.name)) if one.is_data else one for one in names]
+
+
+def _source(module: str, name: str) -> str:
+    """Return the module that defines a value, where its description is."""
+    for node in ast.walk(ast.parse(getsource(import_module(module)))):
+        if isinstance(node, ast.ImportFrom) and any(one.name == name for one in node.names):
+            return _source(str(node.module), name)
+    return module
+
+
+def _homes(given: Mapping[str, Sequence[Name]]) -> Homes:
+    """Return the room and the path under which each object is documented: its own room, if that gives it."""
+    names = [(room, name) for room, names in given.items() for name in names]
+    own = {name.key: (room, name.path) for room, name in names if name.room == room}
+    return {name.key: (room, name.path) for room, name in names} | own
+
+
+def _page(room: str, names: Sequence[Name], homes: Homes) -> Iterator[str]:
+    package = maglev_mj if room == _BESIDE else import_module(f"maglev_mj.{room}")
+    yield from title("Modules beside the rooms" if room == _BESIDE else f"maglev_mj.{room}", "=")
+    if room != _BESIDE:
+        yield as_rst(str(getdoc(package)))
+    yield from _summaries(names, homes)
+    for module, group in groupby(names, lambda name: name.module):
+        if not hasattr(package, "__all__") or room == _BESIDE:
+            yield from title(module, "-")
+            yield as_rst(str(getdoc(import_module(module))).partition("\n")[0])
+        for name in group:
+            if homes[name.key] == (room, name.path):
+                yield from ("", f".. {name.directive}:: {name.path}")
+                if isclass(name.found):
+                    yield "   :members:"
+
+
+def _index(given: Mapping[str, Sequence[Name]], homes: Homes) -> Iterator[str]:
+    yield from title("Names", "=")
+    yield as_rst("`import maglev_mj` gives the names that most programs need:")
+    yield from _summaries(_names("maglev_mj"), homes)
+    yield from title("Rooms", "-")
+    yield "The rest is in rooms, which are packages of their own."
+    rows = []
+    for room in given:
+        about = "Modules beside the rooms." if room == _BESIDE else str(getdoc(import_module(f"maglev_mj.{room}")))
+        rows.append((f":doc:`{room}`", as_rst(about.partition("\n")[0])))
+    yield from table(("Room", "Content"), rows, (25, 75))
+    yield from ("", ".. toctree::", "   :hidden:", "", *(f"   {room}" for room in given))
+
+
+def _summaries(names: Sequence[Name], homes: Homes) -> Iterator[str]:
+    rows = []
+    for name in names:
+        summary = "" if name.is_data else as_rst(str(getdoc(name.found)).partition("\n")[0])
+        rows.append((f":py:obj:`{name.name} <{homes[name.key][1]}>`", summary))
+    yield from table(("Name", "Summary"), rows, (30, 70))
