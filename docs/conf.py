@@ -41,18 +41,16 @@ nb_execution_timeout = 60
 
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
-autodoc_type_aliases = {"ArrayLike": "ArrayLike", "Array": "Array", "Component": "Component"}
 maximum_signature_line_length = 80
 toc_object_entries_show_parents = "hide"
-napoleon_custom_sections = [("Class attributes", "params_style")]
-napoleon_use_ivar = True
+napoleon_custom_sections = [("Attributes", "params_style"), ("Class attributes", "params_style")]
 napoleon_use_rtype = False
 copybutton_exclude = ".linenos, .gp, .go"  # prompts and output of an example
 
 html_theme = "furo"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_theme_options = {"source_repository": repository_url, "source_branch": "main", "source_directory": "docs/"}
+html_theme_options = {"top_of_page_buttons": []}
 linkcheck_ignore = [rf"{repository_url}.*"]  # published with the repository
 
 

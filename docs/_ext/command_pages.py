@@ -43,7 +43,7 @@ def _index_page() -> Iterator[str]:
     yield "Every command, by what it is for. ``maglev-mj COMMAND --help`` prints the same. Exit status: 0; 1 for a run"
     yield "that failed, 2 for bad input, 130 for Ctrl-C, 141 for a closed output."
     for purpose, group in GROUPS.items():
-        yield from title(purpose.capitalize(), "-")
+        yield from title(_capital(purpose), "-")
         rows = [(f":doc:`{name}`", as_rst(one.summary)) for name, one in group.items()]
         yield from table(("Command", "Summary"), rows, (20, 80))
     yield from ("", ".. toctree::", "   :hidden:", "", *(f"   {name}" for group in GROUPS.values() for name in group))
@@ -59,7 +59,7 @@ def _command_page(name: str, command: Parser) -> Iterator[str]:
     for group in command._action_groups:
         options = [one for one in group._group_actions if one.help != argparse.SUPPRESS and one.dest != "help"]
         if options:
-            yield from title("Arguments" if group is command._positionals else str(group.title).capitalize(), "-")
+            yield from title("Arguments" if group is command._positionals else _capital(str(group.title)), "-")
             yield from _options(options)
     if command.epilog:
         yield from title("Notes", "-")
@@ -123,6 +123,10 @@ def table(heads: Sequence[str], rows: Iterable[Sequence[str]], widths: Sequence[
 def title(text: str, line: str) -> tuple[str, ...]:
     """Return the lines of a title, underlined."""
     return "", text, line * len(text), ""
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _block(text: str) -> Iterator[str]:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import ast
 import pkgutil
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
-from inspect import getdoc, getsource, isclass, isroutine
+from inspect import getdoc, getsource, isclass, isroutine, signature
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 from command_pages import as_rst, table, title, write
 from sphinx.application import Sphinx
+from sphinx.util.inspect import stringify_signature
 
 import maglev_mj
 
@@ -21,6 +23,9 @@ _INTERNAL = {"__main__", "colours", "lazy", "process", "terminal", "versions"}
 _INTERNAL |= {"cli", "display", "hand_devices", "net", "viewer", "web"}  # programs: their reference is the commands'
 _BESIDE = "modules"
 """Page of the modules beside the rooms."""
+
+_SHORT = 60
+"""Characters of a value that is shown."""
 
 Homes: TypeAlias = dict[int | str, tuple[str, str]]
 
@@ -67,9 +72,16 @@ class Name(NamedTuple):
         return "autodata" if self.is_data else "autofunction"
 
 
+_paths: dict[str, str] = {}
+"""Path of each name that only one object has."""
+
+
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the generator."""
+    """Register the generator of the pages, and hooks for what stands on them."""
     app.connect("config-inited", write_pages)
+    app.connect("autodoc-process-signature", keep_annotations)
+    app.connect("autodoc-process-docstring", keep_colon, priority=499)  # before napoleon
+    app.connect("missing-reference", link_name)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
@@ -84,9 +96,36 @@ def write_pages(app: Sphinx, _: object) -> None:
             given[name.room].append(name)
     given[_BESIDE] = [name for module in _modules("maglev_mj") for name in _names(module)]
     homes = _homes(given)
+    shared = Counter(path.rpartition(".")[2] for _, path in homes.values())
+    _paths.update({name: path for _, path in homes.values() if shared[name := path.rpartition(".")[2]] == 1})
     pages = {room: _page(room, names, homes) for room, names in given.items()}
     for page, lines in {**pages, "index": _index(given, homes)}.items():
         write(folder / f"{page}.rst", lines)
+
+
+def keep_annotations(app: Sphinx, what: str, _: str, found: Any, *more: Any) -> tuple[str, str] | None:
+    """Return a signature whose types are as written, not as evaluated; of a class that of `__init__`."""
+    try:
+        made = signature(found)
+    except (TypeError, ValueError):  # no callable, or one of the interpreter's
+        return None
+    unbound = what == "method" and next(iter(made.parameters), "") == "self"
+    words = list(made.parameters.values())[unbound:]
+    arguments, arrow, returned = stringify_signature(made.replace(parameters=words)).partition(" -> ")
+    return arguments, returned if arrow and what != "class" else ""
+
+
+def keep_colon(app: Sphinx, what: str, _: str, found: object, options: object, lines: list[str]) -> None:
+    """Keep what stands before a colon in the description of a value, which napoleon takes for a type."""
+    if what in ("attribute", "data", "property"):
+        lines.insert(0, "")
+
+
+def link_name(app: Sphinx, env: Any, link: Any, shown: Any) -> Any:
+    """Link the name of another package's object, as docstrings write it."""
+    if link.get("refdomain") == "py" and (path := _paths.get(link["reftarget"])) is not None:
+        return env.domains.python_domain.resolve_xref(env, link["refdoc"], app.builder, "obj", path, link, shown)
+    return None
 
 
 def _modules(package: str) -> list[str]:
@@ -133,10 +172,12 @@ def _page(room: str, names: Sequence[Name], homes: Homes) -> Iterator[str]:
                 yield from ("", f".. {name.directive}:: {name.path}")
                 if isclass(name.found):
                     yield "   :members:"
+                elif name.is_data and len(repr(name.found)) > _SHORT:
+                    yield "   :no-value:"
 
 
 def _index(given: Mapping[str, Sequence[Name]], homes: Homes) -> Iterator[str]:
-    yield from title("Names", "=")
+    yield from title("Python API", "=")
     yield as_rst("`import maglev_mj` gives the names that most programs need:")
     yield from _summaries(_names("maglev_mj"), homes)
     yield from title("Rooms", "-")
