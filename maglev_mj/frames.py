@@ -65,6 +65,12 @@ class Sample:
         tick: Sample number, from 0.
         time: Time since release [s]; (N,) if the devices' sampling phases differ.
         position: The six components of the measured pose [m, rad].
+
+    Example:
+        >>> from maglev_mj import Sample
+        >>> sample = Sample(tick=3, time=0.015, position=[0.0, 0.0, 0.001, 0.0, 0.0, 0.0])
+        >>> sample.position[2]
+        0.001
     """
 
     tick: int
@@ -87,6 +93,12 @@ class Command:
         force: The six components of the held wrench on the flotor, in stator axes [N, N m].
         extra: The six components added from the moment the command takes effect; None for no pulse.
         pulse_width: Duration of the pulse [s].
+
+    Example:
+        >>> from maglev_mj import Command
+        >>> command = Command([0.0, 0.0, 6.867, 0.0, 0.0, 0.0])  # the weight of 0.7 kg, without a pulse
+        >>> command.force[2], command.pulse_width
+        (6.867, 0.0)
     """
 
     force: Sequence[Component]

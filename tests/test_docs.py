@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+import maglev_mj
 from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.twin import TwinServer
@@ -193,3 +194,8 @@ def test_the_files_that_a_page_names_are_there(page: str) -> None:
     named = [ROOT / name for name in re.findall(r"\b(?:scripts|tests|docs|model)/[\w/]+\.\w+", text_of(page))]
     missing = {str(path.relative_to(ROOT)) for path in linked + named if not path.exists()}
     assert missing <= {"model/scenes/shaft.xml"}  # the reader's own
+
+
+def test_every_name_of_the_package_has_an_example() -> None:
+    found = {name: getattr(maglev_mj, name) for name in maglev_mj.__all__}
+    assert not [name for name, one in found.items() if callable(one) and ">>> " not in (one.__doc__ or "")]
