@@ -30,7 +30,7 @@ extensions = [
 exclude_patterns = ["_build", "_ext", "jupyter_execute", "**.ipynb_checkpoints"]
 default_role = "py:obj"  # `name` in a docstring links to the name, where it is public
 suppress_warnings = ["ref.python"]  # a type's name in a signature that two rooms have
-smartquotes = False  # "--out" keeps its hyphens
+smartquotes_action = "D"  # dashes alone; quotes stay as typed
 highlight_language = "text"  # an indented block is typed or printed
 
 myst_heading_anchors = 4

@@ -134,6 +134,9 @@ def _block(text: str) -> Iterator[str]:
 
 
 def as_rst(text: str) -> str:
-    """Return plain text as reStructuredText, what stands in backticks as code."""
-    parts = text.split("`")
-    return "".join(f"``{part}``" if n % 2 else re.sub(r"([\\*|_])", r"\\\1", part) for n, part in enumerate(parts))
+    """Return plain text as reStructuredText: code in backticks, and options."""
+    parts = re.split(r"`([^`]*)`|(?<!\S)(--[\w-]+)", text)
+    plain, quoted, options = parts[::3], parts[1::3], parts[2::3]
+    escaped = [re.sub(r"([\\*|_])", r"\\\1", part) for part in plain]
+    code = [f"``{one or other}``" for one, other in zip(quoted, options)]
+    return "".join(part for pair in zip(escaped, [*code, ""]) for part in pair)

@@ -118,7 +118,7 @@ def keep_annotations(app: Sphinx, what: str, _: str, found: Any, *more: Any) -> 
 def keep_colon(app: Sphinx, what: str, _: str, found: object, options: object, lines: list[str]) -> None:
     """Keep what stands before a colon in the description of a value, which napoleon takes for a type."""
     if what in ("attribute", "data", "property"):
-        lines.insert(0, "")
+        lines[:0] = ["..", ""]  # a comment: the first line has no colon then
 
 
 def link_name(app: Sphinx, env: Any, link: Any, shown: Any) -> Any:
