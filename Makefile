@@ -49,7 +49,7 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(READY)
+types: $(READY) $(DOCS)
 	$(BIN)/mypy
 
 # the device's firmware for a Cortex-M4, with nothing but the compiler's own arithmetic left to link

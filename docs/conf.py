@@ -50,7 +50,7 @@ copybutton_exclude = ".linenos, .gp, .go"  # prompts and output of an example
 html_theme = "furo"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_theme_options = {"top_of_page_buttons": []}
+html_theme_options: dict[str, list[str]] = {"top_of_page_buttons": []}
 linkcheck_ignore = [rf"{repository_url}.*"]  # published with the repository
 
 

@@ -91,7 +91,7 @@ def _row(option: argparse.Action) -> tuple[str, str, str, str]:
     told, _, default = (option.help or "").replace("%%", "%").partition(" (default")
     default, _, rest = default.strip(": ").rpartition(")")
     declared = getattr(option, "parameter", None)
-    allowed = ", ".join(map(str, option.choices or getattr(option, "offered", ())))
+    allowed = ", ".join(option.choices or getattr(option, "offered", None) or ())
     if declared is not None and declared.bounds:
         allowed = ", ".join(f"{name.replace('_', ' ')} {bound:g}" for name, bound in declared.bounds.items())
     return f"``{words}``", as_rst(told + rest), as_rst(default), as_rst(allowed)

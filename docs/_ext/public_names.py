@@ -1,4 +1,4 @@
-"""Reference pages of the public names, from docstrings: a page for each room of the package."""
+"""Reference pages of the public names, from docstrings: one for each package, and one for the modules beside them."""
 
 from __future__ import annotations
 
@@ -22,12 +22,16 @@ _FOLDER = "reference/api"
 _INTERNAL = {"__main__", "colours", "lazy", "process", "terminal", "versions"}
 _INTERNAL |= {"cli", "display", "hand_devices", "net", "viewer", "web"}  # programs: their reference is the commands'
 _BESIDE = "modules"
-"""Page of the modules beside the rooms."""
+"""Page of the modules beside the packages."""
 
 _SHORT = 60
 """Characters of a value that is shown."""
 
 Homes: TypeAlias = dict[int | str, tuple[str, str]]
+"""Page and path of each object."""
+
+_paths: dict[str, str] = {}
+"""Path of each name that only one object has."""
 
 
 class Name(NamedTuple):
@@ -56,12 +60,12 @@ class Name(NamedTuple):
 
     @property
     def key(self) -> int | str:
-        """Key that is equal for an object of two names."""
+        """Key that two names of one object share."""
         return self.path if self.is_data else id(self.found)
 
     @property
-    def room(self) -> str:
-        """Room of its source."""
+    def package(self) -> str:
+        """Package of its source."""
         return str(self.module if self.is_data else self.found.__module__).split(".")[1]
 
     @property
@@ -72,12 +76,8 @@ class Name(NamedTuple):
         return "autodata" if self.is_data else "autofunction"
 
 
-_paths: dict[str, str] = {}
-"""Path of each name that only one object has."""
-
-
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the generator of the pages, and hooks for what stands on them."""
+    """Register the generator of the pages, and hooks for their content."""
     app.connect("config-inited", write_pages)
     app.connect("autodoc-process-signature", keep_annotations)
     app.connect("autodoc-process-docstring", keep_colon, priority=499)  # before napoleon
@@ -86,25 +86,26 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def write_pages(app: Sphinx, _: object) -> None:
-    """Write a page for each room, one for the modules beside them, and one for the names of the package."""
+    """Write the pages of the packages, that of the modules beside them, and the index."""
     folder = Path(app.srcdir, _FOLDER)
     folder.mkdir(exist_ok=True)
-    rooms = [one.name for one in pkgutil.iter_modules(maglev_mj.__path__) if one.ispkg and one.name not in _INTERNAL]
-    given = {room: _names(f"maglev_mj.{room}") for room in rooms}
-    for name in _names("maglev_mj"):  # one that its room does not give
-        if name.room in given and name.key not in {one.key for one in given[name.room]}:
-            given[name.room].append(name)
+    packages = [one.name for one in pkgutil.iter_modules(maglev_mj.__path__) if one.ispkg]
+    given = {package: _names(f"maglev_mj.{package}") for package in packages if package not in _INTERNAL}
+    for name in _names("maglev_mj"):  # one that its own package does not give
+        if name.package in given and name.key not in {one.key for one in given[name.package]}:
+            given[name.package].append(name)
     given[_BESIDE] = [name for module in _modules("maglev_mj") for name in _names(module)]
     homes = _homes(given)
-    shared = Counter(path.rpartition(".")[2] for _, path in homes.values())
-    _paths.update({name: path for _, path in homes.values() if shared[name := path.rpartition(".")[2]] == 1})
-    pages = {room: _page(room, names, homes) for room, names in given.items()}
+    known = [(path.rpartition(".")[2], path) for _, path in homes.values()]
+    uses = Counter(bare for bare, _ in known)
+    _paths.update({bare: path for bare, path in known if uses[bare] == 1})
+    pages = {page: _page(page, names, homes) for page, names in given.items()}
     for page, lines in {**pages, "index": _index(given, homes)}.items():
         write(folder / f"{page}.rst", lines)
 
 
 def keep_annotations(app: Sphinx, what: str, _: str, found: Any, *more: Any) -> tuple[str, str] | None:
-    """Return a signature whose types are as written, not as evaluated; of a class that of `__init__`."""
+    """Return a signature whose types are as written, not as evaluated; for a class that of `__init__`."""
     try:
         made = signature(found)
     except (TypeError, ValueError):  # no callable, or one of the interpreter's
@@ -116,13 +117,13 @@ def keep_annotations(app: Sphinx, what: str, _: str, found: Any, *more: Any) -> 
 
 
 def keep_colon(app: Sphinx, what: str, _: str, found: object, options: object, lines: list[str]) -> None:
-    """Keep what stands before a colon in the description of a value, which napoleon takes for a type."""
+    """Keep text before a colon in the description of a value; napoleon takes it for a type."""
     if what in ("attribute", "data", "property"):
         lines[:0] = ["..", ""]  # a comment: the first line has no colon then
 
 
 def link_name(app: Sphinx, env: Any, link: Any, shown: Any) -> Any:
-    """Link the name of another package's object, as docstrings write it."""
+    """Return a link for the bare name of another package's object; None if it is none."""
     if link.get("refdomain") == "py" and (path := _paths.get(link["reftarget"])) is not None:
         return env.domains.python_domain.resolve_xref(env, link["refdoc"], app.builder, "obj", path, link, shown)
     return None
@@ -134,7 +135,7 @@ def _modules(package: str) -> list[str]:
 
 
 def _names(module: str) -> list[Name]:
-    """Return the names of a module; of a package without names of its own those of its modules."""
+    """Return the names of a module; for a package without names of its own those of its modules."""
     loaded = import_module(module)
     if not hasattr(loaded, "__all__"):
         return [name for inner in _modules(module) for name in _names(inner)]
@@ -143,7 +144,7 @@ def _names(module: str) -> list[Name]:
 
 
 def _source(module: str, name: str) -> str:
-    """Return the module that defines a value, where its description is."""
+    """Return the module that defines a value: its description is there."""
     for node in ast.walk(ast.parse(getsource(import_module(module)))):
         if isinstance(node, ast.ImportFrom) and any(one.name == name for one in node.names):
             return _source(str(node.module), name)
@@ -151,24 +152,24 @@ def _source(module: str, name: str) -> str:
 
 
 def _homes(given: Mapping[str, Sequence[Name]]) -> Homes:
-    """Return the room and the path under which each object is documented: its own room, if that gives it."""
-    names = [(room, name) for room, names in given.items() for name in names]
-    own = {name.key: (room, name.path) for room, name in names if name.room == room}
-    return {name.key: (room, name.path) for room, name in names} | own
+    """Return page and path of each object: on the page of its own package, if that gives it."""
+    names = [(page, one) for page, names in given.items() for one in names]
+    own = {one.key: (page, one.path) for page, one in names if one.package == page}
+    return {one.key: (page, one.path) for page, one in names} | own
 
 
-def _page(room: str, names: Sequence[Name], homes: Homes) -> Iterator[str]:
-    package = maglev_mj if room == _BESIDE else import_module(f"maglev_mj.{room}")
-    yield from title("Modules beside the rooms" if room == _BESIDE else f"maglev_mj.{room}", "=")
-    if room != _BESIDE:
+def _page(page: str, names: Sequence[Name], homes: Homes) -> Iterator[str]:
+    package = None if page == _BESIDE else import_module(f"maglev_mj.{page}")
+    yield from title("Modules beside the packages" if package is None else f"maglev_mj.{page}", "=")
+    if package is not None:
         yield as_rst(str(getdoc(package)))
     yield from _summaries(names, homes)
     for module, group in groupby(names, lambda name: name.module):
-        if not hasattr(package, "__all__") or room == _BESIDE:
+        if not hasattr(package, "__all__"):
             yield from title(module, "-")
             yield as_rst(str(getdoc(import_module(module))).partition("\n")[0])
         for name in group:
-            if homes[name.key] == (room, name.path):
+            if homes[name.key] == (page, name.path):
                 yield from ("", f".. {name.directive}:: {name.path}")
                 if isclass(name.found):
                     yield "   :members:"
@@ -178,16 +179,16 @@ def _page(room: str, names: Sequence[Name], homes: Homes) -> Iterator[str]:
 
 def _index(given: Mapping[str, Sequence[Name]], homes: Homes) -> Iterator[str]:
     yield from title("Python API", "=")
-    yield as_rst("`import maglev_mj` gives the names that most programs need:")
+    yield as_rst("`import maglev_mj` gives the names of the tutorials and how-to pages:")
     yield from _summaries(_names("maglev_mj"), homes)
-    yield from title("Rooms", "-")
-    yield "The rest is in rooms, which are packages of their own."
+    yield from title("Packages", "-")
+    yield "Further names, by package:"
     rows = []
-    for room in given:
-        about = "Modules beside the rooms." if room == _BESIDE else str(getdoc(import_module(f"maglev_mj.{room}")))
-        rows.append((f":doc:`{room}`", as_rst(about.partition("\n")[0])))
-    yield from table(("Room", "Content"), rows, (25, 75))
-    yield from ("", ".. toctree::", "   :hidden:", "", *(f"   {room}" for room in given))
+    for page in given:
+        about = "Modules beside the packages." if page == _BESIDE else str(getdoc(import_module(f"maglev_mj.{page}")))
+        rows.append((f":doc:`{page}`", as_rst(about.partition("\n")[0])))
+    yield from table(("Package", "Content"), rows, (25, 75))
+    yield from ("", ".. toctree::", "   :hidden:", "", *(f"   {page}" for page in given))
 
 
 def _summaries(names: Sequence[Name], homes: Homes) -> Iterator[str]:
