@@ -35,7 +35,7 @@ highlight_language = "text"  # an indented block is typed or printed
 
 myst_heading_anchors = 4
 myst_enable_extensions = ["dollarmath", "html_image"]
-nb_execution_mode = "cache"
+nb_execution_mode = "force"  # each in the process that reads it
 nb_execution_raise_on_error = True
 nb_execution_timeout = 60
 
