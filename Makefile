@@ -38,7 +38,7 @@ pictures: $(READY)  ## draw the README's pictures of the scenes anew
 	$(BIN)/maglev-mj render joystick --out docs/images/joystick.gif --size 830x520 --fps 12 --seconds 4.2
 
 docs: $(DOCS)  ## build the documentation, docs/_build/html/index.html: notebooks run, a warning is an error
-	$(BIN)/python -m sphinx -q -j auto --fail-on-warning --keep-going docs docs/_build/html
+	$(BIN)/python -m sphinx -q -j auto --write-all --fail-on-warning --keep-going docs docs/_build/html
 
 linkcheck: $(DOCS)  ## ask for each external address of the documentation: needs a network
 	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/linkcheck

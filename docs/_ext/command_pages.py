@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from inspect import getdoc
+from itertools import compress
 from pathlib import Path
 
 from sphinx.application import Sphinx
@@ -19,7 +20,9 @@ from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.names import scene_names
 
 _FOLDER = "reference/commands"
-_COLUMNS = "Option", "Meaning", "Default", "Allowed"
+_ANY_SCENE = "drop"
+_COLUMNS = {"Option": 25, "Meaning": 45, "Default": 12, "Allowed": 18}
+"""Columns of a table of options, and their widths."""
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
@@ -32,8 +35,7 @@ def write_pages(app: Sphinx, _: object) -> None:
     """Write a page for each command, one for the scenes' parameters, and their index."""
     folder = Path(app.srcdir, _FOLDER)
     folder.mkdir(exist_ok=True)
-    commands = next(one for one in parser()._actions if isinstance(one, argparse._SubParsersAction)).choices
-    pages = {name: _command_page(name, commands[name]) for group in GROUPS.values() for name in group}
+    pages = {name: _command_page(name) for group in GROUPS.values() for name in group}
     for name, page in {**pages, "scenes": _scenes_page(), "index": _index_page()}.items():
         write(folder / f"{name}.rst", page)
 
@@ -50,16 +52,30 @@ def _index_page() -> Iterator[str]:
     yield "   scenes"
 
 
-def _command_page(name: str, command: Parser) -> Iterator[str]:
-    command.prepare([])
+def _prepared(name: str, arguments: Sequence[str]) -> Parser:
+    """Return the parser of a command with the options that its arguments ask for."""
+    commands = next(one for one in parser()._actions if isinstance(one, argparse._SubParsersAction)).choices
+    made: Parser = commands[name]
+    made.prepare(arguments)
+    return made
+
+
+def _command_page(name: str) -> Iterator[str]:
+    command = _prepared(name, [])
+    if any(one.dest == "scene" and one.required for one in command._actions):
+        command = _prepared(name, [_ANY_SCENE])  # for what each scene has
+    of_scene = f"parameters of {getattr(command.get_default('scene_class'), 'name', '')}"
     yield from title(name, "=")
     yield as_rst(str(command.description))
     yield from _block(command.format_usage().removeprefix("usage: "))
     yield from ("Example:", *_block(command.example))
     for group in command._action_groups:
         options = [one for one in group._group_actions if one.help != argparse.SUPPRESS and one.dest != "help"]
+        named = "arguments" if group is command._positionals else str(group.title)
+        if named == of_scene:  # its parameters are on the page of the scenes
+            named, options = "scene", [one for one in options if not hasattr(one, "parameter")]
         if options:
-            yield from title("Arguments" if group is command._positionals else _capital(str(group.title)), "-")
+            yield from title(_capital(named), "-")
             yield from _options(options)
     if command.epilog:
         yield from title("Notes", "-")
@@ -82,19 +98,29 @@ def _scenes_page() -> Iterator[str]:
 
 
 def _options(options: Sequence[argparse.Action]) -> Iterator[str]:
-    yield from table(_COLUMNS, [_row(one) for one in options], (25, 45, 12, 18))
+    rows = [_row(one) for one in options]
+    used = [any(cells) for cells in zip(*rows)]
+    heads = list(compress(_COLUMNS, used))
+    yield from table(heads, [list(compress(row, used)) for row in rows], [_COLUMNS[head] for head in heads])
 
 
 def _row(option: argparse.Action) -> tuple[str, str, str, str]:
     """Return an option, its meaning, its default and the values allowed."""
-    words = " ".join(filter(None, (", ".join(option.option_strings), _value(option))))
+    value = _value(option)
+    words = [f"``{one} {value}``" if value else f"``{one}``" for one in option.option_strings] or [f"``{value}``"]
     told, _, default = (option.help or "").replace("%%", "%").partition(" (default")
     default, _, rest = default.strip(": ").rpartition(")")
     declared = getattr(option, "parameter", None)
     allowed = ", ".join(option.choices or getattr(option, "offered", None) or ())
     if declared is not None and declared.bounds:
-        allowed = ", ".join(f"{name.replace('_', ' ')} {bound:g}" for name, bound in declared.bounds.items())
-    return f"``{words}``", as_rst(told + rest), as_rst(default), as_rst(allowed)
+        allowed = _range(declared.bounds)
+    return ", ".join(words), as_rst(told + rest), as_rst(default), as_rst(allowed)
+
+
+def _range(bounds: Mapping[str, float]) -> str:
+    if bounds.keys() == {"at_least", "at_most"}:
+        return f"{bounds['at_least']:g} to {bounds['at_most']:g}"
+    return ", ".join(f"{name.replace('_', ' ')} {bound:g}" for name, bound in bounds.items())
 
 
 def _value(option: argparse.Action) -> str:
