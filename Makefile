@@ -5,11 +5,12 @@ BIN := $(VENV)/bin
 CHARTS := $(VENV)/.charts# stamp: what the demo needs is installed
 READY := $(VENV)/.ready# stamp: what tests and checks need is installed
 PEERS := $(VENV)/.peers# stamp: what others' simulators need is installed too
+DOCS := $(VENV)/.docs# stamp: what the documentation needs is installed
 BEFORE := 65016d1# revision that benchmarks compare with
 
 SCENES := joystick drop press table box corner
 
-.PHONY: demo test studies bench pictures check lint types wheel firmware clean
+.PHONY: demo test studies bench pictures check lint types wheel firmware docs linkcheck clean
 
 demo: $(CHARTS)  ## drop the flotor: a summary here, pictures in figures/
 	@echo 'A flotor falls on a wall at 100 phases of the sampler, with and without pulse:'
@@ -36,13 +37,19 @@ pictures: $(READY)  ## draw the pictures of the scenes anew
 	for scene in $(SCENES); do $(BIN)/maglev-mj render $$scene --plain --out docs/images/scene_$$scene.png --size 560x350 || exit 1; done
 	$(BIN)/maglev-mj render joystick --plain --out docs/images/joystick.gif --size 640x400 --fps 12 --seconds 4.2
 
+docs: $(DOCS)  ## build the documentation, docs/_build/html/index.html: notebooks run, a warning is an error
+	$(BIN)/python -m sphinx -q -j auto --write-all --fail-on-warning --keep-going docs docs/_build/html
+
+linkcheck: $(DOCS)  ## ask for each external address of the documentation: needs a network
+	$(BIN)/python -m sphinx -q -b linkcheck docs docs/_build/linkcheck
+
 check: lint types test  ## what a change must pass
 
 lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(READY)
+types: $(READY) $(DOCS)
 	$(BIN)/mypy
 
 # the device's firmware for a Cortex-M4, with nothing but the compiler's own arithmetic left to link
@@ -61,7 +68,7 @@ wheel: $(READY)
 	$(BIN)/python -m pip --disable-pip-version-check wheel --quiet --no-deps --wheel-dir dist .
 
 clean:
-	rm -rf $(VENV) build dist figures .mypy_cache .pytest_cache .ruff_cache
+	rm -rf $(VENV) build dist figures docs/_build docs/reference/api docs/reference/commands .mypy_cache .pytest_cache .ruff_cache
 
 # Downloads as measured on Linux with Python 3.11; on disk 299 and 1144 MB.
 $(CHARTS): pyproject.toml requirements.lock
@@ -74,6 +81,10 @@ $(READY): pyproject.toml requirements.lock
 
 $(PEERS): $(READY)
 	$(call install,peers,280 MB)
+	@touch $@
+
+$(DOCS): pyproject.toml requirements.lock
+	$(call install,docs,200 MB)
 	@touch $@
 
 # an extra of this package, and the size of what is downloaded for it

@@ -35,6 +35,15 @@ class CoilMap:
 
     Raises:
         ModelError: If there are not six coils, or they cannot give every wrench.
+
+    Example:
+        >>> from maglev_mj.bridge import Calibration
+        >>> coils = Calibration.nominal().coils
+        >>> currents = coils.currents([0.0, 0.0, 6.867, 0.0, 0.0, 0.0])  # for the weight of 0.7 kg
+        >>> currents.round(2).tolist()
+        [1.14, 1.14, 1.14, 0.0, 0.0, 0.0]
+        >>> coils.wrench(currents).round(3).tolist()[2]
+        6.867
     """
 
     points: Array

@@ -38,6 +38,14 @@ class Controller:
 
     Raises:
         ParameterError: If the period is not above 0, `laws` is not a list of laws, or their pulse widths differ.
+
+    Example:
+        >>> from maglev_mj import Controller, Hold, Sample
+        >>> controller = Controller([Hold(axes="z", stiffness=6000.0, damping=80.0)], period=0.005)
+        >>> controller.step(Sample(0, 0.0, [0, 0, 0.001, 0, 0, 0])).force[2]
+        -6.0
+        >>> controller.step(Sample(1, 0.005, [0, 0, 0.002, 0, 0, 0])).force[2]  # it moves at 0.2 m/s
+        -28.0
     """
 
     def __init__(

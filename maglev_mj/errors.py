@@ -32,13 +32,29 @@ class MaglevError(Exception):
 
     Attributes:
         cycles: The last (sample, command) pairs before the error, oldest first; empty outside a control loop.
+
+    Example:
+        >>> from maglev_mj import MaglevError, find_scene
+        >>> try:
+        ...     find_scene("absent")
+        ... except MaglevError as error:
+        ...     print(type(error).__name__)
+        ParameterError
     """
 
     cycles: tuple[tuple[Sample, Command], ...] = ()
 
 
 class ParameterError(MaglevError, ValueError):
-    """Error of a parameter's value or shape."""
+    """Error of a parameter's value or shape.
+
+    Example:
+        >>> from maglev_mj import Timing
+        >>> Timing(period=-0.005)
+        Traceback (most recent call last):
+            ...
+        maglev_mj.errors.ParameterError: period must be a finite number above 0, not -0.005
+    """
 
 
 class MissingPackageError(MaglevError):
@@ -56,6 +72,16 @@ class PlantError(MaglevError):
     """Error of a plant that cannot continue.
 
     It is closed, got a command that is not finite, or its engine warned.
+
+    Example:
+        >>> from maglev_mj import ExactPlant, PlantError
+        >>> plant = ExactPlant()
+        >>> plant.close()
+        >>> try:
+        ...     plant.read()
+        ... except PlantError as error:
+        ...     print(error)
+        the plant is closed
     """
 
 
@@ -70,6 +96,14 @@ class DivergenceError(PlantError):
 
     Attributes:
         partial: `Result` of the scene up to the error; None outside a run of a scene.
+
+    Example:
+        >>> from maglev_mj import DivergenceError, find_scene, run
+        >>> try:
+        ...     run(find_scene("drop")(stiffness=50000.0, duration=5.0), plant="exact")
+        ... except DivergenceError as error:
+        ...     print(error.partial.times()[-1] < 5.0)  # the motion up to there
+        True
     """
 
     partial: Any = None

@@ -32,6 +32,7 @@ __all__ = [
 ]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""Names of the six axes: translations along stator axes, then rotations about them."""
 
 ZERO = (0.0,) * 6
 """Six zeros: no wrench, twist or currents.
@@ -40,7 +41,10 @@ It is also the pose of a flotor at the centre.
 """
 
 Array: TypeAlias = NDArray[np.float64]
+"""Array of numbers."""
+
 Mask: TypeAlias = NDArray[np.bool_]
+"""Array of truth values."""
 
 Component: TypeAlias = Any
 """One coordinate of one device or of N devices.
@@ -61,6 +65,12 @@ class Sample:
         tick: Sample number, from 0.
         time: Time since release [s]; (N,) if the devices' sampling phases differ.
         position: The six components of the measured pose [m, rad].
+
+    Example:
+        >>> from maglev_mj import Sample
+        >>> sample = Sample(tick=3, time=0.015, position=[0.0, 0.0, 0.001, 0.0, 0.0, 0.0])
+        >>> sample.position[2]
+        0.001
     """
 
     tick: int
@@ -83,6 +93,12 @@ class Command:
         force: The six components of the held wrench on the flotor, in stator axes [N, N m].
         extra: The six components added from the moment the command takes effect; None for no pulse.
         pulse_width: Duration of the pulse [s].
+
+    Example:
+        >>> from maglev_mj import Command
+        >>> command = Command([0.0, 0.0, 6.867, 0.0, 0.0, 0.0])  # the weight of 0.7 kg, without a pulse
+        >>> command.force[2], command.pulse_width
+        (6.867, 0.0)
     """
 
     force: Sequence[Component]

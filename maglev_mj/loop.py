@@ -138,6 +138,14 @@ def drive(
     Raises:
         ParameterError: If `ticks` is not a whole number of at least 1, or the periods differ.
         MaglevError: As `ControlLoop.cycle`.
+
+    Example:
+        >>> from maglev_mj import Bias, Controller, ExactPlant, drive
+        >>> weight = [0.0, 0.0, 0.7 * 9.81, 0.0, 0.0, 0.0]
+        >>> with ExactPlant(mass=0.7, wrench=weight) as plant:
+        ...     last = drive(plant, Controller([Bias(weight)], period=0.005), 200)
+        >>> last.tick, abs(last.position[2]) < 1e-9  # carried for a second
+        (200, True)
     """
     if number("ticks", ticks, at_least=1) != int(ticks):
         raise ParameterError(f"ticks must be a whole number, not {ticks:g}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Sequence
@@ -29,7 +28,6 @@ __all__ = [
     "Device",
     "Model",
     "beams",
-    "envelope",
     "load_model",
     "model_files",
     "model_names",
@@ -91,6 +89,10 @@ def model_path(model: str | Path) -> Path:
 
     Raises:
         ModelError: If there is no such model.
+
+    Example:
+        >>> model_path("drop").name
+        'drop.xml'
     """
     if isinstance(model, Path) or model.endswith(".xml"):
         path = Path(model)
@@ -470,29 +472,3 @@ def _beams(written: tuple[tuple[str, int], ...]) -> Beams:
         diodes=data.site_xpos[diodes] - centre,
         across=axes[diodes][:, :, :2].swapaxes(1, 2).copy(),
     )
-
-
-def envelope(device: Device) -> tuple[float, float]:
-    """Return radius and height of the device's envelope [m].
-
-    It is an upright cylinder around the device without its handle.
-    """
-    model = device.model
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    handle = model.body("handle").id
-    radius, low, high = 0.0, math.inf, -math.inf
-    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-    for geom in np.flatnonzero(model.geom_bodyid != handle):
-        turn, centre = data.geom_xmat[geom].reshape(3, 3).T, data.geom_xpos[geom]
-        bounds = model.geom_aabb[geom]
-        corners = (bounds[:3] + signs * bounds[3:]) @ turn + centre
-        low, high = min(low, corners[:, 2].min()), max(high, corners[:, 2].max())
-        size = model.geom_size[geom]
-        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
-            reach = np.hypot(corners[:, 0], corners[:, 1]).max()
-        else:  # round about its own z axis: the ends of the axis, and the radius beyond them
-            ends = centre[:2] + np.outer((-size[1], size[1]), turn[2, :2])
-            reach = np.hypot(ends[:, 0], ends[:, 1]).max() + size[0]
-        radius = max(radius, float(reach))
-    return radius, float(high - low)

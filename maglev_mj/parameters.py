@@ -1,7 +1,6 @@
 """Parameters: checks and declarations.
 
 A failed check gives an error of one line; a declaration takes one line.
-
 A class of declared parameters gets its checks, its JSON and its command-line options from the declarations.
 """
 
@@ -74,16 +73,8 @@ def number(
     except (TypeError, ValueError, OverflowError):
         result = math.nan
     if not (above < result < below and at_least <= result <= at_most and math.isfinite(result)):
-        words = [
-            f"{word} {bound:g}"
-            for word, bound in (
-                ("above", above),
-                ("at least", at_least),
-                ("below", below),
-                ("at most", at_most),
-            )
-            if math.isfinite(bound)
-        ]
+        bounds = {"above": above, "at least": at_least, "below": below, "at most": at_most}
+        words = [f"{word} {bound:g}" for word, bound in bounds.items() if math.isfinite(bound)]
         allowed = "a finite number" + (" " + " and ".join(words) if words else "")
         raise ParameterError(f"{name} must be {allowed}, not {value!r}")
     return result
@@ -238,6 +229,10 @@ class Turn:
         most: Upper limit of the keys.
         inverse: True if the keys act on the inverse, such as a rate for a period: "up" then reduces the value.
         word: Name in actions; the parameter's name by default.
+
+    Example:
+        >>> Turn(factor=1.25)(6000.0, 1), Turn(add=0.5)(2.0, -1)
+        (7500.0, 1.5)
     """
 
     factor: float = 0.0
@@ -371,6 +366,12 @@ def param(
         derive: Function that makes the default from the object, with its earlier parameters set.
         parse: Function that checks a value of another type than number, bool or text.
         live: True if it may change while the scene runs; a `Turn` sets the change by a key, a quarter by default.
+
+    Example:
+        >>> class Ball(Parameters):
+        ...     mass: float = param("moving mass", "kg", default=0.7, above=0.0)
+        >>> Ball(mass=1.0).mass
+        1.0
     """
     flag("optional", optional)
     bounds = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}

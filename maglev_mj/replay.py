@@ -167,6 +167,14 @@ def rebuild(
     Raises:
         OwnCodeError: If it needs user code that is not allowed to run.
         InvalidRecordingError: If the setup is not known here.
+
+    Example:
+        >>> from maglev_mj import find_scene
+        >>> from maglev_mj.replay import rebuild, record_run
+        >>> stretch = record_run(find_scene("drop")(duration=0.1), plant="exact").stretches[0]
+        >>> plant, controller = rebuild(stretch.setup, None)
+        >>> type(plant).__name__, [type(law).__name__ for law in controller.laws]
+        ('ExactPlant', ['Wall', 'Hold'])
     """
     return _plant(setup, hand, own), _controller(setup, own)
 
@@ -300,6 +308,13 @@ def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) ->
         scene: The scene.
         plant: Name of a plant; the scene's default by default.
         phase: Phase of the samples, in [0, 1).
+
+    Example:
+        >>> from maglev_mj import find_scene
+        >>> from maglev_mj.replay import record_run
+        >>> recording = record_run(find_scene("drop")(duration=0.1), plant="exact")
+        >>> recording.ticks  # a sample each 5 ms
+        21
     """
     file = ArrayFile()
     _run_into(file, scene, plant, phase)
@@ -324,6 +339,17 @@ def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: floa
         ParameterError: If the file is of neither kind.
         RecordingError: If it could not be written as a whole.
         OSError: If it could not be written at all.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from maglev_mj import Recording, find_scene
+        >>> from maglev_mj.replay import write_run
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     files = write_run(Path(folder, "run.npz"), find_scene("drop")(duration=0.1), plant="exact")
+        ...     ticks = Recording.load(files[0]).ticks
+        >>> files[0].name, ticks
+        ('run.npz', 21)
     """
     file = open_recording(path, wait=True)
     try:

@@ -12,9 +12,10 @@ from maglev_mj.controller import Controller
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.laws import Hold
 from maglev_mj.loop import drive
-from maglev_mj.model import COILS, Device, envelope, load_model
+from maglev_mj.model import COILS, Device, load_model
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.shapes import envelope
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.terminal import WIDTH, wrapped
 

@@ -5,6 +5,8 @@ The model's geoms, the knob, and plates for walls.
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,9 +14,20 @@ import mujoco
 import numpy as np
 
 from maglev_mj.frames import Array
-from maglev_mj.model import Model, load_model
+from maglev_mj.model import Device, Model, load_model
 
-__all__ = ["ARROW", "GRIP", "KNOB", "LEAST_FORCE", "UNDER_KNOB", "Shape", "arrow_start", "shapes", "wall_plate"]
+__all__ = [
+    "ARROW",
+    "GRIP",
+    "KNOB",
+    "LEAST_FORCE",
+    "UNDER_KNOB",
+    "Shape",
+    "arrow_start",
+    "envelope",
+    "shapes",
+    "wall_plate",
+]
 
 ARROW = 0.003
 """Length of an arrow for each newton [m]."""
@@ -126,3 +139,29 @@ def arrow_start(knob: Array, force: Array) -> Array:
     radius, half_height = KNOB
     start: Array = knob + force / np.linalg.norm(force / [radius, radius, half_height])
     return start
+
+
+def envelope(device: Device) -> tuple[float, float]:
+    """Return radius and height of the device's envelope [m].
+
+    It is an upright cylinder around the device without its handle.
+    """
+    model = device.model
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    handle = model.body("handle").id
+    radius, low, high = 0.0, math.inf, -math.inf
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+    for geom in np.flatnonzero(model.geom_bodyid != handle):
+        turn, centre = data.geom_xmat[geom].reshape(3, 3).T, data.geom_xpos[geom]
+        bounds = model.geom_aabb[geom]
+        corners = (bounds[:3] + signs * bounds[3:]) @ turn + centre
+        low, high = min(low, corners[:, 2].min()), max(high, corners[:, 2].max())
+        size = model.geom_size[geom]
+        if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
+            reach = np.hypot(corners[:, 0], corners[:, 1]).max()
+        else:  # round about its own z axis: the ends of the axis, and the radius beyond them
+            ends = centre[:2] + np.outer((-size[1], size[1]), turn[2, :2])
+            reach = np.hypot(ends[:, 0], ends[:, 1]).max() + size[0]
+        radius = max(radius, float(reach))
+    return radius, float(high - low)

@@ -79,6 +79,13 @@ class Timing:
 
     Raises:
         ParameterError: If a value is outside its bounds.
+
+    Example:
+        >>> from maglev_mj import ExactPlant, Timing
+        >>> with ExactPlant(Timing(period=0.001, phase=0.5)) as plant:
+        ...     first = plant.read()
+        >>> first.time  # half a period after release
+        0.0005
     """
 
     period: float = 1.0 / Spec.control_rate.value

@@ -111,6 +111,13 @@ def local_workers(count: int | None = None) -> Workers:
 
     Raises:
         ParameterError: If the count is negative.
+
+    Example:
+        >>> from maglev_mj.workers import local_workers
+        >>> with local_workers(0).make() as pool:  # in this process
+        ...     powers = list(pool.map(pow, [1, 2, 3], [2, 2, 2]))
+        >>> powers
+        [1, 4, 9]
     """
     if count is not None and count < 0:
         raise ParameterError(f"workers must be at least 0, not {count}")
@@ -149,6 +156,12 @@ def dask_workers(address: str, *, files: Path | str | Sequence[Path | str] = ())
         ParameterError: If nothing answers there, or a file is not there or fails on import.
         WorkersError: If a worker has other code than this process; it names each.
         MissingPackageError: If Dask is not installed.
+
+    Example:
+        >>> from maglev_mj import find_scene, sweep
+        >>> from maglev_mj.workers import dask_workers
+        >>> workers = dask_workers("tcp://scheduler:8786")  # doctest: +SKIP
+        >>> found = sweep(find_scene("drop"), {"height": [0.001, 0.002]}, workers=workers)  # doctest: +SKIP
     """
     require(("distributed",), "distributed", "a cluster needs Dask")
     from distributed import KilledWorker

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 import json
 from collections.abc import Mapping
 from dataclasses import replace
@@ -348,10 +347,6 @@ def test_the_same_recording_without_its_first_samples_says_the_same() -> None:
 
 def test_a_case_of_the_study_is_the_same_for_its_seed() -> None:
     assert draw(5) == draw(5) != draw(6) and isinstance(draw(5), Case)
-
-
-def test_examples_in_the_docstrings() -> None:
-    assert doctest.testmod(identification).failed == 0
 
 
 @pytest.mark.parametrize("delay", [0.0, 1e-3, 2e-3])

@@ -230,3 +230,8 @@ def test_pages_and_examples_take_a_name_from_the_top_of_the_package() -> None:
         if alias.name in dir(maglev_mj)
     }
     assert taken == set() and len(code) > 15
+
+
+def test_every_name_of_the_package_has_an_example() -> None:
+    found = {name: getattr(maglev_mj, name) for name in maglev_mj.__all__}
+    assert not [name for name, one in found.items() if callable(one) and ">>> " not in (one.__doc__ or "")]

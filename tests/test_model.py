@@ -16,9 +16,10 @@ from maglev_mj.coils import CoilMap
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.hand import Hand, hand_called
-from maglev_mj.model import COILS, Device, envelope, load_model, model_path, scenes
+from maglev_mj.model import COILS, Device, load_model, model_path, scenes
 from maglev_mj.plants import Sensor
 from maglev_mj.report import device_report, device_table, position_bandwidth
+from maglev_mj.shapes import envelope
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, Spec
 
 SPEC = Spec()

@@ -56,6 +56,12 @@ class Calibration:
     Raises:
         ParameterError: If a value is not finite or of another shape, a direction is not of unit length, or the mass or
             a moment of inertia is not above 0.
+
+    Example:
+        >>> from maglev_mj.bridge import Calibration
+        >>> nominal = Calibration.nominal()
+        >>> nominal.mass, nominal.hover.round(2).tolist()
+        (0.7, [1.14, 1.14, 1.14, 0.0, 0.0, 0.0])
     """
 
     coils: CoilMap

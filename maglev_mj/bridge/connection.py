@@ -91,6 +91,14 @@ def estop(link: Link, key: bytes | None = None, patience: float = 1.0) -> EstopR
     Raises:
         LinkError: If the link has failed.
         ParameterError: If the key or the patience is outside its bounds.
+
+    Example:
+        >>> from maglev_mj.bridge import Twin, TwinParameters
+        >>> from maglev_mj.bridge.connection import estop
+        >>> from maglev_mj.bridge.simulated_links import VirtualLink
+        >>> report = estop(VirtualLink(Twin(TwinParameters())))
+        >>> report.confirmed
+        True
     """
     return _stop(link, Codec(key), number("patience", patience, above=0.0), lambda frame: None)
 

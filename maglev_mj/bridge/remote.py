@@ -38,17 +38,15 @@ __all__ = ["RemotePlant"]
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
 _NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6
 _MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
-_SETTLING, _WATCHING = 0.3, 0.2
-"""Longest wait for rest before disarming, and observation after [s]."""
+_SETTLING, _WATCHING = 0.3, 0.2  # longest wait for rest before disarming, and observation after [s]
 
 
 class RemotePlant:
     """Plant at the other end of a wire.
 
-    It has the interface of `MuJoCoPlant`. The device is the clock: `read` waits for its next sample. A sample that was
-    lost leaves a gap in the tick numbers. Six currents leave through one output limiter: finite, wrench limit, current
-    limit, temperatures. Any failure ends in zero currents, a fault that is latched until `reset`, and a file with the
-    last cycles. All methods are for the thread that flies the device.
+    It has the interface of `MuJoCoPlant`, for one thread. The device is the clock: `read` waits for its next sample. A
+    lost sample leaves a gap in the tick numbers. Six currents leave through one output limiter: finite, wrench limit,
+    current limit, temperatures. A failure ends in zero currents, a fault until `reset`, and a file of the last cycles.
 
     Args:
         link: The wire; see `open_link`. It is closed with the plant, or if the handshake fails.
@@ -81,6 +79,11 @@ class RemotePlant:
             numbers are not sane or do not carry the weight.
         LinkError: If the link has failed.
         ParameterError: If a value is outside its bounds, or the host's own limits do not carry the weight.
+
+    Example:
+        >>> from maglev_mj.bridge import Twin, TwinParameters, simulated_links
+        >>> RemotePlant(simulated_links.VirtualLink(Twin(TwinParameters()))).period
+        0.005
     """
 
     hand_wrench = ZERO
@@ -127,12 +130,10 @@ class RemotePlant:
         self.rest: Sequence[float] = ZERO
         self.last_delay = self.newest_delay = _NAN
         self._answered: int | None = None  # by the newest answer
-        self.disarmed = self._armed = self._warned = (
-            False  # armed by this host, and nothing has ended it that was reported
-        )
+        # armed by this host, and nothing has ended it that was reported
+        self.disarmed = self._armed = self._warned = False
         self._led = self._owed = False  # led from or to its stop; an answer is owed to the last sample
-        self._sequence, self._located = 0, 0  # of the last sample, and tick of the last whose pose is known
-        self._doubt = ""  # fault of the last sample
+        self._sequence, self._located, self._doubt = 0, 0, ""  # last sample, last known pose, fault of the sample
         self._frame: Frame | None = None  # the last sample
         self._seen: Sequence[float] = _UNKNOWN  # its pose
         self._known: Sequence[float] = ZERO
@@ -297,8 +298,7 @@ class RemotePlant:
     def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> None:
         """Check rest, arm, and move the flotor to the centre.
 
-        No hand may touch it. It is observed for 0.1 s; it rests up to 5 mm/s and 0.1 rad/s. All slow work is done
-        before the currents flow.
+        Untouched for 0.1 s, it must rest: up to 5 mm/s and 0.1 rad/s. Slow work is done before the currents flow.
 
         Args:
             duration: Time of the motion [s].

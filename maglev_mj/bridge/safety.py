@@ -71,6 +71,11 @@ class HostLimits(Parameters):
     """Limits of the host.
 
     The smaller of these and the device's apply.
+
+    Example:
+        >>> from maglev_mj.bridge import HostLimits
+        >>> HostLimits(max_current=5.0).speed_limit
+        0.6
     """
 
     max_current: float | None = param("largest current in any coil", "A", default=None, optional=True, above=0.0)

@@ -46,6 +46,11 @@ class TwinParameters:
 
     Raises:
         ParameterError: If a value is outside its bounds.
+
+    Example:
+        >>> from maglev_mj.bridge import TwinParameters
+        >>> TwinParameters(period=0.001, lockstep=True).delay
+        0.0015
     """
 
     period: float = 1.0 / Spec.control_rate.value  # of samples [s]
@@ -163,6 +168,12 @@ class Twin:
         ahead: Jump of the firmware's clock [ns].
         hung: True if the firmware hangs.
         silent_until: End of a silence without any frames [ns].
+
+    Example:
+        >>> from maglev_mj.bridge import Twin, TwinParameters
+        >>> twin = Twin(TwinParameters(noise=0.0))
+        >>> twin.firmware.state.name, twin.pose.round(4).tolist()[2]
+        ('INACTIVE', -0.0045)
     """
 
     def __init__(

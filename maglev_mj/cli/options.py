@@ -34,6 +34,8 @@ __all__ = [
 P = TypeVar("P", bound=Parameters)
 
 _APART = "parameter "
+_DECLARED = "parameter"
+"""Attribute of an option with its declaration, for the reference of commands."""
 
 
 def add_parameters(
@@ -63,7 +65,8 @@ def _add_parameter(parser: Container, option: str, one: Parameter, default: Any,
     said = described(one, default).replace("%", "%%")
     kept: dict[str, Any] = {"dest": _APART + prefix + one.name, "default": argparse.SUPPRESS, "help": said}
     if one.kind is bool:
-        parser.add_argument(option, action=argparse.BooleanOptionalAction, **kept)
+        made = parser.add_argument(option, action=argparse.BooleanOptionalAction, **kept)
+        setattr(made, _DECLARED, one)
         return
     kinds: Mapping[type, tuple[Callable[[str], Any], str]] = {
         float: (number_option, "X"),
@@ -73,7 +76,9 @@ def _add_parameter(parser: Container, option: str, one: Parameter, default: Any,
     read, metavar = kinds[one.kind]
     if one.optional:
         read = partial(_or_none, read)
-    offer(parser.add_argument(option, type=read, metavar=metavar, **kept), one.choices)
+    made = parser.add_argument(option, type=read, metavar=metavar, **kept)
+    offer(made, one.choices)
+    setattr(made, _DECLARED, one)
 
 
 def described(one: Parameter, default: Any) -> str:

@@ -48,6 +48,14 @@ def conform(
         HandshakeError: If no device answers, or it refuses this host.
         PlantError: If it has a fault latched.
         LinkError: If a link has failed.
+
+    Example:
+        >>> from maglev_mj.bridge import Twin, TwinParameters
+        >>> from maglev_mj.bridge.simulated_links import VirtualLink
+        >>> from maglev_mj.conformance import checks, conform
+        >>> results = conform([VirtualLink(Twin(TwinParameters()))], flight=False, only=list(checks())[:1])
+        >>> [result.passed for result in results]
+        [True]
     """
     flag("flight", flight)
     tester = Tester(links, calibration or Calibration.nominal(), key)

@@ -58,6 +58,12 @@ class Trajectory:
         ParameterError: If the shapes do not fit or the times do not increase.
 
     Source: Flash & Hogan 1985, the movement of an arm from rest to rest: 10 s³ - 15 s⁴ + 6 s⁵.
+
+    Example:
+        >>> from maglev_mj.hand import Trajectory
+        >>> path = Trajectory([0.0, 0.4], [[0.0] * 6, [0.004, 0, 0, 0, 0, 0]])
+        >>> path.at(0.2)[0], path.end
+        (0.002, 0.4)
     """
 
     times: ArrayLike
@@ -148,6 +154,14 @@ class SpringHand:
 
     Raises:
         ParameterError: If a value is negative.
+
+    Example:
+        >>> import numpy as np
+        >>> from maglev_mj.hand import SpringHand
+        >>> hand = SpringHand(stiffness=200.0, target=[0.004, 0, 0, 0, 0, 0])
+        >>> wrench = hand(0, 0.0, lambda: (np.zeros(6), np.zeros(6)))
+        >>> round(float(wrench[0]), 3)  # 200 N/m times 4 mm
+        0.8
     """
 
     stiffness: float = 200.0

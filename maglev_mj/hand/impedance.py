@@ -55,6 +55,12 @@ class Hand:
     Raises:
         ParameterError: If a value is negative or too large, the shapes do not fit, a hand in a soft grip has less than
             a gram or no spring to it, or a rigid grip has damping.
+
+    Example:
+        >>> from maglev_mj.hand import Hand
+        >>> arm = Hand(mass=0.554, damping=6.45, stiffness=135.0)
+        >>> float(arm.static_stiffness)
+        135.0
     """
 
     mass: ArrayLike = 0.0

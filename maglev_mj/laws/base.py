@@ -66,6 +66,15 @@ class Law:
 
     A law with memory defines `start` too. The other methods describe the law. By default a law has no faces, carries no
     weight and has no friction, and its stability is found numerically.
+
+    Example:
+        >>> from maglev_mj import Controller, Law, Sample
+        >>> class Weight(Law):
+        ...     def __call__(self, position, velocity, state, wrench):
+        ...         wrench[2] += 6.867
+        ...         return state, None
+        >>> Controller([Weight()], period=0.005).step(Sample(0, 0.0, [0.0] * 6)).force[2]
+        6.867
     """
 
     per_device: ClassVar[Sequence[str]] = ()
@@ -159,6 +168,16 @@ def gain(
         default: Default value; without one the gain is a required argument.
         above: Exclusive lower bound; None for none.
         at_least: Inclusive lower bound; -inf for none.
+
+    Example:
+        >>> from maglev_mj import AxisLaw, gain
+        >>> class Damper(AxisLaw):
+        ...     damping: float = gain("damping", "N s/m", above=0.0)
+        ...
+        ...     def force(self, x, v, gains, state):
+        ...         return -gains.damping * v
+        >>> Damper(damping=30.0).damping
+        30.0
     """
     return field(default=default, metadata={"help": help, "unit": unit, "above": above, "at_least": at_least})
 
@@ -180,6 +199,7 @@ class AxisLaw(Law):
         ParameterError: If a gain is outside its bounds or of the wrong shape.
 
     Example:
+        >>> from maglev_mj import AxisLaw, gain
         >>> class Spring(AxisLaw):
         ...     stiffness: float = gain("stiffness", "N/m")
         ...     damping: float = gain("damping", "N s/m", default=0.0)

@@ -26,6 +26,12 @@ class Bias(Law):
 
     Raises:
         ParameterError: If the wrench is not finite, or its last dimension is not six.
+
+    Example:
+        >>> from maglev_mj import Bias, Controller, Sample
+        >>> weight = Bias([0.0, 0.0, 0.7 * 9.81, 0.0, 0.0, 0.0])
+        >>> round(Controller([weight], period=0.005).step(Sample(0, 0.0, [0.0] * 6)).force[2], 3)
+        6.867
     """
 
     per_device: ClassVar[Sequence[str]] = ("wrench",)

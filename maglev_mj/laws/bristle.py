@@ -63,7 +63,7 @@ class Dahl(_Bristle):
 class LuGre(_Bristle):
     """LuGre friction with Stribeck effect and bristle damping.
 
-    dz/dt = v - stiffness |v| z / g(v), with g falling from breakaway to Coulomb friction; F = s0 z + s1 dz/dt.
+    `dz/dt = v - stiffness |v| z / g(v)`, with g falling from breakaway to Coulomb friction; F = s0 z + s1 dz/dt.
 
     Args:
         period: Sample period [s].
@@ -136,7 +136,7 @@ class ElastoPlastic(_Bristle):
 class HaywardArmstrong(_Bristle):
     """Displacement-based friction without drift.
 
-    The anchor follows by alpha(z) |dx| z and stays within z_max of the flotor.
+    The anchor follows by `alpha(z) |dx| z` and stays within z_max of the flotor.
 
     alpha(z) = 1/z_max z^8 / (z_stick^8 + z^8): almost 0 while stuck, so small load cycles do not creep.
 

@@ -121,6 +121,15 @@ class StickSlip(Friction):
             axes stick and slide together. The axes must be translations, and every parameter is one number.
 
     Source: Salcudean & Vlaar 1997, eq. (12)-(13).
+
+    Example:
+        >>> from maglev_mj import Controller, Sample, StickSlip
+        >>> friction = StickSlip(axes="x", stiffness=6000.0, breakaway=2.0, v_min=0.01)
+        >>> controller = Controller([friction], period=0.005)
+        >>> path = enumerate([0.0, 1e-4, 3e-4, 1e-3])  # it sticks, and lets go
+        >>> samples = [Sample(k, 0.005 * k, [x, 0, 0, 0, 0, 0]) for k, x in path]
+        >>> [round(controller.step(sample).force[0], 3) + 0.0 for sample in samples]
+        [0.0, -0.6, -1.8, 0.0]
     """
 
     v_min: ArrayLike = gain(unit="m/s, rad/s", above=0.0)
@@ -211,6 +220,16 @@ class ImplicitCoulomb(Friction):
         element_damping: Damping B of the element in series with the friction [N s/m, N m s/rad].
 
     Source: Kikuuwe, Takesue, Sano, Mochiyama & Fujimoto 2006; derived again, not checked against the original.
+
+    Example:
+        >>> from maglev_mj import Controller, Sample
+        >>> from maglev_mj.laws import ImplicitCoulomb
+        >>> friction = ImplicitCoulomb(axes="x", stiffness=6000.0, breakaway=2.0, period=0.005)
+        >>> controller = Controller([friction], period=0.005)
+        >>> path = enumerate([0.0, 1e-4, 3e-4, 1e-3])  # it sticks, and slides at the breakaway force
+        >>> samples = [Sample(k, 0.005 * k, [x, 0, 0, 0, 0, 0]) for k, x in path]
+        >>> [round(controller.step(sample).force[0], 3) + 0.0 for sample in samples]
+        [0.0, -0.6, -1.8, -2.0]
     """
 
     period: float

@@ -33,6 +33,12 @@ class Hold(AxisLaw):
 
     Raises:
         ParameterError: If a gain is negative, or a value is not finite or of the wrong shape.
+
+    Example:
+        >>> from maglev_mj import Controller, Hold, Sample
+        >>> hold = Hold(axes=["x", "y"], stiffness=3000.0, damping=30.0)
+        >>> Controller([hold], period=0.005).step(Sample(0, 0.0, [1e-3, 0, 0, 0, 0, 0])).force[0]
+        -3.0
     """
 
     stiffness: ArrayLike = gain(unit="N/m, N m/rad")

@@ -43,6 +43,13 @@ class PredictiveWall(AxisLaw):
 
     Source: after Gillespie & Cutkosky 1996, with half-sample prediction and deadbeat control of the crossing there; the
         mean over the hold is this project's.
+
+    Example:
+        >>> from maglev_mj import Controller, Sample
+        >>> from maglev_mj.laws import PredictiveWall
+        >>> wall = PredictiveWall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, period=0.005, delay=0.0015)
+        >>> round(Controller([wall], period=0.005).step(Sample(0, 0.0, [0, 0, -0.001, 0, 0, 0])).force[2], 3)
+        6.0
     """
 
     lower: ArrayLike = gain(unit="m, rad", default=0.0, at_least=-math.inf)
@@ -112,6 +119,13 @@ class ObserverWall(AxisLaw):
 
     Source: the design reported by Salcudean & Vlaar 1997 from Vlaar 1994, delay as poles at the origin; gains and
         observer are this project's, the observer's gains those of a fading-memory filter.
+
+    Example:
+        >>> from maglev_mj import Controller, Sample
+        >>> from maglev_mj.laws import ObserverWall
+        >>> wall = ObserverWall(axes="z", stiffness=12000.0, damping=150.0, inertia=0.7, period=0.005, delay=0.0015)
+        >>> round(Controller([wall], period=0.005).step(Sample(0, 0.0, [0, 0, -0.001, 0, 0, 0])).force[2], 3)
+        12.0
     """
 
     lower: ArrayLike = gain(unit="m, rad", default=0.0, at_least=-math.inf)

@@ -29,6 +29,12 @@ class FiniteDifference:
     """First-order backward difference; zero at the first sample.
 
     Source: Salcudean & Vlaar 1997, eq. (3).
+
+    Example:
+        >>> from maglev_mj.laws import FiniteDifference
+        >>> velocity, state = FiniteDifference()([0.002, 0, 0, 0, 0, 0], [0.001, 0, 0, 0, 0, 0], 0.005)
+        >>> velocity[0]
+        0.2
     """
 
     def __call__(
@@ -69,6 +75,14 @@ class LowPass:
 
     Raises:
         ParameterError: If the cut-off is not above 0.
+
+    Example:
+        >>> from maglev_mj.laws import LowPass
+        >>> estimate, state = LowPass(cutoff=50.0), None
+        >>> for x in (0.0, 0.001, 0.002, 0.003):  # 0.2 m/s
+        ...     velocity, state = estimate([x, 0, 0, 0, 0, 0], state, 0.005)
+        >>> round(velocity[0], 3)
+        0.198
     """
 
     cutoff: float = 50.0

@@ -77,6 +77,16 @@ class Wall(Law):
             `upper`, or a shape does not fit.
 
     Source: Salcudean & Vlaar 1997, eq. (3), (8) and (9), with one delay less as in the simulation of figure 3.
+
+    Example:
+        >>> from maglev_mj import Controller, Sample, Wall
+        >>> wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
+        >>> controller = Controller([wall], period=0.005)
+        >>> controller.step(Sample(0, 0.0, [0, 0, 0.001, 0, 0, 0])).force[2]  # outside
+        0.0
+        >>> entered = controller.step(Sample(1, 0.005, [0, 0, -0.0005, 0, 0, 0]))  # at -0.3 m/s
+        >>> round(entered.force[2]), round(entered.extra[2]), entered.pulse_width
+        (27, 63, 0.003)
     """
 
     per_device: ClassVar[Sequence[str]] = (

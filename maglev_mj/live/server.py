@@ -54,6 +54,13 @@ class LiveServer:
         MissingPackageError: If the package is not installed.
         LiveServerError: If the port is taken, or the process does not start, as from a script without
             `if __name__ == "__main__":`.
+
+    Example:
+        >>> from maglev_mj.live import LiveServer
+        >>> from maglev_mj.session import Session, real_time
+        >>> session = Session(publishers=[LiveServer()])  # doctest: +SKIP
+        >>> for elapsed, now in real_time(60.0, step=0.005):  # doctest: +SKIP
+        ...     session.tick(elapsed)
     """
 
     def __init__(self, port: int = PORT) -> None:

@@ -216,6 +216,13 @@ def open_link(url: str, key: bytes | None = None) -> Link:
         ParameterError: If the address is invalid, or is another machine's and there is no key.
         LinkError: If it cannot be opened.
         MissingPackageError: If a serial line needs pyserial, which is not installed.
+
+    Example:
+        >>> from maglev_mj.bridge import open_link
+        >>> link = open_link("udp://127.0.0.1:5678")
+        >>> link.receive(timeout=0.0) is None  # nothing has come
+        True
+        >>> link.close()
     """
     scheme, place, number = parse_url(url)
     if scheme == "udp":

@@ -61,6 +61,15 @@ class ExactPlant(SampledPlant):
 
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
+
+    Example:
+        >>> from maglev_mj import Command, ExactPlant
+        >>> with ExactPlant() as plant:
+        ...     start = plant.read()
+        ...     written = plant.write(Command([0.0] * 6))
+        ...     fallen = plant.read()
+        >>> fallen.time, round(fallen.position[2], 9)  # -g t²/2
+        (0.005, -0.000122625)
     """
 
     def __init__(

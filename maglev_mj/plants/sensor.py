@@ -61,6 +61,13 @@ class Sensor:
 
     Raises:
         ParameterError: If a value is negative or of another shape.
+
+    Example:
+        >>> from maglev_mj import ExactPlant, Sensor
+        >>> with ExactPlant(pose=[1.4e-5, 0, 0, 0, 0, 0], sensor=Sensor(quantum=1e-5)) as plant:
+        ...     measured = plant.read().position[0]
+        >>> round(measured, 9)
+        1e-05
     """
 
     quantum: ArrayLike = 0.0
@@ -200,6 +207,14 @@ class SpotSensor:
 
     Raises:
         ParameterError: If a value is negative.
+
+    Example:
+        >>> from maglev_mj import ExactPlant
+        >>> from maglev_mj.plants import SpotSensor
+        >>> with ExactPlant(pose=[1e-3, 0, 0, 0, 0, 0], sensor=SpotSensor(quantum=5e-6)) as plant:
+        ...     measured = plant.read().position[0]
+        >>> abs(measured - 1e-3) < 1e-5
+        True
     """
 
     beams: Beams | None = None

@@ -36,6 +36,18 @@ def export(recording: Recording, kind: str, path: Path) -> None:
         ParameterError: If the kind is not known.
         MissingPackageError: If the package for Parquet is needed and not installed.
         OSError: If it cannot be written; an existing file then stays.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from maglev_mj import find_scene
+        >>> from maglev_mj.recording.export import export
+        >>> from maglev_mj.replay import record_run
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     export(record_run(find_scene("drop")(duration=0.1), plant="exact"), "csv", Path(folder, "run.csv"))
+        ...     lines = Path(folder, "run.csv").read_text().splitlines()
+        >>> [line.split(",")[:2] for line in lines if not line.startswith("#")][:2]
+        [['stretch', 'tick'], ['0', '0']]
     """
     if kind not in EXPORTS:
         raise ParameterError(not_one_of("to", EXPORTS, kind))

@@ -219,6 +219,18 @@ def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
         ParameterError: If it has another suffix.
         MissingPackageError: If the package for .mcap is not installed.
         OSError: If it cannot be written.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from maglev_mj import Bias, Controller, ExactPlant, Recording, drive
+        >>> from maglev_mj.recording import open_recording
+        >>> with tempfile.TemporaryDirectory() as folder, ExactPlant() as plant:
+        ...     file, controller = open_recording(Path(folder, "mine.npz")), Controller([Bias([0.0] * 6)], period=0.005)
+        ...     last = drive(plant, controller, 5, record=file.begin(plant, controller))
+        ...     ticks = Recording.load(file.close()).ticks
+        >>> ticks
+        5
     """
     flag("wait", wait)
     check_name(path)

@@ -115,6 +115,14 @@ class Recording(Tabular):
         damage: Description of damage to the file, such as a missing end; empty for none.
         attachments: Attached files by name.
         about: Format of the file and versions of the code that made it; empty in older files.
+
+    Example:
+        >>> from maglev_mj import find_scene
+        >>> from maglev_mj.replay import record_run
+        >>> recording = record_run(find_scene("drop")(duration=0.1), plant="exact")
+        >>> stretch = recording.stretches[0]
+        >>> len(stretch), stretch.position.shape
+        (21, (21, 6))
     """
 
     stretches: Sequence[Stretch]

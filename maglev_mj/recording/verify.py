@@ -96,6 +96,14 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
 
     Raises:
         ParameterError: If a setup cannot be rebuilt.
+
+    Example:
+        >>> from maglev_mj import find_scene
+        >>> from maglev_mj.recording.verify import verify
+        >>> from maglev_mj.replay import rebuild, record_run
+        >>> verdict = verify(record_run(find_scene("drop")(duration=0.1), plant="exact"), rebuild)
+        >>> verdict.same
+        True
     """
     found: dict[str, FieldVerdict] = {}
     for place, stretch in enumerate(recording.stretches):

@@ -42,6 +42,14 @@ def hold(scene: Scene, axes: str | Sequence[str], mass: float = Spec.moving_mass
     """Return a soft hold of the given axes.
 
     It is as stiff as period and delay allow with a wide margin.
+
+    Example:
+        >>> from maglev_mj import find_scene
+        >>> from maglev_mj.scenes.bench import hold
+        >>> round(float(hold(find_scene("drop")(), ["x", "y"]).stiffness[0]))  # [N/m]
+        1036
+        >>> round(float(hold(find_scene("drop")(period=0.001), ["x", "y"]).stiffness[0]))
+        1750
     """
     return _hold(axes if isinstance(axes, str) else tuple(axes), mass, scene.period, scene.delay)
 

@@ -48,6 +48,13 @@ class Figure:
         scale: Factor from SI units to that unit.
         batched: True if the function takes a batch of devices at once, with the same bits as one by one.
         late: True if a missing figure counts as the largest in percentiles; otherwise it is left out.
+
+    Example:
+        >>> from maglev_mj import find_scene, run
+        >>> from maglev_mj.scenes.figures import Figure
+        >>> lowest = Figure("lowest", lambda result: result.motion(result.times())[0].min(), "m")
+        >>> round(float(lowest.function(run(find_scene("drop")(duration=0.1), plant="exact"))), 4)  # [m]
+        -0.0025
     """
 
     name: str
@@ -125,7 +132,17 @@ def figure(
     batched: bool = False,
     late: bool = False,
 ) -> Callable[[Callable[[Result], Any]], Figure]:
-    """Make a figure of a function; see `Figure`."""
+    """Make a figure of a function; see `Figure`.
+
+    Example:
+        >>> from maglev_mj import find_scene, run
+        >>> from maglev_mj.scenes.figures import figure
+        >>> @figure("mm", "lowest point", scale=1e3)
+        ... def lowest(result):
+        ...     return result.motion(result.times())[0].min()
+        >>> round(float(lowest.function(run(find_scene("drop")(duration=0.1), plant="exact"))), 4)  # [m]
+        -0.0025
+    """
     flag("batched", batched)
     flag("late", late)
 

@@ -43,6 +43,11 @@ def find_scene(text: str) -> type[Scene]:
 
     Raises:
         ParameterError: If there is no such scene, or a file cannot be read, fails, or has several.
+
+    Example:
+        >>> from maglev_mj import find_scene
+        >>> find_scene("drop")(height=0.002).height
+        0.002
     """
     if text in BUILT_IN:
         return _in_module(BUILT_IN[text])

@@ -45,6 +45,13 @@ class Result(Tabular):
         trace: The motion along all axes.
         sample_time: Time of each answered sample [s], (K,) or (K, N).
         samples: Law signals from each sample on, by name, (K, ...).
+
+    Example:
+        >>> from maglev_mj import find_scene, run
+        >>> result = run(find_scene("drop")(duration=0.1), plant="exact")
+        >>> position, velocity, force = result.motion(result.times())
+        >>> round(float(position.min()), 4), round(float(force.max()), 1)  # [m], [N]
+        (-0.0025, 95.6)
     """
 
     scene: Any
@@ -150,6 +157,12 @@ class Phases(Tabular):
         phases: The phases, (N,).
         figures: The scene's figures by name, (N, ...) each.
         furthest: Greatest distance from the centre on each axis [m, rad], (N, 6).
+
+    Example:
+        >>> from maglev_mj import find_scene, run_phases
+        >>> phases = run_phases(find_scene("drop")(duration=0.1), 8, plant="exact")
+        >>> round(float(phases.percentile(50.0)["penetration"]), 5)  # [m]
+        0.00176
     """
 
     scene: Any
@@ -248,6 +261,12 @@ def run(
         ParameterError: If there is no such plant, or a phase is outside its bounds.
         DivergenceError: If a flotor leaves its range by a wide margin; its `partial` attribute is the `Result` up to
             there, for one device.
+
+    Example:
+        >>> from maglev_mj import find_scene, run
+        >>> result = run(find_scene("drop")(height=0.002), plant="exact")
+        >>> round(float(result.figures["penetration"]), 5)  # [m]
+        0.00184
     """
     plant = checked_plant(scene, plant)
     if plant not in PLANTS:
@@ -290,6 +309,12 @@ def run_phases(
     Raises:
         ParameterError: If there is no phase, or one is outside [0, 1).
         DivergenceError: If a flotor leaves its range by a wide margin.
+
+    Example:
+        >>> from maglev_mj import find_scene, run_phases
+        >>> phases = run_phases(find_scene("drop")(duration=0.1), 8, plant="exact")
+        >>> phases.figures["penetration"].shape
+        (8,)
     """
     chosen, plant = _phases(phases), checked_plant(scene, plant)
     size = _TOGETHER if plant == "exact" else 1

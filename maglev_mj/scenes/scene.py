@@ -60,6 +60,11 @@ class Start:
         twist: Velocity [m/s, rad/s], (6,).
         wrench: Wrench of the coils until the first command acts [N, N m], (6,).
         gravity: Acceleration of free fall [m/s²].
+
+    Example:
+        >>> from maglev_mj import Start
+        >>> Start(pose=(0.0, 0.0, 0.002, 0.0, 0.0, 0.0)).gravity
+        9.81
     """
 
     pose: Sequence[float] = ZERO
@@ -77,7 +82,7 @@ class Scene(Parameters):
         name: Name on the command line; the class's own in kebab-case by default.
         title: Heading of its tables; the first line of its docstring by default.
         shown_axis: Axis of plots and figures.
-        figures: Figures of a run: names of stock figures, or `Figure`s; a mapping gives them other names in JSON.
+        figures: Figures of a run: names of stock figures, or `Figure` objects; a mapping renames them in JSON.
         plants: Names of its plants, the default first.
         takes_phase: True if the phase of the samples makes a difference worth a sweep.
         tolerance: Negligible displacement of a coil [m], as in `fidelity`.
@@ -88,6 +93,24 @@ class Scene(Parameters):
 
     Raises:
         ParameterError: If a parameter is outside its bounds, or a run has more than a million periods.
+
+    Example:
+        >>> from maglev_mj import Hold, Scene, Start, param, run
+        >>> class Release(Scene):
+        ...     "Let the flotor go beside the pose at which it is held."
+        ...
+        ...     shown_axis = "x"
+        ...     offset: float = param("offset at release", "m", default=0.001, above=0.0, at_most=0.004)
+        ...     duration: float = param("simulated time", "s", default=0.5, above=0.0)
+        ...
+        ...     def start(self):
+        ...         return Start(pose=(self.offset, 0, 0, 0, 0, 0), gravity=0.0)
+        ...
+        ...     def laws(self):
+        ...         return [Hold(axes="x", stiffness=2000.0, damping=60.0)]
+        >>> result = run(Release(offset=0.002))
+        >>> bool(abs(result.motion(0.5)[0]) < 1e-5)  # back in half a second
+        True
     """
 
     name: ClassVar[str] = ""

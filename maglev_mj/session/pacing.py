@@ -29,6 +29,11 @@ def real_time(
         duration: Total time [s]; None for no end.
         step: Sleep after each turn [s].
         clock: Clock of real time [s].
+
+    Example:
+        >>> from maglev_mj.session import real_time
+        >>> [now < 0.01 for elapsed, now in real_time(0.004, step=0.001)][:2]
+        [True, True]
     """
     start = last = clock()
     while duration is None or last - start < duration:

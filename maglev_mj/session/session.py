@@ -53,6 +53,14 @@ class Session:
 
     Attributes:
         simulated: Simulated time so far [s].
+
+    Example:
+        >>> from maglev_mj.session import Session
+        >>> session = Session()
+        >>> ticks = session.tick(0.02)  # 20 ms at 200 Hz
+        >>> session.close()
+        >>> ticks
+        4
     """
 
     def __init__(

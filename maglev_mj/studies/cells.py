@@ -25,6 +25,7 @@ from maglev_mj.workers import Workers, WorkersError, chosen_workers
 __all__ = ["Cell", "Record", "StudyInterrupted", "run_cells"]
 
 Cell: TypeAlias = dict[str, Any]
+"""Values of a cell by the parameter's name."""
 
 _ATTEMPTS = 2
 _BEGINNING = '{"cell": {'

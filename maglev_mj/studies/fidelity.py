@@ -61,6 +61,11 @@ class Range(NamedTuple):
         around: Largest relative change of stiffness and damping.
         share: Share of the cases that keep the tolerance, in (0, 1].
         boundary: Largest relative shift of the stability boundary by an integrator.
+
+    Example:
+        >>> from maglev_mj.studies.fidelity import Range
+        >>> Range(phases=8).around
+        0.1
     """
 
     phases: int = 4
@@ -181,6 +186,13 @@ def measure_fidelity(
 
     Raises:
         ParameterError: If there is no such scene, or a value is outside its bounds.
+
+    Example:
+        >>> from maglev_mj import find_scene
+        >>> from maglev_mj.studies.fidelity import Range, measure_fidelity
+        >>> found = measure_fidelity(find_scene("let-go")(duration=0.005), over=Range(phases=1))
+        >>> found.level.level
+        'axes'
     """
     preset, over = preset_of(scene), over or Range()
     scene = preset.scene

@@ -131,6 +131,7 @@ def sweep(
     """Run a scene over the product of parameters' values.
 
     Example:
+        >>> from maglev_mj import find_scene, sweep
         >>> found = sweep(find_scene("drop"), {"height": [0.001, 0.002], "damping": [60.0, 80.0]}, plant="exact")
         >>> found.figure("penetration").shape
         (2, 2)

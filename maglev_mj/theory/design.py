@@ -31,10 +31,7 @@ LAWS = ("pd", "observer", "disturbance-observer")
 The last also estimates a constant unknown force.
 """
 GOALS = ("static", "dynamic")
-"""Names of the stiffness to be maximized.
-
-Static stiffness, or the least dynamic stiffness over all frequencies.
-"""
+"""Names of the stiffness to be maximized: static, or the least dynamic one over all frequencies."""
 
 _POLES = (0.0, 0.2, 0.4, 0.6)
 _DAMPINGS = np.geomspace(0.01, 6.0, 32)
@@ -60,6 +57,10 @@ class WallRequirements(Parameters):
 
     Raises:
         ParameterError: If a value is outside its bounds.
+
+    Example:
+        >>> WallRequirements(mass=(0.56, 0.84), hands=["none", "arm"]).nominal
+        (0.7, 0.0015)
     """
 
     period: float = param("sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0)
@@ -267,6 +268,12 @@ def design_wall(
 
     Raises:
         ParameterError: If a value is outside its bounds, or no wall meets the requirements.
+
+    Example:
+        >>> from maglev_mj.theory import WallRequirements, design_wall
+        >>> wall = design_wall(WallRequirements(mass=(0.6, 0.8)))
+        >>> round(wall.stiffness), round(wall.damping)
+        (7725, 74)
     """
     if law not in LAWS:
         raise ParameterError(not_one_of("law", LAWS, law))

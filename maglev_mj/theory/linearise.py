@@ -234,6 +234,14 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
     Raises:
         ParameterError: If `controller` is no Controller, or the poses have another shape.
         MaglevError: If a law fails at a pose.
+
+    Example:
+        >>> import numpy as np
+        >>> from maglev_mj import Controller, Hold, linearise
+        >>> controller = Controller([Hold(axes="z", stiffness=6000.0, damping=80.0)], period=0.005)
+        >>> near = linearise(controller, np.zeros((1, 6)))[0]
+        >>> round(near.stiffness[2, 2]), round(near.damping[2, 2])
+        (6000, 80)
     """
     check_controller(controller)
     rest = np.atleast_2d(numbers("poses", poses))

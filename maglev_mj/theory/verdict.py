@@ -169,6 +169,12 @@ def stability(scene: Judged, *, inertia: ArrayLike | None = None, delay: float |
 
     Raises:
         ParameterError: If `scene` is not a scene, or a value is outside its bounds.
+
+    Example:
+        >>> from maglev_mj import find_scene, stability
+        >>> drop = find_scene("drop")
+        >>> stability(drop(stiffness=6000.0)).stable, stability(drop(stiffness=20000.0)).stable
+        (True, False)
     """
     if isinstance(scene, type) or not hasattr(scene, "controller"):
         raise ParameterError(f"scene must be a scene, such as find_scene('drop')(), not {scene!r}")
@@ -192,6 +198,13 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
     Raises:
         ParameterError: If `controller` is no Controller, or a value is outside its bounds.
         MaglevError: If a law fails at a pose.
+
+    Example:
+        >>> from maglev_mj import Controller, Wall
+        >>> from maglev_mj.theory import judge
+        >>> wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
+        >>> judge(Controller([wall], period=0.005), delay=0.0015).stable
+        True
     """
     check_controller(controller)
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0)
