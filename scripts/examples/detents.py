@@ -10,10 +10,7 @@ from maglev_mj import AXES, AxisLaw, Hold, Scene, Start, gain, param, run
 
 
 class Detent(AxisLaw):
-    """Detents as a sine of the position.
-
-    f = -stiffness pitch / 2π sin(2π x / pitch) - damping v
-    """
+    """Detents as a sine of the position, with damping."""
 
     pitch: float = gain("distance between detents", "m", above=0.0)
     stiffness: float = gain("stiffness at the bottom of one", "N/m")
