@@ -32,7 +32,10 @@ __all__ = [
 ]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
-"""Names of the six axes: translations along stator axes, then rotations about them."""
+"""Names of the six axes.
+
+Translations along stator axes, then rotations about them.
+"""
 
 ZERO = (0.0,) * 6
 """Six zeros: no wrench, twist or currents.

@@ -1,4 +1,4 @@
-"""Each example runs, and prints what it claims."""
+"""Examples run, and print their claims."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ P = TypeVar("P", bound=Parameters)
 
 _APART = "parameter "
 _DECLARED = "parameter"
-"""Attribute of an option with its declaration, for the reference of commands."""
+"""Attribute of an option that holds its declaration."""
 
 
 def add_parameters(

@@ -31,7 +31,10 @@ LAWS = ("pd", "observer", "disturbance-observer")
 The last also estimates a constant unknown force.
 """
 GOALS = ("static", "dynamic")
-"""Names of the stiffness to be maximized: static, or the least dynamic one over all frequencies."""
+"""Names of the stiffness to be maximized.
+
+Static, or the least dynamic one over all frequencies.
+"""
 
 _POLES = (0.0, 0.2, 0.4, 0.6)
 _DAMPINGS = np.geomspace(0.01, 6.0, 32)

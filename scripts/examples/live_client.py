@@ -93,7 +93,7 @@ class LiveClient:
         self._line.send(json.dumps(message))
 
     def drop(self) -> None:
-        """Let go of the line without a word."""
+        """Close the line without a closing handshake."""
         self._line.close_socket()
 
     def heard(self, so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:

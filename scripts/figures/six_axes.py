@@ -24,7 +24,10 @@ from maglev_mj.spec import INERTIA, Spec
 __all__ = ["SixAxesResult", "run_six_axes"]
 
 _RADIUS = np.sqrt(np.array(INERTIA) / INERTIA[0])
-"""1 for a translation, the radius of gyration for a rotation: scales figure 8's values to every axis."""
+"""Radius of gyration of rotations, 1 for translations.
+
+It scales figure 8's values to every axis.
+"""
 
 
 class _Hand:
