@@ -204,6 +204,10 @@ def load_model(
             time constant.
         ParameterError: If a number is not above 0, the flotor cannot have these moments, or the hand is for a batch or
             on a rotation.
+
+    Example:
+        >>> round(load_model("drop").mass, 6)
+        0.7
     """
     chosen = _Chosen(
         lean=flag("lean", lean),

@@ -104,6 +104,15 @@ def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Sampl
         MissingPackageError: If an MCAP file needs a package that is not installed.
         InvalidRecordingError: If it is missing, no recording, or invalid.
         ParameterError: If a field is not known.
+
+    Example:
+        >>> import tempfile
+        >>> from maglev_mj import find_scene, write_run
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     _ = write_run(Path(folder, "run.npz"), find_scene("drop")())
+        ...     samples = load_samples(Path(folder, "run.npz"), ["time", "position"])
+        >>> samples.position.shape
+        (81, 6)
     """
     names = list(_FIELDS) if fields is None else list(fields)
     unknown = [name for name in names if name not in _FIELDS]

@@ -151,6 +151,10 @@ def run_cells(
         ParameterError: If a cell is not JSON, or `function` is not a function that returns a result for each cell.
         StudyInterrupted: On Ctrl-C, after the running jobs have finished. They also finish if a job fails.
         WorkersError: If a cluster is gone, or one of its workers has other code.
+
+    Example:
+        >>> run_cells(lambda cells: [cell["mass"] * 9.81 for cell in cells], [{"mass": 0.7}, {"mass": 1.0}])
+        [6.867, 9.81]
     """
     if not callable(function):
         raise ParameterError(f"function must be one from cells to results, not {function!r}")
