@@ -81,7 +81,8 @@ def device(_: list[str]) -> Iterator[dict[str, str]]:
     thread = threading.Thread(target=server.run)
     thread.start()
     try:
-        yield {"udp://127.0.0.1:5678": "udp://{}:{}".format(*server.address)}
+        link = 'open_link("udp://{}:{}"), patience=60.0'.format(*server.address)  # a busy machine may need it
+        yield {'open_link("udp://127.0.0.1:5678")': link}
         assert twin.firmware.state is State.INACTIVE and not twin.firmware.faults  # it has landed
     finally:
         server.stop()
