@@ -78,7 +78,10 @@ def with_number(kind: str, suffix: str) -> Iterator[Case]:
         for column in np.ndindex(values.shape[1:]):
             for row in (0, len(values) // 2, len(values) - 1):
                 for bad in (math.nan, math.inf, -math.inf, 1e308, -1e308, -1.0, 1.5):
-                    yield f"{name} {row} {column} {bad}", partial(with_element, header, arrays, name, (row, *column), bad)
+                    yield (
+                        f"{name} {row} {column} {bad}",
+                        partial(with_element, header, arrays, name, (row, *column), bad),
+                    )
 
 
 def with_message(messages: list[tuple[str, Message]], row: int, place: Place, value: Any) -> bytes:
@@ -92,9 +95,7 @@ def with_setup(header: Message, arrays: Mapping[str, Any], place: Place, value: 
     return npz_of({**header, "setups": changed(header["setups"], place, value)}, arrays)
 
 
-def with_element(
-    header: Message, arrays: Mapping[str, Any], name: str, place: tuple[int, ...], value: float
-) -> bytes:
+def with_element(header: Message, arrays: Mapping[str, Any], name: str, place: tuple[int, ...], value: float) -> bytes:
     """Return a file of arrays with another number in one of them."""
     other = arrays[name].copy()
     other[place] = value

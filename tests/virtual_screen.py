@@ -27,7 +27,8 @@ class VirtualScreen:
     def __enter__(self) -> Self:
         read, write = os.pipe()
         self._server = subprocess.Popen(
-            ["Xvfb", "-displayfd", str(write), "-screen", "0", self._size, "-nolisten", "tcp"],
+            # without a reset when xdotool, for a moment the only client, goes: a window that comes then is turned away
+            ["Xvfb", "-displayfd", str(write), "-screen", "0", self._size, "-nolisten", "tcp", "-noreset"],
             pass_fds=[write],
             stderr=subprocess.DEVNULL,
         )
