@@ -35,7 +35,9 @@ class VirtualScreen:
         os.close(write)
         with os.fdopen(read) as pipe:
             self.display = f":{pipe.readline().strip()}"
-        self.environment = {**os.environ, "DISPLAY": self.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
+        # drawn by one thread: a window that waits for no screen draws all the time, and would keep every core from all
+        software = {"LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "0"}
+        self.environment = {**os.environ, "DISPLAY": self.display, **software}
         for name in ("WAYLAND_DISPLAY", "MUJOCO_GL"):
             self.environment.pop(name, None)
         return self
