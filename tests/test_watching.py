@@ -31,7 +31,7 @@ from maglev_mj.viewer.keys import keys_of
 from maglev_mj.viewer.window import show
 from tests.virtual_screen import MISSING, VirtualScreen
 
-pytestmark = pytest.mark.xdist_group("realtime")
+pytestmark = pytest.mark.xdist_group("screen")
 
 SIZE = 600, 450
 """Of the screen [px]; every pixel of a window is drawn by a processor."""

@@ -20,7 +20,7 @@ from maglev_mj.shapes import GRIP
 
 pytestmark = [
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
-    pytest.mark.xdist_group("realtime"),
+    pytest.mark.xdist_group("screen"),
 ]
 
 if not MISSING:
