@@ -1,4 +1,4 @@
-"""What every worker of the tests does before and after it has found them."""
+"""Settings of every worker of the tests."""
 
 from __future__ import annotations
 
@@ -11,10 +11,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: more threa
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Run one worker more than there are cores: tests in real time mostly wait."""
+    """Return one worker more than there are cores.
+
+    Tests in real time mostly wait.
+    """
     return (os.cpu_count() or 1) + 1
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Keep the collector from going over the tests and modules again and again: they live to the end."""
+    """Spare the garbage collector the tests and modules.
+
+    They live to the end.
+    """
     gc.freeze()

@@ -162,7 +162,7 @@ def with_messages(data: bytes, change: Callable[[str, int, bytes], bytes | None]
 
 
 def with_value(data: bytes, row: int, column: str, value: float) -> bytes:
-    """Return a file with another number in a column of one of its samples."""
+    """Return a file with another number in one sample."""
 
     def new(topic: str, place: int, message: bytes) -> bytes:
         if topic != "/maglev/sample" or place != row:

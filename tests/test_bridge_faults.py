@@ -201,7 +201,10 @@ ELSEWHERE = {"stuck-amplifier", "hung-firmware"}
 
 
 def tried(kind: str, which: int, *more: Any) -> Any:
-    """Return a case for the tests; of six coils or components all but the first and the last are studies."""
+    """Return a case for the tests.
+
+    Of six coils or components all but the first and the last are studies.
+    """
     six = sum(other == kind for other, *_ in SUFFERED) == 6 and kind not in ("stuck-diode", "swapped-diodes")
     return pytest.param(kind, which, *more, marks=[pytest.mark.study] if six and 0 < which < 5 else [])
 

@@ -112,14 +112,17 @@ def test_no_stiffer_wall_bears_the_requirements(box: int) -> None:
 
 @cache
 def dynamic_wall(law: str) -> DesignedWall:
-    """Return the wall of the dynamic goal, which is dear to find, over the product of everything."""
+    """Return the wall of the dynamic goal.
+
+    Over the product of everything; it is dear to find.
+    """
     needs = WallRequirements(**EVERYTHING, modulus=1.0)
     return design_wall(needs, law, goal="dynamic", pole=None if law == "pd" else 0.0)
 
 
 @pytest.mark.xdist_group("dynamic goal")
 def test_the_dynamic_goal_is_reached_within_a_few_per_cent() -> None:
-    """Against a grid: 3448 N/m for PD and 8695 N/m for the deadbeat observer, over the product of everything."""
+    # Against a grid: 3448 N/m for PD and 8695 N/m for the deadbeat observer, over the product of everything.
     pd, observer = dynamic_wall("pd"), dynamic_wall("observer")
     assert pd.dynamic_stiffness == pytest.approx(3448.0, rel=0.02)
     assert observer.dynamic_stiffness == pytest.approx(8695.0, rel=0.02)

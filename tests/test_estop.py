@@ -30,7 +30,7 @@ from tests.test_bridge import CENTRE, Rig
 KEY = b"0123456789abcdef"
 CASES, ALLOWED = 20, 0.03
 SOME = (0, 7, 13, 19)
-"""Of the cases: the first, the last, and two between."""
+"""First case, last case, and two between."""
 
 
 @pytest.fixture(autouse=True)
@@ -117,7 +117,7 @@ Before = Callable[[Rig, bytes | None], None]
 
 
 def stopped(seed: int, where: str, before: Before, loss: float, key: bytes | None) -> tuple[float, EstopReport]:
-    """Stop a device from beside; return how long after its arrival no current flows [s], and what the stop says."""
+    """Stop a device; return time to zero current, and answer."""
     rig = Rig(pose=CENTRE if where == "in flight" else REST, seed=seed, key=key)
     line, reports, write = Beside(rig, loss, seed), list[EstopReport](), rig.plant.write
 

@@ -58,7 +58,10 @@ NEEDED = {
 
 @pytest.fixture(autouse=True)
 def timed_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time each closed loop once a turn, not for two milliseconds: no test is about the costs themselves."""
+    """Time each closed loop once a turn.
+
+    Not for two milliseconds: no test is about the costs themselves.
+    """
     monkeypatch.setattr("maglev_mj.studies.fidelity_levels._SHORT", 1e-9)
 
 

@@ -43,7 +43,10 @@ def state() -> State:
 
 @pytest.fixture
 def as_touched(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let memory be locked as it is touched: all that a worker of the tests has asked for are gigabytes."""
+    """Lock memory as it is touched.
+
+    All that a worker of the tests has asked for are gigabytes.
+    """
     monkeypatch.setattr("maglev_mj.bridge.realtime._CURRENT_AND_FUTURE", 1 | 2 | 4)  # MCL_ONFAULT
 
 

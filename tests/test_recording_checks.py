@@ -47,7 +47,7 @@ BAD: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 1e308, -1e308, None, True
 NONE: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 10**400, "1", [], {})
 SAMPLE = "/maglev/sample"
 Case = tuple[str, Callable[[], bytes]]
-"""What was changed, and what makes the file: a sweep takes few of them."""
+"""Changed position, and maker of the file."""
 
 
 def check(data: bytes, folder: Path, suffix: str) -> Verdict:
@@ -91,7 +91,7 @@ def with_message(messages: list[tuple[str, Message]], row: int, place: Place, va
 
 
 def with_setup(header: Message, arrays: Mapping[str, Any], place: Place, value: Any) -> bytes:
-    """Return a file of arrays with another value somewhere in its setups."""
+    """Return a file of arrays with another value in its setups."""
     return npz_of({**header, "setups": changed(header["setups"], place, value)}, arrays)
 
 

@@ -114,7 +114,10 @@ def flight(twin: Watched, folder: Path, *options: str) -> Iterator[subprocess.Po
 
 
 def within(seconds: float) -> list[str]:
-    """Return the command line with another time to land, and to wait for a sample: a busy machine takes its own."""
+    """Return the command line with other patience.
+
+    For the landing and for a sample: a busy machine needs more.
+    """
     text = f"""
 import sys
 from maglev_mj.bridge.remote import RemotePlant

@@ -34,7 +34,7 @@ from tests.virtual_screen import MISSING, VirtualScreen
 pytestmark = pytest.mark.xdist_group("screen")
 
 SIZE = 600, 450
-"""Of the screen [px]; every pixel of a window is drawn by a processor."""
+"""Size of the screen [px], which software draws."""
 
 
 def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() -> None:
