@@ -22,7 +22,7 @@ demo: $(CHARTS)  ## drop the flotor: a summary here, pictures in figures/
 	  '  $(BIN)/maglev-mj stability --hand arm       the stiffest wall in a hand' \
 	  '  $(BIN)/maglev-mj drop --help                height, gains, rate, delay'
 
-test: $(READY)  ## run all tests, on every core
+test: $(READY)  ## run all tests, one worker more than there are cores
 	$(BIN)/python -m pytest -n auto --dist loadgroup
 
 studies: $(READY)  ## run the sweeps behind the published figures in full: minutes to an hour

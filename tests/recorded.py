@@ -161,23 +161,16 @@ def with_messages(data: bytes, change: Callable[[str, int, bytes], bytes | None]
     return file.getvalue()
 
 
-def with_rows(data: bytes, change: Callable[[int, str], float | None]) -> bytes:
-    """Return a file with other numbers in its samples.
-
-    `change` gets a sample and a column; None leaves a number as it is.
-    """
-    layout = None
+def with_value(data: bytes, row: int, column: str, value: float) -> bytes:
+    """Return a file with another number in one sample."""
 
     def new(topic: str, place: int, message: bytes) -> bytes:
-        nonlocal layout
-        if topic != "/maglev/sample":
+        if topic != "/maglev/sample" or place != row:
             return message
-        layout = layout or layout_of(message)
         found = bytearray(message)
-        for name, first in layout._places.items():
-            for axis in range(6 if FIELD[name].six else 1):
-                value = change(place, FIELD[name].units[axis][0])
-                if value is not None:
+        for name, first in layout_of(message)._places.items():
+            for axis, (unit, _) in enumerate(FIELD[name].units):
+                if unit == column:
                     struct.pack_into("<d" if FIELD[name].unit else "<Q", found, first + 9 * axis, value)
         return bytes(found)
 

@@ -200,9 +200,18 @@ ELSEWHERE = {"stuck-amplifier", "hung-firmware"}
 """Kinds with their own tests, for their other effects."""
 
 
+def tried(kind: str, which: int, *more: Any) -> Any:
+    """Return a case for the tests.
+
+    Of six coils or components all but the first and the last are studies.
+    """
+    six = sum(other == kind for other, *_ in SUFFERED) == 6 and kind not in ("stuck-diode", "swapped-diodes")
+    return pytest.param(kind, which, *more, marks=[pytest.mark.study] if six and 0 < which < 5 else [])
+
+
 @pytest.mark.parametrize(
     ("kind", "which", "at", "moved", "fault", "period"),
-    [(*case, 0.005) for case in SUFFERED] + [(*case, 0.001) for case in SUFFERED if case[1] == 2 and case[3]],
+    [tried(*case, 0.005) for case in SUFFERED] + [(*case, 0.001) for case in SUFFERED if case[1] == 2 and case[3]],
 )
 def test_a_misfortune_is_named(kind: str, which: int, at: float, moved: bool, fault: Fault, period: float) -> None:
     hand = SpringHand(target=TOUR) if moved else None

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -109,10 +110,20 @@ def test_no_stiffer_wall_bears_the_requirements(box: int) -> None:
         assert needs.moduli(cases, 1.01 * wall.stiffness, float(damping)).max() > needs.modulus
 
 
+@cache
+def dynamic_wall(law: str) -> DesignedWall:
+    """Return the wall of the dynamic goal.
+
+    Over the product of everything; it is dear to find.
+    """
+    needs = WallRequirements(**EVERYTHING, modulus=1.0)
+    return design_wall(needs, law, goal="dynamic", pole=None if law == "pd" else 0.0)
+
+
+@pytest.mark.xdist_group("dynamic goal")
 def test_the_dynamic_goal_is_reached_within_a_few_per_cent() -> None:
     # Against a grid: 3448 N/m for PD and 8695 N/m for the deadbeat observer, over the product of everything.
-    needs = WallRequirements(**EVERYTHING, modulus=1.0)
-    pd, observer = (design_wall(needs, law, goal="dynamic", pole=0.0) for law in ("pd", "observer"))
+    pd, observer = dynamic_wall("pd"), dynamic_wall("observer")
     assert pd.dynamic_stiffness == pytest.approx(3448.0, rel=0.02)
     assert observer.dynamic_stiffness == pytest.approx(8695.0, rel=0.02)
     for wall in (pd, observer):
@@ -131,11 +142,11 @@ def test_gains_for_each_error_alone_fail_where_errors_come_together(gains: tuple
     assert growing_cases(wall, Contact(), arms).all()
 
 
+@pytest.mark.xdist_group("dynamic goal")
 def test_simulations_of_the_printed_gains_do_not_grow() -> None:
-    needs = WallRequirements(**EVERYTHING, modulus=1.0)
-    for law in ("pd", "observer"):
-        wall = design_wall(needs, law, goal="dynamic", pole=None if law == "pd" else 0.0)
-        assert not growing_cases(wall, Contact(force_limit=None), needs.random(500, seed=11), seed=12).any()
+    for wall in (dynamic_wall("pd"), dynamic_wall("observer")):
+        cases = wall.requirements.random(500, seed=11)
+        assert not growing_cases(wall, Contact(force_limit=None), cases, seed=12).any()
 
 
 def test_a_pulse_stops_the_lightest_flotor_and_lessens_the_depth() -> None:

@@ -371,7 +371,7 @@ def pads(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
             os.close(line)
 
 
-@pytest.mark.xdist_group("realtime")
+@pytest.mark.xdist_group("screen")
 def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
     # GLFW itself, with its own table of gamepads, beside a folder of made-up devices.
     pads.plug("event1")
@@ -395,7 +395,7 @@ def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
     assert pad.read() == Reading(None)
 
 
-@pytest.mark.xdist_group("realtime")
+@pytest.mark.xdist_group("screen")
 def test_another_joystick_does_not_take_the_place_of_the_first(pads: Pads) -> None:
     # Not even where the first one that there was is the hand.
     pads.plug("event1")
@@ -408,7 +408,7 @@ def test_another_joystick_does_not_take_the_place_of_the_first(pads: Pads) -> No
         assert waited(lambda: (now := pad.read()).shares != held and now) == Reading(None)
 
 
-@pytest.mark.xdist_group("realtime")
+@pytest.mark.xdist_group("screen")
 def test_an_unknown_joystick_has_its_axes_in_order_from_where_they_rest(pads: Pads) -> None:
     pads.plug("event1")
     with closing(open_device("auto")) as stick:

@@ -56,6 +56,15 @@ NEEDED = {
 }
 
 
+@pytest.fixture(autouse=True)
+def timed_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Time each closed loop once a turn.
+
+    Not for two milliseconds: no test is about the costs themselves.
+    """
+    monkeypatch.setattr("maglev_mj.studies.fidelity_levels._SHORT", 1e-9)
+
+
 def unseen_distances(result: FidelityResult, count: int) -> Array:
     """Return the chosen model's distances in unseen cases [m].
 

@@ -42,10 +42,21 @@ def state() -> State:
 
 
 @pytest.fixture
+def as_touched(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lock memory as it is touched.
+
+    All that a worker of the tests has asked for are gigabytes.
+    """
+    monkeypatch.setattr("maglev_mj.bridge.realtime._CURRENT_AND_FUTURE", 1 | 2 | 4)  # MCL_ONFAULT
+
+
+@pytest.fixture
 def unchanged() -> Iterator[None]:
+    gc.unfreeze()  # what the worker has frozen, for a loop thaws all
     before = state()
     yield
     assert state() == before
+    gc.freeze()
 
 
 def some_processor() -> int | None:
@@ -69,13 +80,13 @@ def test_ignore_goes_on_and_gives_everything_back(collecting: bool) -> None:
     assert state() == before
 
 
-@pytest.mark.usefixtures("unchanged")
+@pytest.mark.usefixtures("unchanged", "as_touched")
 def test_everything_is_given_back_when_the_loop_fails() -> None:
     with pytest.raises(ZeroDivisionError), realtime("ignore"):
         raise ZeroDivisionError
 
 
-@pytest.mark.usefixtures("unchanged")
+@pytest.mark.usefixtures("unchanged", "as_touched")
 def test_enforce_raises_just_where_ignore_complains() -> None:
     with realtime("ignore") as complaints:
         pass
@@ -93,7 +104,7 @@ def refuse(*_: object) -> None:
 
 
 @pytest.mark.skipif(not SCHEDULED, reason="this system has no scheduler to ask")
-@pytest.mark.usefixtures("unchanged")
+@pytest.mark.usefixtures("unchanged", "as_touched")
 def test_enforce_names_all_that_is_not_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     monkeypatch.setattr(os, "sched_setaffinity", refuse)
@@ -119,7 +130,7 @@ def test_a_system_that_has_none_of_it_is_told_so(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize("cpu", [-1, 4095, 10**30])
 @pytest.mark.skipif(not SCHEDULED, reason="this system has no processors to choose")
-@pytest.mark.usefixtures("unchanged")
+@pytest.mark.usefixtures("unchanged", "as_touched")
 def test_a_processor_that_is_not_there_is_a_complaint(cpu: int) -> None:
     with realtime("ignore", cpu=cpu) as complaints:
         assert any(complaint.startswith(f"processor {cpu}: ") for complaint in complaints)

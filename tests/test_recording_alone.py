@@ -187,8 +187,15 @@ def test_every_law_and_estimate_of_the_package_is_in_the_product() -> None:
     assert there - {Law, AxisLaw, Friction, VelocityEstimator} == used | {Bias}
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
-@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize(
+    ("plant", "suffix"),
+    [
+        *((plant, ".mcap") for plant in PLANTS),
+        *((plant, ".npz") for plant in ("exact", "mujoco")),
+        # setups are written alike in both
+        *(pytest.param(f"{plant}, with options", ".npz", marks=pytest.mark.study) for plant in ("exact", "mujoco")),
+    ],
+)
 def test_a_script_s_recording_is_checked_analysed_and_shown(plant: str, suffix: str, tmp_path: Path, say: Any) -> None:
     path = tmp_path / f"run{suffix}"
     ticks = 25

@@ -7,7 +7,9 @@ import struct
 import subprocess
 import sys
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +40,14 @@ from tests.recorded import (
     npz_of,
     numbers_in,
     with_messages,
-    with_rows,
+    with_value,
 )
 
 BAD: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 1e308, -1e308, None, True, "1", [], {}, -1, 1.5, 10**400)
 NONE: tuple[Any, ...] = (math.nan, math.inf, -math.inf, 10**400, "1", [], {})
 SAMPLE = "/maglev/sample"
-Case = tuple[str, str, bytes]
-"""Changed position, suffix, and file."""
+Case = tuple[str, Callable[[], bytes]]
+"""Changed position, and maker of the file."""
 
 
 def check(data: bytes, folder: Path, suffix: str) -> Verdict:
@@ -64,24 +66,40 @@ def with_number(kind: str, suffix: str) -> Iterator[Case]:
         rows = [0, len(messages) // 2, len(messages) - 1]
         rows += [row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event"]
         for row in rows:
-            topic, message = messages[row]
-            for place in numbers_in(message):
+            for place in numbers_in(messages[row][1]):
                 for bad in BAD:
-                    new = [*messages[:row], (topic, changed(message, place, bad)), *messages[row + 1 :]]
-                    yield f"{row} {place} {str(bad)[:9]}", suffix, mcap_of(new)
+                    yield f"{row} {place} {str(bad)[:9]}", partial(with_message, messages, row, place, bad)
         return
     header, arrays = arrays_in(made(kind, suffix))
     for place in numbers_in(header["setups"]):
         for bad in BAD:
-            new_header = {**header, "setups": changed(header["setups"], place, bad)}
-            yield f"{place} {str(bad)[:9]}", suffix, npz_of(new_header, arrays)
+            yield f"{place} {str(bad)[:9]}", partial(with_setup, header, arrays, place, bad)
     for name, values in arrays.items():
         for column in np.ndindex(values.shape[1:]):
             for row in (0, len(values) // 2, len(values) - 1):
                 for bad in (math.nan, math.inf, -math.inf, 1e308, -1e308, -1.0, 1.5):
-                    other = values.copy()
-                    other[(row, *column)] = bad
-                    yield f"{name} {row} {column} {bad}", suffix, npz_of(header, {**arrays, name: other})
+                    yield (
+                        f"{name} {row} {column} {bad}",
+                        partial(with_element, header, arrays, name, (row, *column), bad),
+                    )
+
+
+def with_message(messages: list[tuple[str, Message]], row: int, place: Place, value: Any) -> bytes:
+    """Return a file with another value somewhere in a message."""
+    topic, message = messages[row]
+    return mcap_of([*messages[:row], (topic, changed(message, place, value)), *messages[row + 1 :]])
+
+
+def with_setup(header: Message, arrays: Mapping[str, Any], place: Place, value: Any) -> bytes:
+    """Return a file of arrays with another value in its setups."""
+    return npz_of({**header, "setups": changed(header["setups"], place, value)}, arrays)
+
+
+def with_element(header: Message, arrays: Mapping[str, Any], name: str, place: tuple[int, ...], value: float) -> bytes:
+    """Return a file of arrays with another number in one of them."""
+    other = arrays[name].copy()
+    other[place] = value
+    return npz_of(header, {**arrays, name: other})
 
 
 def with_number_in_a_row(kind: str) -> Iterator[Case]:
@@ -95,8 +113,7 @@ def with_number_in_a_row(kind: str) -> Iterator[Case]:
         for column, _ in field.units:
             for row in (0, last // 2, last):
                 for value in bad:
-                    new = with_rows(data, lambda place, one: value if (place, one) == (row, column) else None)  # noqa: B023
-                    yield f"{name} {row} {value}", ".mcap", new
+                    yield f"{name} {row} {value}", partial(with_value, data, row, column, value)
 
 
 def answers(path: Path, capsys: Any) -> list[int]:
@@ -122,14 +139,13 @@ def answers(path: Path, capsys: Any) -> list[int]:
 def sweep(kind: str, suffix: str, folder: Path, capsys: Any, every: int = 1) -> list[list[int]]:
     """Return the commands' results on every n-th file."""
     found = []
-    for number, (what, _, data) in enumerate(with_number(kind, suffix)):
-        if number % every == 0:
-            path = folder / f"run{suffix}"
-            path.write_bytes(data)
-            try:
-                found.append(answers(path, capsys))
-            except BaseException as error:
-                raise AssertionError(f"{what}: {error!r}") from error
+    for what, file in islice(with_number(kind, suffix), 0, None, every):
+        path = folder / f"run{suffix}"
+        path.write_bytes(file())
+        try:
+            found.append(answers(path, capsys))
+        except BaseException as error:
+            raise AssertionError(f"{what}: {error!r}") from error
     return found
 
 
@@ -160,9 +176,8 @@ def test_what_is_no_finite_number_is_no_number_of_a_file(kind: str, tmp_path: Pa
             bad, turn = NONE[turn % (4 if shown else len(NONE))], turn + 1
             if place[-1] == "walls" and bad == []:
                 continue  # a scene may have none
-            new = [*messages[:row], (topic, changed(message, place, bad)), *messages[row + 1 :]]
             try:
-                check(mcap_of(new), tmp_path, ".mcap")
+                check(with_message(messages, row, place, bad), tmp_path, ".mcap")
             except InvalidRecordingError as refused:
                 assert "\n" not in str(refused), (row, place, bad)
             else:
@@ -232,9 +247,8 @@ def test_a_bit_that_differs_in_any_number_of_a_sample_is_found_and_named(kind: s
             row = int(random.integers(1, len(samples)))
             value = samples[row][name]
             new = bits([*value.values()][place] if field.six else value)
-            other = with_rows(data, lambda at, one: new if (at, one) == (row, column) else None)  # noqa: B023
             try:
-                verdict = check(other, tmp_path, ".mcap")
+                verdict = check(with_value(data, row, column, new), tmp_path, ".mcap")
             except InvalidRecordingError:
                 assert name in ("stretch", "tick")
                 continue
@@ -260,7 +274,7 @@ def test_a_refusal_names_the_number_of_a_sample(
     column: str, bad: float, words: str, tmp_path: Path, capsys: Any
 ) -> None:
     path = tmp_path / "run.mcap"
-    path.write_bytes(with_rows(made("drop", ".mcap"), lambda place, one: bad if (place, one) == (6, column) else None))
+    path.write_bytes(with_value(made("drop", ".mcap"), 6, column, bad))
     assert main(["replay", str(path), "--check"]) == 2
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1 and f"{str(path)!r} is not a whole recording: {words}" in said
@@ -337,14 +351,13 @@ def test_a_bit_that_differs_in_any_field_is_found_and_named(kind: str, tmp_path:
     whole, tried = check(made(kind, ".mcap"), tmp_path, ".mcap"), set()
     assert whole.same and not whole.damage
     for row in (starts[-1], samples[0], samples[-1]):
-        topic, message = messages[row]
+        message = messages[row][1]
         for place in numbers_in({name: part for name, part in message.items() if name != "setup"}):
             value = message
             for key in place:
                 value = value[key]
-            new = [*messages[:row], (topic, changed(message, place, bits(value))), *messages[row + 1 :]]
             try:
-                verdict = check(mcap_of(new), tmp_path, ".mcap")
+                verdict = check(with_message(messages, row, place, bits(value)), tmp_path, ".mcap")
             except InvalidRecordingError:
                 assert field(place) in ("stretch", "tick", "missed") or place[-1] == "normal"
                 continue
@@ -372,10 +385,9 @@ def test_a_bit_that_differs_in_any_array_is_found_and_named(kind: str, tmp_path:
         name = key.partition("/")[2]
         for column in np.ndindex(values.shape[1:]):
             row = int(random.integers(len(values)))
-            other = values.copy()
-            other[(row, *column)] = np.nextafter(other[(row, *column)], math.inf)
+            value = np.nextafter(values[(row, *column)], math.inf)
             try:
-                verdict = check(npz_of(header, {**arrays, key: other}), tmp_path, ".npz")
+                verdict = check(with_element(header, arrays, key, (row, *column), value), tmp_path, ".npz")
             except InvalidRecordingError:
                 assert name == "tick"
                 continue

@@ -58,11 +58,13 @@ class Watched:
         self.twin = Twin(TwinParameters(limits=Limits(watchdog=1.0), **options))
         self.server = TwinServer(self.twin, UdpServer("127.0.0.1", 0))
         self.moments: list[Moment] = []
+        self.active = 0
         self._thread = threading.Thread(target=self.server.run, kwargs={"each": self._look})
 
     def _look(self) -> None:
         firmware = self.twin.firmware
         current = float(np.abs(self.twin.plant.currents).max())
+        self.active += firmware.state == State.ACTIVE
         self.moments.append(Moment(time.monotonic(), firmware.state, firmware.faults, current, self.twin.pose[2]))
 
     def __enter__(self) -> "Watched":
@@ -87,7 +89,7 @@ class Watched:
         end = time.monotonic() + patience
         while not so():
             assert time.monotonic() < end, "waited in vain"
-            time.sleep(0.001)
+            time.sleep(0.002)  # the twin runs in this process, and needs its time
         return time.monotonic()
 
     def flown(self, seconds: float) -> None:
@@ -96,7 +98,7 @@ class Watched:
         By its own time.
         """
         ticks = round(seconds / self.twin.parameters.period)
-        self.until(lambda: sum(one.state == State.ACTIVE for one in list(self.moments)) >= ticks)
+        self.until(lambda: self.active >= ticks)
 
     def cut_after(self, when: float) -> float:
         """Return the time until the currents stay zero [s]."""
@@ -112,11 +114,18 @@ def flight(twin: Watched, folder: Path, *options: str) -> Iterator[subprocess.Po
 
 
 def within(seconds: float) -> list[str]:
-    """Return the command line with another landing time.
+    """Return the command line with other patience.
 
-    A busy machine needs more.
+    For the landing and for a sample: a busy machine needs more.
     """
-    text = f"import sys; from maglev_mj.cli import bridge, main; bridge.LANDING_TIME = {seconds}; sys.exit(main())"
+    text = f"""
+import sys
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.cli import bridge, main
+bridge.LANDING_TIME = {seconds}
+RemotePlant.__init__.__kwdefaults__["patience"] = 30.0
+sys.exit(main())
+"""
     return [sys.executable, "-c", text]
 
 

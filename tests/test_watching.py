@@ -31,7 +31,10 @@ from maglev_mj.viewer.keys import keys_of
 from maglev_mj.viewer.window import show
 from tests.virtual_screen import MISSING, VirtualScreen
 
-pytestmark = pytest.mark.xdist_group("realtime")
+pytestmark = pytest.mark.xdist_group("screen")
+
+SIZE = 600, 450
+"""Size of the screen [px], which software draws."""
 
 
 def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() -> None:
@@ -129,7 +132,7 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "maglev_mj"]
     record = tmp_path / "run.npz"
-    with VirtualScreen(900, 700) as screen:
+    with VirtualScreen(*SIZE) as screen:
         twin = subprocess.Popen(
             [*command, "twin", "--listen", "udp://127.0.0.1:0", "--view", "--watchdog", "2"],
             env=screen.environment,
@@ -177,7 +180,7 @@ def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_
 def test_escape_in_a_window_cuts_the_currents(seen: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "maglev_mj"]
     look = {"twin": ["--view"], "bridge": []}
-    with VirtualScreen(900, 700) as screen:
+    with VirtualScreen(*SIZE) as screen:
         options: dict[str, Any] = {"env": screen.environment, "stdout": subprocess.PIPE, "text": True}
         address = ["--listen", "udp://127.0.0.1:0", "--watchdog", "2", *look[seen]]
         twin = subprocess.Popen([*command, "twin", *address], **options)
@@ -299,4 +302,4 @@ def _place(screen: VirtualScreen, window: int) -> tuple[int, int, int, int]:
     text = screen.xdotool("getwindowgeometry", window)
     left, top = map(int, re.findall(r"Position: (-?\d+),(-?\d+)", text)[0])
     width, height = map(int, re.findall(r"Geometry: (\d+)x(\d+)", text)[0])
-    return left, top, min(width, 900), min(height, 700)
+    return left, top, min(width, SIZE[0]), min(height, SIZE[1])

@@ -53,7 +53,7 @@ from maglev_mj.web.svg import Line, chart, ticks
 TOKEN = "a-token-of-some-length"
 VERSION = [Subprotocol(f"viser-v{viser.__version__}")]
 
-pytestmark = pytest.mark.xdist_group("realtime")
+pytestmark = pytest.mark.xdist_group("screen")
 
 
 @contextmanager

@@ -20,7 +20,7 @@ from maglev_mj.shapes import GRIP
 
 pytestmark = [
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
-    pytest.mark.xdist_group("realtime"),
+    pytest.mark.xdist_group("screen"),
 ]
 
 if not MISSING:
@@ -100,7 +100,7 @@ def browser() -> Iterator[Any]:
 
 def opened(browser: Any, run: Run, **options: Any) -> Any:
     """Return a tab that shows the scene."""
-    tab = browser.new_context(**{"viewport": SIZE, **options}).new_page()
+    tab = browser.new_context(**{"viewport": SIZE, "device_scale_factor": 0.25, **options}).new_page()
     tab.goto(run.url, wait_until="domcontentloaded")
     tab.wait_for_selector("text=joystick", timeout=60_000)
     tab.add_style_tag(content=".mantine-Notifications-root{display:none}")  # that it draws by software is known

@@ -18,7 +18,7 @@ from tests.test_web_browser import Run, opened, press, pull
 
 pytestmark = [
     pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
-    pytest.mark.xdist_group("realtime"),
+    pytest.mark.xdist_group("screen"),
 ]
 
 

@@ -27,14 +27,17 @@ class VirtualScreen:
     def __enter__(self) -> Self:
         read, write = os.pipe()
         self._server = subprocess.Popen(
-            ["Xvfb", "-displayfd", str(write), "-screen", "0", self._size, "-nolisten", "tcp"],
+            # without a reset when xdotool, for a moment the only client, goes: a window that comes then is turned away
+            ["Xvfb", "-displayfd", str(write), "-screen", "0", self._size, "-nolisten", "tcp", "-noreset"],
             pass_fds=[write],
             stderr=subprocess.DEVNULL,
         )
         os.close(write)
         with os.fdopen(read) as pipe:
             self.display = f":{pipe.readline().strip()}"
-        self.environment = {**os.environ, "DISPLAY": self.display, "LIBGL_ALWAYS_SOFTWARE": "1"}
+        # drawn by one thread: a window that waits for no screen draws all the time, and would keep every core from all
+        software = {"LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "0"}
+        self.environment = {**os.environ, "DISPLAY": self.display, **software}
         for name in ("WAYLAND_DISPLAY", "MUJOCO_GL"):
             self.environment.pop(name, None)
         return self
