@@ -91,12 +91,12 @@ def with_message(messages: list[tuple[str, Message]], row: int, place: Place, va
 
 
 def with_setup(header: Message, arrays: Mapping[str, Any], place: Place, value: Any) -> bytes:
-    """Return a file of arrays with another value in its setups."""
+    """Return an array file with another value in its setups."""
     return npz_of({**header, "setups": changed(header["setups"], place, value)}, arrays)
 
 
 def with_element(header: Message, arrays: Mapping[str, Any], name: str, place: tuple[int, ...], value: float) -> bytes:
-    """Return a file of arrays with another number in one of them."""
+    """Return an array file with another number in one array."""
     other = arrays[name].copy()
     other[place] = value
     return npz_of(header, {**arrays, name: other})

@@ -26,9 +26,9 @@ from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, leas
 __all__ = ["GOALS", "LAWS", "Case", "DesignedWall", "WallRequirements", "design_wall", "worst_case"]
 
 LAWS = ("pd", "observer", "disturbance-observer")
-"""Names of the wall laws; the last also estimates a constant unknown force."""
+"""Names of the wall laws, the last with a disturbance estimate."""
 GOALS = ("static", "dynamic")
-"""Names of the stiffness to maximize: at rest, or the least dynamic one over all frequencies."""
+"""Stiffness to maximize: at rest, or the least dynamic one."""
 
 _POLES = (0.0, 0.2, 0.4, 0.6)
 _DAMPINGS = np.geomspace(0.01, 6.0, 32)
