@@ -37,7 +37,7 @@ class CoilMap:
         ModelError: If there are not six coils, or they cannot give every wrench.
 
     Example:
-        >>> from maglev_mj.bridge import Calibration
+        >>> from maglev_mj import Calibration
         >>> coils = Calibration.nominal().coils
         >>> currents = coils.currents([0.0, 0.0, 6.867, 0.0, 0.0, 0.0])  # for the weight of 0.7 kg
         >>> currents.round(2).tolist()

@@ -206,8 +206,10 @@ def load_model(
             on a rotation.
 
     Example:
-        >>> round(load_model("drop").mass, 6)
-        0.7
+        >>> from maglev_mj import load_model
+        >>> device = load_model("drop", mass=1.0)
+        >>> round(device.mass, 3), device.range[:3].tolist()  # [kg], [m]
+        (1.0, [0.0045, 0.0045, 0.0045])
     """
     chosen = _Chosen(
         lean=flag("lean", lean),

@@ -169,8 +169,7 @@ def rebuild(
         InvalidRecordingError: If the setup is not known here.
 
     Example:
-        >>> from maglev_mj import find_scene
-        >>> from maglev_mj.replay import rebuild, record_run
+        >>> from maglev_mj import find_scene, rebuild, record_run
         >>> stretch = record_run(find_scene("drop")(duration=0.1), plant="exact").stretches[0]
         >>> plant, controller = rebuild(stretch.setup, None)
         >>> type(plant).__name__, [type(law).__name__ for law in controller.laws]
@@ -310,8 +309,7 @@ def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) ->
         phase: Phase of the samples, in [0, 1).
 
     Example:
-        >>> from maglev_mj import find_scene
-        >>> from maglev_mj.replay import record_run
+        >>> from maglev_mj import find_scene, record_run
         >>> recording = record_run(find_scene("drop")(duration=0.1), plant="exact")
         >>> recording.ticks  # a sample each 5 ms
         21
@@ -343,8 +341,7 @@ def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: floa
     Example:
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from maglev_mj import Recording, find_scene
-        >>> from maglev_mj.replay import write_run
+        >>> from maglev_mj import Recording, find_scene, write_run
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     files = write_run(Path(folder, "run.npz"), find_scene("drop")(duration=0.1), plant="exact")
         ...     ticks = Recording.load(files[0]).ticks

@@ -113,7 +113,7 @@ def local_workers(count: int | None = None) -> Workers:
         ParameterError: If the count is negative.
 
     Example:
-        >>> from maglev_mj.workers import local_workers
+        >>> from maglev_mj import local_workers
         >>> with local_workers(0).make() as pool:  # in this process
         ...     powers = list(pool.map(pow, [1, 2, 3], [2, 2, 2]))
         >>> powers
@@ -158,8 +158,7 @@ def dask_workers(address: str, *, files: Path | str | Sequence[Path | str] = ())
         MissingPackageError: If Dask is not installed.
 
     Example:
-        >>> from maglev_mj import find_scene, sweep
-        >>> from maglev_mj.workers import dask_workers
+        >>> from maglev_mj import dask_workers, find_scene, sweep
         >>> workers = dask_workers("tcp://scheduler:8786")  # doctest: +SKIP
         >>> found = sweep(find_scene("drop"), {"height": [0.001, 0.002]}, workers=workers)  # doctest: +SKIP
     """

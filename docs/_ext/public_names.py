@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import pkgutil
+import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
@@ -24,6 +25,7 @@ _INTERNAL |= {"cli", "display", "hand_devices", "net", "viewer", "web"}  # progr
 _BESIDE = "modules"
 """Page of the modules beside the packages."""
 
+_COLUMNS, _WIDTHS = ("Name", "Summary"), (30, 70)
 _SHORT = 60
 """Characters of a value that is shown."""
 
@@ -179,15 +181,21 @@ def _page(page: str, names: Sequence[Name], homes: Homes) -> Iterator[str]:
 
 def _index(given: Mapping[str, Sequence[Name]], homes: Homes) -> Iterator[str]:
     yield from title("Python API", "=")
-    yield as_rst("`import maglev_mj` gives the names of the tutorials and how-to pages:")
-    yield from _summaries(_names("maglev_mj"), homes)
+    yield as_rst(
+        "`import maglev_mj` gives the names of the tutorials and how-to pages; further names are in its packages."
+    )
+    keys = {name.name: name.key for name in _names("maglev_mj")}
+    for group in re.split(r"\n\n(?=\S.*:\n\n)", str(getdoc(maglev_mj)))[1:]:
+        head, _, listed = group.partition(":\n\n")
+        yield from title(head, "-")
+        named = re.findall(r"^ +(\w+) +(.+)$", listed, re.MULTILINE)
+        yield from table(_COLUMNS, [(_link(name, homes[keys[name]]), as_rst(text)) for name, text in named], _WIDTHS)
     yield from title("Packages", "-")
-    yield "Further names, by package:"
     rows = []
     for page in given:
         about = "Modules beside the packages." if page == _BESIDE else str(getdoc(import_module(f"maglev_mj.{page}")))
         rows.append((f":doc:`{page}`", as_rst(about.partition("\n")[0])))
-    yield from table(("Package", "Content"), rows, (25, 75))
+    yield from table(("Package", "Content"), rows, _WIDTHS)
     yield from ("", ".. toctree::", "   :hidden:", "", *(f"   {page}" for page in given))
 
 
@@ -195,5 +203,9 @@ def _summaries(names: Sequence[Name], homes: Homes) -> Iterator[str]:
     rows = []
     for name in names:
         summary = "" if name.is_data else as_rst(str(getdoc(name.found)).partition("\n")[0])
-        rows.append((f":py:obj:`{name.name} <{homes[name.key][1]}>`", summary))
-    yield from table(("Name", "Summary"), rows, (30, 70))
+        rows.append((_link(name.name, homes[name.key]), summary))
+    yield from table(_COLUMNS, rows, _WIDTHS)
+
+
+def _link(name: str, home: tuple[str, str]) -> str:
+    return f":py:obj:`{name} <{home[1]}>`"

@@ -170,9 +170,7 @@ def analyse(
         ParameterError: If there are less than two samples from `begin` to `end`.
 
     Example:
-        >>> from maglev_mj import find_scene
-        >>> from maglev_mj.analysis import analyse
-        >>> from maglev_mj.replay import rebuild, record_run
+        >>> from maglev_mj import analyse, find_scene, rebuild, record_run
         >>> found = analyse(record_run(find_scene("drop")(), plant="exact").stretches[0], rebuild)
         >>> wall = found.identified.walls[0]
         >>> round(float(wall.stiffness.value)), round(float(wall.damping.value))

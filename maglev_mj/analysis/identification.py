@@ -70,7 +70,7 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
         InvalidRecordingError: If it has no metadata, and none is given.
 
     Example:
-        >>> from maglev_mj.replay import record_run
+        >>> from maglev_mj import record_run
         >>> from maglev_mj.scenes.drop import Drop
         >>> (stretch,) = record_run(Drop(stiffness=5000.0, quantize=5e-6), plant="exact").stretches
         >>> (wall,) = identify(stretch).walls

@@ -58,7 +58,7 @@ class Calibration:
             a moment of inertia is not above 0.
 
     Example:
-        >>> from maglev_mj.bridge import Calibration
+        >>> from maglev_mj import Calibration
         >>> nominal = Calibration.nominal()
         >>> nominal.mass, nominal.hover.round(2).tolist()
         (0.7, [1.14, 1.14, 1.14, 0.0, 0.0, 0.0])

@@ -93,8 +93,7 @@ def estop(link: Link, key: bytes | None = None, patience: float = 1.0) -> EstopR
         ParameterError: If the key or the patience is outside its bounds.
 
     Example:
-        >>> from maglev_mj.bridge import Twin, TwinParameters
-        >>> from maglev_mj.bridge.connection import estop
+        >>> from maglev_mj import Twin, TwinParameters, estop
         >>> from maglev_mj.bridge.simulated_links import VirtualLink
         >>> report = estop(VirtualLink(Twin(TwinParameters())))
         >>> report.confirmed

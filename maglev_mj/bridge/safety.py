@@ -73,7 +73,7 @@ class HostLimits(Parameters):
     The smaller of these and the device's apply.
 
     Example:
-        >>> from maglev_mj.bridge import HostLimits
+        >>> from maglev_mj import HostLimits
         >>> HostLimits(max_current=5.0).speed_limit
         0.6
     """

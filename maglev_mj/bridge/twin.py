@@ -48,7 +48,7 @@ class TwinParameters:
         ParameterError: If a value is outside its bounds.
 
     Example:
-        >>> from maglev_mj.bridge import TwinParameters
+        >>> from maglev_mj import TwinParameters
         >>> TwinParameters(period=0.001, lockstep=True).delay
         0.0015
     """
@@ -170,7 +170,7 @@ class Twin:
         silent_until: End of a silence without any frames [ns].
 
     Example:
-        >>> from maglev_mj.bridge import Twin, TwinParameters
+        >>> from maglev_mj import Twin, TwinParameters
         >>> twin = Twin(TwinParameters(noise=0.0))
         >>> twin.firmware.state.name, twin.pose.round(4).tolist()[2]
         ('INACTIVE', -0.0045)

@@ -50,9 +50,9 @@ def conform(
         LinkError: If a link has failed.
 
     Example:
-        >>> from maglev_mj.bridge import Twin, TwinParameters
+        >>> from maglev_mj import Twin, TwinParameters, conform
         >>> from maglev_mj.bridge.simulated_links import VirtualLink
-        >>> from maglev_mj.conformance import checks, conform
+        >>> from maglev_mj.conformance import checks
         >>> results = conform([VirtualLink(Twin(TwinParameters()))], flight=False, only=list(checks())[:1])
         >>> [result.passed for result in results]
         [True]

@@ -60,7 +60,7 @@ class Trajectory:
     Source: Flash & Hogan 1985, the movement of an arm from rest to rest: 10 s³ - 15 s⁴ + 6 s⁵.
 
     Example:
-        >>> from maglev_mj.hand import Trajectory
+        >>> from maglev_mj import Trajectory
         >>> path = Trajectory([0.0, 0.4], [[0.0] * 6, [0.004, 0, 0, 0, 0, 0]])
         >>> path.at(0.2)[0], path.end
         (0.002, 0.4)
@@ -157,7 +157,7 @@ class SpringHand:
 
     Example:
         >>> import numpy as np
-        >>> from maglev_mj.hand import SpringHand
+        >>> from maglev_mj import SpringHand
         >>> hand = SpringHand(stiffness=200.0, target=[0.004, 0, 0, 0, 0, 0])
         >>> wrench = hand(0, 0.0, lambda: (np.zeros(6), np.zeros(6)))
         >>> round(float(wrench[0]), 3)  # 200 N/m times 4 mm

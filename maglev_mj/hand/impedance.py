@@ -57,7 +57,7 @@ class Hand:
             a gram or no spring to it, or a rigid grip has damping.
 
     Example:
-        >>> from maglev_mj.hand import Hand
+        >>> from maglev_mj import Hand
         >>> arm = Hand(mass=0.554, damping=6.45, stiffness=135.0)
         >>> float(arm.static_stiffness)
         135.0

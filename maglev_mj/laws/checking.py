@@ -34,7 +34,7 @@ def check_law(law: Law | Callable[..., Any]) -> None:
             gives another answer, one device and a batch differ in a bit, or the wrench is zero at every sample.
 
     Example:
-        >>> from maglev_mj.laws import Hold
+        >>> from maglev_mj import Hold
         >>> check_law(Hold(axes="z", stiffness=3000.0, damping=50.0))
     """
     one = as_law(law)

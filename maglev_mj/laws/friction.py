@@ -222,8 +222,7 @@ class ImplicitCoulomb(Friction):
     Source: Kikuuwe, Takesue, Sano, Mochiyama & Fujimoto 2006; derived again, not checked against the original.
 
     Example:
-        >>> from maglev_mj import Controller, Sample
-        >>> from maglev_mj.laws import ImplicitCoulomb
+        >>> from maglev_mj import Controller, ImplicitCoulomb, Sample
         >>> friction = ImplicitCoulomb(axes="x", stiffness=6000.0, breakaway=2.0, period=0.005)
         >>> controller = Controller([friction], period=0.005)
         >>> path = enumerate([0.0, 1e-4, 3e-4, 1e-3])  # it sticks, and slides at the breakaway force

@@ -45,8 +45,7 @@ class PredictiveWall(AxisLaw):
         mean over the hold is this project's.
 
     Example:
-        >>> from maglev_mj import Controller, Sample
-        >>> from maglev_mj.laws import PredictiveWall
+        >>> from maglev_mj import Controller, PredictiveWall, Sample
         >>> wall = PredictiveWall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, period=0.005, delay=0.0015)
         >>> round(Controller([wall], period=0.005).step(Sample(0, 0.0, [0, 0, -0.001, 0, 0, 0])).force[2], 3)
         6.0
@@ -121,8 +120,7 @@ class ObserverWall(AxisLaw):
         observer are this project's, the observer's gains those of a fading-memory filter.
 
     Example:
-        >>> from maglev_mj import Controller, Sample
-        >>> from maglev_mj.laws import ObserverWall
+        >>> from maglev_mj import Controller, ObserverWall, Sample
         >>> wall = ObserverWall(axes="z", stiffness=12000.0, damping=150.0, inertia=0.7, period=0.005, delay=0.0015)
         >>> round(Controller([wall], period=0.005).step(Sample(0, 0.0, [0, 0, -0.001, 0, 0, 0])).force[2], 3)
         12.0

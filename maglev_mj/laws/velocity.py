@@ -31,7 +31,7 @@ class FiniteDifference:
     Source: Salcudean & Vlaar 1997, eq. (3).
 
     Example:
-        >>> from maglev_mj.laws import FiniteDifference
+        >>> from maglev_mj import FiniteDifference
         >>> velocity, state = FiniteDifference()([0.002, 0, 0, 0, 0, 0], [0.001, 0, 0, 0, 0, 0], 0.005)
         >>> velocity[0]
         0.2
@@ -77,7 +77,7 @@ class LowPass:
         ParameterError: If the cut-off is not above 0.
 
     Example:
-        >>> from maglev_mj.laws import LowPass
+        >>> from maglev_mj import LowPass
         >>> estimate, state = LowPass(cutoff=50.0), None
         >>> for x in (0.0, 0.001, 0.002, 0.003):  # 0.2 m/s
         ...     velocity, state = estimate([x, 0, 0, 0, 0, 0], state, 0.005)

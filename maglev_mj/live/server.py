@@ -56,8 +56,7 @@ class LiveServer:
             `if __name__ == "__main__":`.
 
     Example:
-        >>> from maglev_mj.live import LiveServer
-        >>> from maglev_mj.session import Session, real_time
+        >>> from maglev_mj import LiveServer, Session, real_time
         >>> session = Session(publishers=[LiveServer()])  # doctest: +SKIP
         >>> for elapsed, now in real_time(60.0, step=0.005):  # doctest: +SKIP
         ...     session.tick(elapsed)

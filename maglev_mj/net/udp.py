@@ -218,7 +218,7 @@ def open_link(url: str, key: bytes | None = None) -> Link:
         MissingPackageError: If a serial line needs pyserial, which is not installed.
 
     Example:
-        >>> from maglev_mj.bridge import open_link
+        >>> from maglev_mj import open_link
         >>> link = open_link("udp://127.0.0.1:5678")
         >>> link.receive(timeout=0.0) is None  # nothing has come
         True

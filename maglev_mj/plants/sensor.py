@@ -209,8 +209,7 @@ class SpotSensor:
         ParameterError: If a value is negative.
 
     Example:
-        >>> from maglev_mj import ExactPlant
-        >>> from maglev_mj.plants import SpotSensor
+        >>> from maglev_mj import ExactPlant, SpotSensor
         >>> with ExactPlant(pose=[1e-3, 0, 0, 0, 0, 0], sensor=SpotSensor(quantum=5e-6)) as plant:
         ...     measured = plant.read().position[0]
         >>> abs(measured - 1e-3) < 1e-5

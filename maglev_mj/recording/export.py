@@ -40,9 +40,7 @@ def export(recording: Recording, kind: str, path: Path) -> None:
     Example:
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from maglev_mj import find_scene
-        >>> from maglev_mj.recording.export import export
-        >>> from maglev_mj.replay import record_run
+        >>> from maglev_mj import export, find_scene, record_run
         >>> with tempfile.TemporaryDirectory() as folder:
         ...     export(record_run(find_scene("drop")(duration=0.1), plant="exact"), "csv", Path(folder, "run.csv"))
         ...     lines = Path(folder, "run.csv").read_text().splitlines()

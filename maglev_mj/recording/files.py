@@ -223,8 +223,7 @@ def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
     Example:
         >>> import tempfile
         >>> from pathlib import Path
-        >>> from maglev_mj import Bias, Controller, ExactPlant, Recording, drive
-        >>> from maglev_mj.recording import open_recording
+        >>> from maglev_mj import Bias, Controller, ExactPlant, Recording, drive, open_recording
         >>> with tempfile.TemporaryDirectory() as folder, ExactPlant() as plant:
         ...     file, controller = open_recording(Path(folder, "mine.npz")), Controller([Bias([0.0] * 6)], period=0.005)
         ...     last = drive(plant, controller, 5, record=file.begin(plant, controller))

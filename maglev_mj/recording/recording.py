@@ -117,8 +117,7 @@ class Recording(Tabular):
         about: Format of the file and versions of the code that made it; empty in older files.
 
     Example:
-        >>> from maglev_mj import find_scene
-        >>> from maglev_mj.replay import record_run
+        >>> from maglev_mj import find_scene, record_run
         >>> recording = record_run(find_scene("drop")(duration=0.1), plant="exact")
         >>> stretch = recording.stretches[0]
         >>> len(stretch), stretch.position.shape

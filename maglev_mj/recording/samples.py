@@ -107,12 +107,13 @@ def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Sampl
 
     Example:
         >>> import tempfile
-        >>> from maglev_mj import find_scene, write_run
+        >>> from pathlib import Path
+        >>> from maglev_mj import find_scene, load_samples, write_run
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     _ = write_run(Path(folder, "run.npz"), find_scene("drop")())
-        ...     samples = load_samples(Path(folder, "run.npz"), ["time", "position"])
+        ...     file = write_run(Path(folder, "run.npz"), find_scene("drop")(duration=0.1), plant="exact")[0]
+        ...     samples = load_samples(file, ["time", "position"])
         >>> samples.position.shape
-        (81, 6)
+        (21, 6)
     """
     names = list(_FIELDS) if fields is None else list(fields)
     unknown = [name for name in names if name not in _FIELDS]

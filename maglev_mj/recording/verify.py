@@ -98,9 +98,7 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
         ParameterError: If a setup cannot be rebuilt.
 
     Example:
-        >>> from maglev_mj import find_scene
-        >>> from maglev_mj.recording.verify import verify
-        >>> from maglev_mj.replay import rebuild, record_run
+        >>> from maglev_mj import find_scene, rebuild, record_run, verify
         >>> verdict = verify(record_run(find_scene("drop")(duration=0.1), plant="exact"), rebuild)
         >>> verdict.same
         True

@@ -44,8 +44,7 @@ def hold(scene: Scene, axes: str | Sequence[str], mass: float = Spec.moving_mass
     It is as stiff as period and delay allow with a wide margin.
 
     Example:
-        >>> from maglev_mj import find_scene
-        >>> from maglev_mj.scenes.bench import hold
+        >>> from maglev_mj import find_scene, hold
         >>> round(float(hold(find_scene("drop")(), ["x", "y"]).stiffness[0]))  # [N/m]
         1036
         >>> round(float(hold(find_scene("drop")(period=0.001), ["x", "y"]).stiffness[0]))

@@ -135,8 +135,7 @@ def figure(
     """Make a figure of a function; see `Figure`.
 
     Example:
-        >>> from maglev_mj import find_scene, run
-        >>> from maglev_mj.scenes.figures import figure
+        >>> from maglev_mj import figure, find_scene, run
         >>> @figure("mm", "lowest point", scale=1e3)
         ... def lowest(result):
         ...     return result.motion(result.times())[0].min()

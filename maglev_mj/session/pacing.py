@@ -31,7 +31,7 @@ def real_time(
         clock: Clock of real time [s].
 
     Example:
-        >>> from maglev_mj.session import real_time
+        >>> from maglev_mj import real_time
         >>> [now < 0.01 for elapsed, now in real_time(0.004, step=0.001)][:2]
         [True, True]
     """

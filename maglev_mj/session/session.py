@@ -55,7 +55,7 @@ class Session:
         simulated: Simulated time so far [s].
 
     Example:
-        >>> from maglev_mj.session import Session
+        >>> from maglev_mj import Session
         >>> session = Session()
         >>> ticks = session.tick(0.02)  # 20 ms at 200 Hz
         >>> session.close()

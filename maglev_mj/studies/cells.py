@@ -153,8 +153,10 @@ def run_cells(
         WorkersError: If a cluster is gone, or one of its workers has other code.
 
     Example:
-        >>> run_cells(lambda cells: [cell["mass"] * 9.81 for cell in cells], [{"mass": 0.7}, {"mass": 1.0}])
-        [6.867, 9.81]
+        >>> from maglev_mj import run_cells
+        >>> cells = [{"k": 6000, "m": 0.5}, {"k": 6000, "m": 0.75}]
+        >>> run_cells(lambda some: [cell["k"] / cell["m"] for cell in some], cells)
+        [12000.0, 8000.0]
     """
     if not callable(function):
         raise ParameterError(f"function must be one from cells to results, not {function!r}")

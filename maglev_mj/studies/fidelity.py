@@ -63,7 +63,7 @@ class Range(NamedTuple):
         boundary: Largest relative shift of the stability boundary by an integrator.
 
     Example:
-        >>> from maglev_mj.studies.fidelity import Range
+        >>> from maglev_mj import Range
         >>> Range(phases=8).around
         0.1
     """
@@ -188,8 +188,7 @@ def measure_fidelity(
         ParameterError: If there is no such scene, or a value is outside its bounds.
 
     Example:
-        >>> from maglev_mj import find_scene
-        >>> from maglev_mj.studies.fidelity import Range, measure_fidelity
+        >>> from maglev_mj import Range, find_scene, measure_fidelity
         >>> found = measure_fidelity(find_scene("let-go")(duration=0.005), over=Range(phases=1))
         >>> found.level.level
         'axes'

@@ -137,7 +137,7 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
         ParameterError: If a value is outside its bounds.
 
     Example:
-        >>> from maglev_mj.theory import largest_stable_stiffness
+        >>> from maglev_mj import largest_stable_stiffness
         >>> delays = [0.0015, 0.004]
         >>> largest_stable_stiffness(80.0, period=0.005, delay=delays, mass=0.7).round().tolist()
         [10107.0, 4831.0]

@@ -305,8 +305,9 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         ParameterError: If a value is outside its bounds, or a delay is given.
 
     Example:
-        >>> round(1e3 * float(critical_delay(6000.0, 80.0, period=0.005)), 3)
-        3.257
+        >>> from maglev_mj import critical_delay
+        >>> 1e3 * critical_delay([6000.0, 9000.0], 80.0, period=0.005, mass=0.7).round(4)  # [ms]
+        array([3.3, 1.9])
     """
     if "delay" in loop:
         raise ParameterError(f"delay must be left out of critical_delay, which looks for it, not {loop['delay']!r}")

@@ -267,7 +267,7 @@ def design_wall(
         ParameterError: If a value is outside its bounds, or no wall meets the requirements.
 
     Example:
-        >>> from maglev_mj.theory import WallRequirements, design_wall
+        >>> from maglev_mj import WallRequirements, design_wall
         >>> wall = design_wall(WallRequirements(mass=(0.6, 0.8)))
         >>> round(wall.stiffness), round(wall.damping)
         (7725, 74)

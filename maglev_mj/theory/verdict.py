@@ -200,8 +200,7 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
         MaglevError: If a law fails at a pose.
 
     Example:
-        >>> from maglev_mj import Controller, Wall
-        >>> from maglev_mj.theory import judge
+        >>> from maglev_mj import Controller, Wall, judge
         >>> wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
         >>> judge(Controller([wall], period=0.005), delay=0.0015).stable
         True
