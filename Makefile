@@ -84,7 +84,7 @@ $(PEERS): $(READY)
 	@touch $@
 
 $(DOCS): pyproject.toml requirements.lock
-	$(call install,docs,110 MB)
+	$(call install,docs,116 MB)
 	@touch $@
 
 # an extra of this package, and the size of what is downloaded for it
