@@ -110,6 +110,9 @@ def test_a_batch_says_that_a_series_needs_one_phase() -> None:
     assert batch.table().head[1] == "median (5 to 95 %)" and "2 phases" in batch.table().title
     with pytest.raises(ParameterError, match=r"trace must be of one device on six axes, \(K, 6\), not \(\d+, 2, 6\)"):
         batch.trace.to_pandas()
+    six = run(Drop(), plant="exact", phase=np.arange(6) / 6).trace  # as many devices as axes
+    with pytest.raises(ParameterError, match="trace must be of one device on six axes"):
+        six.to_pandas()
 
 
 def test_phases_have_a_row_each_in_si_units_and_a_column_for_each_hit() -> None:
