@@ -635,8 +635,8 @@ def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
     shutil.copytree(Path(maglev_mj.__file__).parent, tmp_path / "maglev_mj", ignore=shutil.ignore_patterns("*.pyc"))
     shutil.copytree(MODELS, tmp_path / "model", dirs_exist_ok=True)
     table = tmp_path / "maglev_mj" / "recording" / "row.py"
-    before, after = table.read_text().split(')\n"""What is recorded of each sample')
-    table.write_text(f'{before}{MORE})\n"""What is recorded of each sample{after}')
+    before, after = table.read_text().split(')\n"""Recorded fields of each sample')
+    table.write_text(f'{before}{MORE})\n"""Recorded fields of each sample{after}')
     done = subprocess.run(
         [sys.executable, "-c", CHANGED, *map(str, old)],
         cwd=tmp_path,

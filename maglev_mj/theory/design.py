@@ -26,7 +26,7 @@ from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, leas
 __all__ = ["GOALS", "LAWS", "Case", "DesignedWall", "WallRequirements", "design_wall", "worst_case"]
 
 LAWS = ("pd", "observer", "disturbance-observer")
-"""Names of the wall laws, the last with a disturbance estimate."""
+"""Names of the wall laws, the last with disturbance estimate."""
 GOALS = ("static", "dynamic")
 """Stiffness to maximize: at rest, or the least dynamic one."""
 
