@@ -341,7 +341,7 @@ def checked_plant(scene: Scene, plant: str | None) -> str:
     Raises:
         ParameterError: If the scene does not run on it, or `scene` is not a scene.
     """
-    if not isinstance(scene, Scene):
+    if isinstance(scene, type) or not hasattr(scene, "plants"):  # a stack of scenes is as good as one
         raise ParameterError(f"scene must be a Scene, such as find_scene('drop')(), not {scene!r}")
     chosen = scene.plants[0] if plant is None else plant
     if chosen not in scene.plants:
