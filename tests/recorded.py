@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from copy import deepcopy
 from functools import cache
 from io import BytesIO
@@ -232,6 +232,15 @@ def numbers_in(value: Any, place: Place = ()) -> Iterator[Place]:
                 yield from numbers_in(part, (*place, key))
     elif not isinstance(value, str):
         yield place
+
+
+def some_of(places: Iterable[Any], named: Callable[[Any], str], seed: int) -> list[Any]:
+    """Return one random position of each field."""
+    found: dict[str, list[Any]] = {}
+    for place in places:
+        found.setdefault(named(place), []).append(place)
+    random = np.random.default_rng(seed)
+    return [places[random.integers(len(places))] for places in found.values()]
 
 
 def changed(value: Any, place: Place, new: Any) -> Any:
