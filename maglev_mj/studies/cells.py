@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import suppress
 from hashlib import blake2b
@@ -247,11 +247,12 @@ class _Study:
         """
         job = self._hand.pop(future)
         try:
-            results = future.result()
+            found = future.result()
         except self.workers.deaths:
             return job
-        if not isinstance(results, Sequence) or len(results) != len(job):
-            raise ParameterError(f"function must return a result for each of its {len(job)} cells, not {results!r}")
+        results = list(found) if isinstance(found, Iterable) else []
+        if len(results) != len(job):
+            raise ParameterError(f"function must return a result for each of its {len(job)} cells, not {found!r}")
         self.record.add(list(zip(job, results, strict=True)))
         self._count(len(job))
         return None
