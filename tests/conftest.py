@@ -19,7 +19,7 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Spare the garbage collector the tests and modules.
+    """Exclude tests and modules from garbage collection.
 
     They live to the end.
     """

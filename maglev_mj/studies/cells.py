@@ -236,9 +236,16 @@ class _Study:
         """
         if self._pool is None:
             self._pool = self.workers.make()
-        while len(self._hand) < (1 if alone else self.workers.window) and (self.suspects if alone else self.waiting):
-            job = [self.suspects.popleft()] if alone else self.waiting.popleft()
-            self._hand[self._pool.submit(self.function, job)] = job
+        queue: deque[Any] = self.suspects if alone else self.waiting
+        while len(self._hand) < (1 if alone else self.workers.window) and queue:
+            job = [queue[0]] if alone else queue[0]
+            try:
+                self._hand[self._pool.submit(self.function, job)] = job
+            except self.workers.deaths:  # since the last job landed; those in hand are lost too
+                if not self._hand:
+                    self.close()
+                return
+            queue.popleft()
 
     def _land(self, future: Future[list[Any]]) -> list[Cell] | None:
         """Store a finished job's results; return a lost job.
