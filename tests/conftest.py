@@ -35,7 +35,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Spare the garbage collector the tests and modules.
+    """Exclude tests and modules from garbage collection.
 
     They live to the end.
     """

@@ -373,14 +373,14 @@ def broken(position: Any, velocity: Any) -> Any:
 
 
 class Unmade(Joystick):
-    """Its laws cannot be made."""
+    """Scene with laws that cannot be made."""
 
     def own_laws(self) -> Any:
         raise ValueError("never")
 
 
 class Failing(Joystick):
-    """Its law fails."""
+    """Scene with a failing law."""
 
     def own_laws(self) -> Any:
         return [*super().own_laws(), as_law(broken)]

@@ -257,7 +257,7 @@ def test_a_scene_that_may_be_unstable_warns_in_one_line() -> None:
 
 
 class Slipped(Detents):
-    """A law that answers wrongly."""
+    """Scene with a law that answers wrongly."""
 
     def laws(self) -> list[Any]:
         class Detent(Law):

@@ -35,7 +35,7 @@ class Growth(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """How one contact went; forces are the slave's [N]."""
+    """Outcome of one contact; forces are the slave's [N]."""
 
     hand: str
     phase: float
@@ -49,9 +49,9 @@ class Contact(NamedTuple):
     ripple: float
     """Root mean square of the force about that."""
     bounces: int
-    """How often the pin left the block on landing."""
+    """Number of bounces of the pin on landing."""
     losses: int
-    """How often it did afterwards."""
+    """Number of bounces afterwards."""
 
 
 def bodies(task: Task, coupling: Coupling, slave_mass: float) -> TwoBodies:
