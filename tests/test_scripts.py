@@ -67,10 +67,11 @@ def test_figures(name: str, tmp_path: Path, run_script: Script) -> None:
 @pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
 def test_render_device_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
     image = pytest.importorskip("matplotlib.image")
-    command = [sys.executable, str(ROOT / "scripts" / "figures" / "render_device.py"), str(tmp_path / "device.png"), "560x420"]
+    script, target = ROOT / "scripts" / "figures" / "render_device.py", tmp_path / "device.png"
+    command = [sys.executable, str(script), str(target), "560x420"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0 and "device.png" in done.stdout, done.stderr
-    picture = image.imread(tmp_path / "device.png")
+    picture = image.imread(target)
     assert picture.shape[:2] == (420, 560)
     assert picture[..., :3].std() > 0.1  # a device, not an empty sky
 
