@@ -21,6 +21,7 @@ from maglev_mj.studies.designed_wall import Contact, evaluate_wall, growing_case
 from maglev_mj.theory import Case, DesignedWall, WallRequirements, design_wall, worst_case
 from maglev_mj.theory.boundary import ranges_of
 from maglev_mj.theory.closed_loop import SampledLoop
+from tests.sweeps import sweep
 
 EVERYTHING: dict[str, Any] = {"mass": (0.56, 0.84), "delay": (0.0012, 0.0018), "hands": tuple(HANDS)}
 BOXES: list[dict[str, Any]] = [
@@ -65,8 +66,7 @@ def test_without_uncertainty_it_is_the_stiffest_wall() -> None:
     assert wall.damping == pytest.approx(87.57, rel=1e-2)
 
 
-@pytest.mark.parametrize("law", ["pd", "observer"])
-@pytest.mark.parametrize("box", range(len(BOXES)))
+@pytest.mark.parametrize(("box", "law"), sweep(range(len(BOXES)), ["pd", "observer"], every=2))
 def test_every_case_of_the_product_keeps_to_the_modulus(box: int, law: str) -> None:
     wall = design_wall(WallRequirements(**BOXES[box]), law, pole=None if law == "pd" else 0.0)
     allowed = wall.requirements.modulus

@@ -26,6 +26,7 @@ from maglev_mj.cli.twin import _hand
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants import MuJoCoPlant, Timing
+from tests.sweeps import sweep
 from tests.test_bridge import CENTRE, REACH, ZERO, Rig, hover
 
 FROZEN = TwinParameters().profile.limits.frozen
@@ -63,12 +64,15 @@ def pressed(kind: str, which: int, push: tuple[int, float], at: float, period: f
 PUSHES = [(2, -8.0), (2, 3.0), (0, 5.0), (5, 0.2)]
 
 
-@pytest.mark.parametrize(("kind", "which"), [("stuck-diodes", 0), *(("stuck-diode", diode) for diode in range(3))])
-@pytest.mark.parametrize("push", PUSHES)
-@pytest.mark.parametrize(("period", "at"), [(0.005, 0.5), (0.005, 0.733), (0.001, 0.4), (0.001, 0.5127)])
+STUCK = [("stuck-diodes", 0), *(("stuck-diode", diode) for diode in range(3))]
+TIMES = [(0.005, 0.5), (0.005, 0.733), (0.001, 0.4), (0.001, 0.5127)]
+
+
+@pytest.mark.parametrize(("stuck", "push", "when"), sweep(STUCK, PUSHES, TIMES, every=4))
 def test_frozen_diodes_under_a_pushing_hand(
-    kind: str, which: int, push: tuple[int, float], at: float, period: float
+    stuck: tuple[str, int], push: tuple[int, float], when: tuple[float, float]
 ) -> None:
+    (kind, which), (period, at) = stuck, when
     rig, samples = pressed(kind, which, push, at, period)
     # a diode that has left its limits, or a flotor its envelope, may be found before that
     assert rig.twin.firmware.faults == Fault.SENSOR_FROZEN or samples < FROZEN
