@@ -5,7 +5,7 @@ It is independent of engine, sockets and clock.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from functools import partial
 from typing import Any
@@ -50,13 +50,13 @@ class Controller:
 
     def __init__(
         self,
-        laws: Sequence[Law | Callable[..., Any]],
+        laws: Iterable[Law | Callable[..., Any]],
         *,
         period: float,
         velocity: VelocityEstimator | None = None,
     ) -> None:
         self.period = number("period", period, above=0.0)
-        if not isinstance(laws, Sequence):
+        if not isinstance(laws, Iterable):
             raise ParameterError(f"laws must be a list of laws, not {laws!r}")
         self.laws = tuple(map(as_law, laws))
         widths = {law.pulse_width for law in self.laws if law.pulse_width > 0.0}

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context, resource_tracker
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -137,8 +138,8 @@ def chosen_workers(workers: Workers | int | None) -> Workers:
     Raises:
         ParameterError: If it is neither.
     """
-    if isinstance(workers, int):
-        return local_workers(workers)
+    if isinstance(workers, Integral):
+        return local_workers(int(workers))
     if not isinstance(workers, Workers | None):
         raise ParameterError(f"workers must be a number of processes or dask_workers(...), not {workers!r}")
     return workers or inline()

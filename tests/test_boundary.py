@@ -12,7 +12,7 @@ import pytest
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.hand import Hand, hand_called
+from maglev_mj.hand import Hand, get_hand
 from maglev_mj.laws import LinearController, LowPass, ObserverWall, Window
 from maglev_mj.theory import is_stable, largest_stable_stiffness, stable_ranges
 from maglev_mj.theory.boundary import boundary_of, first_end, ranges_of, spans, stiffest_of
@@ -147,7 +147,7 @@ FLAT: list[dict[str, Any]] = [
         "period": 0.00031919906994537305,
         "delay": 0.0031919906994537306,
         "mass": 0.5250667908407717,
-        "hand": hand_called("stylus"),
+        "hand": get_hand("stylus"),
         "driver_lag": 0.0005,
         "prediction": 0.00047879860491805955,
     },

@@ -20,7 +20,7 @@ from tests.test_bridge import Rig
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Let black boxes go to a folder of their own."""
+    """Write black boxes to a temporary folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

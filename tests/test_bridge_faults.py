@@ -43,7 +43,7 @@ AWAY = Fault.FLOTOR_OVERSPEED | Fault.BOUNDARY | Fault.SENSOR_OUT_OF_RANGE
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Let black boxes go to a folder of their own."""
+    """Write black boxes to a temporary folder."""
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -16,7 +16,7 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import HANDS, hand_called
+from maglev_mj.hand import HANDS, get_hand
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall, growing_cases, hardest_contact
 from maglev_mj.theory import Case, DesignedWall, WallRequirements, design_wall, worst_case
 from maglev_mj.theory.boundary import ranges_of
@@ -54,7 +54,7 @@ def densely(wall: DesignedWall, seed: int, count: int = 3000) -> np.ndarray[Any,
         )
         lag = SampledLoop(driver_lag=needs.loops([wall.worst], None)[0][1].driver_lag).driver_lag
         loop = SampledLoop(
-            period=needs.period, mass=mass, delay=delay, hand=hand_called(hand), driver_lag=lag, design=wall.design
+            period=needs.period, mass=mass, delay=delay, hand=get_hand(hand), driver_lag=lag, design=wall.design
         )
         moduli.append(loop.modulus(wall.stiffness, wall.damping))
     return np.concatenate(moduli)

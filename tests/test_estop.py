@@ -35,7 +35,7 @@ SOME = (0, 7, 13, 19)
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let black boxes go to a folder of their own."""
+    """Write black boxes to a temporary folder."""
     monkeypatch.chdir(tmp_path)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from maglev_mj import (
@@ -29,7 +30,7 @@ from maglev_mj import (
 )
 from maglev_mj.studies.cells import run_cells
 from maglev_mj.theory import judge
-from maglev_mj.workers import dask_workers
+from maglev_mj.workers import chosen_workers, dask_workers
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "scripts" / "examples"
 SHORT = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name != "live_client.py")
@@ -201,6 +202,20 @@ def test_a_misuse_is_one_clear_line(misuse: str) -> None:
     with pytest.raises((ParameterError, PlantError), match=words) as raised:
         function()
     assert len(str(raised.value).splitlines()) == 1
+
+
+def test_what_can_be_iterated_is_a_list() -> None:
+    assert Controller((law for law in [SPRING]), period=0.005).laws == (SPRING,)
+    assert run_cells(lambda cells: np.array([0.5]), [{}]) == [0.5]  # type: ignore[arg-type,return-value]
+    assert run_cells(lambda cells: (0.5 for _ in cells), [{}]) == [0.5]  # type: ignore[arg-type,return-value]
+    heights: Any = {0.001: "low"}.keys()
+    found = sweep(DROP, {"height": heights}, plant="exact")
+    assert found.varied == {"height": [0.001]} and len(found.to_pandas()) == 1
+
+
+def test_numbers_of_workers_are_any_integers() -> None:
+    two: Any = np.int64(2)
+    assert chosen_workers(two).window == chosen_workers(2).window == 2 * chosen_workers(True).window
 
 
 def test_the_table_of_scripts_lists_each_one() -> None:

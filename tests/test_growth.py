@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from failures import random_delay_rate
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import HANDS, hand_called
+from maglev_mj.hand import HANDS, get_hand
 from maglev_mj.laws import LowPass, VelocityEstimator, Window
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import MuJoCoBatchPlant, Timing
@@ -165,12 +165,12 @@ EXTREME = [
 )
 def test_hands_shift_the_boundary_as_the_map_says(plant: str, hand: str) -> None:
     # Over the published range: 5 % below the boundary it settles, 5 % above it grows.
-    boundary = largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=hand_called(hand))
+    boundary = largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=get_hand(hand))
     assert settles_just_below(boundary, 70.0, RestingWall(hand=hand), 0.05, plant=plant)
 
 
 def test_hands_do_make_a_difference() -> None:
-    hands = map(hand_called, [*HANDS, *EXTREME])
+    hands = map(get_hand, [*HANDS, *EXTREME])
     boundaries = [largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=hand) for hand in hands]
     assert np.ptp(boundaries) > 2000.0
 

@@ -18,7 +18,7 @@ from maglev_mj.hand import (
     RecordedHand,
     SpringHand,
     Trajectory,
-    hand_called,
+    get_hand,
 )
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant
 from maglev_mj.spec import INERTIA
@@ -70,7 +70,7 @@ def test_a_torque_is_about_stator_axes() -> None:
 @pytest.mark.parametrize("lag", [False, True])
 def test_both_plants_agree_on_a_guided_hand(name: str, lag: bool) -> None:
     """Hit and press a wall, the grip rigid or soft."""
-    hand = hand_called(name)
+    hand = get_hand(name)
     assert hand is not None
     down, up = [0.002, 0.0, -0.015, 0.0, 0.0, 0.0], [0.0, -0.001, 0.003, 0.0, 0.0, 0.0]
     guided = GuidedHand(hand=hand, path=Trajectory([0.0, 0.1, 0.2, 0.35], [up, down, up, down]))
@@ -190,7 +190,7 @@ Source: as quoted with Fu & Cavusoglu 2012; read second-hand.
 
 def test_published_hands_are_within_the_published_range() -> None:
     for name in HANDS:
-        if (hand := hand_called(name)) is not None:
+        if (hand := get_hand(name)) is not None:
             for what, (least, most) in PUBLISHED_RANGE.items():
                 assert least <= float(np.asarray(getattr(hand, what))) <= most, (name, what)
 

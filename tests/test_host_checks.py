@@ -22,7 +22,7 @@ from tests.test_bridge import CENTRE, Rig
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let black boxes go to a folder of their own."""
+    """Write black boxes to a temporary folder."""
     monkeypatch.chdir(tmp_path)
 
 

@@ -15,7 +15,7 @@ from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, drive
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command
-from maglev_mj.hand import hand_called
+from maglev_mj.hand import get_hand
 from maglev_mj.laws import AxisLaw, gain
 from maglev_mj.parameters import param
 from maglev_mj.scenes.drop import Drop
@@ -203,7 +203,7 @@ def test_cases_cover_phases_and_gains() -> None:
 @pytest.mark.parametrize("hand", [None, "arm", "stylus", "fingertip"])
 @pytest.mark.parametrize("driver_lag", [0.0, LAG])
 def test_a_fine_rk4_has_the_loop_of_theory(delay: float, hand: str | None, driver_lag: float) -> None:
-    loop = SampledLoop(delay=delay, hand=hand_called(hand or "none"), driver_lag=driver_lag)
+    loop = SampledLoop(delay=delay, hand=get_hand(hand or "none"), driver_lag=driver_lag)
     stepped = SteppedLoop(delay=delay, hand=loop.hand, driver_lag=driver_lag, integrator="rk4", step=2e-5)
     *maps, waiting = loop.flotor()
     *measured, waited = stepped.flotor()
@@ -216,10 +216,10 @@ def test_a_fine_rk4_has_the_loop_of_theory(delay: float, hand: str | None, drive
 @pytest.mark.parametrize("integrator", ["euler", "corrected", "rk4"])
 def test_the_stepped_loop_is_the_plant(integrator: str, hand: str) -> None:
     delay, step, k, b = 0.0015, 1e-3, 2000.0, 20.0
-    loop = SteppedLoop(delay=delay, hand=hand_called(hand), integrator=integrator, step=step)
+    loop = SteppedLoop(delay=delay, hand=get_hand(hand), integrator=integrator, step=step)
     plant = MuJoCoPlant(
         Timing(delay=delay),
-        hand=hand_called(hand),
+        hand=get_hand(hand),
         gravity=0.0,
         coils=False,
         integrator=integrator,

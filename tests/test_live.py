@@ -47,7 +47,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.scenes.table import Table
-from maglev_mj.session import Pacer, Refusal, Session, Snapshot, refusal
+from maglev_mj.session import Pacer, Session, Snapshot, UnstableLoop, unstable_loop
 from maglev_mj.spec import RANGE
 from maglev_mj.theory import largest_modulus, largest_stable_stiffness
 from tests.virtual_screen import waited
@@ -107,7 +107,7 @@ def test_what_is_not_named_stays() -> None:
 def test_an_unstable_wall_is_refused_with_the_figures_of_its_loop(scene: Scene, axis: str, normal: int) -> None:
     given = {"walls": [[axis, normal, -normal * 0.001]], "stiffness": 40000.0, "damping": 70.0}
     figures = checked(state(scene), given)
-    assert isinstance(figures, Refusal) and figures.axis == axis and figures.acting == "walls"
+    assert isinstance(figures, UnstableLoop) and figures.axis == axis and figures.acting == "walls"
     index = AXES.index(axis)
     assert figures.stiffness >= 40000.0 * INERTIA[index] / MASS and figures.damping >= 70.0 * INERTIA[index] / MASS
     loop: Any = {"period": scene.period, "delay": scene.delay, "mass": float(INERTIA[index])}
@@ -119,12 +119,12 @@ def test_an_unstable_wall_is_refused_with_the_figures_of_its_loop(scene: Scene, 
 def test_a_request_is_checked_at_the_delay_and_with_the_flotor_that_are_measured() -> None:
     for delay, stable in ((0.0, True), (0.0015, True), (0.003, False)):
         found = checked(state(Box(), delay), {"stiffness": 9000.0})
-        assert isinstance(found, Box if stable else Refusal)
+        assert isinstance(found, Box if stable else UnstableLoop)
         assert found.delay == (Box().delay if stable else delay)
     assert checked(state(Box(), 0.2), {}) == "delay must be a finite number at least 0 and at most 0.1, not 0.2"
     for mass, stable in ((0.7, True), (0.35, False)):
         found = checked(state(Drop(), inertia=[mass] * 3 + [1e-3] * 3), {"stiffness": 6000.0})
-        assert isinstance(found, Drop if stable else Refusal)
+        assert isinstance(found, Drop if stable else UnstableLoop)
 
 
 def test_what_is_accepted_is_stable_and_what_is_legal_never_raises() -> None:
@@ -139,7 +139,7 @@ def test_what_is_accepted_is_stable_and_what_is_legal_never_raises() -> None:
             given["walls"] = [[axis, 1, draw.uniform(-reach, reach)] for axis, reach in reaches if draw.random() < 0.5]
         found = checked(state(present), given)
         kinds.append(type(found) is cls)
-        assert refusal(found) is None if isinstance(found, Scene) else isinstance(found, Refusal | str)
+        assert unstable_loop(found) is None if isinstance(found, Scene) else isinstance(found, UnstableLoop | str)
     assert 10 < sum(kinds) < 90
 
 
@@ -771,7 +771,7 @@ def test_a_scene_goes_on_where_the_process_of_its_server_does_not(end: signal.Si
         os.kill(process.pid, end)
         done = len(one.scenes)
         for _ in range(300):
-            one.asked.append(lambda: one.session._tape.failed("x" * 2000))
+            one.asked.append(lambda: one.session._recorder.failed("x" * 2000))
         while len(one.scenes) < done + 50:
             time.sleep(0.01)
         assert one.session.snapshot().state == "running"
@@ -959,7 +959,7 @@ def rows(heading: str) -> list[list[str]]:
 
 def test_the_tables_of_the_page_are_what_is_said() -> None:
     assert [row[0] for row in rows("| field |")] == list(Answer._fields)
-    assert [row[0] for row in rows("| figure |")] == list(Refusal._fields)
+    assert [row[0] for row in rows("| figure |")] == list(UnstableLoop._fields)
     parameters = {name: bounds for name, _, bounds, _ in rows("## Parameters")}
     assert sorted(parameters) == sorted(SETTABLE)
     found = {name: re.fullmatch(r"([\d.]+) to ([\d.]+)", bounds) for name, bounds in parameters.items()}

@@ -15,7 +15,7 @@ from maglev_mj import Command, Controller, Hold, MuJoCoPlant, Timing, Wall, driv
 from maglev_mj.coils import CoilMap
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, quaternion
-from maglev_mj.hand import Hand, hand_called
+from maglev_mj.hand import Hand, get_hand
 from maglev_mj.model import COILS, Device, load_model, model_path, scenes
 from maglev_mj.plants import Sensor
 from maglev_mj.report import device_report, device_table, position_bandwidth
@@ -202,7 +202,7 @@ def test_every_compiled_model_is_the_one_device(
     scene: str, mass: float | None, flexible: bool, hand: Hand | str | None
 ) -> None:
     # Mass, moments, and the centre of mass at the origin: by mass matrix and weight, upright and turned.
-    held = hand_called(hand) if isinstance(hand, str) else hand
+    held = get_hand(hand) if isinstance(hand, str) else hand
     one = load_model(scene, mass=mass, hand=held, flexible=flexible)
     body = np.array([*[mass or INERTIA[0]] * 3, *INERTIA[3:]])
     data, full = mujoco.MjData(one.model), np.zeros((one.model.nv, one.model.nv))

@@ -275,7 +275,7 @@ def test_a_batch_moves_as_its_devices_alone_whatever_they_share(name: str) -> No
 
 
 class _Watched(TraceRecorder):
-    """Makes arrays of each state at once too."""
+    """Recorder that also converts each state to arrays."""
 
     def add(self, tick: int, offset: Component, state: Any) -> None:
         super().add(tick, offset, state)

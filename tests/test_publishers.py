@@ -32,7 +32,7 @@ from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.box import Box
 from maglev_mj.scenes.joystick import Joystick
-from maglev_mj.session import Publishers, Session, Snapshot, Wish, refusal
+from maglev_mj.session import Publishers, Session, Snapshot, Wish, unstable_loop
 from tests.test_bridge_processes import COMMAND, ended, said_by, twin
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -343,7 +343,7 @@ def render(live: LiveServer, switch: StopSwitch) -> None:
 def test_settings_are_checked_in_another_process(run: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
     # No function of the theory is called where a scene runs, whether settings are refused or accepted.
     with theory_called() as called:
-        refusal(Joystick())
+        unstable_loop(Joystick())
     assert "stability" in called
     monkeypatch.setattr("maglev_mj.bridge.flight.delay_check", lambda *_: "")  # after landing it is called there
     answers: list[dict[str, Any]] = []
@@ -373,14 +373,14 @@ def broken(position: Any, velocity: Any) -> Any:
 
 
 class Unmade(Joystick):
-    """Its laws cannot be made."""
+    """Scene with laws that cannot be made."""
 
     def own_laws(self) -> Any:
         raise ValueError("never")
 
 
 class Failing(Joystick):
-    """Its law fails."""
+    """Scene with a failing law."""
 
     def own_laws(self) -> Any:
         return [*super().own_laws(), as_law(broken)]

@@ -10,7 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,31 @@ def test_a_dead_worker_costs_its_own_cells_which_run_again(tmp_path: Path) -> No
     cells: list[Cell] = [{"x": x} for x in range(20)]
     cells[7] |= {"kill": "once", "note": str(tmp_path / "seen")}
     assert run_cells(deadly, cells, workers=local_workers(2), together=2) == squares(cells)
+
+
+class _Fragile(ThreadPoolExecutor):
+    """Pool that breaks at its third job."""
+
+    jobs = 0
+
+    def submit(self, function: Any, /, *args: Any, **keywords: Any) -> Future[Any]:
+        self.jobs += 1
+        if self.jobs >= 3:
+            raise BrokenProcessPool
+        return super().submit(function, *args, **keywords)
+
+
+@pytest.mark.parametrize("window", [1, 2, 4])
+def test_a_worker_that_dies_between_two_jobs_costs_no_cell(window: int) -> None:
+    cells: list[Cell] = [{"x": x} for x in range(8)]
+    pools: list[_Fragile] = []
+
+    def make() -> _Fragile:
+        pools.append(_Fragile(1))
+        return pools[-1]
+
+    workers = Workers(make, window, (BrokenProcessPool,))
+    assert run_cells(squares, cells, workers=workers) == squares(cells) and len(pools) == 4
 
 
 def test_a_cell_that_always_kills_is_named_and_tried_again_by_a_rerun(tmp_path: Path) -> None:

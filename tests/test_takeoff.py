@@ -30,7 +30,7 @@ from tests.test_bridge import BAD, BAD_REACH, CENTRE, Rig, hover
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let black boxes go to a folder of their own."""
+    """Write black boxes to a temporary folder."""
     monkeypatch.chdir(tmp_path)
 
 

@@ -10,7 +10,7 @@ from corner import corner
 from failures import press_at_edge
 from impacts import RATTLE, LimitedDrop, limited_drop, rattle
 from maglev_mj.frames import Array, Mask
-from maglev_mj.hand import Hand, hand_called
+from maglev_mj.hand import Hand, get_hand
 from maglev_mj.laws import Wall
 from maglev_mj.spec import RANGE
 from maglev_mj.studies.batches import hum
@@ -245,7 +245,7 @@ def test_a_hand_stiff_enough_undoes_a_stable_wall() -> None:
 def test_letting_go_undoes_a_wall_tuned_with_the_hand_on() -> None:
     # 9000 N/m and 130 N s/m: the hand's mass carries what is too much damping for the flotor alone.
     arm = "0.554,6.45,135"
-    assert largest_modulus(9000.0, 130.0, period=T, delay=0.0015, hand=hand_called(arm)) < 0.9
+    assert largest_modulus(9000.0, 130.0, period=T, delay=0.0015, hand=get_hand(arm)) < 0.9
     assert largest_modulus(9000.0, 130.0, period=T, delay=0.0015) > 1.0
 
 

@@ -1,4 +1,7 @@
-"""Reference pages of the commands, from the parser itself: usage, options, example."""
+"""Reference pages of the commands.
+
+The parser gives usage, options and example.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def write_pages(app: Sphinx, _: object) -> None:
-    """Write a page for each command, one for the scenes' parameters, and their index."""
+    """Write the pages of commands and scenes, and their index."""
     folder = Path(app.srcdir, _FOLDER)
     folder.mkdir(exist_ok=True)
     pages = {name: _command_page(name) for group in GROUPS.values() for name in group}
@@ -53,7 +56,7 @@ def _index_page() -> Iterator[str]:
 
 
 def _prepared(name: str, arguments: Sequence[str]) -> Parser:
-    """Return the parser of a command with the options that its arguments ask for."""
+    """Return the parser of a command with prepared options."""
     commands = next(one for one in parser()._actions if isinstance(one, argparse._SubParsersAction)).choices
     made: Parser = commands[name]
     made.prepare(arguments)
@@ -105,7 +108,7 @@ def _options(options: Sequence[argparse.Action]) -> Iterator[str]:
 
 
 def _row(option: argparse.Action) -> tuple[str, str, str, str]:
-    """Return an option, its meaning, its default and the values allowed."""
+    """Return an option, its meaning, default and allowed values."""
     value = _value(option)
     words = [f"``{one} {value}``" if value else f"``{one}``" for one in option.option_strings] or [f"``{value}``"]
     told, _, default = (option.help or "").replace("%%", "%").partition(" (default")

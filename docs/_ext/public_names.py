@@ -1,4 +1,7 @@
-"""Reference pages of the public names, from docstrings: one for each package, and one for the modules beside them."""
+"""Reference pages of the public names, from docstrings.
+
+One for each package, and one for the modules beside them.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +82,7 @@ class Name(NamedTuple):
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the generator of the pages, and hooks for their content."""
+    """Register the generator of the pages and its hooks."""
     app.connect("config-inited", write_pages)
     app.connect("autodoc-process-signature", keep_annotations)
     app.connect("autodoc-process-docstring", keep_colon, priority=499)  # before napoleon
@@ -88,7 +91,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def write_pages(app: Sphinx, _: object) -> None:
-    """Write the pages of the packages, that of the modules beside them, and the index."""
+    """Write the pages of packages and modules, and the index."""
     folder = Path(app.srcdir, _FOLDER)
     folder.mkdir(exist_ok=True)
     packages = [one.name for one in pkgutil.iter_modules(maglev_mj.__path__) if one.ispkg]
@@ -107,7 +110,10 @@ def write_pages(app: Sphinx, _: object) -> None:
 
 
 def keep_annotations(app: Sphinx, what: str, _: str, found: Any, *more: Any) -> tuple[str, str] | None:
-    """Return a signature whose types are as written, not as evaluated; for a class that of `__init__`."""
+    """Return a signature with types as written.
+
+    For a class it is that of `__init__`.
+    """
     try:
         made = signature(found)
     except (TypeError, ValueError):  # no callable, or one of the interpreter's
@@ -119,13 +125,16 @@ def keep_annotations(app: Sphinx, what: str, _: str, found: Any, *more: Any) -> 
 
 
 def keep_colon(app: Sphinx, what: str, _: str, found: object, options: object, lines: list[str]) -> None:
-    """Keep text before a colon in the description of a value; napoleon takes it for a type."""
+    """Keep text before a colon in a value's description.
+
+    Napoleon would take it for a type.
+    """
     if what in ("attribute", "data", "property"):
         lines[:0] = ["..", ""]  # a comment: the first line has no colon then
 
 
 def link_name(app: Sphinx, env: Any, link: Any, shown: Any) -> Any:
-    """Return a link for the bare name of another package's object; None if it is none."""
+    """Return a link for another package's name, or None."""
     if link.get("refdomain") == "py" and (path := _paths.get(link["reftarget"])) is not None:
         return env.domains.python_domain.resolve_xref(env, link["refdoc"], app.builder, "obj", path, link, shown)
     return None
@@ -137,7 +146,10 @@ def _modules(package: str) -> list[str]:
 
 
 def _names(module: str) -> list[Name]:
-    """Return the names of a module; for a package without names of its own those of its modules."""
+    """Return the names of a module.
+
+    For a package without names of its own those of its modules.
+    """
     loaded = import_module(module)
     if not hasattr(loaded, "__all__"):
         return [name for inner in _modules(module) for name in _names(inner)]
@@ -146,7 +158,7 @@ def _names(module: str) -> list[Name]:
 
 
 def _source(module: str, name: str) -> str:
-    """Return the module that defines a value: its description is there."""
+    """Return the module that defines and describes a value."""
     for node in ast.walk(ast.parse(getsource(import_module(module)))):
         if isinstance(node, ast.ImportFrom) and any(one.name == name for one in node.names):
             return _source(str(node.module), name)
@@ -154,7 +166,10 @@ def _source(module: str, name: str) -> str:
 
 
 def _homes(given: Mapping[str, Sequence[Name]]) -> Homes:
-    """Return page and path of each object: on the page of its own package, if that gives it."""
+    """Return page and path of each object.
+
+    The page is that of its own package, if that gives it.
+    """
     names = [(page, one) for page, names in given.items() for one in names]
     own = {one.key: (page, one.path) for page, one in names if one.package == page}
     return {one.key: (page, one.path) for page, one in names} | own

@@ -1,4 +1,4 @@
-"""Links of a page to files of the repository that are not on the site."""
+"""Links of a page to files outside the site."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register the hook, ahead of Sphinx's own that copies linked files for download."""
+    """Register the hook.
+
+    It runs before Sphinx's own, which copies linked files for download.
+    """
     app.add_config_value("repository_url", "", "env")
     app.connect("doctree-read", link_repository, priority=100)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 def link_repository(app: Sphinx, page: nodes.document) -> None:
-    """Turn links to files and folders outside docs into URLs of the repository."""
+    """Turn links to files outside docs into repository URLs."""
     folder = Path(app.env.doc2path(app.env.docname)).parent
     links = [*page.findall(addnodes.download_reference), *page.findall(addnodes.pending_xref)]
     for link in links:

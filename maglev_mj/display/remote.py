@@ -246,7 +246,7 @@ class RemoteSession:
         return replace(self._snapshot, history=self._history.rows)
 
     def close(self) -> None:
-        """Let the device's program know."""
+        """Notify the device's program."""
         self._line.close()
 
 

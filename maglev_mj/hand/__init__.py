@@ -1,7 +1,7 @@
 """Hand on the flotor: impedance, forces, and published values."""
 
 from maglev_mj.hand.forces import GuidedHand, HandForce, RecordedHand, SpringHand, Trajectory
-from maglev_mj.hand.impedance import HANDS, Hand, hand_called, motion, transition
+from maglev_mj.hand.impedance import HANDS, Hand, get_hand, motion, transition
 
 __all__ = [
     "HANDS",
@@ -11,7 +11,7 @@ __all__ = [
     "RecordedHand",
     "SpringHand",
     "Trajectory",
-    "hand_called",
+    "get_hand",
     "motion",
     "transition",
 ]

@@ -12,7 +12,7 @@ from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import axis_indices, common_shape, numbers
 
-__all__ = ["HANDS", "Hand", "exponential", "hand_called", "motion", "transition"]
+__all__ = ["HANDS", "Hand", "exponential", "get_hand", "motion", "transition"]
 
 HANDS: Mapping[str, tuple[float, ...]] = {
     "none": (),
@@ -123,7 +123,7 @@ class Hand:
         return tuple(np.asarray(part, dtype=np.float64) for part in parts)
 
 
-def hand_called(text: str) -> Hand | None:
+def get_hand(text: str) -> Hand | None:
     """Return a hand by name or from its numbers.
 
     The numbers are "mass,damping,stiffness[,grip damping,grip stiffness]".

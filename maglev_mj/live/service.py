@@ -25,7 +25,7 @@ from maglev_mj.process import SideProcess
 from maglev_mj.recording.live import ROWS, RowReader
 from maglev_mj.recording.messages import Messages
 from maglev_mj.scenes import Scene
-from maglev_mj.session import Refusal
+from maglev_mj.session import UnstableLoop
 
 __all__ = ["LONGEST_CHECK", "serve"]
 
@@ -176,7 +176,7 @@ class _Service(ServerListener):
             with suppress(OSError):  # that it has ended is heard
                 self._line.send(verdict)
         else:
-            figures = verdict._asdict() if isinstance(verdict, Refusal) else None
+            figures = verdict._asdict() if isinstance(verdict, UnstableLoop) else None
             self._settle(Answer(None, str(verdict)[:_MOST_REASON], figures))
 
     def _settle(self, answer: Answer) -> None:

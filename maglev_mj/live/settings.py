@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, Refusal, own_code_refused, refusal, settable
+from maglev_mj.session import DEVICES_OWN, UnstableLoop, own_code_refused, settable, unstable_loop
 
 __all__ = ["NICE", "Answer", "Requests", "State", "Verdict", "check_requests", "checked", "values_of"]
 
@@ -46,7 +46,7 @@ class Answer(NamedTuple):
     Attributes:
         since: The first sample answered under the new parameters; None if refused.
         reason: Reason of a refusal; empty otherwise.
-        figures: Figures of a loop refused as unstable, see `Refusal`; None otherwise.
+        figures: Figures of a loop refused as unstable, see `UnstableLoop`; None otherwise.
     """
 
     since: int | None = None
@@ -54,7 +54,7 @@ class Answer(NamedTuple):
     figures: Mapping[str, Any] | None = None
 
 
-Verdict: TypeAlias = Scene | Refusal | str
+Verdict: TypeAlias = Scene | UnstableLoop | str
 """Accepted scene, or the reason of its refusal."""
 
 
@@ -85,7 +85,7 @@ def checked(state: State, given: Mapping[str, Any]) -> Verdict:
         absent = {name: None for name in given if given[name] == _NONE and scene.parameter(name).optional}
         with own_code_refused():
             wanted = scene.replace(**{**given, **absent})
-            return refusal(wanted.replace(delay=state.delay), inertia=state.inertia) or wanted
+            return unstable_loop(wanted.replace(delay=state.delay), inertia=state.inertia) or wanted
     except MaglevError as error:
         return str(error)
 

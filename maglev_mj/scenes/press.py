@@ -12,7 +12,7 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.hand import GuidedHand, Hand, Trajectory, hand_called, motion
+from maglev_mj.hand import GuidedHand, Hand, Trajectory, get_hand, motion
 from maglev_mj.laws import Law
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import Timing
@@ -71,7 +71,7 @@ class Press(WallScene):
 
     def check(self) -> None:
         """See `Scene`."""
-        held = hand_called(self.hand)
+        held = get_hand(self.hand)
         if held is None or not np.all(np.asarray(held.stiffness) > 0.0):
             raise ParameterError(f"hand must have an arm of some stiffness, by which it presses, not {self.hand!r}")
         number("stiffness", self.stiffness, above=0.0, at_most=1e8)
@@ -131,7 +131,7 @@ class Press(WallScene):
     @property
     def impedance(self) -> Hand:
         """Mass, damping and stiffness of the hand."""
-        hand = hand_called(self.hand)
+        hand = get_hand(self.hand)
         assert hand is not None  # checked when made
         return hand
 

@@ -3,7 +3,7 @@
 Pacing, changes by keys, recording, and snapshots.
 """
 
-from maglev_mj.scenes.admission import STEP_FORCE, Refusal, check_step, own_code_refused, refusal
+from maglev_mj.scenes.stability_check import STEP_FORCE, UnstableLoop, check_step, own_code_refused, unstable_loop
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, actions, device_actions, settable
 from maglev_mj.session.live import device_controller, live_plant
 from maglev_mj.session.pacing import TIME_SCALES, Due, Note, Pacer, next_scale, real_time
@@ -33,12 +33,12 @@ __all__ = [
     "Pacer",
     "Publisher",
     "Publishers",
-    "Refusal",
     "SampledMotion",
     "Session",
     "Snapshot",
     "SnapshotSource",
     "TourLine",
+    "UnstableLoop",
     "Wish",
     "actions",
     "begin_scene",
@@ -49,6 +49,6 @@ __all__ = [
     "next_scale",
     "own_code_refused",
     "real_time",
-    "refusal",
     "settable",
+    "unstable_loop",
 ]

@@ -16,13 +16,13 @@ from maglev_mj.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
-from maglev_mj.scenes.admission import STEP_FORCE, check_step, own_code_refused
+from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, Action, actions, settable
 from maglev_mj.session.live import centred, lifted
 from maglev_mj.session.pacing import TIME_SCALES, Pacer, next_scale
+from maglev_mj.session.recorder import SessionRecorder
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
 from maglev_mj.session.stretch import LiveStretch
-from maglev_mj.session.tape import Tape
 
 __all__ = ["Session"]
 
@@ -86,9 +86,9 @@ class Session:
         if own not in self._scenes:
             self._scenes.insert(0, own)
         self._history = History()
-        self._tape = Tape(folder, file)
+        self._recorder = SessionRecorder(folder, file)
         if record is not None:
-            self._tape.start(record)
+            self._recorder.start(record)
         self._paused, self._stopped, self._steps = False, "", 0
         self._time_scale = 1.0
         self._changed, self._unchanged = False, _RENEWED
@@ -100,7 +100,7 @@ class Session:
     @property
     def recordings(self) -> Sequence[Path]:
         """Files written so far."""
-        return self._tape.written
+        return self._recorder.written
 
     def tick(self, elapsed: float) -> int:
         """Advance by elapsed real time, within the pacer's budget.
@@ -129,7 +129,7 @@ class Session:
         except MaglevError as error:
             self._stop(str(error))
         made, self._steps = self._ticks - before, 0
-        self._tape.missed(self._pacer.missed)
+        self._recorder.missed(self._pacer.missed)
         self._publishers.show(self.snapshot)
         return made
 
@@ -226,14 +226,14 @@ class Session:
             actions=self.actions,
             state="stopped" if self._stopped else "paused" if self._paused else "running",
             reason=self._stopped,
-            notes=[*self._tape.notes, *self._publishers.notes],
+            notes=[*self._recorder.notes, *self._publishers.notes],
         )
 
     def close(self) -> None:
         """Close the recording, the publishers and the plant."""
         self._publishers.close()
         try:
-            self._tape.close()
+            self._recorder.close()
         finally:
             self._stretch.plant.close()
 
@@ -241,7 +241,7 @@ class Session:
         """Stop until a change or a restart at the centre."""
         if not self._stopped:
             self._stopped = reason
-            self._tape.failed(reason)
+            self._recorder.failed(reason)
 
     def _one(self) -> None:
         """Run one tick; stop an unstable scene."""
@@ -293,7 +293,7 @@ class Session:
             pose=pose,
             twist=twist,
             wrench=wrench,
-            file=self._tape.whole,
+            file=self._recorder.whole,
             began=began,
             keep=self._history.add,
         )
@@ -336,9 +336,9 @@ class Session:
 
     def _record(self) -> None:
         """Start or end recording."""
-        if self._tape.file is None:
-            self._tape.start()
+        if self._recorder.file is None:
+            self._recorder.start()
         else:
-            self._tape.stop()
+            self._recorder.stop()
         if not self._stopped:
             self._go_on()

@@ -27,7 +27,7 @@ _RADII = [math.sqrt(inertia / INERTIA[0]) for inertia in INERTIA[3:]]
 
 
 class Mode(Enum):
-    """How an axis moves the slave."""
+    """Relation of an axis to the slave's motion."""
 
     POSITION = "position"
     """The slave goes as far as the flotor goes."""

@@ -98,12 +98,12 @@ class Conversation:
 
     @property
     def wants_motion(self) -> bool:
-        """Whether it wants to be told of motions."""
+        """True if the program receives motion events."""
         return bool(self.mask & _WANTS_MOTION)
 
     @property
     def wants_buttons(self) -> bool:
-        """Whether it wants to be told of buttons."""
+        """True if the program receives button events."""
         return bool(self.mask & _WANTS_BUTTONS)
 
     def scaled(self, axes: Sequence[int]) -> tuple[int, ...]:

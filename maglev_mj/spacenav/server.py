@@ -135,7 +135,7 @@ class SpacenavServer:
 
     @property
     def clients(self) -> int:
-        """How many programs listen."""
+        """Number of connected programs."""
         return len(self._clients)
 
     def take(self) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import suppress
 from hashlib import blake2b
@@ -236,9 +236,16 @@ class _Study:
         """
         if self._pool is None:
             self._pool = self.workers.make()
-        while len(self._hand) < (1 if alone else self.workers.window) and (self.suspects if alone else self.waiting):
-            job = [self.suspects.popleft()] if alone else self.waiting.popleft()
-            self._hand[self._pool.submit(self.function, job)] = job
+        queue: deque[Any] = self.suspects if alone else self.waiting
+        while len(self._hand) < (1 if alone else self.workers.window) and queue:
+            job = [queue[0]] if alone else queue[0]
+            try:
+                self._hand[self._pool.submit(self.function, job)] = job
+            except self.workers.deaths:  # since the last job landed; those in hand are lost too
+                if not self._hand:
+                    self.close()
+                return
+            queue.popleft()
 
     def _land(self, future: Future[list[Any]]) -> list[Cell] | None:
         """Store a finished job's results; return a lost job.
@@ -247,11 +254,12 @@ class _Study:
         """
         job = self._hand.pop(future)
         try:
-            results = future.result()
+            found = future.result()
         except self.workers.deaths:
             return job
-        if not isinstance(results, Sequence) or len(results) != len(job):
-            raise ParameterError(f"function must return a result for each of its {len(job)} cells, not {results!r}")
+        results = list(found) if isinstance(found, Iterable) else []
+        if len(results) != len(job):
+            raise ParameterError(f"function must return a result for each of its {len(job)} cells, not {found!r}")
         self.record.add(list(zip(job, results, strict=True)))
         self._count(len(job))
         return None

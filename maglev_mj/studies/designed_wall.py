@@ -15,7 +15,7 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.hand import Hand, hand_called
+from maglev_mj.hand import Hand, get_hand
 from maglev_mj.loop import drive
 from maglev_mj.metrics import summarise_bounce
 from maglev_mj.parameters import Parameters, param
@@ -189,7 +189,7 @@ def evaluate_wall(
     heard = 0.0
     if contact.quantize:
         around: Any = {"quantum": contact.quantize, "delay": delay, "period": needs.period, "mass": mass}
-        around["hand"] = hand_called(needs.hands[0])
+        around["hand"] = get_hand(needs.hands[0])
         duration = _TICKS * needs.period
         noise = hum(0.0, law=wall.make(), stiffness=wall.rendered, damping=wall.damping, duration=duration, **around)
         heard = float(noise.force[0])
@@ -264,7 +264,7 @@ def _plants(
     needs = wall.requirements
     groups: dict[tuple[bool, int], list[int]] = {}
     for place, case in enumerate(cases):
-        hand = hand_called(case.hand)
+        hand = get_hand(case.hand)
         key = hand is not None and hand.soft, int(split_delay(case.delay, needs.period)[0])
         groups.setdefault(key, []).append(place)
     axis = np.eye(6)[2]
@@ -310,7 +310,7 @@ def _hands(names: Sequence[str], soft: bool) -> Hand:
 
     "none" is a hand without mass.
     """
-    hands = [hand_called(name) or Hand() for name in names]
+    hands = [get_hand(name) or Hand() for name in names]
     mass, damping, stiffness, grip_damping, grip_stiffness = np.array([hand.values for hand in hands]).T
     grip = {"grip_damping": grip_damping, "grip_stiffness": grip_stiffness} if soft else {}
     return Hand(mass=mass, damping=damping, stiffness=stiffness, axes="z", **grip)

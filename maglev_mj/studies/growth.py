@@ -15,7 +15,7 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.hand import HANDS, Hand, hand_called
+from maglev_mj.hand import HANDS, Hand, get_hand
 from maglev_mj.laws import Law, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number, param
@@ -79,7 +79,7 @@ class RestingWall(Scene):
     def check(self) -> None:
         """See `Scene`."""
         number("delay", self.delay, at_least=0.0, at_most=MOST_PERIODS * self.period)
-        hand_called(self.hand)
+        get_hand(self.hand)
 
     def laws(self) -> list[Law]:
         """Return the wall and the hold of the other axes."""
@@ -101,7 +101,7 @@ class RestingWall(Scene):
     @property
     def impedance(self) -> Hand | None:
         """Hand on the flotor; None for none."""
-        return hand_called(self.hand)
+        return get_hand(self.hand)
 
     @property
     def rest(self) -> float:
@@ -153,7 +153,7 @@ class RestingWall(Scene):
 @lru_cache(maxsize=1024)
 def stiffest_in(period: float, delay: float, mass: float, hand: str) -> StiffestWall:
     """Return the stiffest wall, cached for all gains."""
-    return stiffest_wall(period=period, delay=delay, mass=mass, hand=hand_called(hand))
+    return stiffest_wall(period=period, delay=delay, mass=mass, hand=get_hand(hand))
 
 
 def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:

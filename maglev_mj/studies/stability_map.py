@@ -17,7 +17,7 @@ import maglev_mj
 import maglev_mj.theory as theory
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Mask
-from maglev_mj.hand import hand_called
+from maglev_mj.hand import get_hand
 from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Cell, Record, run_cells
@@ -72,12 +72,12 @@ class StabilityParameters(Parameters):
             raise ParameterError(
                 f"delay must be at most {MOST_PERIODS} periods of {self.period:g} s, not {self.delay:g}"
             )
-        hand_called(self.hand)
+        get_hand(self.hand)
 
     @property
     def loop(self) -> LoopKeywords:
         """Keywords of the theory besides the gains."""
-        return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": hand_called(self.hand)}
+        return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": get_hand(self.hand)}
 
 
 class GainMap(Tabular):

@@ -9,7 +9,7 @@ import inspect
 import itertools
 import math
 from collections import defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -114,8 +114,7 @@ class Sweep(Tabular):
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
         rows = [{"cell": cell, "result": result} for cell, result in zip(self.cells, self.results, strict=True)]
-        varied = {name: list(values) for name, values in self.varied.items()}
-        return {"scene": self.scene.name, "varied": varied, "cells": rows, "other_versions": list(self.others)}
+        return {"scene": self.scene.name, "varied": self.varied, "cells": rows, "other_versions": list(self.others)}
 
 
 def sweep(
@@ -159,7 +158,7 @@ def sweep(
     together = _cells_a_job(len(cells) - known, hands.window, all(cell["plant"] == "exact" for cell in cells))
     others = kept.others(cells)
     results = run_cells(function, cells, record=kept, workers=hands, together=together, progress=progress)
-    return Sweep(type(made), vary, cells, results, known, others)
+    return Sweep(type(made), {name: list(values) for name, values in vary.items()}, cells, results, known, others)
 
 
 def _cells_a_job(missing: int, window: int, batches: bool) -> int:
@@ -185,7 +184,7 @@ def swept_cells(
         ParameterError: If there is no such parameter, a value is outside its bounds, or the grid is too large.
     """
     for name, values in vary.items():
-        if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray):
+        if isinstance(values, str) or not isinstance(values, Collection):
             raise ParameterError(f"vary must give a list of values for {name}, not {values!r}")
     count = math.prod(len(values) for values in vary.values())
     if count > MOST_CELLS:

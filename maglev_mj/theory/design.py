@@ -16,7 +16,7 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array
-from maglev_mj.hand import hand_called
+from maglev_mj.hand import get_hand
 from maglev_mj.laws import Law, ObserverWall
 from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
@@ -74,7 +74,7 @@ class WallRequirements(Parameters):
         parse=partial(interval, "delay"),
     )
     hands: Sequence[str] = param(
-        'names or numbers of hands, see `hand_called`; "none" for a flotor without one', default=("none",), parse=tuple
+        'names or numbers of hands, see `get_hand`; "none" for a flotor without one', default=("none",), parse=tuple
     )
     driver_lag: bool = param("the current drivers lag, as the device's do", default=False)
     modulus: float = param("largest modulus allowed; 1 for stability alone", default=0.97, above=0.0, at_most=1.0)
@@ -87,7 +87,7 @@ class WallRequirements(Parameters):
                 f"hands must be one or more different ones, not {', '.join(self.hands) or 'none at all'}"
             )
         for hand in self.hands:
-            hand_called(hand)
+            get_hand(hand)
 
     @property
     def nominal(self) -> tuple[float, float]:
@@ -149,7 +149,7 @@ class WallRequirements(Parameters):
                 period=self.period,
                 mass=[cases[place].mass for place in index],
                 delay=[cases[place].delay for place in index],
-                hand=hand_called(hand),
+                hand=get_hand(hand),
                 driver_lag=DRIVER_TIME_CONSTANT if self.driver_lag else 0.0,
                 design=design,
             )

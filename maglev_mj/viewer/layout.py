@@ -49,7 +49,7 @@ class Area(NamedTuple):
 
     @property
     def centre(self) -> tuple[float, float]:
-        """Its middle."""
+        """Middle of the area."""
         return self.left + 0.5 * self.width, self.bottom + 0.5 * self.height
 
     def meets(self, other: Area) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 
 from maglev_mj.display.stability_map import margin
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import hand_called
+from maglev_mj.hand import get_hand
 from maglev_mj.laws import FiniteDifference, LowPass, VelocityEstimator, Window
 from maglev_mj.live.settings import State, checked
 from maglev_mj.scenes import BUILT_IN, find_scene
@@ -49,7 +49,7 @@ def loops(count: int) -> list[LoopKeywords]:
         {
             "period": period,
             "delay": late * period,
-            "hand": hand_called(hand),
+            "hand": get_hand(hand),
             "driver_lag": lag,
             "velocity": velocity,
             "prediction": ahead * period,
@@ -60,7 +60,7 @@ def loops(count: int) -> list[LoopKeywords]:
     hardest: LoopKeywords = {
         "period": 0.0005,
         "delay": 0.005,
-        "hand": hand_called(HANDS[-1]),
+        "hand": get_hand(HANDS[-1]),
         "driver_lag": 8e-5,
         "velocity": Window(samples=8),
     }

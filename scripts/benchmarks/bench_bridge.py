@@ -80,7 +80,7 @@ class Memory:
     frame: bytes | None = None
 
     def send(self, data: bytes) -> None:
-        """Lose it."""
+        """Discard a frame."""
 
     def receive(self, timeout: float) -> bytes | None:
         """Return the frame."""
@@ -267,7 +267,7 @@ class TwinProcess:
         self.port: int = self._pipe.recv()
 
     def end(self) -> tuple[ServerReport, LatencyHistogram]:
-        """Let it end."""
+        """End the process."""
         self._process.terminate()
         result: tuple[ServerReport, LatencyHistogram] = self._pipe.recv()
         return result
@@ -357,7 +357,7 @@ def bar(share: float) -> str:
 
 
 def timed(work: Callable[[], object]) -> float:
-    """Return how long one call takes [s]."""
+    """Return the time of one call [s]."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start

@@ -60,7 +60,7 @@ STEP = 0.0005
 
 
 class Noted:
-    """Notes when each sample is answered.
+    """Recorder of the answer time of each sample.
 
     Args:
         owner: What answers: a plant, or a session's stretch, whose method is wrapped.
@@ -188,7 +188,7 @@ def cost(rates: Sequence[int], seconds: float, flights: int) -> None:
 
 @contextmanager
 def asked(live: LiveServer) -> Iterator[list[Any]]:
-    """Let a client ask; yield a list of its results.
+    """Yield a list of the results of a client.
 
     Its first item is called once the client has asked.
     """

@@ -57,7 +57,7 @@ def samples(batch: tuple[int, ...], count: int) -> list[Sample]:
 
 
 def timed(work: Callable[[], object]) -> float:
-    """Return how long one call takes [s]."""
+    """Return the time of one call [s]."""
     start = time.perf_counter()
     work()
     return time.perf_counter() - start

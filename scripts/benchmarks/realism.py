@@ -17,7 +17,7 @@ from loop import timed
 from maglev_mj import drive
 from maglev_mj.colours import DEVICE, HAND, REFERENCE
 from maglev_mj.controller import Controller
-from maglev_mj.hand import hand_called
+from maglev_mj.hand import get_hand
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor
 from maglev_mj.plots import PictureFolder
 from maglev_mj.plots.drawing import TITLE, new_figure, save
@@ -50,7 +50,7 @@ PIECES = {
     "conversions ±0.1 ms": Piece(EXACT, {}, 1e-4),
     "force limit": Piece(EXACT, {"wrench_limit": _LIMIT}),
     "drivers of 2 kHz": Piece(EXACT, {"driver_lag": True}),
-    "an arm's hand": Piece(EXACT, {"hand": hand_called("arm")}),
+    "an arm's hand": Piece(EXACT, {"hand": get_hand("arm")}),
     "dry friction of 0.1 N": Piece(EXACT, {"dry_friction": [0.1, 0.1, 0.1, 0.0, 0.0, 0.0]}),
     "six coils that turn": Piece(ENGINE, {"coils": True}),
     "six coils, 10 A each": Piece(ENGINE, {"coils": True, "current_limit": Spec.peak_current.value}),

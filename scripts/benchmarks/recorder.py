@@ -113,7 +113,7 @@ def tick_costs(turns: int, runs: int) -> dict[str, float]:
 
 
 class _Opened:
-    """A ring as a file of a tee, without writer."""
+    """Recording file of a ring, without writer process."""
 
     def __init__(self, ring: Ring) -> None:
         self._ring = ring

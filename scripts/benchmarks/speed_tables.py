@@ -82,7 +82,7 @@ def _row(label: str, before: str, after: str, span: str, ratio: str = "", ratios
 
 
 def times(sections: Mapping[str, Any]) -> str:
-    """Return how long each section took, and all of them."""
+    """Return the times of the sections and their total."""
     taken = {name: section["seconds"] for name, section in sections.items()}
     listed = [f"  {name:<20}{seconds:7.0f} s" for name, seconds in {**taken, "together": sum(taken.values())}.items()]
     return "\n".join(["", "time taken", *listed])

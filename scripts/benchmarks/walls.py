@@ -133,7 +133,7 @@ def each(cells: Sequence[Cell]) -> list[dict[str, Any]]:
 
 
 def timed(function: Callable[[], Any]) -> tuple[float, Any]:
-    """Return how long a call took [s], and its result."""
+    """Return a call's time [s] and its result."""
     start = time.perf_counter()
     result = function()
     return time.perf_counter() - start, result

@@ -101,7 +101,7 @@ class SixAxesResult:
 
     @property
     def slips(self) -> Array:
-        """How often each axis broke away, (6,)."""
+        """Number of breakaways of each axis, (6,)."""
         count: Array = (self.stuck[:-1] & ~self.stuck[1:]).sum(axis=0)
         return count
 

@@ -63,7 +63,7 @@ WEIGHT = [0.0, 0.0, 7.0, 0.0, 0.0, 0.0]
 
 
 class Amplifiers:
-    """Check that only an active device drives the coils.
+    """Amplifiers that check state and currents.
 
     With currents that it allows.
     """
@@ -348,7 +348,7 @@ class DamagedLine:
         return self._link.now()
 
     def rest(self, seconds: float) -> None:
-        """Let time go by without a host."""
+        """Advance time without a host."""
         end = self.now() + round(seconds * 1e9)
         while self.now() < end:
             self._link.receive((end - self.now()) * 1e-9)
@@ -406,7 +406,7 @@ def fuzz_host(damage: Damage, count: int) -> bool:
 
 
 def named(key: bytes | None) -> str:
-    """Return how frames are sealed."""
+    """Return the sealing of frames."""
     return "without a key" if key is None else "with a key"
 
 

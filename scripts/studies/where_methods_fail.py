@@ -38,7 +38,7 @@ def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **opti
 
 
 def just_above_the_boundary() -> plots.Panel:
-    """Compare growth above the boundary with theory.
+    """Return the panel of growth just above the boundary.
 
     With one sample of delay: the samples to grow ten-thousandfold, foretold and simulated.
     """
@@ -61,7 +61,7 @@ def just_above_the_boundary() -> plots.Panel:
 
 
 def jitter() -> plots.Panel:
-    """Simulate delays drawn afresh each sample.
+    """Return the panel of delays drawn anew each sample.
 
     6000 N/m and 80 N s/m, delays spread evenly around their mean.
     """
@@ -79,7 +79,7 @@ def jitter() -> plots.Panel:
 
 
 def chatter() -> plots.Panel:
-    """Press lightly at a wall's edge; count pulses.
+    """Return the panel of pulses at a wall's edge.
 
     Of the paper's wall, over a 5 µm sensor with noise.
     """
@@ -102,7 +102,7 @@ def chatter() -> plots.Panel:
 
 
 def gaps() -> plots.Panel:
-    """Count rattling starts between two walls.
+    """Return the panel of rattling starts between two walls.
 
     Of 128; 6000 N/m and 80 N s/m with 60 N.
     """
@@ -134,7 +134,7 @@ def gaps() -> plots.Panel:
 
 
 def saturation() -> plots.Panel:
-    """Drop on walls under a force limit.
+    """Return the panel of drops under a force limit.
 
     The observer's of 27 000 N/m gain: the largest distance of the worst phase.
     """
@@ -171,7 +171,7 @@ def saturation() -> plots.Panel:
 
 
 def quantization() -> plots.Panel:
-    """Measure a resting flotor's swing over a coarse sensor.
+    """Return the panel of swings at a coarse sensor.
 
     5 µm, by friction of its own over Abbott and Okamura's.
     """
@@ -190,7 +190,7 @@ def quantization() -> plots.Panel:
 
 
 def hands() -> plots.Panel:
-    """Clamp the paper's wall; release a wall tuned in hand."""
+    """Return the panel of walls held and released."""
     share = np.linspace(0.0, 1.0, 60)
     clamp = Hand(stiffness=20000.0 * share)
     arm = Hand(mass=0.554 * share, damping=6.45 * share, stiffness=135.0 * share)
@@ -202,7 +202,7 @@ def hands() -> plots.Panel:
 
 
 def corners() -> plots.Panel:
-    """Follow kinetic energy in a corner.
+    """Return the panel of kinetic energy in a corner.
 
     Of a flotor thrown into a corner of two walls and a rotation.
     """

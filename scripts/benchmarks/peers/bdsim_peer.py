@@ -51,7 +51,7 @@ class _Law(SampledBlock):  # type: ignore[misc]
         self.poses: list[Array] = []
 
     def start(self, simstate: Any) -> None:
-        """Forget the run before, and take the first sample."""
+        """Reset, and take the first sample."""
         super().start(simstate)
         self._law = self._task.law()
         self._law(self._task.pose)

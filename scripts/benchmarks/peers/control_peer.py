@@ -165,7 +165,7 @@ class _Controller:
         self.restart()
 
     def restart(self) -> None:
-        """Forget the last run.
+        """Reset to the start of a run.
 
         python-control calls `update` once a step, so the law may remember.
         """

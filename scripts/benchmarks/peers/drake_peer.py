@@ -183,7 +183,7 @@ class _Controller(LeafSystem):  # type: ignore[misc, unused-ignore]
         self.DeclarePeriodicDiscreteUpdateEvent(task.period, task.delay + task.pulse_width - early, self._end_pulse)
 
     def restart(self) -> None:
-        """Forget the run before."""
+        """Reset the law, the force and the poses."""
         self._law = self._task.law()
         self._force: list[float] = [0.0] * 6
         self._pulse: list[float] | None = None

@@ -25,7 +25,7 @@ JOINTS = {
     "slides and ball": "".join(map(_SLIDE.format, ("1 0 0", "0 1 0", "0 0 1"))) + '<joint type="ball"/>',
     "z alone": _SLIDE.format("0 0 1"),
 }
-"""How the flotor may move."""
+"""Joints of the flotor."""
 
 _MODEL = """
 <mujoco>

@@ -17,11 +17,11 @@ from gantry.run import carry_out
 from gantry.slave import BLOCK_DAMPING
 from gantry.task import FIRM, Task
 from gantry.theory import Gains, TwoBodies
-from maglev_mj.hand import HANDS, hand_called
+from maglev_mj.hand import HANDS, get_hand
 
 __all__ = ["GRIPS", "Contact", "Growth", "bodies", "contacts", "growth", "measured_boundary"]
 
-GRIPS = {"firm": FIRM, **{name: hand for name in HANDS if (hand := hand_called(name)) is not None}}
+GRIPS = {"firm": FIRM, **{name: hand for name in HANDS if (hand := get_hand(name)) is not None}}
 """Hands on the joystick, by name."""
 
 _START, _SAMPLES = 0.72, 200
@@ -35,7 +35,7 @@ class Growth(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """How one contact went; forces are the slave's [N]."""
+    """Outcome of one contact; forces are the slave's [N]."""
 
     hand: str
     phase: float
@@ -49,9 +49,9 @@ class Contact(NamedTuple):
     ripple: float
     """Root mean square of the force about that."""
     bounces: int
-    """How often the pin left the block on landing."""
+    """Number of bounces of the pin on landing."""
     losses: int
-    """How often it did afterwards."""
+    """Number of bounces afterwards."""
 
 
 def bodies(task: Task, coupling: Coupling, slave_mass: float) -> TwoBodies:

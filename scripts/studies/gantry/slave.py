@@ -24,7 +24,7 @@ BLOCK_STIFFNESS = 1e5
 """Stiffness of the contact with the block [N/m]."""
 
 BLOCK_DAMPING = 190.0
-"""Its damping [N s/m], 0.3 of critical for the ram."""
+"""Damping of the block [N s/m], 0.3 of critical."""
 
 
 class Slave:

@@ -13,10 +13,10 @@ from pathlib import Path
 from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording, tee
 from maglev_mj.session.pacing import Note
 
-__all__ = ["Tape"]
+__all__ = ["SessionRecorder"]
 
 
-class Tape:
+class SessionRecorder:
     """Recordings of a session.
 
     Args:

@@ -14,13 +14,13 @@ from maglev_mj.laws import AxisLaw, Hold, Law, StickSlip, gain
 from maglev_mj.model import model_path
 from maglev_mj.parameters import param
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
-from maglev_mj.scenes.admission import stability_warning
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
+from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.scenes.table import Table
-from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, refusal
+from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, unstable_loop
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
 from maglev_mj.viewer.plots import Plots
 
@@ -157,8 +157,8 @@ def test_settings_are_refused_from_the_boundary_of_theory_on(name: str, period: 
     springs = max(float(np.max(law.stiffness)) for law in held if "x" in law.axes) if name != "table" else 0.0
     dampers = max(float(np.max(law.damping)) for law in held if "x" in law.axes) if name != "table" else 0.0
     bound = float(largest_stable_stiffness(chosen.damping + dampers, period=period, delay=delay, mass=MASS))
-    assert refusal(chosen.replace(stiffness=0.999 * (bound - springs))) is None
-    refused = refusal(chosen.replace(stiffness=1.001 * (bound - springs)))
+    assert unstable_loop(chosen.replace(stiffness=0.999 * (bound - springs))) is None
+    refused = unstable_loop(chosen.replace(stiffness=1.001 * (bound - springs)))
     assert refused is not None and refused.acting == on and refused.modulus > 1.0
     share = 1.0 if refused.axis in AXES[:3] else INERTIA[AXES.index(refused.axis)] / MASS
     assert refused.largest_stable == pytest.approx(bound * share, rel=1e-6)
@@ -172,7 +172,7 @@ def test_what_is_refused_makes_energy_and_what_is_not_does_not(above: bool) -> N
     chosen = Drop(pulse=0.0)
     bound = float(largest_stable_stiffness(chosen.damping, period=chosen.period, delay=chosen.delay, mass=MASS))
     scene = chosen.replace(stiffness=(1.3 if above else 0.8) * bound)
-    assert (refusal(scene) is not None) is above
+    assert (unstable_loop(scene) is not None) is above
     session = Session(scene, pacer=Pacer(budget=60.0, patience=3600.0))
     for _ in range(180):
         session.tick(1.0 / 60.0)
@@ -219,8 +219,8 @@ class Integrated(Detents):
 
 
 def test_a_law_that_states_no_gains_is_judged_too() -> None:
-    assert refusal(Detents()) is None
-    refused = refusal(Detents(stiffness=9870.0))
+    assert unstable_loop(Detents()) is None
+    refused = unstable_loop(Detents(stiffness=9870.0))
     assert refused is not None and refused.axis == "x" and refused.acting == "the laws"
     assert refused.modulus == pytest.approx(1.0308, abs=1e-4) and refused.largest_stable is None
     assert refused.stiffness == pytest.approx(9870.0, rel=1e-6) and refused.damping == pytest.approx(50.0, rel=1e-6)
@@ -231,7 +231,7 @@ def test_what_is_not_known_to_be_stable_is_refused() -> None:
     with pytest.raises(
         ParameterError, match=r"not known whether the scene would be stable; not judged at .*"
     ) as caught:
-        refusal(Integrated(stiffness=1000.0))
+        unstable_loop(Integrated(stiffness=1000.0))
     assert "\n" not in str(caught.value)
 
 
@@ -245,7 +245,7 @@ def test_no_scene_warns_as_it_is(name: str) -> None:
 def test_a_scene_that_may_be_unstable_warns_in_one_line() -> None:
     assert stability_warning(Detents()) is None
     wrong = Detents(stiffness=9870.0)
-    assert stability_warning(wrong) == f"detents is unstable: {refusal(wrong)}"
+    assert stability_warning(wrong) == f"detents is unstable: {unstable_loop(wrong)}"
     assert "have the largest root modulus 1.0308, which must be below 1" in str(stability_warning(wrong))
     unknown = stability_warning(Integrated(stiffness=1000.0))
     assert unknown is not None and "\n" not in unknown
@@ -257,7 +257,7 @@ def test_a_scene_that_may_be_unstable_warns_in_one_line() -> None:
 
 
 class Slipped(Detents):
-    """A law that answers wrongly."""
+    """Scene with a law that answers wrongly."""
 
     def laws(self) -> list[Any]:
         class Detent(Law):
@@ -304,9 +304,12 @@ def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia:
 
 def test_the_bound_is_that_of_the_scenes_own_mass() -> None:
     scene = Drop(mass=0.4, pulse=0.0, stiffness=6000.0)
-    refused, bound = refusal(scene), largest_stable_stiffness(80.0, period=0.005, delay=0.0015, mass=0.4)
+    refused, bound = unstable_loop(scene), largest_stable_stiffness(80.0, period=0.005, delay=0.0015, mass=0.4)
     assert refused is not None and refused.largest_stable == pytest.approx(float(bound), rel=1e-9)
-    assert refusal(scene.replace(mass=MASS)) is None and refusal(scene.replace(stiffness=0.99 * float(bound))) is None
+    assert (
+        unstable_loop(scene.replace(mass=MASS)) is None
+        and unstable_loop(scene.replace(stiffness=0.99 * float(bound))) is None
+    )
 
 
 def test_the_stability_plot_shows_gains_only_where_all_laws_state_them() -> None:

@@ -20,7 +20,7 @@ from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.theory.verdict import inertia_of, stability
 
-__all__ = ["STEP_FORCE", "Refusal", "check_step", "own_code_refused", "refusal", "stability_warning"]
+__all__ = ["STEP_FORCE", "UnstableLoop", "check_step", "own_code_refused", "stability_warning", "unstable_loop"]
 
 STEP_FORCE = 2.0
 """Default limit of force steps by other programs [N].
@@ -37,7 +37,7 @@ It is about the distance of the flotor's rim from the axis.
 _ACTING = {"contact": "walls", "stuck": "friction"}
 
 
-class Refusal(NamedTuple):
+class UnstableLoop(NamedTuple):
     """Unstable loop of refused parameters, on its worst axis.
 
     Attributes:
@@ -96,7 +96,7 @@ def own_code_refused() -> Iterator[None]:
         raise ParameterError(f"the parameters are refused: {said if where is None else f'{where}: {said}'}") from error
 
 
-def refusal(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> Refusal | None:
+def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None) -> UnstableLoop | None:
     """Return a scene's unstable loop, or None if stable.
 
     The loop is that of a free flotor; see `judge`. A hand mostly adds damping.
@@ -120,7 +120,7 @@ def refusal(scene: Scene, *, inertia: ArrayLike | None = None, delay: float | No
     damping, bound = float(verdict.damping[index, index]), None
     if verdict.stated:
         bound = float(theory.largest_stable_stiffness(damping, period=period, delay=delay, mass=body[index]))
-    return Refusal(
+    return UnstableLoop(
         axis=AXES[index],
         acting=" and ".join(_ACTING.get(state, state) for state in verdict.acting)
         or ("nothing but the scene" if verdict.stated else "the laws"),
@@ -164,8 +164,8 @@ def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None, delay: 
     """Return a stability warning of one line, or None.
 
     Args:
-        scene: See `refusal`.
-        inertia: See `refusal`.
+        scene: See `unstable_loop`.
+        inertia: See `unstable_loop`.
         delay: See `stability`.
 
     Raises:
@@ -177,7 +177,7 @@ def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None, delay: 
     if not hasattr(controller.velocity, "linear"):  # not linear: the check would take seconds and the run starts anyway
         return None
     try:
-        wrong = refusal(scene, inertia=inertia, delay=delay)
+        wrong = unstable_loop(scene, inertia=inertia, delay=delay)
     except MaglevError as error:
         return f"{scene.name} may be unstable: {error}"
     return None if wrong is None else f"{scene.name} is unstable: {wrong}"
