@@ -181,11 +181,12 @@ class Exchange:
         self.compare([side.outcome(side.device.sample(*told)) for side in self.sides])
 
 
+@pytest.mark.parametrize("seeds", [2, pytest.param(4, marks=pytest.mark.study)])
 @pytest.mark.parametrize("lockstep", [False, True], ids=["real time", "lockstep"])
 @pytest.mark.parametrize("key", [None, KEY], ids=["no key", "key"])
-def test_it_does_what_the_firmware_in_python_does(key: bytes | None, lockstep: bool) -> None:
+def test_it_does_what_the_firmware_in_python_does(key: bytes | None, lockstep: bool, seeds: int) -> None:
     faults, frames, counts = Fault(0), Counter[int](), Counter[str]()
-    for seed in range(4):
+    for seed in range(seeds):
         exchange = Exchange(replace(PROFILE, lockstep=lockstep), key and key[: 32 - 5 * seed], seed)
         exchange.run(5000)
         faults |= exchange.faults

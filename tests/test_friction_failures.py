@@ -45,7 +45,11 @@ def test_restick_test_fails_with_differences_over_a_quantized_sensor(rate: int) 
     assert at_200.figures["stick_time"] == pytest.approx(true_time, abs=0.013)  # the paper's own rate is safe
 
 
-def test_chatter_just_above_breakaway() -> None:
+@pytest.mark.parametrize(
+    "smooth",
+    [("kikuuwe",), pytest.param(("dahl", "elasto-plastic", "hayward-armstrong", "kikuuwe"), marks=pytest.mark.study)],
+)
+def test_chatter_just_above_breakaway(smooth: tuple[str, ...]) -> None:
     # At 5 kHz with a quantized sensor the emulation sticks again and again as it breaks away; so does spring reset.
     #
     # Cured by a low-pass for the emulation, and by laws whose force does not drop at breakaway: one change, no more.
@@ -53,12 +57,12 @@ def test_chatter_just_above_breakaway() -> None:
     assert chatter("stick-slip", **hard) >= 8
     assert chatter("spring-reset", **hard) >= 8
     assert chatter("stick-slip", velocity="low-pass", **hard) <= 3
-    for name in ("dahl", "elasto-plastic", "hayward-armstrong", "kikuuwe"):
+    for name in smooth:
         assert chatter(name, **hard) <= 2
     assert chatter("lugre", **hard) > 100  # its Stribeck curve jumps with every step of the velocity
 
 
-@pytest.mark.parametrize("cycles", [200, pytest.param(1000, marks=pytest.mark.study)])
+@pytest.mark.parametrize("cycles", [100, pytest.param(1000, marks=pytest.mark.study)])
 def test_creep_under_1000_small_load_cycles(cycles: int) -> None:
     # Dahl and LuGre walk 20 mm under loads of at most 30 % of breakaway. The others hold.
     drift = {name: abs(creep(name, period=1e-3, delay=DELAY, cycles=cycles)) for name in LAWS}
@@ -102,14 +106,15 @@ def held_spring_gain(amplitude: float, frequency: float, *, period: float, delay
     return (spring - damper) * amplitude**2 / (frequency * period) * math.sin(0.5 * turn * period)
 
 
+@pytest.mark.parametrize("periods", [(5e-3,), pytest.param((5e-3, 1e-3), marks=pytest.mark.study)])
 @pytest.mark.parametrize("delay", [0.0, DELAY])
-def test_a_held_spring_makes_energy_over_a_closed_cycle(delay: float) -> None:
+def test_a_held_spring_makes_energy_over_a_closed_cycle(delay: float, periods: tuple[float, ...]) -> None:
     # Stuck, every law is a spring whose force is late and held: it gives pi (T/2 + delay) K w A² a cycle to the hand.
     #
     # For the pure springs that is a closed form. Dahl and LuGre lose more than that. Sliding, every law takes energy.
     # Cured by viscous damping of K (T/2 + delay): without delay the passivity bound of a sampled spring.
     amplitude, frequency = 2e-4, 5.0
-    for period in (5e-3, 1e-3):
+    for period in periods:
         case: dict[str, Any] = {"period": period, "delay": delay}
         late = 0.5 * period + delay
         gain = math.pi * late * STIFFNESS * 2.0 * math.pi * frequency * amplitude**2

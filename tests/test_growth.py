@@ -43,7 +43,7 @@ def check_every_cell(plant: str, grid: int, delay: float) -> None:
 
 @pytest.mark.parametrize(
     ("plant", "grid", "delay"),
-    [*(("exact", 16, delay) for delay in DELAYS), ("mujoco", 8, 0.0015), ("mujoco", 6, 0.005)],
+    [*(("exact", 12, delay) for delay in DELAYS), ("mujoco", 6, 0.0015)],
 )
 def test_cells_of_a_coarse_map_settle_or_grow_as_theory_has_it(plant: str, grid: int, delay: float) -> None:
     check_every_cell(plant, grid, delay)
@@ -76,14 +76,15 @@ def test_the_rate_of_walls_that_grow_fast_is_above_one() -> None:
     assert growth.rate[1] > 1.5
 
 
-def test_growth_is_the_modulus() -> None:
+@pytest.mark.parametrize("count", [90, pytest.param(300, marks=pytest.mark.study)])
+def test_growth_is_the_modulus(count: int) -> None:
     # Over a random sample, away from pairs of modes that beat.
     random = np.random.default_rng(4)
-    k, b = random.uniform(500.0, 9000.0, 300), random.uniform(10.0, 100.0, 300)
+    k, b = random.uniform(500.0, 9000.0, count), random.uniform(10.0, 100.0, count)
     growth = measure_growth(walls(k, b))
     modulus = largest_modulus(k, b, period=T, delay=0.0015)
     long = growth.ticks > 200
-    assert long.sum() > 100
+    assert long.sum() > count / 4
     np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
 
 
@@ -98,9 +99,9 @@ def test_the_engine_that_is_taken_gives_the_growth_of_rk4(hand: str) -> None:
 
 
 def test_a_wall_s_growth_is_that_of_the_wall_alone() -> None:
-    # Runs end when the last of a batch is decided, of which one that grows 1 % too stiff takes the longest.
+    # Runs end when the last of a batch is decided, of which one that is 3 % too stiff takes the longest.
     edge = float(largest_stable_stiffness(80.0, period=T, delay=0.0015))
-    some = walls([2000.0, 0.99 * edge, 1.01 * edge, 2.0 * edge], 80.0)
+    some = walls([2000.0, 0.97 * edge, 1.03 * edge, 2.0 * edge], 80.0)
     together = measure_growth(some)
     alone = [measure_growth([wall]) for wall in some]
     for name in ("stable", "rate", "ticks"):
@@ -153,8 +154,15 @@ EXTREME = [
 ]
 
 
-@pytest.mark.parametrize("plant", ["exact", "mujoco"])
-@pytest.mark.parametrize("hand", [*HANDS, *EXTREME])
+@pytest.mark.parametrize(
+    ("hand", "plant"),
+    [
+        *((hand, "exact") for hand in (*HANDS, *EXTREME)),
+        ("arm", "mujoco"),
+        # plants agree on hands: test_agreement
+        *(pytest.param(hand, "mujoco", marks=pytest.mark.study) for hand in (*HANDS, *EXTREME)),
+    ],
+)
 def test_hands_shift_the_boundary_as_the_map_says(plant: str, hand: str) -> None:
     # Over the published range: 5 % below the boundary it settles, 5 % above it grows.
     boundary = largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=get_hand(hand))
@@ -167,9 +175,18 @@ def test_hands_do_make_a_difference() -> None:
     assert np.ptp(boundaries) > 2000.0
 
 
-@pytest.mark.parametrize("plant", ["exact", "mujoco"])
-def test_velocity_estimates_shift_the_boundary_as_the_map_says(plant: str) -> None:
-    for estimate in (LowPass(50.0), Window(3)):
+@pytest.mark.parametrize(
+    ("plant", "estimates"),
+    [
+        ("exact", (LowPass(50.0), Window(3))),
+        ("mujoco", (Window(3),)),
+        pytest.param("mujoco", (LowPass(50.0), Window(3)), marks=pytest.mark.study),
+    ],
+)
+def test_velocity_estimates_shift_the_boundary_as_the_map_says(
+    plant: str, estimates: tuple[VelocityEstimator, ...]
+) -> None:
+    for estimate in estimates:
 
         class Estimated(RestingWall):
             """A wall with another velocity estimate."""
@@ -232,7 +249,7 @@ def test_steps_that_miss_the_switch_lengthen_the_delay() -> None:
 
 
 @pytest.mark.parametrize(
-    ("dampings", "margin"), [([60.0, 110.0], 0.02), pytest.param([60.0, 90.0, 110.0], 0.005, marks=pytest.mark.study)]
+    ("dampings", "margin"), [([110.0], 0.02), pytest.param([60.0, 90.0, 110.0], 0.005, marks=pytest.mark.study)]
 )
 def test_a_simulation_in_closed_loop_agrees_with_the_measured_shift(dampings: list[float], margin: float) -> None:
     # MuJoCo itself, with Euler at 0.5 ms, settles in walls that are unstable.
@@ -268,11 +285,18 @@ def test_one_sample_of_delay_just_above_the_boundary_diverges_when_foretold(abov
         assert (np.diff(growth.ticks) < 0).all()
 
 
-def test_random_delay_acts_as_its_mean_and_not_as_its_worst() -> None:
+@pytest.mark.parametrize(
+    "delays_of",
+    [
+        ((0.003, 0.002), (0.0034, 0.0015)),
+        pytest.param(((0.003, 0.0015), (0.003, 0.002), (0.0034, 0.001), (0.0034, 0.0015)), marks=pytest.mark.study),
+    ],
+)
+def test_random_delay_acts_as_its_mean_and_not_as_its_worst(delays_of: tuple[tuple[float, float], ...]) -> None:
     # A third of the delays may be too long; only the mean being too long makes the loop grow, in the plant too.
     k, b = 6000.0, 80.0
     critical = float(critical_delay(k, b, period=T))
-    for mean, jitter in ((0.003, 0.0015), (0.003, 0.002), (0.0034, 0.001), (0.0034, 0.0015)):
+    for mean, jitter in delays_of:
         delays = [Timing(delay=mean, jitter=jitter, seed=0).rest_at(tick) for tick in range(6000)]
         assert np.mean(np.array(delays) > critical) > 0.25
         rate = random_delay_rate(k, b, delays)

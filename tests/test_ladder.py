@@ -21,6 +21,7 @@ from maglev_mj.parameters import param
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import Spec
+from maglev_mj.studies import fidelity_cases
 from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult, Range, measure_fidelity, measure_steps, stepping_name
 from maglev_mj.studies.fidelity_cases import (
@@ -56,13 +57,24 @@ NEEDED = {
 }
 
 
-@pytest.fixture(autouse=True)
-def timed_briefly(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Time each closed loop once a turn.
+POINTS, SEEDS = fidelity_cases._POINTS, fidelity_cases._SEEDS
 
-    Not for two milliseconds: no test is about the costs themselves.
+
+@pytest.fixture(autouse=True)
+def briefly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take costs from the runs; screen few cases.
+
+    No test is about the costs themselves. Studies screen all cases.
     """
     monkeypatch.setattr("maglev_mj.studies.fidelity_levels._SHORT", 1e-9)
+    monkeypatch.setattr("maglev_mj.studies.fidelity_levels._LONG", 0.0)
+    if request.node.get_closest_marker("study") is None:
+        monkeypatch.setattr(fidelity_cases, "_POINTS", 16)
+        monkeypatch.setattr(fidelity_cases, "_SEEDS", 2)
+
+
+def test_4096_cases_are_screened() -> None:
+    assert POINTS * SEEDS == 4096
 
 
 def unseen_distances(result: FidelityResult, count: int) -> Array:
@@ -377,7 +389,8 @@ def test_a_looser_tolerance_takes_a_lower_level() -> None:
             measure_fidelity("twist", over=over)
 
 
-def test_a_step_that_diverges_is_no_choice() -> None:
+def test_a_step_that_diverges_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.studies.fidelity_levels._LONG", 1.0)  # and each step is timed
     scene = SixAxes(duration=0.05)
     rows = measure_steps(scene, "filter", repeats=1)
     diverged = [row for row in rows if not math.isfinite(row.error)]
@@ -426,7 +439,7 @@ def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixtur
     assert main(["fidelity", "drop-no-pulse", *wall, *small]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "a drop of 4 mm on a wall of 2000 N/m and 20 N s/m, no pulse" in said
-    assert "METAL STOPS of the model in 1 of 1 cases" in said and "4096 on the exact plant" in said
+    assert "METAL STOPS of the model in 1 of 1 cases" in said and "32 on the exact plant" in said
     assert main(["fidelity", "press", "--hand", "none"]) == 2
     assert "hand must have an arm" in capsys.readouterr().err
 

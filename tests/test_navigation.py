@@ -18,6 +18,7 @@ from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import live_plant
 from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import INERTIA
+from tests.sweeps import sweep
 
 FRAME = 1.0 / 60.0
 EDGE, SCALE, GAIN, GIVE = 0.0025, 1.0, 10.0, 2.0 / 6000.0
@@ -256,10 +257,10 @@ def pushed(
     return {"time": time, "position": position, "slave": slave, "rate": rate.astype(bool)}
 
 
-@pytest.mark.parametrize("forces", [True, False])
-@pytest.mark.parametrize("release", [1.0, 1.0025, 1.005, 1.0075, 1.011])
-@pytest.mark.parametrize("press", [0.0003, 0.001])
-@pytest.mark.parametrize("target", [0.0042, 0.0050, -0.0046])
+@pytest.mark.parametrize(
+    ("target", "press", "release", "forces"),
+    sweep([0.0042, 0.0050, -0.0046], [0.0003, 0.001], [1.0, 1.0025, 1.005, 1.0075, 1.011], [True, False], every=5),
+)
 def test_a_hand_that_lets_go_beyond_the_edge_leaves_the_slave_where_it_is(
     target: float, press: float, release: float, forces: bool
 ) -> None:

@@ -20,6 +20,7 @@ from maglev_mj.plants.axes import Amendment, DryFriction, HeldAxis, Lag
 from maglev_mj.spec import INERTIA
 from maglev_mj.timeline import Timeline
 from maglev_mj.trace import TraceRecorder
+from tests.sweeps import sweep
 
 T = 0.005
 QUANTUM = [5e-6, 3e-7, 1.0, 10e-6, 7e-6, 0.3]
@@ -319,8 +320,7 @@ def test_work_is_that_of_the_command_whatever_a_caller_does_to_it_later() -> Non
     assert work[0] == work[1] != 0.0
 
 
-@pytest.mark.parametrize("record", [True, False])
-@pytest.mark.parametrize("name", [*RECORDED, "exact, nothing"])
+@pytest.mark.parametrize(("name", "record"), sweep([*RECORDED, "exact, nothing"], [True, False], every=2))
 def test_what_a_caller_does_to_a_command_later_changes_nothing(name: str, record: bool) -> None:
     """Its list and its arrays are its own."""
     states, traces = [], []

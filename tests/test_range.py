@@ -21,6 +21,7 @@ from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import RANGE
 from maglev_mj.tables import run_table
 from maglev_mj.trace import Trace
+from tests.sweeps import sweep
 
 LINE = re.compile(r"  Beyond the range of (.*): (.*)")
 
@@ -55,11 +56,13 @@ def test_the_furthest_of_a_trace_lies_between_its_knots_too() -> None:
     assert ball.furthest() == pytest.approx([0.05])  # thrown up at 1 m/s, back after 0.2 s
 
 
-@pytest.mark.parametrize("limit", [8.0, 15.0, 20.0, 25.0, 26.0, 27.0, 30.0, 60.0, None])
-@pytest.mark.parametrize(("stiffness", "damping"), [(3000.0, 40.0), (6000.0, 80.0), (9000.0, 60.0)])
-def test_a_drop_says_when_it_leaves_the_range(limit: float | None, stiffness: float, damping: float) -> None:
+LIMITS = [8.0, 15.0, 20.0, 25.0, 26.0, 27.0, 30.0, 60.0, None]
+
+
+@pytest.mark.parametrize(("limit", "gains"), sweep(LIMITS, [(3000.0, 40.0), (6000.0, 80.0), (9000.0, 60.0)], every=3))
+def test_a_drop_says_when_it_leaves_the_range(limit: float | None, gains: tuple[float, float]) -> None:
     # By force limit and gains, with the pulse and without, one phase and several.
-    drop = Drop(force_limit=limit, stiffness=stiffness, damping=damping, duration=0.3)
+    drop = Drop(force_limit=limit, stiffness=gains[0], damping=gains[1], duration=0.3)
     variants = [drop.replace(pulse=pulse) for pulse in (220.0, 0.0)]
     labels = ["with pulse", "without pulse"]
     results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}

@@ -80,12 +80,13 @@ def boundaries(data: bytes) -> list[int]:
     )
 
 
-def test_cut_off_anywhere_it_is_read_up_to_its_last_whole_chunk(whole: bytes, tmp_path: Path) -> None:
+@pytest.mark.parametrize("step", [4999, pytest.param(997, marks=pytest.mark.study)])
+def test_cut_off_anywhere_it_is_read_up_to_its_last_whole_chunk(whole: bytes, step: int, tmp_path: Path) -> None:
     # At every end of a chunk and some bytes around, and all over.
     full, edges = read(whole, tmp_path), boundaries(whole)
     assert full is not None and not full.damage and full.ticks == 2 * (TICKS // 2) and len(edges) > 8
-    near = {edge + step for edge in edges for step in (-9, -1, 0, 1, 9)}
-    ends, ticks = {*near, *range(0, len(whole), 997), *range(len(whole) - 40, len(whole))}, {}
+    near = {edge + off for edge in edges for off in (-9, -1, 0, 1, 9)}
+    ends, ticks = {*near, *range(0, len(whole), step), *range(len(whole) - 40, len(whole))}, {}
     for end in sorted(ends):
         part = read(whole[:end], tmp_path)
         if part is not None:

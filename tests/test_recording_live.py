@@ -46,6 +46,7 @@ from maglev_mj.session import Pacer, Session
 from maglev_mj.spec import INERTIA
 from maglev_mj.versions import versions
 from tests.recorded import messages_in
+from tests.sweeps import sweep
 
 TOTAL_NAMES = [field.name for field in TOTALS]
 
@@ -108,8 +109,7 @@ def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(tm
                 assert (list(value.values()) == kept).all() if isinstance(value, dict) else value == kept
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.3, 0.7])
-@pytest.mark.parametrize("delay", [0.0015, 0.007])
+@pytest.mark.parametrize(("phase", "delay"), sweep([0.0, 0.3, 0.7], [0.0015, 0.007], every=3))
 def test_energy_taken_is_what_the_actuators_took_from_a_fall(phase: float, delay: float, tmp_path: Path) -> None:
     # Against the work of the exact motion up to the last sample.
     path = tmp_path / "run.mcap"
@@ -126,10 +126,10 @@ def test_energy_taken_is_what_the_actuators_took_from_a_fall(phase: float, delay
 @pytest.mark.parametrize(
     ("scene", "phase"),
     [
-        (Drop(mass=0.75), 0.2),
+        pytest.param(Drop(mass=0.75), 0.2, marks=pytest.mark.study),
         (Drop(mass=0.75, pulse=0.0, delay=0.006), 0.0),
         (Drop(force_limit=60.0), 0.0),
-        (StickSlip(), 0.0),
+        pytest.param(StickSlip(), 0.0, marks=pytest.mark.study),
         (StickSlip(axis="ry", delay=0.003), 0.0),
     ],
 )

@@ -16,6 +16,7 @@ from maglev_mj.laws import AdaptiveWindow, FiniteDifference, LowPass, VelocityEs
 from maglev_mj.plants import MuJoCoBatchPlant
 from maglev_mj.spec import Spec
 from maglev_mj.theory import (
+    closed_loop,
     critical_delay,
     is_stable,
     largest_modulus,
@@ -25,6 +26,7 @@ from maglev_mj.theory import (
 )
 from maglev_mj.theory.closed_loop import SampledLoop
 from tests.closed_loop import largest_modulus as independent_modulus
+from tests.sweeps import sweep
 
 T, M = 0.005, 0.7
 LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
@@ -194,16 +196,28 @@ DRIVEN = list(itertools.product((0.0, 0.0015, 0.005, 0.0125), (False, True)))
 """Delays, with the drivers' lag and without."""
 
 
+VELOCITIES, HELD = [FiniteDifference(), LowPass(50.0), Window(3)], [None, RIGID, GRIP]
+
+
 @pytest.mark.parametrize(
-    ("plant_type", "driven"),
-    [(ExactPlant, DRIVEN), (MuJoCoPlant, DRIVEN[::3]), (MuJoCoBatchPlant, DRIVEN[1::3])]
-    + [pytest.param(kind, DRIVEN, marks=pytest.mark.study) for kind in (MuJoCoPlant, MuJoCoBatchPlant)],
+    ("plant", "velocity", "hand"),
+    [
+        *sweep(
+            [(ExactPlant, DRIVEN), (MuJoCoPlant, DRIVEN[::3]), (MuJoCoBatchPlant, DRIVEN[1::3])],
+            VELOCITIES,
+            HELD,
+            every=3,
+        ),
+        *(
+            pytest.param((kind, DRIVEN), velocity, hand, marks=pytest.mark.study)
+            for kind, velocity, hand in itertools.product((MuJoCoPlant, MuJoCoBatchPlant), VELOCITIES, HELD)
+        ),
+    ],
 )
-@pytest.mark.parametrize("velocity", [FiniteDifference(), LowPass(50.0), Window(3)])
-@pytest.mark.parametrize("hand", [None, RIGID, GRIP])
 def test_plants_move_as_the_matrix_says(
-    plant_type: Any, driven: list[tuple[float, bool]], velocity: VelocityEstimator, hand: Hand | None
+    plant: tuple[Any, list[tuple[float, bool]]], velocity: VelocityEstimator, hand: Hand | None
 ) -> None:
+    plant_type, driven = plant
     for delay, lag in driven:
         gains = (2000.0, 30.0) if delay < 0.01 else (300.0, 10.0)
         seen = simulated(plant_type, delay, gains, hand=hand, driver_lag=lag, velocity=velocity)
@@ -275,17 +289,18 @@ def test_a_hands_force_is_not_filtered_by_the_drivers() -> None:
     assert swing == pytest.approx(complex(compliance), rel=1e-9)
 
 
-def test_more_gains_than_are_taken_at_once() -> None:
-    count = (1 << 16) + 3
+def test_more_gains_than_are_taken_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(closed_loop, "_TOGETHER", 1 << 8)
+    count = (1 << 8) + 3
     stiffness, damping = np.full(count, 1000.0), np.full(count, 40.0)
-    stiffness[[0, 1 << 15, (1 << 16) - 1, 1 << 16, count - 1]] = [2000.0, 3000.0, 4000.0, 5000.0, 6000.0]
+    stiffness[[0, 1 << 7, (1 << 8) - 1, 1 << 8, count - 1]] = [2000.0, 3000.0, 4000.0, 5000.0, 6000.0]
     found = largest_modulus(stiffness, damping, period=T, delay=0.0)
-    for index in (0, 1, 1 << 15, (1 << 16) - 1, 1 << 16, (1 << 16) + 1, count - 1):
+    for index in (0, 1, 1 << 7, (1 << 8) - 1, 1 << 8, (1 << 8) + 1, count - 1):
         assert found[index] == largest_modulus(stiffness[index], damping[index], period=T, delay=0.0)
     # parameters of the loop in step with the gains
     masses = np.linspace(0.5, 1.0, count)
     found = largest_modulus(stiffness, damping, period=T, delay=0.0, mass=masses)
-    for index in (0, (1 << 16) - 1, 1 << 16, count - 1):
+    for index in (0, (1 << 8) - 1, 1 << 8, count - 1):
         alone = largest_modulus(stiffness[index], damping[index], period=T, delay=0.0, mass=masses[index])
         assert found[index] == pytest.approx(float(alone), rel=1e-12)
 

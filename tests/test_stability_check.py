@@ -272,10 +272,10 @@ class Slipped(Detents):
     ("options", "inertia"),
     [
         ({}, INERTIA),
-        ({"mass": None, "inertia": None, "model": None}, INERTIA),
+        pytest.param({"mass": None, "inertia": None, "model": None}, INERTIA, marks=pytest.mark.study),
         ({"mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:])),
-        ({"inertia": [1e-3, 2e-3, 3e-3]}, (*INERTIA[:3], 1e-3, 2e-3, 3e-3)),
-        ({"model": "drop"}, INERTIA),
+        pytest.param({"inertia": [1e-3, 2e-3, 3e-3]}, (*INERTIA[:3], 1e-3, 2e-3, 3e-3), marks=pytest.mark.study),
+        pytest.param({"model": "drop"}, INERTIA, marks=pytest.mark.study),
         ({"model": "HEAVY", "inertia": [1e-3, 2e-3, 3e-3]}, (0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3)),
         ({"model": "HEAVY", "mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:])),
     ],

@@ -24,6 +24,7 @@ from maglev_mj.errors import PlantError
 from maglev_mj.frames import Sample
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
+from tests.sweeps import sweep
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, Rig, hover
 
 
@@ -225,7 +226,7 @@ def test_the_first_hovers_limits_are_those_of_the_guide() -> None:
     assert told.pop("seconds") == 5.0 and HostLimits(**told) == FIRST_HOVER and "--scene joystick" in command
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", sweep(range(3), every=3))
 @pytest.mark.parametrize(("period", "seconds"), [(0.005, 5.0), (0.001, 1.5)], ids=["200 Hz", "1 kHz"])
 def test_within_the_first_hovers_limits_it_takes_off_from_a_stop_beyond_them_and_lands(
     period: float, seconds: float, seed: int
