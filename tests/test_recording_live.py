@@ -238,7 +238,7 @@ def writers_to(folder: Path) -> list[int]:
 @pytest.mark.parametrize("writer_too", [False, True])
 def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too: bool, tmp_path: Path) -> None:
     # SIGKILL to the program, and to its writer at the same time; what is lost is a fraction of a second.
-    killed(700, writer_too, tmp_path)
+    killed(400, writer_too, tmp_path)
 
 
 @pytest.mark.study
