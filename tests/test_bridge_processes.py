@@ -127,10 +127,8 @@ def rows(plant: Plant, scene: Scene) -> np.ndarray:
     return np.array(seen)
 
 
-SCENES = [
-    (Drop(), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)),
-    (Table(), (0.001, 0.0, 0.0, 0.0, 0.01, 0.0)),
-]
+DROP = Drop(), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)
+STICK_SLIP = Table(), (0.001, 0.0, 0.0, 0.0, 0.01, 0.0)
 
 
 @pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="there is one worker")
@@ -138,8 +136,15 @@ def test_tests_in_real_time_take_turns(request: pytest.FixtureRequest) -> None:
     assert request.node.nodeid.endswith("@realtime")  # by which one worker gets them all
 
 
-@pytest.mark.parametrize("loss", [0.0, 0.03])
-@pytest.mark.parametrize(("scene", "pose"), SCENES, ids=["drop", "stick-slip"])
+@pytest.mark.parametrize(
+    ("scene", "pose", "loss"),
+    [
+        pytest.param(*DROP, 0.03, id="drop-0.03"),
+        pytest.param(*STICK_SLIP, 0.0, id="stick-slip-0.0"),
+        pytest.param(*DROP, 0.0, id="drop-0.0", marks=pytest.mark.study),
+        pytest.param(*STICK_SLIP, 0.03, id="stick-slip-0.03", marks=pytest.mark.study),
+    ],
+)
 def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
     scene: Scene, pose: tuple[float, ...], loss: float
 ) -> None:

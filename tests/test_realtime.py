@@ -64,7 +64,7 @@ def some_processor() -> int | None:
 
 
 @pytest.mark.parametrize("collecting", [True, False])
-@pytest.mark.usefixtures("unchanged")
+@pytest.mark.usefixtures("unchanged", "as_touched")
 def test_ignore_goes_on_and_gives_everything_back(collecting: bool) -> None:
     before = state()
     if not collecting:

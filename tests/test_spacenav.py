@@ -1225,8 +1225,15 @@ def test_the_scripted_hand_does_it_again() -> None:
         assert again(0, instant + 3 * scene.end, state) == pytest.approx(hand(0, instant, state), abs=1e-9)
 
 
-@pytest.mark.parametrize(("axes", "drift"), [("pose", 0.5), ("rate", 10.0)])
-@pytest.mark.parametrize("late", [0.0, 0.004])
+@pytest.mark.parametrize(
+    ("axes", "drift", "late"),
+    [
+        ("pose", 0.5, 0.0),
+        ("rate", 10.0, 0.004),
+        pytest.param("pose", 0.5, 0.004, marks=pytest.mark.study),
+        pytest.param("rate", 10.0, 0.0, marks=pytest.mark.study),
+    ],
+)
 def test_the_scripted_hand_of_the_joystick_comes_back_on_every_axis(axes: str, drift: float, late: float) -> None:
     # Numbers taken for speeds add up to next to nothing over a cycle, and never to much.
     scene, told = Joystick(friction=axes == "rate"), {"pose": PoseAxes, "rate": RateAxes}[axes]()
