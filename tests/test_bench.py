@@ -79,8 +79,9 @@ def test_the_table_of_options_has_a_column_for_each_plant() -> None:
 def test_a_section_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
     with pytest.raises(bench.SectionFailedError, match="no_such_section failed: ModuleNotFoundError"):
         bench.run_section("no_such_section", ROOT, quick=True)
+    (tmp_path / "empty_section.py").write_text("def measure(quick):\n    return {}\n")
     with pytest.raises(bench.SectionFailedError, match="not the package in"):  # what is measured is what was asked for
-        bench.run_section("others", tmp_path, quick=True)
+        bench.run_section("empty_section", tmp_path, quick=True)
 
 
 def test_every_peer_of_the_table_is_a_variant_of_the_chart() -> None:
@@ -89,6 +90,14 @@ def test_every_peer_of_the_table_is_a_variant_of_the_chart() -> None:
     installed = {peer for peer, _ in known}
     assert {way for way in others.THEIRS.values() if way[0] in installed} <= known
     assert len(installed) + len(missing) == len({peer for peer, _ in others.THEIRS.values()})
+
+
+@pytest.mark.filterwarnings("default")
+def test_others_are_accurate_beside_every_cost() -> None:
+    found = others.measure(quick=True)
+    errors, costs = found["error (m)"], found["µs a simulated ms"]
+    assert len(errors) >= 5 and max(errors.values()) < 1e-9
+    assert list(errors) == list(costs) == list(found["over corrected"]) and "this package, exact plant" in errors
 
 
 def test_an_estimate_is_bounded_by_the_workers_and_by_what_hands_out() -> None:

@@ -44,6 +44,22 @@ def test_drop_prints_at_most_80_columns(more: str, capsys: pytest.CaptureFixture
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
 
 
+def test_titles_of_narrow_columns_stay_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "rest.py"
+    file.write_text(
+        "from maglev_mj import AXES, Scene, hold\n\n\n"
+        "class Rest(Scene):\n"
+        '    """Rest at the centre."""\n\n'
+        '    figures = ("peak_speed",)\n\n'
+        "    def laws(self):\n"
+        "        return [hold(self, AXES)]\n"
+    )
+    assert cli.main(["run", str(file), "--phases", "20", "--plant", "exact"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "over 20 phases: median (5 to 95 %)" in lines
+    assert [line for line in lines if line.startswith("at phase 0")]
+
+
 def test_drop_json_on_standard_output_is_nothing_but_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["drop", "--plant", "exact", "--json", "-", "--phases", "3", "--force-limit", "60"]) == 0
     data = json.loads(capsys.readouterr().out)

@@ -8,7 +8,7 @@ import json
 import sys
 import textwrap
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +26,7 @@ from maglev_mj.bridge.twin import AmplifierBoard, Twin, TwinParameters, TwinServ
 from maglev_mj.bridge.wire import Codec, Fault, State
 from maglev_mj.cli import main
 from maglev_mj.conformance import CheckResult, checks, conform
+from maglev_mj.conformance.check import CHECKS
 from maglev_mj.errors import PlantError
 from maglev_mj.net.serial import PtyServer, SerialLink
 from maglev_mj.net.udp import Server, UdpLink, UdpServer
@@ -94,8 +95,15 @@ def names(results: dict[str, CheckResult], passed: bool | None) -> set[str]:
     return {name for name, one in results.items() if one.passed is passed}
 
 
-@pytest.mark.parametrize("key", [None, KEY], ids=["keyless", "keyed"])
-@pytest.mark.parametrize("language", FIRMWARE)
+@pytest.mark.parametrize(
+    ("language", "key"),
+    [
+        pytest.param("python", None, id="python-keyless"),
+        pytest.param("c", KEY, id="c-keyed"),
+        pytest.param("python", KEY, id="python-keyed", marks=pytest.mark.study),
+        pytest.param("c", None, id="c-keyless", marks=pytest.mark.study),
+    ],
+)
 def test_devices_pass(language: str, key: bytes | None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(twin, "Firmware", FIRMWARE[language])
     results = results_of(key=key)
@@ -104,9 +112,13 @@ def test_devices_pass(language: str, key: bytes | None, monkeypatch: pytest.Monk
     assert list(results) == list(checks())
 
 
+TIMED = [name for name, one in CHECKS.items() if one.real_time] + ["hover", "flight-silence"]
+
+
 @pytest.mark.parametrize("rate", [100, 1000])
-def test_it_passes_at_other_rates(rate: int) -> None:
-    results = results_of(period=1.0 / rate, delay=0.0003)
+@pytest.mark.parametrize("only", [TIMED, pytest.param(None, marks=pytest.mark.study)], ids=["timed", "all"])
+def test_it_passes_at_other_rates(only: list[str] | None, rate: int) -> None:
+    results = results_of(period=1.0 / rate, delay=0.0003, only=only)
     assert not [one for one in results.values() if one.passed is False]
 
 
@@ -124,7 +136,16 @@ def served(line: Callable[[], Server] = lambda: UdpServer("127.0.0.1", 0), **par
         server.close()
 
 
-def test_lockstep_leaves_out_what_needs_real_time() -> None:
+def keep_checks(monkeypatch: pytest.MonkeyPatch, kept: Container[str]) -> None:
+    """Leave the other checks out."""
+    for name in set(CHECKS):
+        if name not in kept:
+            monkeypatch.delitem(CHECKS, name)
+
+
+@pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.study)], ids=["some", "all"])
+def test_lockstep_leaves_out_what_needs_real_time(step: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    keep_checks(monkeypatch, [*TIMED, *TAGS, "lockstep", *[*CHECKS][::step]])
     with served(lockstep=True) as server:
         links = [UdpLink(*server.address) for _ in range(2)]
         results = {one.name: one for one in conform(links)}
@@ -136,7 +157,12 @@ def test_lockstep_leaves_out_what_needs_real_time() -> None:
     assert results["lockstep"].passed
 
 
-def test_the_command_over_udp_in_real_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.study)], ids=["some", "all"])
+def test_the_command_over_udp_in_real_time(
+    step: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    skipped = [name for name, one in CHECKS.items() if one.flight or one.keyed or one.lockstep]
+    keep_checks(monkeypatch, [*skipped, *[*CHECKS][::step]])
     path = tmp_path / "report.json"
     with served() as server:
         address = f"udp://127.0.0.1:{server.address[1]}"
@@ -165,6 +191,7 @@ def test_the_command_fails_where_a_check_does(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     without(monkeypatch, F, "_reset", ("self.state == State.ACTIVE or ", ""))
+    keep_checks(monkeypatch, ["session", "operations", "busy", "crc", "hover"])
     with served(lockstep=True) as server:
         assert main(["conform", f"udp://127.0.0.1:{server.address[1]}", "--no-flight"]) == 1
     failed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  FAIL")]

@@ -107,17 +107,21 @@ def without_versions(folder: Path) -> Path:
     return copy_of_package(folder, "versions.py", "del versions")
 
 
+CODES = {"sources": gravity, "maglev_mj 0.0.9": another_version, "not known": without_versions}
+
+
+@pytest.mark.parametrize(
+    "codes", [["sources", "not known"], pytest.param([*CODES], marks=pytest.mark.study)], ids=["two", "all"]
+)
 def test_workers_of_other_code_are_refused_by_name_before_any_cell(
-    cluster: Cluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    codes: list[str], cluster: Cluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     record, out = tmp_path / "cells.jsonl", tmp_path / "out.json"
     command = ["sweep", "drop", "--vary", "phase=0:0.9:4", "--set", "plant=exact", "--scheduler", cluster.address]
     command += ["--record", str(record), "--json", str(out)]
-    codes = {"sources": gravity(tmp_path / "a"), "maglev_mj 0.0.9": another_version(tmp_path / "b")}
-    codes["not known"] = without_versions(tmp_path / "c")
     with cluster.worker() as good:
-        for what, code in codes.items():
-            with cluster.worker(code) as bad:
+        for what in codes:
+            with cluster.worker(CODES[what](tmp_path / what)) as bad:
                 assert main(command) == 1
                 said = capsys.readouterr()
                 assert said.out == "" and len(said.err.splitlines()) == 1

@@ -108,7 +108,11 @@ BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]]
 }
 
 
-def run_page(page: str) -> list[str]:
+SHORTER = {"docs/howto/scene.md": {"measure_fidelity(scene,": "measure_fidelity(scene.replace(duration=0.03),"}}
+"""What takes seconds, and what runs in its place."""
+
+
+def run_page(page: str, shorter: bool) -> list[str]:
     """Run the Python of a page; return its output lines.
 
     Block after block in one namespace.
@@ -116,7 +120,8 @@ def run_page(page: str) -> list[str]:
     lines: list[str] = []
     namespace: dict[str, Any] = {"__name__": page, "print": lambda *words: lines.append(" ".join(map(str, words)))}
     beside = BESIDE[page](lines) if page in BESIDE else nullcontext({})
-    with beside as replaced:
+    with beside as addresses:
+        replaced = addresses | (SHORTER.get(page, {}) if shorter else {})
         for before, block in code_of(page):
             code = "\n" * before + block  # a traceback tells the line of the page
             for written, meant in replaced.items():
@@ -125,11 +130,18 @@ def run_page(page: str) -> list[str]:
     return lines
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if code_of(page)])
-def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("page", "shorter"),
+    [
+        *((page, True) for page in PAGES if code_of(page)),
+        *(pytest.param(page, False, marks=pytest.mark.study) for page in SHORTER),
+    ],
+)
+def test_the_python_of_a_page_runs(page: str, shorter: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write_files(page, tmp_path)
-    lines = run_page(page)
+    assert all(text_of(page).count(one) == 1 for one in SHORTER.get(page, ()))
+    lines = run_page(page, shorter)
     if page == "docs/explanation/drop.md":
         assert len(code_of(page)[0][1].strip().splitlines()) <= 12  # a drop in ten lines
         assert lines[0].startswith("height in mm:") and "force in N:" in lines[0]

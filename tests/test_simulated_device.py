@@ -52,7 +52,10 @@ NOMINAL = Calibration.nominal()
 SLOPES = NOMINAL.beams._spots(np.zeros(6))[1]
 PERIOD = 5_000_000
 
-pytestmark = pytest.mark.skipif(COMPILER is None, reason=NEEDS_COMPILER)
+pytestmark = [
+    pytest.mark.skipif(COMPILER is None, reason=NEEDS_COMPILER),
+    pytest.mark.xdist_group("simulated device"),  # so that the program is compiled once
+]
 
 
 def built(folder: Path, flags: Sequence[str]) -> Path | None:

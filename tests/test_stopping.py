@@ -293,7 +293,7 @@ AT = {"takeoff": 80, "flight": 200, "landing": 480}
 @pytest.mark.parametrize("phase", AT)
 def test_a_windows_key_cuts_in_every_phase(phase: str, tmp_path: Path) -> None:
     twin = Twin(TwinParameters(), draw=lambda: 7)
-    with RemotePlant(VirtualLink(twin), folder=tmp_path) as plant:
+    with RemotePlant(VirtualLink(twin), folder=str(tmp_path)) as plant:  # text serves as well as a Path
         switch, before = StopSwitch(), plant.read().tick
         scene = Joystick(period=plant.period, delay=plant.delay)
         keys = Keys(switch, plant, before + AT[phase])

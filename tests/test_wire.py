@@ -502,11 +502,12 @@ STRANGE = [
 ]
 
 
+@pytest.mark.parametrize("count", [20_000, pytest.param(100_000, marks=pytest.mark.study)])
 @pytest.mark.parametrize("key", [None, KEY], ids=["keyless", "keyed"])
-def test_fuzzed_frames_do_no_harm(key: bytes | None) -> None:
+def test_fuzzed_frames_do_no_harm(key: bytes | None, count: int) -> None:
     rig, listener = Rig(key, seed=7), Codec(key)
     accepted = passed = fuzzed = 0
-    while fuzzed < 100_000:
+    while fuzzed < count:
         if rig.random.random() < 0.15 or not rig.recent:
             rig.give(rig.genuine())
         if rig.random.random() < 0.02:
@@ -524,11 +525,11 @@ def test_fuzzed_frames_do_no_harm(key: bytes | None) -> None:
         rig.give(data)
         fuzzed += 1
     if key is None:
-        assert accepted > 10_000  # a CRC is no seal
-    assert passed < 50_000 and rig.amplifiers.drives > 1000
+        assert accepted > count // 10  # a CRC is no seal
+    assert passed < count // 2 and rig.amplifiers.drives > count // 100
     assert sum(listener.dropped.values()) + passed == fuzzed
     assert {"short", "magic", "crc", "version", "type", "length"} <= set(listener.dropped)
-    assert (listener.dropped["tag"] > 10_000) == (key is not None)
+    assert (listener.dropped["tag"] > count // 10) == (key is not None)
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
@@ -542,13 +543,14 @@ def test_the_fuzzed_device_sees_every_state(lockstep: bool) -> None:
     assert rig.amplifiers.drives > 50
 
 
-def test_coverage_guided_fuzzing_finds_nothing() -> None:
-    command = [sys.executable, str(ROOT / "scripts" / "studies" / "fuzz_wire.py"), "--runs", "1500", "--seed", "3"]
+@pytest.mark.parametrize("runs", [300, pytest.param(1500, marks=pytest.mark.study)])
+def test_coverage_guided_fuzzing_finds_nothing(runs: int) -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "studies" / "fuzz_wire.py"), "--runs", str(runs), "--seed", "3"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stdout + done.stderr
     found = dict(re.findall(r"(\w+) +(\d+)", done.stdout))
-    assert int(found["executions"]) == 1500 and int(found["raised"]) == 0
-    assert int(found["edges"]) > 150 and int(found["accepted"]) > 1000
+    assert int(found["executions"]) == runs and int(found["raised"]) == 0
+    assert int(found["edges"]) > 150 and int(found["accepted"]) > runs * 2 // 3
 
 
 def test_what_arrives_makes_nothing_raise() -> None:

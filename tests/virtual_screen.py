@@ -7,8 +7,10 @@ import ctypes.util
 import os
 import shutil
 import subprocess
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -16,6 +18,9 @@ __all__ = ["MISSING", "VirtualScreen"]
 
 MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
 """Programs missing for a virtual screen."""
+
+
+_COMPILER = shutil.which("cc")
 
 
 class VirtualScreen:
@@ -35,16 +40,23 @@ class VirtualScreen:
         os.close(write)
         with os.fdopen(read) as pipe:
             self.display = f":{pipe.readline().strip()}"
-        # drawn by one thread: a window that waits for no screen draws all the time, and would keep every core from all
+        # drawn by one thread, a few times a second: a window that waits for no screen would keep every core from all
         software = {"LIBGL_ALWAYS_SOFTWARE": "1", "LP_NUM_THREADS": "0"}
         self.environment = {**os.environ, "DISPLAY": self.display, **software}
         for name in ("WAYLAND_DISPLAY", "MUJOCO_GL"):
             self.environment.pop(name, None)
+        self._folder = tempfile.TemporaryDirectory()
+        if _COMPILER is not None:
+            library = Path(self._folder.name) / "slow_screen.so"
+            source = Path(__file__).with_name("slow_screen.c")
+            subprocess.run([_COMPILER, "-shared", "-fPIC", source, "-o", library, "-ldl"], check=True)
+            self.environment["LD_PRELOAD"] = str(library)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._folder.cleanup()
         self._server.terminate()
         self._server.wait(10)
 

@@ -97,7 +97,7 @@ class RemotePlant:
         key: bytes | None = None,
         limits: HostLimits | None = None,
         patience: float = 1.0,
-        folder: Path = Path(),
+        folder: Path | str = Path(),
     ) -> None:
         known, own = calibration or Calibration.nominal(), limits or HostLimits()
         self.calibration = known
@@ -117,7 +117,7 @@ class RemotePlant:
             self.state, self.faults = State(welcome.state), Fault(welcome.faults)
             self.first, self.fault_time = Fault(welcome.first), welcome.fault_time
             self.samples = self._line.samples
-            self._box = BlackBox(folder)
+            self._box = BlackBox(Path(folder))
             self._spots, self._guard = SpotGuard(self.limits, self.period), FlotorGuard(own)
             self._track = PoseTracker(known.beams)
             self._offsets: list[float] | None = known.spot_offsets.tolist() if known.spot_offsets.any() else None

@@ -106,8 +106,10 @@ def _blocks(scene: Scene, blocks: Sequence[tuple[str, Mapping[str, Sequence[str]
     left = max([_NAME, *map(len, names)]) + 2
     room = WIDTH - left - 2 - max(map(len, units), default=0)
     parts = [(title, _columns(columns)) for title, columns in blocks]
-    if len(parts) > 1 and sum(len(column[0]) for _, columns in parts for column in columns) <= room:
-        titles = "".join(f"{title.split(',')[0]:>{sum(len(one[0]) for one in columns)}}" for title, columns in parts)
+    heads = [(title.split(",")[0], sum(len(one[0]) for one in columns)) for title, columns in parts]
+    # side by side only if each title fits over its columns
+    if len(parts) > 1 and sum(width for _, width in heads) <= room and all(len(text) < width for text, width in heads):
+        titles = "".join(f"{text:>{width}}" for text, width in heads)
         parts = [(" " * left + titles, [column for _, columns in parts for column in columns])]
     lines: list[str] = []
     for title, columns in parts:

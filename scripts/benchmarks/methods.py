@@ -161,7 +161,7 @@ def peer_methods(scene: Scene, task: Task, quick: bool) -> tuple[list[Method], l
         simulate = variant.build(task)
         start = time.perf_counter()
         poses = simulate()
-        if quick and time.perf_counter() - start > 0.1:
+        if quick and time.perf_counter() - start > 0.05:
             continue
         error = float(apart(np.where(np.isnan(poses), truth, poses), truth))
         group = PEERS[variant.peer]

@@ -298,13 +298,13 @@ def measure(quick: bool) -> dict[str, Any]:
     Args:
         quick: Fewer turns, samples and runs.
     """
-    turns, count, runs = (20, 1000, 1) if quick else (60, 4000, 3)
+    turns, count, runs = (5, 500, 1) if quick else (60, 4000, 3)
     return {
         "tick": tick_costs(turns, runs),
         "writer": writer_costs(count, runs),
         "kept_up": kept_up(20_000.0, 0.3 if quick else 1.0),
-        "throughput": throughput(5000 if quick else 30_000),
-        "read_hour": read_hour(0.05 if quick else 1.0, runs),
+        "throughput": throughput(1000 if quick else 30_000),
+        "read_hour": read_hour(0.01 if quick else 1.0, runs),
     }
 
 

@@ -171,7 +171,7 @@ def measure(quick: bool, scenes: Sequence[str] = BENCHED) -> dict[str, Any]:
     peers, missing = peer_methods(drop, Task(), quick)
     everyone = our_methods("drop", drop, quick) + peers
     for some in (*methods.values(), everyone):
-        take_times(some, 2 if quick else 3)
+        take_times(some, 1 if quick else 3)
     return {
         "scenes": {name: as_json(some) for name, some in methods.items()},
         "peers": as_json(everyone),

@@ -10,6 +10,7 @@ the median (5 to 95 %) over 100 phases; the last rows count the phases. Hardness
 fastest rise of the force over a window, over the speed of impact.
 """
 
+import argparse
 from collections.abc import Mapping
 from typing import Any
 
@@ -21,6 +22,9 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run
 from maglev_mj.spec import Spec
 
+parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+parser.add_argument("--quick", action="store_true", help="drops from the greatest height alone")
+HEIGHTS = (*(() if parser.parse_args().quick else (0.001, 0.002, 0.003)), Spec.translation_range.value)
 PHASES = 100
 IN_ALL: dict[str, Any] = {"pulse": 220.0 - Drop.damping}
 FURTHER: dict[str, Any] = {"pulse": 220.0}
@@ -84,5 +88,5 @@ def print_table(height: float, columns: Mapping[str, dict[str, Any]]) -> None:
 
 
 for columns in TABLES:
-    for height in (0.001, 0.002, 0.003, Spec.translation_range.value):
+    for height in HEIGHTS:
         print_table(height, columns)

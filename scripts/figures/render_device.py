@@ -15,6 +15,7 @@ from matplotlib.image import imsave
 from maglev_mj.model import model_path
 
 target = Path(sys.argv[1] if len(sys.argv) > 1 else "figures/device.png")
+width, height = map(int, sys.argv[2].split("x")) if len(sys.argv) > 2 else (1400, 1050)
 target.parent.mkdir(parents=True, exist_ok=True)
 
 model = mujoco.MjModel.from_xml_path(str(model_path("scene")))
@@ -26,7 +27,7 @@ mujoco.mjv_defaultFreeCamera(model, camera)
 camera.lookat[:] = 0.0, 0.0, 0.012
 camera.distance, camera.azimuth, camera.elevation = 0.26, 205.0, -22.0
 
-with mujoco.Renderer(model, 1050, 1400) as renderer:
+with mujoco.Renderer(model, height, width) as renderer:
     renderer.update_scene(data, camera)
     image = renderer.render()
 

@@ -22,7 +22,7 @@ from maglev_mj.versions import versions
 
 OPTIONS = script_options(__doc__, quick="two rates and fewer load cycles")
 QUICK, PICTURES = OPTIONS.quick, OPTIONS.pictures
-RATES = (200, 1000) if QUICK else (200, 500, 1000, 2000, 5000)
+RATES = (200, 500) if QUICK else (200, 500, 1000, 2000, 5000)
 CASES = (
     ("ideal, difference", 0.0, "difference"),
     ("5 µm, difference", 5e-6, "difference"),
@@ -30,7 +30,7 @@ CASES = (
     ("5 µm, adaptive", 5e-6, "adaptive"),
 )
 DELAY = Spec.transport_delay.value
-CYCLES = 20 if QUICK else 200
+CYCLES = 10 if QUICK else 200
 
 
 def fixed(value: float) -> str:

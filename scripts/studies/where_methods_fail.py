@@ -29,6 +29,7 @@ pictures = options.pictures
 
 T, DELAY, MASS = 1.0 / Spec.control_rate.value, Spec.transport_delay.value, Spec.moving_mass.value
 COUNT = 2 if options.quick else 10
+TICKS, PRESSES = (500, 4) if options.quick else (4000, 20)
 PHASES = np.arange(32)[:: 8 if options.quick else 1] / 32
 
 
@@ -71,7 +72,7 @@ def jitter() -> plots.Panel:
         rates = []
         for mean in means:
             timing = Timing(delay=float(mean), jitter=spread)
-            rates.append(random_delay_rate(6000.0, 80.0, [timing.rest_at(tick) for tick in range(4000)]))
+            rates.append(random_delay_rate(6000.0, 80.0, [timing.rest_at(tick) for tick in range(TICKS)]))
         curves.append((f"± {spread * 1e3:g} ms", means * 1e3, np.array(rates)))
     return panel(
         "delay jitter acts as its mean\n(6000 N/m, 80 N s/m)", "mean delay (ms)", "growth a sample", curves, level=1.0
@@ -83,11 +84,13 @@ def chatter() -> plots.Panel:
 
     Of the paper's wall, over a 5 µm sensor with noise.
     """
-    presses = np.geomspace(0.003, 1.0, 3 if options.quick else 16)
+    presses = np.geomspace(0.003, 1.0, 2 if options.quick else 16)
     curves, gated = [], np.zeros(presses.size)
     for noise in (0.0, 1e-6, 2e-6, 5e-6, 10e-6):
         gates = [0.0, 5.0 * (5e-6 + noise) / T]
-        fired = np.array([press_at_edge(press, gates, noise=noise, phases=20).pulses for press in presses.tolist()])
+        fired = np.array(
+            [press_at_edge(press, gates, noise=noise, phases=PRESSES).pulses for press in presses.tolist()]
+        )
         curves.append((f"noise {noise * 1e6:g} µm, no gate", presses, fired[:, 0]))
         gated = np.maximum(gated, fired[:, 1])
     curves.append(("each, gate 5 (step + noise)/T", presses, gated))
