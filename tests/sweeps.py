@@ -1,4 +1,4 @@
-"""Sweeps over several parameters: some cases in the gate, all in the studies."""
+"""Sweeps of parameters, in part for the gate."""
 
 from __future__ import annotations
 

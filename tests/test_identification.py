@@ -268,7 +268,7 @@ def test_a_known_mass_gives_forces_and_the_calibration_its_coils() -> None:
 
 @cache
 def weighed(place: tuple[float, float, float] | None, noisy: bool, seed: int) -> Identified:
-    """Return a device with 0.1 kg at a position, or without."""
+    """Return a device with 0.1 kg somewhere, or without."""
     twin = Twin(seed, SLOW, noisy=noisy, model="maglev")
     if place:
         twin.lay_on(0.1, place)

@@ -64,11 +64,11 @@ POINTS, SEEDS = fidelity_cases._POINTS, fidelity_cases._SEEDS
 def briefly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Take costs from the runs; screen few cases.
 
-    No test is about the costs themselves. Studies screen all cases.
+    No test of the gate is about the costs themselves. Studies time each loop and screen all cases.
     """
     monkeypatch.setattr("maglev_mj.studies.fidelity_levels._SHORT", 1e-9)
-    monkeypatch.setattr("maglev_mj.studies.fidelity_levels._LONG", 0.0)
     if request.node.get_closest_marker("study") is None:
+        monkeypatch.setattr("maglev_mj.studies.fidelity_levels._LONG", 0.0)
         monkeypatch.setattr(fidelity_cases, "_POINTS", 16)
         monkeypatch.setattr(fidelity_cases, "_SEEDS", 2)
 

@@ -239,7 +239,7 @@ def at(value: Any, place: tuple[Any, ...]) -> Any:
 
 
 def other(name: Any, old: Any) -> Any:
-    """Return another value of a setup; the same if there is none."""
+    """Return another value of a setup, or the same."""
     if old is None or isinstance(old, bool):
         return old if old is None else not old
     return old + 1 if name in COUNTS else old * (1e5 if name in THRESHOLDS else 1.07)
