@@ -22,8 +22,9 @@ demo: $(CHARTS)  ## drop the flotor: a summary here, pictures in figures/
 	  '  $(BIN)/maglev-mj stability --hand arm       the stiffest wall in a hand' \
 	  '  $(BIN)/maglev-mj drop --help                height, gains, rate, delay'
 
+# tests start programs over and over, which compile the package each time where byte code is not kept
 test: $(READY)  ## run all tests, one worker more than there are cores
-	$(BIN)/python -m pytest -n auto --dist loadgroup
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n auto --dist loadgroup
 
 studies: $(READY)  ## run the sweeps behind the published figures in full: minutes to an hour
 	$(BIN)/python -m pytest -n auto --dist loadgroup -m study
