@@ -46,6 +46,9 @@ SAMPLE, RATE = "/maglev/sample", 200
 DRAG = 16
 """Pixels."""
 
+FRAME = 0.25
+"""Time of a frame on a slow screen [s]."""
+
 PATIENCE = 60.0
 """Longest wait for a slow machine [s]."""
 
@@ -211,6 +214,25 @@ def test_closing_the_window_ends_the_program(session: Session) -> None:
     assert session.status == 0, session.said
     assert session.said.count("wrote") == 2  # two recordings
     assert "real-time factor" in session.said
+
+
+@needs_screen
+def test_a_window_closed_while_it_loads_a_model_ends_the_program() -> None:
+    command = [sys.executable, "-m", "maglev_mj", "view", "joystick"]
+    with VirtualScreen(*SCREEN) as screen:
+        program = subprocess.Popen(command, env=screen.environment, stdout=subprocess.PIPE, text=True)
+        try:
+            window = screen.window("joystick")
+            screen.xdotool("mousemove", 300, 200)
+            time.sleep(1.5)
+            screen.xdotool("key", "Return")  # to the next scene; its model is loaded by the frame after the next
+            time.sleep(FRAME)
+            screen.close(window)
+            said, _ = program.communicate(timeout=PATIENCE)
+        finally:
+            program.kill()
+            program.communicate()
+    assert program.returncode == 0 and "real-time factor" in said
 
 
 @needs_screen

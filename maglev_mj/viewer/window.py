@@ -129,15 +129,9 @@ class _Window:
         self._framing, self._camera_back = Framing(self._scenery.model), True
         before = set(threading.enumerate())
         # imported here, because the import needs a display
-        import mujoco.viewer
+        from maglev_mj.viewer.engine import launch
 
-        self._handle = mujoco.viewer.launch_passive(
-            self._scenery.model,
-            self._scenery.data,
-            key_callback=self._pressed.put,
-            show_left_ui=False,
-            show_right_ui=False,
-        )
+        self._handle = launch(self._scenery.model, self._scenery.data, self._pressed.put)
         with self._handle.lock():  # for the frames until the first of ours
             self._framing.reset(self._handle.cam)
         if shadows is False:
@@ -176,7 +170,9 @@ class _Window:
         They must not outlive the program.
         """
         self._handle.close()
-        end = time.monotonic() + _PATIENCE
+        simulation = self._handle._sim()
+        loading = simulation is not None and simulation.loading  # that load does not end
+        end = time.monotonic() + (_NAP if loading else _PATIENCE)
         while self._painter.is_alive() and time.monotonic() < end:
             with suppress(queue.Full):
                 self._snapshots.put(None, timeout=0.1)
