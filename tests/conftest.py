@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import gc
 import os
-from contextlib import suppress
-from importlib import import_module
-from pathlib import Path
 
 import pytest
 
@@ -21,22 +18,16 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return (os.cpu_count() or 1) + 1
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Import this worker's share of the test modules first.
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
+    """Exclude all that is left after a file's tests from garbage collection.
 
-    In a new checkout pytest compiles each of them, in 5 s altogether; others' shares are then compiled already.
+    Takeoffs and real-time loops collect garbage first: 0.1 s each in a process with all that the tests import.
     """
-    worker, count = os.environ.get("PYTEST_XDIST_WORKER", ""), int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-    if worker and count > 1 and config.args == config.getini("testpaths"):
-        modules = sorted(Path(__file__).parent.glob("test_*.py"), key=lambda path: path.stat().st_size)
-        for module in modules[int(worker.removeprefix("gw")) :: count]:
-            with suppress(Exception, pytest.skip.Exception):  # collection imports it again, and tells
-                import_module(f"tests.{module.stem}")
+    if nextitem is None or item.path != nextitem.path:
+        gc.collect()
+        gc.freeze()
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Exclude tests and modules from garbage collection.
-
-    They live to the end.
-    """
+    """Exclude tests and modules from garbage collection."""
     gc.freeze()

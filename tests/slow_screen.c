@@ -24,6 +24,6 @@ int XShmPutImage(void *display, unsigned long drawable, void *context, void *ima
     static Put *real;
     if (!real)
         real = (Put *)dlsym(dlopen("libXext.so.6", RTLD_LAZY), "XShmPutImage");
-    nap(100);
+    nap(200);
     return real(display, drawable, context, image, x, y, to_x, to_y, width, height, event);
 }

@@ -15,7 +15,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 
-os.environ.setdefault("MUJOCO_GL", "osmesa")  # before the engine is imported
+if __name__ == "__main__":
+    os.environ.setdefault("MUJOCO_GL", "osmesa")  # before the engine is imported
 
 import numpy as np
 
