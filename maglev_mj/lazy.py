@@ -1,12 +1,28 @@
-"""Names of a package, loaded on first use."""
+"""Names of packages, loaded on first use."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["attach"]
+__all__ = ["attach", "mujoco"]
+
+
+class _LazyModule(ModuleType):
+    """Module that is imported at its first use."""
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(import_module(self.__name__), name)
+        setattr(self, name, value)  # found at once from then on
+        return value
+
+
+if TYPE_CHECKING:
+    import mujoco as mujoco
+else:
+    mujoco = _LazyModule("mujoco")  # recordings are read, and devices called, without it
 
 
 def attach(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:

@@ -11,7 +11,6 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -19,6 +18,7 @@ from maglev_mj.coils import CoilMap
 from maglev_mj.errors import ModelError, ParameterError, not_one_of
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
+from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.sensing.geometry import Beams
 from maglev_mj.versions import MODELS
@@ -42,7 +42,7 @@ JOINTS = ("x", "y", "z", "rotation")
 """Names of the flotor's joints, in their order."""
 
 
-Model: TypeAlias = str | Path | mujoco.MjSpec
+Model: TypeAlias = "str | Path | mujoco.MjSpec"
 """Name in the package, MJCF file (.xml), or specification."""
 
 

@@ -15,7 +15,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
-import mujoco
 import numpy as np
 
 import maglev_mj
@@ -116,6 +115,8 @@ def _read(path: str) -> str:
 
 @lru_cache(maxsize=1)
 def _versions() -> Versions:
+    import mujoco  # an emergency stop need not wait for the engine
+
     revision, changed = _revision(_ROOT)
     return {
         "maglev_mj": maglev_mj.__version__,

@@ -18,8 +18,9 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return (os.cpu_count() or 1) + 1
 
 
+@pytest.hookimpl(trylast=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> None:
-    """Exclude all that is left after a file's tests from garbage collection.
+    """Exclude a file's remains from garbage collection.
 
     Takeoffs and real-time loops collect garbage first: 0.1 s each in a process with all that the tests import.
     """

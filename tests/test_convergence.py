@@ -6,6 +6,7 @@ import math
 from functools import partial
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -55,6 +56,10 @@ def free_top(time: Any, attitude: Array, spin: Array) -> Array:
     w = 0.5 * np.sqrt(1.0 + np.trace(turns, axis1=1, axis2=2))
     x, y, z = ((turns[:, i, j] - turns[:, j, i]) / (4.0 * w) for i, j in ((2, 1), (0, 2), (1, 0)))
     return np.stack(rotation_vector(w, x, y, z, np.sqrt, np.arctan2), axis=-1)
+
+
+def test_every_integrator_of_the_engine_has_a_name() -> None:
+    assert set(INTEGRATORS.values()) == set(mujoco.mjtIntegrator.__members__)
 
 
 @pytest.mark.parametrize(("integrator", "order"), ORDERS)

@@ -73,7 +73,7 @@ FLOORS = {
     "__main__": 11,
 }
 ALLOWED = {
-    "mujoco": {"model", "plants", "shapes", "versions", "viewer"},
+    "mujoco": {"lazy", "plants", "shapes", "versions", "viewer"},
     "glfw": {"hand_devices", "viewer"},
     "viser": {"web"},
     "trimesh": {"web"},
@@ -184,7 +184,11 @@ UNUSED = [f"maglev_mj.{name}" for name in "recording session studies bridge anal
 
 @pytest.mark.parametrize(
     ("words", "absent"),
-    [("--help", LIGHT), ("drop", [*OTHERS, *UNUSED, "maglev_mj.theory.design", "maglev_mj.laws.bristle"])],
+    [
+        ("--help", LIGHT),
+        ("estop udp://127.0.0.1:9", ["mujoco", "glfw"]),
+        ("drop", [*OTHERS, *UNUSED, "maglev_mj.theory.design", "maglev_mj.laws.bristle"]),
+    ],
 )
 def test_a_command_loads_what_it_runs(words: str, absent: Sequence[str]) -> None:
     ask = "import atexit, sys; atexit.register(lambda: print(*sys.modules)); from maglev_mj.cli import main; "
@@ -193,6 +197,13 @@ def test_a_command_loads_what_it_runs(words: str, absent: Sequence[str]) -> None
     loaded = set(done.stdout.splitlines()[-1].split())
     assert "maglev_mj.cli.program" in loaded
     assert sorted(loaded.intersection(absent)) == []
+
+
+@pytest.mark.parametrize("name", ["Recording", "RemotePlant", "Controller", "Scene", "LiveServer", "sweep"])
+def test_what_needs_no_engine_waits_for_none(name: str) -> None:
+    ask = f"import sys; from maglev_mj import {name}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()).isdisjoint({"mujoco", "glfw"})
 
 
 def test_the_package_alone_loads_neither_arrays_nor_physics() -> None:

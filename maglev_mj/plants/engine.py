@@ -9,13 +9,13 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any, TypeAlias
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ModelError, ParameterError, not_one_of
 from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.hand import Hand
+from maglev_mj.lazy import mujoco
 from maglev_mj.model import COILS, Device, Model, load_model
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.spec import GRAVITY
@@ -79,11 +79,15 @@ def engine_warnings_silenced() -> Iterator[None]:
         mujoco.set_mju_user_warning(handler)
 
 
-_KINDS = mujoco.mjtIntegrator.__members__
-INTEGRATORS = {name.removeprefix("mjINT_").lower(): kind for name, kind in _KINDS.items()} | {
-    "corrected": mujoco.mjtIntegrator.mjINT_EULER
+INTEGRATORS = {
+    "euler": "mjINT_EULER",
+    "rk4": "mjINT_RK4",
+    "implicit": "mjINT_IMPLICIT",
+    "implicitfast": "mjINT_IMPLICITFAST",
+    "discrete": "mjINT_DISCRETE",
+    "corrected": "mjINT_EULER",
 }
-"""Integrators by name.
+"""Integrators by name, and their names in the engine.
 
 Those of the engine, and "corrected": Euler with a half-step correction (see `CorrectedSteps`).
 """
@@ -116,7 +120,7 @@ def prepared(
         raise ParameterError(not_one_of("integrator", INTEGRATORS, integrator))
     made = load_model(model, **device)
     options = made.model.opt
-    options.integrator = INTEGRATORS[integrator]
+    options.integrator = mujoco.mjtIntegrator.__members__[INTEGRATORS[integrator]]
     falling = numbers("gravity", gravity)
     if falling.shape not in ((), (3,)):
         raise ParameterError(f"gravity must be a number or (3,), not {falling.shape}")

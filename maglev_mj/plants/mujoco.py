@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, TypeAlias, Unpack, cast
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -15,6 +14,7 @@ from maglev_mj.coils import UPRIGHT, CoilMap
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, rotation_vector
 from maglev_mj.hand import Hand
+from maglev_mj.lazy import mujoco
 from maglev_mj.model import COILS, Model, load_model
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
