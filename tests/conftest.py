@@ -8,6 +8,7 @@ import os
 import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: more threads only wait, on cores that others need
+os.environ["LANGUAGE"] = "C"  # else each option of a command line is looked for in catalogues of translations
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
