@@ -72,7 +72,7 @@ def complaints(figure: Any) -> list[str]:
     """Return the unreadable parts of a figure."""
     from matplotlib.colors import to_rgb
 
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     renderer = figure.canvas.get_renderer()
     scale, whole, found = min(COLUMN / figure.get_figwidth(), 1.0), figure.bbox, []
     panels = [panel for panel in figure.axes if panel.axison]
@@ -193,7 +193,7 @@ def test_speed_and_accuracy_can_be_read(figures: list[Any]) -> None:
     (figure,) = figures
     assert complaints(figure) == []
     (panel,) = figure.axes
-    figure.canvas.draw()
+    figure.draw_without_rendering()
     renderer = figure.canvas.get_renderer()
     labels = [text for text in panel.texts if text.get_text() in {point.label for point in points}]
     boxes = [Text.get_window_extent(text, renderer) for text in labels]

@@ -141,7 +141,7 @@ def save(figure: Any, path: Path | None) -> Any:
     """
     if path is None:
         return figure
-    figure.savefig(path, dpi=150, **({"pil_kwargs": {"optimize": True}} if path.suffix == ".png" else {}))
+    figure.savefig(path, dpi=150)
     return path
 
 
