@@ -187,11 +187,12 @@ def test_the_command_over_udp_in_real_time(
     assert max(map(len, lines)) <= 80
 
 
+@pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.study)], ids=["some", "all"])
 def test_the_command_fails_where_a_check_does(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    step: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     without(monkeypatch, F, "_reset", ("self.state == State.ACTIVE or ", ""))
-    keep_checks(monkeypatch, ["session", "operations", "busy", "crc", "hover"])
+    keep_checks(monkeypatch, ["operations", *[*CHECKS][::step]])
     with served(lockstep=True) as server:
         assert main(["conform", f"udp://127.0.0.1:{server.address[1]}", "--no-flight"]) == 1
     failed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  FAIL")]

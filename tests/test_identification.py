@@ -309,9 +309,10 @@ def test_a_wrong_delay_is_seen_and_found() -> None:
         find_delay(*motion[:2], period=period, near=0.006)
 
 
-def test_what_a_drivers_lag_does_is_that_of_a_longer_delay() -> None:
+@pytest.mark.parametrize("duration", [2.5, pytest.param(5.0, marks=pytest.mark.study)])
+def test_what_a_drivers_lag_does_is_that_of_a_longer_delay(duration: float) -> None:
     twin = Twin(1, SLOW, driver_lag=True)
-    motion, lag = shaken(twin, SLOW, 2.5), 1.0 / (2.0 * math.pi * 2000.0)
+    motion, lag = shaken(twin, SLOW, duration), 1.0 / (2.0 * math.pi * 2000.0)
     assert errors(identify(*motion[:2], period=SLOW[0], delay=SLOW[1]), twin).forces > 1e-3
     assert errors(identify(*motion[:2], period=SLOW[0], delay=SLOW[1] + lag), twin).forces < 1e-4
 

@@ -65,14 +65,15 @@ def test_figures(name: str, tmp_path: Path, run_script: Script) -> None:
 
 
 @pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
-def test_render_device_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", [(560, 420), pytest.param((1400, 1050), marks=pytest.mark.study)])
+def test_render_device_runs_in_a_process_of_its_own(size: tuple[int, int], tmp_path: Path) -> None:
     image = pytest.importorskip("matplotlib.image")
     script, target = ROOT / "scripts" / "figures" / "render_device.py", tmp_path / "device.png"
-    command = [sys.executable, str(script), str(target), "560x420"]
+    command = [sys.executable, str(script), str(target), f"{size[0]}x{size[1]}"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0 and "device.png" in done.stdout, done.stderr
     picture = image.imread(target)
-    assert picture.shape[:2] == (420, 560)
+    assert picture.shape[:2] == size[::-1]
     assert picture[..., :3].std() > 0.1  # a device, not an empty sky
 
 

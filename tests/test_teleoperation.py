@@ -149,8 +149,9 @@ def test_sampling_makes_less_than_half_of_what_the_damper_takes(mode: str, rate:
     assert (energies.damper - energies.made).min() > -1e-3 * energies.put_in.max()
 
 
-def test_what_sampling_makes_is_that_of_the_first_order_as_period_and_delay_shrink() -> None:
-    task = replace(at(200, "free"), coupling=Coupling(stiffness=1496.0, damping=25.8), hold=1.0)
+@pytest.mark.parametrize("hold", [1.0, pytest.param(3.0, marks=pytest.mark.study)])
+def test_what_sampling_makes_is_that_of_the_first_order_as_period_and_delay_shrink(hold: float) -> None:
+    task = replace(at(200, "free"), coupling=Coupling(stiffness=1496.0, damping=25.8), hold=hold)
     beyond = []
     for rate in (200, 1000):
         energies = ledger(carry_out(replace(task, period=1.0 / rate, delay=DELAY_SHARE / rate)))
