@@ -147,7 +147,7 @@ def test_it_is_rendered(folder: Path, say: Say) -> None:
     assert (folder / "it.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
-@pytest.mark.xdist_group("screen")
+@pytest.mark.xdist_group("realtime")
 @pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)}")
 def test_keys_change_its_parameters_in_a_window(folder: Path, say: Say) -> None:
     command = [sys.executable, "-m", "maglev_mj", "view", "detents.py", "--stiffness", "9870"]

@@ -20,7 +20,7 @@ from maglev_mj.session import Pacer, Session
 from tests.virtual_screen import MISSING, VirtualScreen, waited
 
 pytestmark = [
-    pytest.mark.xdist_group("screen"),
+    pytest.mark.xdist_group("realtime"),
     pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)} (Debian: xvfb, xdotool)"),
 ]
 

@@ -31,7 +31,7 @@ from maglev_mj.viewer.keys import keys_of
 from maglev_mj.viewer.window import show
 from tests.virtual_screen import MISSING, VirtualScreen
 
-pytestmark = pytest.mark.xdist_group("screen")
+pytestmark = pytest.mark.xdist_group("realtime")
 
 SIZE = 600, 450
 """Size of the screen [px], which software draws."""
