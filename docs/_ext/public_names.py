@@ -18,6 +18,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 from command_pages import as_rst, table, title, write
 from sphinx.application import Sphinx
+from sphinx.pycode import ModuleAnalyzer
 from sphinx.util.inspect import stringify_signature
 
 import maglev_mj
@@ -217,9 +218,15 @@ def _index(given: Mapping[str, Sequence[Name]], homes: Homes) -> Iterator[str]:
 def _summaries(names: Sequence[Name], homes: Homes) -> Iterator[str]:
     rows = []
     for name in names:
-        summary = "" if name.is_data else as_rst(str(getdoc(name.found)).partition("\n")[0])
-        rows.append((_link(name.name, homes[name.key]), summary))
+        rows.append((_link(name.name, homes[name.key]), as_rst(_text(name).partition("\n")[0])))
     yield from table(_COLUMNS, rows, _WIDTHS)
+
+
+def _text(name: Name) -> str:
+    """Return a name's docstring; that of a value follows it."""
+    if name.is_data:
+        return "\n".join(ModuleAnalyzer.for_module(name.module).find_attr_docs().get(("", name.name), []))
+    return str(getdoc(name.found))
 
 
 def _link(name: str, home: tuple[str, str]) -> str:
