@@ -35,6 +35,7 @@ from maglev_mj.viewer.keys import AXIS, CAMERA, KEYS, SCREENSHOT, help_rows, key
 from maglev_mj.viewer.layout import Area
 from maglev_mj.viewer.scenery import GRIP, Scenery
 from maglev_mj.viewer.screen import Screen
+from maglev_mj.viewer.window import _PATIENCE
 from tests.virtual_screen import MISSING, VirtualScreen, waited
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -228,7 +229,7 @@ def test_a_window_closed_while_it_loads_a_model_ends_the_program() -> None:
             screen.xdotool("key", "Return")  # to the next scene; its model is loaded by the frame after the next
             time.sleep(FRAME)
             screen.close(window)
-            said, _ = program.communicate(timeout=PATIENCE)
+            said, _ = program.communicate(timeout=0.9 * _PATIENCE)  # nor is the load waited for
         finally:
             program.kill()
             program.communicate()
