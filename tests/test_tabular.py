@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import find_scene, linearise, run, run_phases, stability, sweep
+from maglev_mj import Range, find_scene, linearise, measure_fidelity, run, run_phases, stability, sweep
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.replay import record_run
 from maglev_mj.scenes.drop import Drop
@@ -16,6 +16,7 @@ from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
+from maglev_mj.studies.fidelity import MARGIN
 from maglev_mj.studies.nonlinear import DropMapParameters, run_drop_map
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.tabular import Table, Tabular
@@ -49,11 +50,12 @@ def results() -> dict[str, Tabular]:
         "stability map": run_stability(StabilityParameters(grid=4, plant="exact")),
         "drop map": run_drop_map(DropMapParameters(grid=4)),
         "design": evaluate_wall(wall, Contact()),
+        "fidelity": measure_fidelity("let-go", over=Range(phases=1)),
     }
 
 
 NAMES = ["result", "trace", "phases", "sweep", "verdict", "linearised", "closed loop", "recording", "samples"]
-NAMES += ["analysed", "stability map", "drop map", "design"]
+NAMES += ["analysed", "stability map", "drop map", "design", "fidelity"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -62,7 +64,7 @@ def test_every_result_has_a_frame_with_units_a_picture_and_a_table(name: str) ->
     frame = found.to_pandas()
     assert len(frame) and list(frame.columns) == list(found.columns()) and set(frame.attrs["units"]) <= set(frame)
     numbers = [column for column in frame if frame[column].dtype == np.float64]
-    known = {"phase", "modulus", "real", "imaginary", "stretch"}
+    known = {"phase", "modulus", "real", "imaginary", "stretch", "keeps"}
     assert {column for column in numbers if not frame.attrs["units"].get(column)} <= known
     assert found.plot()._repr_png_().startswith(b"\x89PNG")
     table, html = found.table(), found._repr_html_()
@@ -90,6 +92,16 @@ def test_the_series_of_a_run_are_those_of_its_trace() -> None:
     assert len(one.plot(picture="drop_phase_plane").axes) == 1
     with pytest.raises(ParameterError, match=r"picture must be one of drop_time, drop_phase_plane, .* not 'x'"):
         one.plot(picture="x")
+
+
+def test_a_choice_of_model_draws_the_distance_of_each_level() -> None:
+    found: Any = results()["fidelity"]
+    missing = 1e6 * found.to_pandas()["missing"].to_numpy()
+    dots, tolerance = lines(found.plot())
+    np.testing.assert_array_equal(dots.get_xdata(), missing[missing > 0.0])
+    assert tolerance.get_xdata()[0] == pytest.approx(1e6 * found.tolerance / MARGIN)
+    table = found.table()
+    assert [row[2] for row in table.rows] == missing.tolist() and found.level.level in table.note
 
 
 def test_a_run_that_turns_has_units_of_rotations() -> None:

@@ -10,15 +10,16 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from maglev_mj.colours import SERIES
+from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.plots.drawing import TITLE, name_curves, new_figure, save
 from maglev_mj.scenes.figures import Figure, unit_along
 from maglev_mj.scenes.run import Phases, Result
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.studies.fidelity import MARGIN, FidelityResult
 from maglev_mj.studies.sweep import Sweep
 
-__all__ = ["Picture", "phases", "pictures_of", "result", "series", "spread", "sweep"]
+__all__ = ["Picture", "fidelity", "phases", "pictures_of", "result", "series", "spread", "sweep"]
 
 Picture: TypeAlias = Callable[[Mapping[str, Result], Mapping[str, Phases], Path | None], Any]
 """Draws results and phases by label; see `series`."""
@@ -103,6 +104,26 @@ def sweep(found: Sweep) -> Any:
         panel.set_axis_off()
     if others:
         name_curves(figure, panels[:1])
+    return figure
+
+
+def fidelity(found: FidelityResult) -> Any:
+    """Draw each level's distance from those above.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    figure, (panel,) = new_figure(1, 1, 4.2)
+    names, missing = found.columns()["level"], 1e6 * found.columns()["missing"]
+    panel.plot(missing[missing > 0.0], names[missing > 0.0], "o", color=SERIES[0], label="missing")
+    allowed = 1e6 * found.tolerance / MARGIN
+    panel.axvline(allowed, color=REFERENCE, linestyle="--", label=f"tolerance by the margin, {allowed:g} µm")
+    panel.set_yticks(range(len(names)), names)
+    panel.set_ylim(len(names) - 0.5, -0.5)
+    panel.set_xscale("log")
+    panel.set_xlabel("distance from the levels above (µm)")
+    panel.set_title(found.preset.name, **TITLE)
+    name_curves(panel)
     return figure
 
 

@@ -6,9 +6,13 @@ The least level and the cheapest step that keep it are measured over many cases.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from maglev_mj.parameters import number
 from maglev_mj.scenes.run import checked_phase, parameters_json
@@ -30,6 +34,7 @@ from maglev_mj.studies.fidelity_levels import (
 )
 from maglev_mj.studies.integrators import boundary_shift
 from maglev_mj.studies.levels import LEVELS, level_index, level_parts, loop_of, step_of
+from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import SampledLoop
 
 __all__ = ["MARGIN", "FidelityResult", "Range", "StepResult", "measure_fidelity", "measure_steps", "stepping_name"]
@@ -96,8 +101,11 @@ class StepResult(NamedTuple):
     missing: float | None = None
 
 
-class FidelityResult(NamedTuple):
+@dataclass(frozen=True)
+class FidelityResult(Tabular):
     """Model level and step needed by a scene.
+
+    A data frame has a row for each level; see `LevelResult`.
 
     Attributes:
         preset: The scene with its tolerance.
@@ -124,6 +132,27 @@ class FidelityResult(NamedTuple):
     level: LevelResult | None
     steps: tuple[StepResult, ...]
     cheapest: StepResult | None
+
+    drawn_by: ClassVar = "maglev_mj.plots.results:fidelity"
+
+    def columns(self) -> Mapping[str, NDArray[Any]]:
+        """Return the figures of each level."""
+        rows = [row._asdict() for row in self.levels]
+        return {name: np.array([row[name] for row in rows]) for name in LevelResult._fields if name != "adds"}
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each column."""
+        return {**dict.fromkeys(("changes", "worst", "missing"), "m"), "force": "N", "cost": "s"}
+
+    def table(self) -> Table:
+        """Return distance, share and cost of each level."""
+        rows = [(row.level, row.adds, 1e6 * row.missing, row.keeps, row.cost) for row in self.levels]
+        chosen = "none keeps it" if self.level is None else f"the least that keeps it: {self.level.level}"
+        if self.cheapest is not None:
+            chosen += f", cheapest as {stepping_name(*self.cheapest[:2])}"
+        head = ("level", "adds", "missing [µm]", "keeps", "cost [s]")
+        return Table(f"{self.preset.name}, tolerance {1e6 * self.tolerance:g} µm", head, rows, chosen)
 
     @property
     def furthest(self) -> float | None:
