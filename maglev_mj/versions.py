@@ -18,6 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 import maglev_mj
+from maglev_mj.lazy import mujoco
 
 __all__ = ["MODELS", "TEXT", "Versions", "differences", "file_of", "hash_of", "versions", "versions_read"]
 
@@ -115,8 +116,6 @@ def _read(path: str) -> str:
 
 @lru_cache(maxsize=1)
 def _versions() -> Versions:
-    import mujoco  # an emergency stop need not wait for the engine
-
     revision, changed = _revision(_ROOT)
     return {
         "maglev_mj": maglev_mj.__version__,

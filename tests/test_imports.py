@@ -73,7 +73,7 @@ FLOORS = {
     "__main__": 11,
 }
 ALLOWED = {
-    "mujoco": {"lazy", "plants", "shapes", "versions", "viewer"},
+    "mujoco": {"lazy", "plants", "shapes", "viewer"},
     "glfw": {"hand_devices", "viewer"},
     "viser": {"web"},
     "trimesh": {"web"},
