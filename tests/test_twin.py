@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -26,9 +26,11 @@ from maglev_mj.cli.twin import _hand
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.tables.sessions import served_table
 from tests.sweeps import sweep
 from tests.test_bridge import CENTRE, REACH, ZERO, Rig, hover
 
+PERIOD = TwinParameters().profile.period  # [ns]
 FROZEN = TwinParameters().profile.limits.frozen
 
 
@@ -337,6 +339,34 @@ def test_a_flood_without_end_keeps_the_twin_from_no_sample(frame: bytes) -> None
     twin = Twin(TwinParameters())
     report = TwinServer(twin, Queue([frame], endless=True)).run(0.5)
     assert report.ticks > 4
+
+
+class Late(Queue):
+    """Silent server whose clock is virtual and wakes late.
+
+    Args:
+        late: Lateness at each sample but the first [ns].
+    """
+
+    def __init__(self, late: Iterable[int]) -> None:
+        super().__init__([])
+        self.now, self._late = 0, iter(late)
+
+    def receive(self, timeout: float) -> None:
+        self.now += round(timeout * 1e9)
+        if timeout and self.now % PERIOD == 0:
+            self.now += next(self._late)
+
+
+def test_lateness_is_measured_and_whole_periods_of_it_stall_the_twin(monkeypatch: pytest.MonkeyPatch) -> None:
+    late = [0, 100_000, 300_000, 2 * PERIOD + 400_000, *[100_000] * 94, PERIOD, 200_000]
+    queue = Late(late[1:])  # the first sample is at once
+    monkeypatch.setattr("time.monotonic_ns", lambda: queue.now)
+    report = TwinServer(Twin(TwinParameters()), queue).run(0.51)
+    latency = report.latency
+    assert (report.ticks, report.missed, latency.count, latency.worst) == (100, 3, 100, max(late))
+    assert [latency.p50, latency.p99] == pytest.approx(np.percentile(late, [50, 99]) * 1e-9)
+    assert "100 µs in the median" in served_table(report, Twin(TwinParameters()))
 
 
 @pytest.mark.parametrize("axis", range(6))
