@@ -6,6 +6,7 @@ import math
 import os
 import random
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -51,7 +52,8 @@ def as_touched(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def unchanged() -> Iterator[None]:
+def unchanged(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(gc, "collect", partial(gc.collect, 0))  # of all that a worker holds it takes long
     gc.unfreeze()  # what the worker has frozen, for a loop thaws all
     before = state()
     yield

@@ -25,6 +25,7 @@ from tests.test_analysis import analysed, recorded
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("pandas")
+pytestmark = pytest.mark.xdist_group("tabular")  # one worker makes the results
 
 STIFF = Drop(stiffness=12000.0)
 

@@ -39,7 +39,10 @@ HTMLCanvasElement.prototype.getContext = function (...kind) {
         if (made && made[draw]) made[draw] = () => {};
     return made;
 };
-"""  # no test looks at the scene's pixels, which software draws in more time than all else takes
+const frame = window.requestAnimationFrame.bind(window);
+window.requestAnimationFrame = (call) => setTimeout(() => frame(call), 80);
+window.cancelAnimationFrame = clearTimeout;
+"""  # no test looks at the scene's pixels, which software draws in more time than all else takes; few frames do
 
 
 class Run:
