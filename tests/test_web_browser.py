@@ -39,10 +39,7 @@ HTMLCanvasElement.prototype.getContext = function (...kind) {
         if (made && made[draw]) made[draw] = () => {};
     return made;
 };
-const frame = window.requestAnimationFrame.bind(window);
-window.requestAnimationFrame = (call) => setTimeout(() => frame(call), 80);
-window.cancelAnimationFrame = clearTimeout;
-"""  # no test looks at the scene's pixels, which software draws in more time than all else takes; few frames do
+"""  # no test looks at the scene's pixels, which software draws in more time than all else takes
 
 
 class Run:
