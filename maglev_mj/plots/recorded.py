@@ -230,7 +230,7 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
     As far as there is room beside one another.
     """
     found = [(contact, face) for face in run.figures.faces if face.axis == axis for contact in face.contacts]
-    found.sort(key=lambda one: -one[0].penetration)
+    found.sort(key=lambda one: -round(one[0].penetration, 9))
     room = _APART * (run.figures.end - run.figures.start)
     marked: list[float] = []
     for contact, face in found:

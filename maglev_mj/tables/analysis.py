@@ -106,7 +106,8 @@ def _contacts(faces: Sequence[FaceFigures], *, turning: bool) -> list[str]:
         _cells("contact", ("at", "for", "approach", "depth", "peak"), _CONTACT),
         _cells("", ("s", "ms", f"{small}/s", small, force), _CONTACT),
     ]
-    found = sorted(((one.start, face.name, one) for face in faces for one in face.contacts), key=lambda row: row[:2])
+    rows = ((one.start, face.name, one) for face in faces for one in face.contacts)
+    found = sorted(rows, key=lambda row: (round(row[0], 7), row[1]))  # rounding does not order those at the same time
     for start, name, one in found[:_CONTACTS_SHOWN]:
         figures = (one.duration, one.approach_speed, one.penetration)
         texts = [f"{start:.4f}", *(cell(figure, 1e3) for figure in figures), cell(one.peak_force, 1.0)]

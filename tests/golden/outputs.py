@@ -10,17 +10,13 @@ import gzip
 import hashlib
 import io
 import json
-import math
-import os
 import random
 import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import chdir, redirect_stderr, redirect_stdout
-from functools import cache
 from importlib.metadata import entry_points
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -28,21 +24,14 @@ import numpy as np
 
 HERE = Path(__file__).resolve().parent
 KEYS = "keys"
-ARITHMETIC = "arithmetic"
 _RELATIVE, _ABSOLUTE = 1e-9, 1e-12
-"""Tolerances on another machine; the absolute one in SI units."""
+"""Tolerances of numbers; the absolute one in SI units."""
 
 _ILL_CONDITIONED = {"stability", "sweep", "design", KEYS}
 _RELATIVE_THERE = 1e-4
 """Tolerances of ill-conditioned values.
 
 The position of an optimum and the boundary beside it, growth measured on 1 µm, and 400 runs in a row.
-"""
-
-_DECIDED_BY_ROUNDING = {"analyse", "replay"}
-"""Cases with results that depend on rounding.
-
-Their text and the status of a check show bitwise equality.
 """
 
 _CHANGING = {"versions", "version", "other_versions", "began", "cost"}
@@ -57,6 +46,9 @@ _ROUNDING_NOISE = {"comparison", "growing", "digest", "identified"}
 
 Differences between equal runs, growing walls at the limit, digests, errors of fits.
 """
+
+_EQUALITY = re.compile(r"  \d+ of \d+ the same|    ")
+"""Lines of a check that depend on the last bit: fields that are the same, and those that are not."""
 
 _PROGRESS = re.compile(r"(\S+ ?\S*: \d+ of \d+.*)?")
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
@@ -80,27 +72,36 @@ def outcome(line: str) -> dict[str, Any]:
 
     Status, output and files.
 
-    An argument @FILE is a file of recordings/, copied there.
+    An argument @FILE is a file of recordings/, copied there. Of commands joined by && the last one's outcome is returned.
     """
     (command,) = entry_points(group="console_scripts", name="maglev-mj")
-    out, err = io.StringIO(), io.StringIO()
-    with tempfile.TemporaryDirectory() as folder, chdir(folder), redirect_stdout(out), redirect_stderr(err):
-        words, given = [], set()
-        for word in line.split():
-            if word.startswith("@"):
-                source = HERE / "recordings" / word[1:]
-                word = source.name
-                shutil.copy(source if source.exists() else HERE / word, word)
-                given.add(word)
-            words.append(word)
-        try:
-            status = command.load()(words)
-        except SystemExit as stop:
-            status = stop.code
+    main, (*before, last) = command.load(), line.split(" && ")
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        for other in before:
+            with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+                assert main(other.split()) == 0
+        words = [_copied(word[1:]) if word.startswith("@") else word for word in last.split()]
+        given, out, err = {path.name for path in Path().iterdir()}, io.StringIO(), io.StringIO()
+        with redirect_stdout(out), redirect_stderr(err):
+            try:
+                status = main(words)
+            except SystemExit as stop:
+                status = stop.code
         files = {path.name: content(path) for path in sorted(Path().iterdir()) if path.name not in given}
-    said = [] if words[0] == "fidelity" else out.getvalue().splitlines()  # a table of measured costs
+    said = out.getvalue().splitlines()
+    if words[0] == "fidelity":
+        said = [one.replace(" > ", "   ") for one in said if not one.startswith("  take ")]
+    if words[0] == "replay" and status in (0, 1) and not before:  # a recording of another machine
+        status, said = "0 or 1", [one for one in said if not _EQUALITY.match(one)]
     failed = [part for part in re.split(r"[\r\n]+", err.getvalue()) if not _PROGRESS.fullmatch(part)]
     return {"status": status, "stdout": said, "stderr": failed, "files": files}
+
+
+def _copied(name: str) -> str:
+    """Copy a file of recordings/, or of this folder, to the current one; return its name."""
+    source = HERE / "recordings" / name
+    shutil.copy(source if source.exists() else HERE / name, source.name)
+    return source.name
 
 
 def content(path: Path) -> Any:
@@ -195,64 +196,31 @@ def as_kept(found: Any) -> Any:
     return json.loads(json.dumps(found))
 
 
-def arithmetic() -> str:
-    """Return a digest of this machine's arithmetic.
-
-    Of libm, BLAS and numpy on some numbers.
-    """
-    values = np.random.default_rng(0).uniform(-2.0, 2.0, (60, 6, 6))
-    waves = [wave(one) for one in values.ravel().tolist() for wave in (math.sin, math.cos, math.exp, math.atan)]
-    arrays = [values @ values, np.linalg.eigvals(values), np.linalg.inv(values), np.exp(values), np.sin(values)]
-    products = [one.ravel() @ other.ravel() for one, other in pairwise(values)]
-    return hashlib.sha256(repr((waves, products, *(array.tolist() for array in arrays))).encode()).hexdigest()
-
-
-@cache
-def is_exact() -> bool:
-    """Return True if numbers are compared bitwise.
-
-    With MAGLEV_GOLDEN=exact, or on a machine like that of the files.
-    """
-    asked = os.environ.get("MAGLEV_GOLDEN", "")
-    assert asked in ("", "exact", "near"), f"MAGLEV_GOLDEN must be exact or near, not {asked!r}"
-    return asked == "exact" or (not asked and kept(ARITHMETIC)["digest"] == arithmetic())
-
-
-def differences(group: str, old: Any, new: Any, *, exact: bool) -> list[str]:
+def differences(group: str, old: Any, new: Any) -> list[str]:
     """Return the differences between two outcomes, one per line.
 
-    Args:
-        group: Group of the case, on which the bounds depend.
-        old: What is kept.
-        new: What is said now.
-        exact: Compare numbers to the last bit; otherwise within the bounds, and tables by their words.
+    Numbers are equal within the bounds of their group, and texts with their numbers left out.
     """
-    before, now = dict(_leaves(old)), dict(_leaves(new))
-    if not exact:
-        before, now = ({name: one for name, one in leaves.items() if _lasts(group, name)} for leaves in (before, now))
+    before, now = ({name: one for name, one in _leaves(said) if _lasts(group, name)} for said in (old, new))
     lines = [f"{name} is gone" for name in before if name not in now]
     lines += [f"{name} is new" for name in now if name not in before]
-    relative = 0.0 if exact else _RELATIVE_THERE if group in _ILL_CONDITIONED else _RELATIVE
-    for name, value in before.items():
-        if name in now and not _same(value, now[name], relative):
-            lines.append(f"{name}: {value!r} -> {now[name]!r}")
-    return lines
+    relative = _RELATIVE_THERE if group in _ILL_CONDITIONED else _RELATIVE
+    both = ((name, before[name], now[name]) for name in before if name in now)
+    return lines + [f"{name}: {one!r} -> {other!r}" for name, one, other in both if not _same(one, other, relative)]
 
 
 def _lasts(group: str, name: str) -> bool:
-    """Return True if a value is machine-independent within the bounds."""
+    """Return True if a value does not depend on rounding."""
     parts = name.split(".")
-    decided = group in _DECIDED_BY_ROUNDING and parts[0] in ("stdout", *(["status"] if group == "replay" else []))
-    return not (decided or _ROUNDING_NOISE & set(parts))
+    return not _ROUNDING_NOISE & set(parts)
 
 
 def _same(old: Any, new: Any, relative: float) -> bool:
-    if repr(old) == repr(new) or not relative or type(old) is not type(new):
-        return repr(old) == repr(new)
-    if isinstance(old, float):
-        return bool(abs(new - old) <= max(relative * abs(old), _ABSOLUTE))
-    # of a table: the files hold the numbers
-    return isinstance(old, str) and _NUMBER.sub("#", old).split() == _NUMBER.sub("#", new).split()
+    if isinstance(old, float) and isinstance(new, float):
+        return bool(abs(new - old) <= max(relative * abs(old), _ABSOLUTE)) or repr(old) == repr(new)
+    if isinstance(old, str) and isinstance(new, str):  # of a table: the files hold the numbers
+        return _NUMBER.sub("#", old).split() == _NUMBER.sub("#", new).split()
+    return repr(old) == repr(new)
 
 
 def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
