@@ -72,7 +72,7 @@ def outcome(line: str) -> dict[str, Any]:
 
     Status, output and files.
 
-    An argument @FILE is a file of recordings/, copied there. Of commands joined by && the last one's outcome is returned.
+    An argument @FILE is a file of recordings/, copied there. Of commands joined by && the last one's is returned.
     """
     (command,) = entry_points(group="console_scripts", name="maglev-mj")
     main, (*before, last) = command.load(), line.split(" && ")
