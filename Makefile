@@ -10,7 +10,7 @@ BEFORE := 65016d1# revision that benchmarks compare with
 
 SCENES := joystick drop press table box corner
 
-.PHONY: demo test studies bench pictures check lint types wheel firmware docs linkcheck clean
+.PHONY: demo test kernels studies bench pictures check lint types wheel firmware docs linkcheck clean
 
 demo: $(CHARTS)  ## drop the flotor: a summary here, pictures in figures/
 	@echo 'A flotor falls on a wall at 100 phases of the sampler, with and without pulse:'
@@ -25,6 +25,20 @@ demo: $(CHARTS)  ## drop the flotor: a summary here, pictures in figures/
 # tests start programs over and over, which compile the package each time where byte code is not kept
 test: $(READY)  ## run all tests, one worker more than there are cores
 	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n auto --dist loadgroup
+
+# numbers must not hang on the processor: OpenBLAS takes the kernel that it is told
+KERNELS := Prescott Nehalem Sandybridge Haswell SkylakeX
+NUMERIC := $(addprefix tests/test_,$(addsuffix .py,golden boundary stability stability_check bounds design linearise growth \
+  nonlinear_walls identification analysis analysis_identification))
+PROBE := import numpy; many = numpy.random.default_rng(0).random((200, 200)); print(numpy.linalg.eigvals(many @ many).size)
+kernels: $(READY)  ## run the numeric tests once under each kernel of OpenBLAS that this processor can run
+	@failed=; for kernel in $(KERNELS); do \
+	  export OPENBLAS_CORETYPE=$$kernel; \
+	  case "$$(OPENBLAS_VERBOSE=2 $(BIN)/python -c '$(PROBE)' 2>&1 || echo died)" in \
+	    *died*|*"not found"*) echo "$$kernel: left out, this processor cannot run it"; continue;; esac; \
+	  echo "$$kernel:"; \
+	  $(BIN)/python -m pytest -n auto --dist loadgroup $(NUMERIC) || failed="$$failed $$kernel"; \
+	done; [ -z "$$failed" ] || { echo "other numbers under$$failed"; exit 1; }
 
 studies: $(READY)  ## run the sweeps behind the published figures in full: minutes to an hour
 	$(BIN)/python -m pytest -n auto --dist loadgroup -m study
