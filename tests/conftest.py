@@ -1,14 +1,161 @@
-"""Settings of every worker of the tests."""
+"""Settings of every worker of the tests, and what some tests need beside the packages of `make test`."""
 
 from __future__ import annotations
 
 import gc
+import importlib.util
 import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from ctypes.util import find_library
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: more threads only wait, on cores that others need
 os.environ["LANGUAGE"] = "C"  # else each option of a command line is looked for in catalogues of translations
+
+COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+
+
+BROWSERS = "chromium", "chromium-browser", "google-chrome"
+
+
+class Need(NamedTuple):
+    """A need of tests: its name for people, how to ask for it, and the Debian packages that bring it."""
+
+    name: str
+    there: Callable[[], bool]
+    packages: str = ""
+
+
+def _has_sanitizers() -> bool:
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder, "empty.c")
+        source.write_text("int main(void) { return 0; }\n")
+        command = [str(COMPILER), "-fsanitize=address,undefined", str(source), "-o", str(source.with_suffix(""))]
+        return COMPILER is not None and subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+def _has_header(name: str) -> bool:
+    return any(Path(folder, name).is_file() for folder in ("/usr/include", "/usr/local/include"))
+
+
+NEEDS = {
+    "drawing": Need("drawing off screen", lambda: find_library("OSMesa") is not None, "libosmesa6"),
+    "screen": Need("a virtual screen", lambda: bool(shutil.which("Xvfb") and find_library("GL")), "xvfb libgl1"),
+    "xdotool": Need("xdotool", lambda: shutil.which("xdotool") is not None, "xdotool"),
+    "browser": Need(
+        "Chromium", lambda: any(map(shutil.which, BROWSERS)), "chromium"
+    ),
+    "compiler": Need("a C compiler", lambda: COMPILER is not None, "gcc libc6-dev"),
+    "sanitizers": Need("a C compiler's sanitizers", _has_sanitizers, "gcc libc6-dev"),
+    "cross": Need("a compiler for boards", lambda: bool(shutil.which("arm-none-eabi-gcc")), "gcc-arm-none-eabi"),
+    "spnav": Need("libspnav", lambda: _has_header("spnav.h"), "libspnav-dev"),
+    "linux": Need("Linux", lambda: sys.platform == "linux"),
+    "workers": Need("tests on several workers", lambda: "PYTEST_XDIST_WORKER" in os.environ),
+}
+PEERS = {"bdsim", "control", "drake", "mujoco", "pinocchio", "pybullet", "rerun", "scipy"}
+"""Others' programs, which `make test` does not install."""
+
+
+@cache
+def _lacks(need: str) -> str:
+    """Return the reason to skip a test with a need, empty for none."""
+    if need in PEERS:
+        module = {"drake": "pydrake"}.get(need, need)
+        return "" if importlib.util.find_spec(module) else f"peer {need} is not installed"
+    return "" if NEEDS[need].there() else f"needs {NEEDS[need].name}"
+
+
+_LINES = pytest.StashKey[Path]()
+"""File through which the first worker tells what is missing; another's is read by nobody."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the gate's option."""
+    parser.addoption("--nothing-missing", action="store_true", help="fail if any test but those of peers is skipped")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the marker, and a file through which workers tell."""
+    config.addinivalue_line("markers", f"needs(name): skipped without it, of {', '.join([*NEEDS, *sorted(PEERS)])}")
+    config.stash[_LINES] = Path(getattr(config, "workerinput", {}).get("lines") or tempfile.mkstemp()[1])
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node: Any) -> None:
+    """Hand the first worker the file."""
+    if node.gateway.id == "gw0":
+        node.workerinput["lines"] = str(node.config.stash[_LINES])
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip tests that lack a need."""
+    for item in items:
+        if lacking := sorted(filter(None, map(_lacks, _needs(item)))):
+            item.add_marker(pytest.mark.skip(reason="; ".join(lacking)))
+
+
+def _needs(item: pytest.Item) -> set[str]:
+    return {name for mark in item.iter_markers("needs") for name in mark.args}
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Say what is missing, and exclude tests and modules from garbage collection."""
+    lacked = {name for item in session.items for name in _needs(item) - PEERS if _lacks(name)}
+    if lacked:
+        count = sum(bool(_needs(item) & lacked) for item in session.items)
+        packages = " ".join(dict.fromkeys(" ".join(NEEDS[name].packages for name in NEEDS if name in lacked).split()))
+        names = ", ".join(NEEDS[name].name for name in NEEDS if name in lacked)
+        session.config.stash[_LINES].write_text(
+            f"missing here: {names}; {count} tests are left out\nto run them too: apt install {packages}\n"
+        )
+    if not hasattr(session.config, "workerinput"):
+        _say(session.config)
+    gc.freeze()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_node_collection_finished(node: Any) -> None:
+    """Say what is missing before the first test."""
+    if node.gateway.id == "gw0":
+        _say(node.config)
+
+
+def _say(config: pytest.Config) -> None:
+    file, reporter = config.stash[_LINES], config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is not None and file.exists():
+        for line in file.read_text().splitlines():
+            reporter.write_line(line)
+        file.unlink()
+
+
+def _skipped(config: pytest.Config) -> Counter[str]:
+    """Return how many tests were skipped, by reason."""
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    reports = [] if reporter is None else reporter.stats.get("skipped", [])
+    return Counter(str(report.longrepr[2]).removeprefix("Skipped: ") for report in reports)
+
+
+def pytest_terminal_summary(config: pytest.Config) -> None:
+    """Name the skipped tests by reason."""
+    for reason, count in _skipped(config).most_common():
+        config.pluginmanager.get_plugin("terminalreporter").write_line(f"{count:4} skipped: {reason}")
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fail if more than peers was skipped, where that is asked."""
+    missed = [reason for reason in _skipped(session.config) if not reason.startswith("peer ")]
+    if missed and session.config.getoption("--nothing-missing") and not hasattr(session.config, "workerinput"):
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
@@ -28,8 +175,3 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
     if nextitem is None or item.path != nextitem.path:
         gc.collect()
         gc.freeze()
-
-
-def pytest_collection_finish(session: pytest.Session) -> None:
-    """Exclude tests and modules from garbage collection."""
-    gc.freeze()

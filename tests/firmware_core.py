@@ -20,13 +20,12 @@ import pytest
 
 from maglev_mj.bridge.firmware import Amplifiers, Firmware, Profile, Reading
 from maglev_mj.bridge.wire import Codec, Fault, State
+from tests.conftest import COMPILER
 
 FOLDER = Path(__file__).resolve().parent.parent / "scripts" / "firmware"
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 TRAPPED = ["-O1", "-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
-NEEDS_COMPILER = "the firmware in C needs a compiler (Debian: gcc libc6-dev)"
 
 _LARGEST, _REASONS, _NO_FRAME = 256, 12, 7
 _Six = c_double * 6
@@ -83,17 +82,15 @@ class _Device(ctypes.Structure):
 
 @cache
 def library() -> ctypes.CDLL:
-    """Return the compiled firmware; skip without a compiler.
+    """Return the compiled firmware.
 
     It stops at undefined behaviour.
     """
-    if COMPILER is None:
-        pytest.skip(NEEDS_COMPILER)
     folder = Path(tempfile.mkdtemp())
     size = folder / "size.c"
     size.write_text('#include "maglev_firmware.h"\nconst size_t maglev_size = sizeof(struct maglev_device);\n')
     source, target = FOLDER / "maglev_firmware.c", folder / "maglev_firmware.so"
-    command = [COMPILER, *STRICT, *TRAPPED, f"-I{FOLDER}", str(source), str(size)]
+    command = [str(COMPILER), *STRICT, *TRAPPED, f"-I{FOLDER}", str(source), str(size)]
     command += ["-shared", "-fPIC", "-o", str(target)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     if done.returncode:
@@ -237,4 +234,5 @@ class CoreFirmware:
         self._told.append(lambda: self._amplifiers.drive(now, currents, pulse, width))
 
 
+FIRMWARES = ["python", pytest.param("c", marks=pytest.mark.needs("compiler"))]
 FIRMWARE: dict[str, Callable[..., Any]] = {"python": Firmware, "c": CoreFirmware}

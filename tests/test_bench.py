@@ -118,7 +118,6 @@ def test_devices_are_dear_again_beyond_the_cheapest() -> None:
 
 
 def test_pictures_are_drawn_from_the_figures_and_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("matplotlib")
     from matplotlib.figure import Figure
 
     drawn: list[Any] = []

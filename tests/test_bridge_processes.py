@@ -131,7 +131,7 @@ DROP = Drop(), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)
 STICK_SLIP = Table(), (0.001, 0.0, 0.0, 0.0, 0.01, 0.0)
 
 
-@pytest.mark.skipif("PYTEST_XDIST_WORKER" not in os.environ, reason="there is one worker")
+@pytest.mark.needs("workers")
 def test_tests_in_real_time_take_turns(request: pytest.FixtureRequest) -> None:
     assert request.node.nodeid.endswith("@realtime")  # by which one worker gets them all
 
@@ -250,7 +250,6 @@ def test_a_host_needs_the_devices_key(tmp_path: Path) -> None:
 
 
 def test_a_flight_over_a_serial_line(tmp_path: Path) -> None:
-    pytest.importorskip("serial")
     with started(*COMMAND, "twin", "--listen", "pty", "--watchdog", "1") as (device, address):
         status, said = said_by("bridge", address, "--seconds", "1")
         assert status == 0 and re.search(r"20\d samples, 0 lost", said), said

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.text import Text
 
 from maglev_mj import plots
 from maglev_mj.bridge.fault import load_black_box
@@ -19,9 +20,6 @@ from tests.test_analysis import analysed, recorded
 from tests.test_black_box import flown
 from tests.test_colours import PAPER, contrast
 from work_precision import WorkPoint, work_precision
-
-pytest.importorskip("matplotlib")
-from matplotlib.text import Text
 
 COLUMN = 830 / 96
 """Width of a page's column [inch]."""

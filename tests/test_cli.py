@@ -71,7 +71,6 @@ def test_drop_json_on_standard_output_is_nothing_but_json(capsys: pytest.Capture
 
 
 def test_drop_writes_json_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("matplotlib")
     arguments = ["drop", "--json", str(tmp_path / "drop.json"), "--out", str(tmp_path / "new" / "folder")]
     assert cli.main(arguments) == 0
     assert json.loads((tmp_path / "drop.json").read_text())["summary"]["penetration"] > 0.0
@@ -181,7 +180,6 @@ def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.C
 def test_stick_slip_prints_one_screen_and_writes_json_and_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("matplotlib")
     target = tmp_path / "run.json"
     assert cli.main(["stick-slip", "--json", str(target), "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
@@ -260,7 +258,6 @@ def test_a_diverging_stick_slip_keeps_its_record(tmp_path: Path, capsys: pytest.
 def test_press_prints_one_screen_and_writes_json_and_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("matplotlib")
     target, folder = tmp_path / "press.json", tmp_path / "new" / "folder"
     arguments = ["press", "--plant", "exact", "--phases", "3", "--json", str(target), "--out", str(folder)]
     assert cli.main(arguments) == 0

@@ -107,9 +107,8 @@ def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
     assert done.stderr.splitlines() == [f"141 {line}" for line in lines]
 
 
+@pytest.mark.needs("linux")
 def test_a_full_disk_is_one_line() -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("no /dev/full on this system")
     for unbuffered in ("", "1"):
         with open("/dev/full", "w") as full:
             env = {**os.environ, "PYTHONUNBUFFERED": unbuffered}

@@ -200,7 +200,6 @@ def test_the_command_fails_where_a_check_does(
 
 
 def test_a_serial_line_skips_what_needs_two_peers() -> None:
-    pytest.importorskip("serial")
     with served(PtyServer, lockstep=True) as server:
         link = SerialLink(server.address[0], 921_600)
         results = conform([link], only=["busy", "operations", "hover", "address", "estop-elsewhere"])

@@ -21,7 +21,6 @@ from maglev_mj.studies.sweep import run_scene_cells, swept_cells
 from maglev_mj.versions import versions
 from maglev_mj.workers import WorkersError, dask_workers
 
-pytest.importorskip("distributed")
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -11,7 +11,6 @@ import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
-from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
@@ -145,7 +144,7 @@ def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytes
         assert "'scene': 'joystick', 'state': 'running'" in lines[-1]
 
 
-@pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
+@pytest.mark.needs("drawing")
 def test_the_scene_of_ones_own_is_made_as_the_page_says(tmp_path: Path) -> None:
     write_files("docs/reference/viewer.md", tmp_path)
     command = [sys.executable, "-m", "maglev_mj", "render", "shaft.py", "--out", "shaft.png", "--width", "0.003"]

@@ -12,8 +12,6 @@ from maglev_mj import plots
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import Result, run, run_phases
 
-pytest.importorskip("matplotlib")
-
 DROP, PHASE = Drop(), 0.56
 ANALOG = "analog wall, 10 kHz filter"
 

@@ -108,7 +108,6 @@ def test_phases_are_those_of_the_drop(run_example: RunExample) -> None:
 
 
 def test_control_export_agrees_with_verdict_and_simulation(run_example: RunExample) -> None:
-    pytest.importorskip("control")
     (exported,), (own,), (deflection,), (simulated,), _ = run_example("control_export")
     assert exported == own and 0.9 < own < 1.0
     assert deflection == simulated
@@ -117,7 +116,8 @@ def test_control_export_agrees_with_verdict_and_simulation(run_example: RunExamp
 def test_gym_environment_passes_its_check_and_is_learnable(
     run_example: RunExample, recwarn: pytest.WarningsRecorder
 ) -> None:
-    gymnasium = pytest.importorskip("gymnasium")
+    import gymnasium
+
     random, controlled = run_example("gym_environment")
     assert not recwarn.list
     assert random[0] < 0.5 * controlled[0] and controlled[0] > 0.95 * controlled[1] and abs(controlled[2]) < 0.1
@@ -134,7 +134,8 @@ def test_gym_environment_passes_its_check_and_is_learnable(
 def test_own_study_brings_its_module_to_workers_that_lack_it(
     run_example: RunExample, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    distributed = pytest.importorskip("distributed")
+    import distributed
+
     importlib.import_module("own_law")
     monkeypatch.setattr(sys, "path", [entry for entry in sys.path if Path(entry or ".").resolve() != EXAMPLES])
     with distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
@@ -153,8 +154,6 @@ def test_own_study_brings_its_module_to_workers_that_lack_it(
 def test_the_picture_of_the_gallery_is_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("matplotlib")
-    pytest.importorskip("gymnasium")
     monkeypatch.setattr(sys, "argv", ["gallery.py", "--out", str(tmp_path)])
     runpy.run_path(str(EXAMPLES / "gallery.py"), run_name="__main__")
     assert "gallery.png" in capsys.readouterr().out and (tmp_path / "gallery.png").stat().st_size > 50_000

@@ -32,7 +32,7 @@ from maglev_mj.bridge.wire import (
     State,
     StateReport,
 )
-from tests.firmware_core import FIRMWARE
+from tests.firmware_core import FIRMWARE, FIRMWARES
 from tests.test_wire import KEY, sealed, tables
 
 PERIOD, DELAY = 5_000_000, 1_500_000
@@ -190,7 +190,7 @@ class Bench:
         assert len(self.drives) == driven
 
 
-@pytest.fixture(autouse=True, params=FIRMWARE)
+@pytest.fixture(autouse=True, params=FIRMWARES)
 def _firmware(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Put each firmware on the bench in turn."""
     monkeypatch.setattr(Bench, "make", staticmethod(FIRMWARE[request.param]), raising=False)

@@ -9,7 +9,6 @@ import ctypes
 import math
 import random
 import re
-import shutil
 import subprocess
 from collections import Counter
 from collections.abc import Sequence
@@ -26,7 +25,8 @@ from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State
 from maglev_mj.net.serial import cobs_decode, cobs_encode
-from tests.firmware_core import COMPILER, FOLDER, NEEDS_COMPILER, SANITIZED, STRICT, CoreFirmware, library
+from tests.conftest import COMPILER
+from tests.firmware_core import FOLDER, SANITIZED, STRICT, CoreFirmware, library
 from tests.test_wire import sealed
 
 PERIOD = 5_000_000
@@ -37,10 +37,8 @@ ZERO = (0.0,) * 6
 HOVER = (1.1, 1.1, 1.1, 0.0, 0.0, 0.0)
 ODD = (math.nan, math.inf, -math.inf, 10.1, -10.1, 1e300, 5e-324)
 BY_DEVICE = Fault(sum(Fault)) & ~(Fault.BOUNDARY | Fault.CLOCK | Fault.NOT_FOLLOWING)
-CROSS = shutil.which("arm-none-eabi-gcc")
-NEEDS_CROSS = "no arm-none-eabi-gcc (Debian: gcc-arm-none-eabi)"
 
-pytestmark = pytest.mark.skipif(COMPILER is None, reason=NEEDS_COMPILER)
+pytestmark = pytest.mark.needs("compiler")
 
 
 class Amplifiers:
@@ -308,12 +306,12 @@ def test_bytes_of_a_line_that_are_no_frame_are_skipped() -> None:
         assert not any(lengths[:-1]) and line.raw[: lengths[-1]] == decoded
 
 
+@pytest.mark.needs("sanitizers")
 @pytest.mark.parametrize("count", [5000, pytest.param(50_000, marks=pytest.mark.study)])
 def test_mutated_frames_do_no_harm(count: int, tmp_path: Path) -> None:
     program, sources = tmp_path / "fuzz", [str(FOLDER / name) for name in ("fuzz_firmware.c", "maglev_firmware.c")]
     command = [str(COMPILER), *STRICT, *SANITIZED, *sources, "-o", str(program)]
-    if subprocess.run(command, capture_output=True, check=False, timeout=120).returncode:
-        pytest.skip("the compiler has no sanitizers")
+    subprocess.run(command, capture_output=True, check=True, timeout=120)
     done = subprocess.run([program, str(count)], capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
     counts = dict(re.findall(r"(\w+) (\d+)", done.stdout.splitlines()[1]))
@@ -322,7 +320,7 @@ def test_mutated_frames_do_no_harm(count: int, tmp_path: Path) -> None:
     assert frames == 2 * count and flights > count // 100 and driven > count // 10 and stopped > count * 3 // 500
 
 
-@pytest.mark.skipif(CROSS is None, reason=NEEDS_CROSS)
+@pytest.mark.needs("cross")
 def test_it_compiles_for_a_cortex_m4_and_asks_for_no_library() -> None:
     make = subprocess.run(["make", "firmware"], cwd=FOLDER.parent.parent, capture_output=True, text=True, check=False)
     assert make.returncode == 0, make.stderr

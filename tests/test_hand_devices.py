@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import os
-import shutil
 import socket
 import struct
 import subprocess
@@ -37,7 +36,8 @@ from maglev_mj.spacenav import AxisMapping, SpacenavServer, place, searched_path
 from maglev_mj.spacenav.protocol import button_event, motion_event
 from maglev_mj.spec import RANGE
 from maglev_mj.viewer import window
-from tests.virtual_screen import MISSING, VirtualScreen
+from tests.conftest import COMPILER
+from tests.virtual_screen import VirtualScreen
 
 REST = Reading((0.0,) * 6)
 PERIOD = 0.005
@@ -326,8 +326,6 @@ def test_each_control_of_a_gamepad_moves_its_axis(control: int, axis: str, share
     assert shares == pytest.approx(one(AXES.index(axis), share))
 
 
-COMPILER = shutil.which("cc")
-LACKS = [*MISSING, *([] if COMPILER else ["a C compiler"])]
 KEY, ABSOLUTE = 1, 3
 BUTTON_A, BUTTON_B, LEFT_BUMPER = 0x130, 0x131, 0x136
 
@@ -354,8 +352,6 @@ class Pads:
 
 @pytest.fixture
 def pads(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pads]:
-    if LACKS:
-        pytest.skip(f"a made-up gamepad needs {', '.join(LACKS)}")
     library, folder = tmp_path / "fake_gamepad.so", tmp_path / "input"
     folder.mkdir()
     source = Path(__file__).with_name("fake_gamepad.c")
@@ -371,6 +367,7 @@ def pads(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
             os.close(line)
 
 
+@pytest.mark.needs("screen", "compiler")
 @pytest.mark.xdist_group("screen")
 def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
     # GLFW itself, with its own table of gamepads, beside a folder of made-up devices.
@@ -395,6 +392,7 @@ def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
     assert pad.read() == Reading(None)
 
 
+@pytest.mark.needs("screen", "compiler")
 @pytest.mark.xdist_group("screen")
 def test_another_joystick_does_not_take_the_place_of_the_first(pads: Pads) -> None:
     # Not even where the first one that there was is the hand.
@@ -408,6 +406,7 @@ def test_another_joystick_does_not_take_the_place_of_the_first(pads: Pads) -> No
         assert waited(lambda: (now := pad.read()).shares != held and now) == Reading(None)
 
 
+@pytest.mark.needs("screen", "compiler")
 @pytest.mark.xdist_group("screen")
 def test_an_unknown_joystick_has_its_axes_in_order_from_where_they_rest(pads: Pads) -> None:
     pads.plug("event1")

@@ -719,7 +719,7 @@ def test_pages_of_other_sites_are_refused_and_the_app_is_served(live: LiveServer
 
 
 @realtime
-@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads /proc")
+@pytest.mark.needs("linux")
 def test_the_server_behind_the_guard_is_nowhere_that_a_page_could_find(live: LiveServer) -> None:
     process = Path(f"/proc/{live._process._process.pid}/fd")
     sockets = {os.readlink(one)[8:-1] for one in process.iterdir() if "socket:" in os.readlink(one)}

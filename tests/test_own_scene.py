@@ -35,7 +35,7 @@ from maglev_mj.versions import hash_of
 from maglev_mj.viewer.plots import Plots
 from tests.test_dask_workers import Cluster, cluster
 from tests.test_viewer import Watched
-from tests.virtual_screen import MISSING, VirtualScreen
+from tests.virtual_screen import VirtualScreen
 
 __all__ = ["cluster"]
 
@@ -139,6 +139,7 @@ def test_its_model_levels_are_compared(folder: Path, say: Say, monkeypatch: pyte
     assert "detents" in said and json.loads((folder / "all.json").read_text())
 
 
+@pytest.mark.needs("drawing")
 def test_it_is_rendered(folder: Path, say: Say) -> None:
     environment = {**os.environ, "MUJOCO_GL": "osmesa"}
     command = [sys.executable, "-m", "maglev_mj", "render", "detents.py", "--stiffness", "3000"]
@@ -149,7 +150,7 @@ def test_it_is_rendered(folder: Path, say: Say) -> None:
 
 
 @pytest.mark.xdist_group("realtime")
-@pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)}")
+@pytest.mark.needs("screen", "xdotool")
 def test_keys_change_its_parameters_in_a_window(folder: Path, say: Say) -> None:
     command = [sys.executable, "-m", "maglev_mj", "view", "detents.py", "--stiffness", "9870"]
     command += ["--foxglove", "0", "--record", "seen.npz"]

@@ -112,7 +112,8 @@ def test_two_processes_run_a_scene_whose_file_is_gone(file: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_runs_a_scene_whose_file_it_never_had(file: Path) -> None:
-    distributed = pytest.importorskip("distributed")
+    import distributed
+
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
         run_without_the_file(file, dask_workers(cluster.scheduler_address))
 

@@ -71,7 +71,9 @@ def test_the_law_that_the_peers_share_is_the_controller_s() -> None:
         np.testing.assert_allclose(pulse or force, pulsed, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("peer", EXACT)
+@pytest.mark.parametrize(
+    "peer", [pytest.param(one, marks=[pytest.mark.needs(one)] * (one != "mujoco")) for one in EXACT]
+)
 @pytest.mark.filterwarnings("default")
 def test_a_peer_that_is_said_to_be_exact_is(peer: str, capfd: pytest.CaptureFixture[str]) -> None:
     variants, missing = available([peer])
@@ -89,8 +91,8 @@ def test_a_peer_that_is_said_to_be_exact_is(peer: str, capfd: pytest.CaptureFixt
         available(["gazebo"])
 
 
+@pytest.mark.needs("pinocchio")
 def test_pinocchio_takes_torques_in_the_axes_of_the_body() -> None:
-    pytest.importorskip("pinocchio")
     from peers.pinocchio_peer import _in_body_axes
 
     half = 0.5**0.5  # a quarter turn about z brings the body's x onto the world's y
@@ -138,7 +140,6 @@ def test_a_way_that_another_beats_in_both_is_not_on_the_front() -> None:
 def test_the_chart_holds_every_scene_and_says_what_is_missing(
     scenes: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("matplotlib")
     monkeypatch.setattr(sys, "argv", ["speed_accuracy.py", "--out", str(tmp_path), "--quick", "--scenes", *scenes])
     speed_accuracy.main()
     data = json.loads((tmp_path / "speed_accuracy.json").read_text())

@@ -105,7 +105,7 @@ def refuse(*_: object) -> None:
     raise PermissionError(1, "Operation not permitted")
 
 
-@pytest.mark.skipif(not SCHEDULED, reason="this system has no scheduler to ask")
+@pytest.mark.needs("linux")
 @pytest.mark.usefixtures("unchanged", "as_touched")
 def test_enforce_names_all_that_is_not_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
@@ -131,7 +131,7 @@ def test_a_system_that_has_none_of_it_is_told_so(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("cpu", [-1, 4095, 10**30])
-@pytest.mark.skipif(not SCHEDULED, reason="this system has no processors to choose")
+@pytest.mark.needs("linux")
 @pytest.mark.usefixtures("unchanged", "as_touched")
 def test_a_processor_that_is_not_there_is_a_complaint(cpu: int) -> None:
     with realtime("ignore", cpu=cpu) as complaints:

@@ -147,6 +147,7 @@ def test_a_replay_shows_what_was_recorded_in_real_time(kind: str, tmp_path: Path
     assert (replay.snapshot().pose == recording.stretches[0].position[0]).all()
 
 
+@pytest.mark.needs("drawing")
 def test_a_scene_is_drawn_without_a_window(tmp_path: Path) -> None:
     # In a process of its own, as a program draws with one library only.
     import imageio.v2
@@ -176,7 +177,8 @@ def test_a_picture_is_written_as_it_is(tmp_path: Path) -> None:
 
 
 def test_a_clip_keeps_the_colour_of_a_small_mark(tmp_path: Path) -> None:
-    image = pytest.importorskip("PIL.Image")
+    from PIL import Image as image
+
     rows, columns = np.mgrid[0:200, 0:320]
     shades = np.stack([(rows + columns) / 2.6, rows / 1.3, columns / 1.6], axis=-1).astype(np.uint8)
     frames = np.stack([shades, shades])

@@ -669,7 +669,7 @@ def large_files(slow: int) -> Mapping[str, tuple[str, bytes]]:
     }
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="what a process took is found in /proc")
+@pytest.mark.needs("linux")
 @pytest.mark.parametrize("slow", [LARGE // 4, pytest.param(LARGE, marks=pytest.mark.study)], ids=["quarter", "whole"])
 def test_what_unpacks_to_a_gigabyte_is_one_line_and_little_memory(slow: int, tmp_path: Path) -> None:
     # The first is the one that took 1.1 GB and three minutes.

@@ -166,7 +166,7 @@ def test_a_disk_that_is_full_is_told_of_and_what_was_written_is_read(
         same_so_far(part, full)
 
 
-@pytest.mark.skipif(not hasattr(__import__("resource"), "prlimit"), reason="limits of another process: Linux")
+@pytest.mark.needs("linux")
 def test_a_file_that_can_grow_no_more_is_one_line_at_the_end(tmp_path: Path, capfd: Any) -> None:
     import resource
 

@@ -234,7 +234,7 @@ def writers_to(folder: Path) -> list[int]:
     return found
 
 
-@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="processes are found in /proc")
+@pytest.mark.needs("linux")
 @pytest.mark.parametrize("writer_too", [False, True])
 def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too: bool, tmp_path: Path) -> None:
     # SIGKILL to the program, and to its writer at the same time; what is lost is a fraction of a second.
@@ -242,7 +242,7 @@ def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(writer_too
 
 
 @pytest.mark.study
-@pytest.mark.skipif(not Path("/proc/self/cmdline").exists(), reason="processes are found in /proc")
+@pytest.mark.needs("linux")
 @pytest.mark.parametrize("writer_too", [False, True])
 @pytest.mark.parametrize("after", range(300, 1300, 100))
 def test_a_recording_that_is_killed_at_any_time_opens(after: int, writer_too: bool, tmp_path: Path) -> None:

@@ -223,12 +223,12 @@ def test_a_force_too_small_to_see_or_that_is_no_number_has_no_arrow(force: tuple
     assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
 
 
+@pytest.mark.needs("rerun")
 def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) -> None:
     # Where its package is installed; it is none that this project needs.
     import subprocess
     import sys
 
-    pytest.importorskip("rerun")
     path, script = tmp_path / "run.mcap", Path(__file__).parents[1] / "scripts" / "examples" / "rerun_recording.py"
     write_run(path, Drop(), plant="exact")
     (stretch,) = Recording.load(path).stretches

@@ -8,7 +8,6 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from ctypes.util import find_library
 from pathlib import Path
 from typing import Any
 
@@ -59,15 +58,15 @@ def run_script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
 
 @pytest.mark.parametrize("name", ["fig2_stability", "fig3_drop", "fig4_phase_plane", "fig6_press", "fig8_stick_slip"])
 def test_figures(name: str, tmp_path: Path, run_script: Script) -> None:
-    pytest.importorskip("matplotlib")
     assert f"{name}.png" in run_script(f"figures/{name}.py", "--out", str(tmp_path))
     assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
-@pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
+@pytest.mark.needs("drawing")
 @pytest.mark.parametrize("size", [(560, 420), pytest.param((1400, 1050), marks=pytest.mark.study)])
 def test_render_device_runs_in_a_process_of_its_own(size: tuple[int, int], tmp_path: Path) -> None:
-    image = pytest.importorskip("matplotlib.image")
+    from matplotlib import image
+
     script, target = ROOT / "scripts" / "figures" / "render_device.py", tmp_path / "device.png"
     command = [sys.executable, str(script), str(target), f"{size[0]}x{size[1]}"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
@@ -89,7 +88,6 @@ def test_pulse_effect_prints_the_table_of_its_page(options: list[str], tables: i
 
 
 def test_friction_laws_prints_and_writes_every_law(tmp_path: Path, run_script: Script) -> None:
-    pytest.importorskip("matplotlib")
     out = run_script("studies/friction_laws.py", "--quick", "--out", str(tmp_path))
     data = json.loads((tmp_path / "friction_laws.json").read_text())
     assert len(data["spring"]) == 7 * 2 * 4
@@ -99,7 +97,6 @@ def test_friction_laws_prints_and_writes_every_law(tmp_path: Path, run_script: S
 
 
 def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
-    pytest.importorskip("matplotlib")
     out = run_script("studies/stability_bounds.py", "--quick", "--out", str(tmp_path))
     data = json.loads((tmp_path / "stability_bounds.json").read_text())
     assert len(data["bounds"]) == 12 and len(data["integrators"]) == 3 * 5 + 2
@@ -109,7 +106,6 @@ def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path, run_scri
 
 
 def test_where_methods_fail_draws_its_panels(tmp_path: Path, run_script: Script) -> None:
-    pytest.importorskip("matplotlib")
     run_script("studies/where_methods_fail.py", "--quick", "--out", str(tmp_path))
     panels = json.loads((tmp_path / "where_methods_fail.json").read_text())["panels"]
     assert len(panels) == 8 and all(panel["curves"] for panel in panels)
@@ -118,7 +114,6 @@ def test_where_methods_fail_draws_its_panels(tmp_path: Path, run_script: Script)
 
 
 def test_nonlinear_walls_are_drawn(tmp_path: Path, run_script: Script) -> None:
-    pytest.importorskip("matplotlib")
     out = run_script("studies/nonlinear_walls.py", "--quick", "--out", str(tmp_path))
     assert out.count("settles up to, over theory's boundary") == 6
     cases = json.loads((tmp_path / "stability_nonlinear.json").read_text())["cases"]
@@ -130,7 +125,6 @@ def test_nonlinear_walls_are_drawn(tmp_path: Path, run_script: Script) -> None:
 
 
 def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run_script: Script) -> None:
-    pytest.importorskip("matplotlib")
     out = run_script("studies/two_walls.py", "--quick", "--out", str(tmp_path))
     rows = json.loads((tmp_path / "two_walls.json").read_text())["rows"]
     assert len(rows) == 9 and out.count("\npulse") == 3
@@ -140,7 +134,6 @@ def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run
 
 
 def test_figure_9_prints_how_far_resting_places_are_apart(tmp_path: Path, run_script: Script) -> None:
-    pytest.importorskip("matplotlib")
     out = run_script("figures/fig9_six_axes.py", "--quick", "--out", str(tmp_path))
     assert out.count("N/m") == 3 and out.count("6 of 6") == 3
     assert (tmp_path / "fig9_six_axes.png").stat().st_size > 10_000

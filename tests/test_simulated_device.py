@@ -43,7 +43,8 @@ from maglev_mj.bridge.wire import (
     StateReport,
 )
 from maglev_mj.frames import Array
-from tests.firmware_core import COMPILER, FOLDER, NEEDS_COMPILER, SANITIZED, STRICT
+from tests.conftest import COMPILER
+from tests.firmware_core import FOLDER, SANITIZED, STRICT
 from tests.test_firmware import HOVER, ONES, ZERO
 from tests.test_wire import KEY, golden_bytes, sealed
 
@@ -53,7 +54,7 @@ SLOPES = NOMINAL.beams._spots(np.zeros(6))[1]
 PERIOD = 5_000_000
 
 pytestmark = [
-    pytest.mark.skipif(COMPILER is None, reason=NEEDS_COMPILER),
+    pytest.mark.needs("compiler"),
     pytest.mark.xdist_group("simulated device"),  # so that the program is compiled once
 ]
 

@@ -10,7 +10,6 @@ import dataclasses
 import math
 import os
 import queue
-import shutil
 import socket
 import stat
 import struct
@@ -49,9 +48,9 @@ from maglev_mj.spacenav import (
 from maglev_mj.spacenav.axes import FULL_POSE, FULL_RATE, REST
 from maglev_mj.spacenav.navigation import Navigation
 from maglev_mj.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, button_event, motion_event
+from tests.conftest import COMPILER
 
 SOURCE = Path(__file__).parents[1] / "scripts" / "examples" / "spacenav_client.c"
-COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 FRAME = 1.0 / 60.0
 PATIENCE = 60.0
 CHANGE, TAG = 0x7FAA5500, 0x7FAA0000
@@ -925,13 +924,9 @@ def test_no_more_than_16_programs_are_taken(server: SpacenavServer) -> None:
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the program in C, compiled."""
-    if COMPILER is None or not any(
-        Path(folder, "spnav.h").is_file() for folder in ("/usr/include", "/usr/local/include")
-    ):
-        pytest.skip("the client in C needs a compiler and libspnav (Debian: gcc libc6-dev libspnav-dev)")
     program = tmp_path_factory.mktemp("client") / "spacenav_client"
     flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2"]
-    command = [COMPILER, *flags, str(SOURCE), "-o", str(program), "-lspnav", "-lm"]
+    command = [str(COMPILER), *flags, str(SOURCE), "-o", str(program), "-lspnav", "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
     return program
@@ -987,6 +982,7 @@ def rows(count: int) -> list[tuple[int, ...]]:
     return [(n + 1, -(n + 2), 2 * n + 3, -(2 * n + 4), 3 * n + 5, -(3 * n + 7)) for n in range(count)]
 
 
+@pytest.mark.needs("compiler", "spnav")
 @pytest.mark.parametrize("stalled", [False, True])
 def test_libspnav_reads_500_of_500_events_with_the_right_values(
     client: Path, server: SpacenavServer, tmp_path: Path, stalled: bool
@@ -1008,6 +1004,7 @@ def test_libspnav_reads_500_of_500_events_with_the_right_values(
     assert [one.end() for one in others] == [0] * stalled
 
 
+@pytest.mark.needs("compiler", "spnav")
 def test_the_client_in_c_notices_a_wrong_value(client: Path, server: SpacenavServer, tmp_path: Path) -> None:
     file = tmp_path / "rows"
     file.write_text("1 2 3 4 5 6\n1 2 3 4 5 7\n", encoding="ascii")
@@ -1020,6 +1017,7 @@ def test_the_client_in_c_notices_a_wrong_value(client: Path, server: SpacenavSer
     assert program.end() == 1
 
 
+@pytest.mark.needs("compiler", "spnav")
 @pytest.mark.parametrize(("settings", "expected"), MAPPED)
 def test_libspnav_hears_what_each_setting_makes_of_each_axis(
     client: Path, path: Path, tmp_path: Path, settings: dict[str, Any], expected: Callable[[list[int]], list[int]]
@@ -1039,6 +1037,7 @@ def test_libspnav_hears_what_each_setting_makes_of_each_axis(
     server.close()
 
 
+@pytest.mark.needs("compiler", "spnav")
 def test_libspnav_hears_its_own_sensitivity(client: Path, server: SpacenavServer, tmp_path: Path) -> None:
     file = tmp_path / "rows"
     file.write_text("25 -50 75 -100 125 -150", encoding="ascii")
@@ -1049,6 +1048,7 @@ def test_libspnav_hears_its_own_sensitivity(client: Path, server: SpacenavServer
     assert [program.end(), plain.end()] == [0, 0]
 
 
+@pytest.mark.needs("compiler", "spnav")
 def test_libspnav_hears_each_press_and_its_release(client: Path, clicking: SpacenavServer) -> None:
     program = Running(client, clicking, "8")
     for number in range(6):
@@ -1062,6 +1062,7 @@ def test_libspnav_hears_each_press_and_its_release(client: Path, clicking: Space
     assert program.end() == 0
 
 
+@pytest.mark.needs("compiler", "spnav")
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(
     ("axis", "moved", "turned"),

@@ -245,7 +245,8 @@ def test_bad_workers_are_refused() -> None:
 
 @pytest.fixture(scope="module")
 def cluster() -> Any:
-    distributed = pytest.importorskip("distributed")
+    import distributed
+
     with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as made:
         yield made
 

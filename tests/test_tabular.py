@@ -23,8 +23,6 @@ from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory import WallRequirements, design_wall
 from tests.test_analysis import analysed, recorded
 
-pytest.importorskip("matplotlib")
-pytest.importorskip("pandas")
 pytestmark = pytest.mark.xdist_group("tabular")  # one worker makes the results
 
 STIFF = Drop(stiffness=12000.0)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import subprocess
 import sys
-from ctypes.util import find_library
 from dataclasses import replace
 from functools import cache
 from itertools import product
@@ -268,9 +267,10 @@ def test_contact_does_not_settle_with_a_coupling_beyond_the_boundary(rate: int) 
     assert within < 0.1 and beyond > 5.0
 
 
-@pytest.mark.skipif(find_library("OSMesa") is None, reason="drawing off screen needs OSMesa (Debian: libosmesa6)")
+@pytest.mark.needs("drawing")
 def test_the_script_prints_its_tables_and_draws(tmp_path: Path) -> None:
-    image = pytest.importorskip("matplotlib.image")
+    from matplotlib import image
+
     command = [sys.executable, str(SCRIPT), "--mode", "rate", "--out", str(tmp_path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert ended.returncode == 0, ended.stderr

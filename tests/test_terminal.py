@@ -185,9 +185,6 @@ OFFERED = {
 
 
 def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -> None:
-    pytest.importorskip("argcomplete")
-    if not hasattr(os, "fork"):
-        pytest.skip("argcomplete ends the process that it answers in: a fork for each line")
     here = tmp_path / "here"
     here.mkdir()
     for name in ("mine.py", "run.mcap"):
@@ -243,7 +240,6 @@ printf '%s\\n' "${COMPREPLY[@]}"
 
 
 def test_bash_itself_completes(tmp_path: Path) -> None:
-    pytest.importorskip("argcomplete")
     program = tmp_path / "maglev-mj"
     program.write_text(f'#!/bin/sh\nexec {shlex.join(PROGRAM)} "$@"\n')
     program.chmod(0o755)
@@ -327,15 +323,12 @@ def test_a_short_run_shows_no_bar() -> None:
     assert screen.text == ""
 
 
-pty = pytest.importorskip("pty")
-
-
 def on_a_terminal(arguments: list[str], folder: Path) -> tuple[str, str]:
     """Run a command with a terminal as standard error.
 
     Standard output and the terminal's text are returned.
     """
-    ours, theirs = pty.openpty()
+    ours, theirs = os.openpty()
     with subprocess.Popen([*PROGRAM, *arguments], stderr=theirs, stdout=subprocess.PIPE, cwd=folder) as process:
         os.close(theirs)
         got = b"".join(_pieces(ours))

@@ -17,11 +17,11 @@ import pytest
 
 from maglev_mj.hand import SpringHand
 from maglev_mj.session import Pacer, Session
-from tests.virtual_screen import MISSING, VirtualScreen, waited
+from tests.virtual_screen import VirtualScreen, waited
 
 pytestmark = [
     pytest.mark.xdist_group("realtime"),
-    pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)} (Debian: xvfb, xdotool)"),
+    pytest.mark.needs("screen", "xdotool"),
 ]
 
 SIZE = 900, 600

@@ -36,11 +36,11 @@ from maglev_mj.viewer.layout import Area
 from maglev_mj.viewer.scenery import GRIP, Scenery
 from maglev_mj.viewer.screen import Screen
 from maglev_mj.viewer.window import _PATIENCE
-from tests.virtual_screen import MISSING, VirtualScreen, waited
+from tests.virtual_screen import VirtualScreen, waited
 
 pytestmark = pytest.mark.xdist_group("realtime")
 
-needs_screen = pytest.mark.skipif(bool(MISSING), reason=f"a window needs {', '.join(MISSING)} (Debian: xvfb, xdotool)")
+needs_screen = pytest.mark.needs("screen", "xdotool")
 
 SCREEN = 900, 600
 SAMPLE, RATE = "/maglev/sample", 200

@@ -29,7 +29,7 @@ from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import SampledMotion, Session, Snapshot, device_actions
 from maglev_mj.viewer.keys import keys_of
 from maglev_mj.viewer.window import show
-from tests.virtual_screen import MISSING, VirtualScreen
+from tests.virtual_screen import VirtualScreen
 
 pytestmark = pytest.mark.xdist_group("realtime")
 
@@ -128,7 +128,7 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     viewer.close()
 
 
-@pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} not there")
+@pytest.mark.needs("screen", "xdotool")
 def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "maglev_mj"]
     record = tmp_path / "run.npz"
@@ -175,7 +175,7 @@ def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_
     assert pushed * place < 0.0 and abs(pushed) > 1.2
 
 
-@pytest.mark.skipif(bool(MISSING), reason=f"{' and '.join(MISSING)} not there")
+@pytest.mark.needs("screen", "xdotool")
 @pytest.mark.parametrize("seen", ["twin", "bridge"])
 def test_escape_in_a_window_cuts_the_currents(seen: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "maglev_mj"]

@@ -19,12 +19,9 @@ from multiprocessing import Pipe
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 import pytest
-
-pytest.importorskip("viser", reason="the page needs viser: pip install 'maglev-mj[web]'")
-
-import msgspec
 import viser
 from viser._messages import ShareUrlDisconnect, ShareUrlRequest
 from websockets.exceptions import InvalidStatus

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from browser import MISSING, chromium, on_screen
+from browser import chromium, on_screen
 from maglev_mj.display.remote import RemoteViewer
 from maglev_mj.net.addresses import listen
 from maglev_mj.plants import engine_warnings_silenced
@@ -17,17 +17,14 @@ from maglev_mj.recording import Recording, verify
 from maglev_mj.replay import rebuild
 from maglev_mj.session import Session, Snapshot, real_time
 from maglev_mj.shapes import GRIP
+from maglev_mj.web.guard import Door
+from maglev_mj.web.page import page
+from maglev_mj.web.stage import FIELD, placed
 
 pytestmark = [
-    pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
+    pytest.mark.needs("browser"),
     pytest.mark.xdist_group("screen"),
 ]
-
-if not MISSING:
-    from maglev_mj.web.guard import Door
-    from maglev_mj.web.page import page
-    from maglev_mj.web.stage import FIELD, placed
-
 
 SIZE = {"width": 860, "height": 420}
 PATIENCE = 20.0

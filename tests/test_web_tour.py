@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from browser import MISSING, chromium
+from browser import chromium
 from maglev_mj.hand import SpringHand
 from maglev_mj.playback import Replay
 from maglev_mj.recording import ArrayFile
@@ -17,7 +17,7 @@ from maglev_mj.tour import Tour
 from tests.test_web_browser import Run, opened, press, pull
 
 pytestmark = [
-    pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}"),
+    pytest.mark.needs("browser"),
     pytest.mark.xdist_group("screen"),
 ]
 

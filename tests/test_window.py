@@ -108,6 +108,7 @@ def test_nothing_covers_the_handle_or_anything_else(shot: Snapshot, stopped: boo
             assert len(layout.plots) >= 2 or shown is True
 
 
+@pytest.mark.needs("drawing")
 def test_the_widths_of_the_engines_letters_are_known() -> None:
     text = "".join(chr(code) for code in range(32, 127))
     context = SimpleNamespace(**dict(zip(("small", "large", "high", "large_high"), measured(100), strict=True)))
@@ -122,7 +123,8 @@ def test_the_widths_of_the_engines_letters_are_known() -> None:
 
 def measured(scale: int) -> tuple[list[int], list[int], int, int]:
     """Return the engine's letters' widths, small and large, and heights."""
-    osmesa = pytest.importorskip("mujoco.osmesa")
+    from mujoco import osmesa
+
     gl = osmesa.GLContext(16, 16)
     gl.make_current()
     context = mujoco.MjrContext(mujoco.MjModel.from_xml_string("<mujoco/>"), scale)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ctypes
 import ctypes.util
 import os
-import shutil
 import subprocess
 import tempfile
 import time
@@ -14,13 +13,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-__all__ = ["MISSING", "VirtualScreen"]
+from tests.conftest import COMPILER
 
-MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
-"""Programs missing for a virtual screen."""
-
-
-_COMPILER = shutil.which("cc")
+__all__ = ["VirtualScreen"]
 
 
 class VirtualScreen:
@@ -46,10 +41,10 @@ class VirtualScreen:
         for name in ("WAYLAND_DISPLAY", "MUJOCO_GL"):
             self.environment.pop(name, None)
         self._folder = tempfile.TemporaryDirectory()
-        if _COMPILER is not None:
+        if COMPILER is not None:
             library = Path(self._folder.name) / "slow_screen.so"
             source = Path(__file__).with_name("slow_screen.c")
-            subprocess.run([_COMPILER, "-shared", "-fPIC", source, "-o", library, "-ldl"], check=True)
+            subprocess.run([COMPILER, "-shared", "-fPIC", source, "-o", library, "-ldl"], check=True)
             self.environment["LD_PRELOAD"] = str(library)
         return self
 
