@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-CHARTS := $(VENV)/.charts# stamp: what the demo needs is installed
+DEMO := $(VENV)/.demo# stamp: pictures, the page and recordings have what they need
 READY := $(VENV)/.ready# stamp: what tests and checks need is installed
 PEERS := $(VENV)/.peers# stamp: what others' simulators need is installed too
 DOCS := $(VENV)/.docs# stamp: what the documentation needs is installed
@@ -10,21 +10,25 @@ BEFORE := 65016d1# revision that benchmarks compare with
 
 SCENES := joystick drop press table box corner
 
-.PHONY: demo test kernels studies bench pictures check lint types wheel firmware docs linkcheck clean
+.PHONY: demo test kernels floors studies bench pictures check lint types wheel firmware docs linkcheck clean
 
-demo: $(CHARTS)  ## drop the flotor: a summary here, pictures in figures/
+demo: $(DEMO)  ## drop the flotor: a summary here, pictures in figures/
 	@echo 'A flotor falls on a wall at 100 phases of the sampler, with and without pulse:'
 	$(BIN)/maglev-mj drop --phases 100 --out figures
-	@printf '%s\n' '' 'Next, for example:' \
-	  '  $(BIN)/maglev-mj view                       feel it: the mouse is the hand' \
+	@printf '%s\n' '' 'Next, for example:'; \
+	if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then printf '%s\n' \
+	  '  $(BIN)/maglev-mj view                       feel it in a window: Ctrl and the right button pull'; fi; \
+	printf '%s\n' \
+	  '  $(BIN)/maglev-mj view --web                 feel it in a browser: the mouse is the hand' \
 	  '  $(BIN)/maglev-mj press --out figures        a hand hits the wall' \
 	  '  $(BIN)/maglev-mj stick-slip --out figures   pulled out of friction' \
 	  '  $(BIN)/maglev-mj stability --hand arm       the stiffest wall in a hand' \
+	  '  $(BIN)/maglev-mj drop --record drop.mcap    a recording, for analyse, replay and export' \
 	  '  $(BIN)/maglev-mj drop --help                height, gains, rate, delay'
 
 # tests start programs over and over, which compile the package each time where byte code is not kept
 test: $(READY)  ## run all tests, one worker more than there are cores
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n auto --dist loadgroup
+	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n auto --dist loadgroup $(PYTEST)
 
 # numbers must not hang on the processor: OpenBLAS takes the kernel that it is told
 KERNELS := Prescott Nehalem Sandybridge Haswell SkylakeX
@@ -39,6 +43,20 @@ kernels: $(READY)  ## run the numeric tests once under each kernel of OpenBLAS t
 	  echo "$$kernel:"; \
 	  $(BIN)/python -m pytest -n auto --dist loadgroup $(NUMERIC) || failed="$$failed $$kernel"; \
 	done; [ -z "$$failed" ] || { echo "other numbers under$$failed"; exit 1; }
+
+FLOORS := build/floors
+LOWEST := import re, tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
+  lines = sum(project["optional-dependencies"].values(), project["dependencies"]); \
+  print(*sorted({f"{found[1]}=={found[2]}" for found in map(re.compile(r"([\w-]+)[^;]*>=([\d.]+)").match, lines) if found}), sep="\n")
+TRIED := $(addprefix tests/test_,$(addsuffix .py,plants laws loop drop scenes recording recording_messages tabular charts cli live web study design))
+floors:  ## install the lowest versions that pyproject.toml allows; run the README's commands and a dozen test files
+	rm -rf $(FLOORS)
+	$(PYTHON) -m venv $(FLOORS)
+	$(PYTHON) -c '$(LOWEST)' > $(FLOORS)/lowest.txt
+	$(FLOORS)/bin/python -m pip --disable-pip-version-check install --quiet --constraint $(FLOORS)/lowest.txt --editable '.[dev]'
+	$(FLOORS)/bin/maglev-mj drop --out $(FLOORS)/figures --record $(FLOORS)/drop.mcap
+	$(FLOORS)/bin/maglev-mj analyse $(FLOORS)/drop.mcap
+	$(FLOORS)/bin/python -m pytest -n auto --dist loadgroup $(TRIED)
 
 studies: $(READY)  ## run the sweeps behind the published figures in full: minutes to an hour
 	$(BIN)/python -m pytest -n auto --dist loadgroup -m study
@@ -86,13 +104,13 @@ clean:
 	rm -rf $(VENV) build dist figures docs/_build docs/reference/api docs/reference/commands .mypy_cache .pytest_cache .ruff_cache
 
 # Downloads as measured on Linux with Python 3.11; on disk 299 and 1144 MB.
-$(CHARTS): pyproject.toml requirements.lock
-	$(call install,charts,65 MB)
+$(DEMO): pyproject.toml requirements.lock
+	$(call install,charts$(comma)record$(comma)web,DEMOMB MB)
 	@touch $@
 
 $(READY): pyproject.toml requirements.lock
 	$(call install,dev,310 MB)
-	@touch $(CHARTS) $@
+	@touch $(DEMO) $@
 
 $(PEERS): $(READY)
 	$(call install,peers,280 MB)
@@ -103,6 +121,7 @@ $(DOCS): pyproject.toml requirements.lock
 	@touch $@
 
 # an extra of this package, and the size of what is downloaded for it
+comma := ,
 define install
 @$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=...")'
 @echo "Installing maglev-mj[$(1)] in $(VENV): about $(2) to download, unless cached."

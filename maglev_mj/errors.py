@@ -5,6 +5,8 @@ A message states the value and what is allowed.
 
 from __future__ import annotations
 
+import shlex
+import sys
 from collections.abc import Iterable
 from difflib import get_close_matches
 from importlib.util import find_spec
@@ -21,6 +23,7 @@ __all__ = [
     "ParameterError",
     "PlantError",
     "SensingError",
+    "install_command",
     "meant",
     "not_one_of",
     "require",
@@ -143,4 +146,16 @@ def require(packages: Iterable[str], extra: str, why: str) -> None:
         MissingPackageError: If one is not installed.
     """
     if not all(map(find_spec, packages)):
-        raise MissingPackageError(f"{why}: pip install 'maglev-mj[{extra}]'")
+        raise MissingPackageError(f"{why}: {install_command(extra)}")
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra's packages for this Python."""
+    from importlib.metadata import PackageNotFoundError, requires
+
+    try:
+        parts = [line.partition(";") for line in requires("maglev-mj") or ()]
+    except PackageNotFoundError:  # not installed itself: run in a clone
+        parts = []
+    wanted = [name.strip() for name, _, marker in parts if f"extra == '{extra}'" in marker.replace('"', "'")]
+    return shlex.join([sys.executable, "-m", "pip", "install", *(wanted or [f".[{extra}]"])])

@@ -51,9 +51,7 @@ NEEDS = {
     "drawing": Need("drawing off screen", lambda: find_library("OSMesa") is not None, "libosmesa6"),
     "screen": Need("a virtual screen", lambda: bool(shutil.which("Xvfb") and find_library("GL")), "xvfb libgl1"),
     "xdotool": Need("xdotool", lambda: shutil.which("xdotool") is not None, "xdotool"),
-    "browser": Need(
-        "Chromium", lambda: any(map(shutil.which, BROWSERS)), "chromium"
-    ),
+    "browser": Need("Chromium", lambda: any(map(shutil.which, BROWSERS)), "chromium"),
     "compiler": Need("a C compiler", lambda: COMPILER is not None, "gcc libc6-dev"),
     "sanitizers": Need("a C compiler's sanitizers", _has_sanitizers, "gcc libc6-dev"),
     "cross": Need("a compiler for boards", lambda: bool(shutil.which("arm-none-eabi-gcc")), "gcc-arm-none-eabi"),

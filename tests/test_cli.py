@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -353,7 +354,7 @@ def test_without_matplotlib_pictures_say_what_to_install(
 ) -> None:
     monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
     assert cli.main(["drop", "--out", str(tmp_path)]) == 1
-    assert "pip install 'maglev-mj[charts]'" in capsys.readouterr().err
+    assert f"{shlex.quote(sys.executable)} -m pip install 'matplotlib>=" in capsys.readouterr().err
 
 
 def test_core_needs_no_matplotlib() -> None:

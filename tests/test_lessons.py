@@ -43,9 +43,7 @@ def test_a_lesson_is_saved_without_outputs(name: str) -> None:
 @pytest.mark.parametrize("name", LESSONS)
 def test_a_lesson_begins_with_its_goals_and_ends_with_what_to_remember(name: str) -> None:
     first, *_, last = cells(name)
-    assert all(
-        word in first["source"] for word in ("# ", "**Goals.**", "**Time.**", "**You need**", "maglev-mj[lessons]")
-    )
+    assert all(word in first["source"] for word in ("# ", "**Goals.**", "**Time.**", "**You need**", ".[lessons]"))
     assert last["source"].startswith("## What to remember") and "../explanation/" in last["source"]
 
 
