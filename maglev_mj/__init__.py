@@ -112,10 +112,9 @@ Errors:
 Packages such as `maglev_mj.laws` and `maglev_mj.theory` have further names.
 """
 
-from typing import TYPE_CHECKING
-
 from maglev_mj.lazy import attach
 
+TYPE_CHECKING = False  # as in typing, which a program need not wait for
 if TYPE_CHECKING:
     from maglev_mj.analysis import analyse as analyse
     from maglev_mj.analysis import identify as identify

@@ -1,11 +1,14 @@
-"""Command line as `python -m maglev_mj`.
+"""Program `maglev-mj`, also as `python -m maglev_mj`."""
 
-For use without the script on the path.
-"""
-
+import _signal as signal  # type: ignore[import-not-found] # `signal` loads more first
+import os
 import sys
 
-from maglev_mj.cli import main
+if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+    # while it loads, and when it is done, nothing can be lost: an exception would be a traceback there
+    signal.signal(signal.SIGINT, lambda *_: os._exit(130))
+
+from maglev_mj.cli.program import main
 
 if __name__ == "__main__":
     sys.exit(main())

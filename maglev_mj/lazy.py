@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+
+TYPE_CHECKING = False  # as in typing, whose import would take longer than all else before a program's first line
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+    from typing import Any
 
 __all__ = ["attach", "mujoco"]
 
@@ -14,7 +17,10 @@ class _LazyModule(ModuleType):
     """Module that is imported at its first use."""
 
     def __getattr__(self, name: str) -> Any:
-        value = getattr(import_module(self.__name__), name)
+        from maglev_mj.interrupts import interrupts_held
+
+        with interrupts_held():  # its libraries start a program
+            value = getattr(import_module(self.__name__), name)
         setattr(self, name, value)  # found at once from then on
         return value
 

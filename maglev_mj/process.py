@@ -8,10 +8,11 @@ from __future__ import annotations
 import atexit
 import multiprocessing
 from collections.abc import Callable, Iterator
+from multiprocessing import resource_tracker
 from select import select
 from typing import Any
 
-from maglev_mj.workers import interrupts_held
+from maglev_mj.interrupts import interrupts_held
 
 __all__ = ["SideProcess"]
 
@@ -35,10 +36,16 @@ class SideProcess:
         self.line, far = context.Pipe()
         self.ended = False
         self._process = context.Process(target=function, args=(far, *arguments))
-        with interrupts_held():  # its parent closes it
-            self._process.start()
-        far.close()
-        atexit.register(self.close)  # otherwise a program that ends would wait for it forever
+        resource_tracker.ensure_running()  # its start would let interrupts through
+        try:
+            with interrupts_held():  # its parent closes it
+                self._process.start()
+                atexit.register(self.close)  # otherwise a program that ends would wait for it forever
+        except KeyboardInterrupt:
+            self.close(0.0)
+            raise
+        finally:
+            far.close()
 
     @property
     def ready(self) -> bool:

@@ -10,10 +10,10 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from maglev_mj.frames import Array
+from maglev_mj.lazy import mujoco
 from maglev_mj.model import Device, Model, load_model
 
 __all__ = [

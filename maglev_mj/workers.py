@@ -8,10 +8,9 @@ from __future__ import annotations
 import logging
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context, resource_tracker
@@ -20,9 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.errors import MaglevError, ParameterError, require
+from maglev_mj.interrupts import interrupts_held
 from maglev_mj.versions import Versions, differences, versions
 
-__all__ = ["Workers", "WorkersError", "chosen_workers", "dask_workers", "inline", "interrupts_held", "local_workers"]
+__all__ = ["Workers", "WorkersError", "chosen_workers", "dask_workers", "inline", "local_workers"]
 
 _PATIENCE = 5.0
 
@@ -49,25 +49,6 @@ class _Inline(Executor):
         return future
 
 
-@contextmanager
-def interrupts_held() -> Iterator[None]:
-    """Block Ctrl-C during the context.
-
-    Processes spawned meanwhile never receive it; this process receives it afterwards.
-
-    A terminal sends Ctrl-C to every process, also to one that is still importing and has no handler of its own.
-    """
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    resource_tracker.ensure_running()  # its start would let interrupts through
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
 class _Processes(ProcessPoolExecutor):
     """Pool of local processes that ignore Ctrl-C.
 
@@ -79,6 +60,7 @@ class _Processes(ProcessPoolExecutor):
         super().__init__(count, mp_context=get_context("spawn"), initializer=signal.signal, initargs=quiet)
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
+        resource_tracker.ensure_running()  # its start would let interrupts through
         with interrupts_held():  # the processes start here
             return super().submit(function, *args, **keywords)
 

@@ -43,12 +43,21 @@ def _has_sanitizers() -> bool:
         return COMPILER is not None and subprocess.run(command, capture_output=True, check=False).returncode == 0
 
 
+def _draws() -> bool:
+    from maglev_mj.viewer.backend import DisplayError, drawing_library
+
+    try:
+        return bool(drawing_library())
+    except DisplayError:
+        return False
+
+
 def _has_header(name: str) -> bool:
     return any(Path(folder, name).is_file() for folder in ("/usr/include", "/usr/local/include"))
 
 
 NEEDS = {
-    "drawing": Need("drawing off screen", lambda: find_library("OSMesa") is not None, "libosmesa6"),
+    "drawing": Need("drawing off screen", _draws, "libosmesa6"),
     "screen": Need("a virtual screen", lambda: bool(shutil.which("Xvfb") and find_library("GL")), "xvfb libgl1"),
     "xdotool": Need("xdotool", lambda: shutil.which("xdotool") is not None, "xdotool"),
     "browser": Need("Chromium", lambda: any(map(shutil.which, BROWSERS)), "chromium"),
@@ -142,10 +151,10 @@ def _skipped(config: pytest.Config) -> Counter[str]:
     return Counter(str(report.longrepr[2]).removeprefix("Skipped: ") for report in reports)
 
 
-def pytest_terminal_summary(config: pytest.Config) -> None:
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Name the skipped tests by reason."""
     for reason, count in _skipped(config).most_common():
-        config.pluginmanager.get_plugin("terminalreporter").write_line(f"{count:4} skipped: {reason}")
+        terminalreporter.write_line(f"{count:4} skipped: {reason}")
 
 
 @pytest.hookimpl(trylast=True)

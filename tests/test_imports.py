@@ -24,6 +24,7 @@ PACKAGE = Path(maglev_mj.__file__).parent
 
 # floor of each module; a module may import only from floors below its own, or its own package
 FLOORS = {
+    "interrupts": 0,
     "lazy": 0,
     "errors": 0,
     "frames": 0,

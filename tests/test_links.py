@@ -370,7 +370,7 @@ def test_a_line_that_is_gone_is_an_error() -> None:
 
 def test_without_pyserial_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "serial", None)
-    with pytest.raises(MissingPackageError, match=r"pip install 'maglev-mj\[serial\]'"):
+    with pytest.raises(MissingPackageError, match=r"-m pip install 'pyserial>="):
         open_link("serial:///dev/ttyUSB0")
 
 

@@ -923,7 +923,7 @@ def test_without_its_package_it_says_which(monkeypatch: pytest.MonkeyPatch) -> N
         LiveServer(0)
     monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
     with pytest.raises(
-        MissingPackageError, match=r"a live server needs foxglove-sdk: pip install 'maglev-mj\[record\]'"
+        MissingPackageError, match=r"a live server needs foxglove-sdk: .* -m pip install 'foxglove-sdk>="
     ):
         LiveServer(0)
 

@@ -467,7 +467,7 @@ def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, mon
         with pytest.raises(ParameterError, match=r"fields must be of tick, time, position, .* not 'positions'"):
             load_samples(path, fields=["positions"])
     monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
-    with pytest.raises(MissingPackageError, match=r"pip install 'maglev-mj\[pandas\]'"):
+    with pytest.raises(MissingPackageError, match=r"-m pip install 'pandas>="):
         samples.to_pandas()
     with pytest.raises(RecordingError, match="cannot be read: No such file"):
         load_samples(tmp_path / "none.mcap")

@@ -241,9 +241,9 @@ def test_maps_have_a_row_for_each_wall() -> None:
 def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
     one = results()["result"]
-    with pytest.raises(MissingPackageError, match=r"data frames need pandas: pip install 'maglev-mj\[pandas\]'"):
+    with pytest.raises(MissingPackageError, match=r"data frames need pandas: .* -m pip install 'pandas>="):
         one.to_pandas()
-    with pytest.raises(MissingPackageError, match=r"pictures need matplotlib: pip install 'maglev-mj\[charts\]'"):
+    with pytest.raises(MissingPackageError, match=r"pictures need matplotlib: .* -m pip install 'matplotlib>="):
         one.plot()
 
 

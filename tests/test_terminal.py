@@ -362,7 +362,7 @@ def test_a_long_run_has_a_bar_on_a_terminal_and_none_in_a_pipe(tmp_path: Path) -
 
 def test_without_mjpython_one_line_says_so_on_macos(monkeypatch: pytest.MonkeyPatch) -> None:
     from maglev_mj.viewer import window
-    from maglev_mj.viewer.offscreen import DisplayError
+    from maglev_mj.viewer.backend import DisplayError
 
     monkeypatch.setattr(sys, "platform", "darwin")
     monkeypatch.setattr("glfw.init", lambda: True)

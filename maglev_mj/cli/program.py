@@ -18,7 +18,9 @@ from maglev_mj.cli.arguments import Parser, joined
 from maglev_mj.cli.commands import GROUPS, Command
 from maglev_mj.cli.completion import complete
 from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.interrupts import Interrupts
 from maglev_mj.terminal import say
+from maglev_mj.viewer.backend import check_mujoco_gl
 
 __all__ = ["main", "parser"]
 
@@ -55,12 +57,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    interrupts = Interrupts()
     try:
-        status: int = options.run(options)
+        with interrupts:
+            status: int = options.run(options)
         return status
     except KeyboardInterrupt as stopped:
-        print(f"maglev-mj {options.command}: {str(stopped) or 'stopped'}", file=sys.stderr)
-        return 130
+        return _stopped(options, str(stopped) or "stopped")
     except ParameterError as error:
         say(f"maglev-mj {options.command}: {error}", sys.stderr)
         return 2
@@ -69,14 +72,22 @@ def _run(options: argparse.Namespace) -> int:
             raise
         say(f"maglev-mj {options.command}: {error}", sys.stderr)
         _drop_unwritten()
-        return 1
+        return 130 if interrupts.seen else 1  # a library's loading may have failed by it
     except Exception as error:
         from maglev_mj.scenes.find import line_of  # which the help does not need
 
+        if interrupts.seen:
+            return _stopped(options, "stopped")
         if (line := line_of(error)) is None:
             raise
         say(f"maglev-mj {options.command}: {line}: {type(error).__name__}: {error}", sys.stderr)
         return 2
+
+
+def _stopped(options: argparse.Namespace, why: str) -> int:
+    print(f"maglev-mj {options.command}: {why}", file=sys.stderr)
+    exec("pass")  # after an interrupt in `exec`, as dataclasses use it, the interpreter would end by the signal
+    return 130
 
 
 def _is_unread(stream: TextIO) -> bool:
@@ -123,6 +134,10 @@ def parser() -> Parser:
 
 def _prepare(commands: Mapping[str, Parser], words: Sequence[str]) -> None:
     if words and words[0] in commands:
+        try:
+            check_mujoco_gl()  # before the engine is loaded, which refuses it with a traceback
+        except ParameterError as error:
+            commands[words[0]].error(str(error))
         commands[words[0]].prepare(words[1:])
 
 

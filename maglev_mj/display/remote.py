@@ -39,6 +39,7 @@ __all__ = ["Front", "RemoteSession", "RemoteViewer", "ShowReport", "show_remotel
 
 _MOST_ROWS = 400
 _NAP = 0.001
+_LEAVE = 0.5
 
 Front: TypeAlias = Callable[[SnapshotSource], object]
 """Viewer function: shows a source until either ends.
@@ -144,7 +145,7 @@ class RemoteViewer:
     def close(self) -> None:
         """Close the window; a second time does nothing."""
         self._open = False
-        self._front.close()
+        self._front.close(_LEAVE)
 
 
 class ShowReport(NamedTuple):

@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TypeAlias, Unpack
 
-import mujoco
 import numpy as np
-from mujoco.batch import Batch
 from numpy.typing import ArrayLike
 
 from maglev_mj.coils import UPRIGHT, CoilMap
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Component, components, join, rotation_vector
 from maglev_mj.hand import Hand
+from maglev_mj.lazy import mujoco
 from maglev_mj.model import COILS, Model
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
@@ -111,6 +110,8 @@ class MuJoCoBatchPlant(SampledPlant):
             driver_time_constant=driver_time_constant,
             hand=hand,
         )
+        from mujoco.batch import Batch  # the engine is loaded by now
+
         self._engine = Batch(self.device.model, len(start), count)
         for row, (place, speed) in enumerate(zip(start, np.broadcast_to(motion, start.shape), strict=True)):
             self._engine.qpos[row], self._engine.qvel[row] = start_state(self.device, place, speed, hand)

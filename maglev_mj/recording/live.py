@@ -24,6 +24,7 @@ from typing import Any
 
 from maglev_mj.controller import Controller
 from maglev_mj.frames import Command, Sample
+from maglev_mj.interrupts import interrupts_held
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.mcap import require_mcap
@@ -32,7 +33,6 @@ from maglev_mj.recording.recording import RecordingError
 from maglev_mj.recording.row import ROW, RecordedPlant, Row, compiled
 from maglev_mj.recording.setup import attach_parts, whole_setup
 from maglev_mj.versions import versions
-from maglev_mj.workers import interrupts_held
 
 __all__ = ["ROWS", "LiveFile", "Ring", "RowReader"]
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from maglev_mj.frames import Array
+from maglev_mj.lazy import mujoco
 from maglev_mj.viewer.layout import Area
 
 __all__ = ["Framing"]

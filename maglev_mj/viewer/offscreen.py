@@ -5,46 +5,41 @@ No window is needed.
 
 from __future__ import annotations
 
-import os
+import warnings
 from importlib import import_module
 from typing import Any, Self
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import MaglevError
+from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
+from maglev_mj.viewer.backend import NEEDS, DisplayError, drawing_library
 from maglev_mj.viewer.framing import Framing
 from maglev_mj.viewer.layout import Area
 from maglev_mj.viewer.scenery import Scenery
 from maglev_mj.viewer.screen import Screen
 
-__all__ = ["DisplayError", "OffscreenPainter"]
+__all__ = ["OffscreenPainter"]
 
 _SHADOWS, _SAMPLES = 2048, 4
-_NEEDS = {"osmesa": "on Debian libosmesa6", "egl": "on Debian libegl1 and libgl1", "glfw": "and a display"}
 _LARGE = 1500
-
-
-class DisplayError(MaglevError):
-    """Error of a missing display or drawing library."""
 
 
 class OffscreenPainter:
     """Painter of one scene's snapshots into arrays.
 
-    It draws by OSMesa or EGL as given by MUJOCO_GL, by default by OSMesa.
+    It draws with the library that MUJOCO_GL names, by default with the first that works.
 
     Args:
         scene: The scene.
         width: Width of the pictures [pixels].
         height: Height of the pictures [pixels].
         plots: True to include plots and text.
-        backend: Drawing library: osmesa, egl, or glfw, which needs a display; None for that given by MUJOCO_GL. A
-            program that has opened a window can only use glfw.
+        default: Drawing library where MUJOCO_GL names none; None to look for one. A program that has opened a window
+            can only use glfw.
 
     Raises:
         DisplayError: If there is no drawing library.
@@ -52,7 +47,7 @@ class OffscreenPainter:
     """
 
     def __init__(
-        self, scene: Scene, width: int, height: int, *, plots: bool = True, backend: str | None = None
+        self, scene: Scene, width: int, height: int, *, plots: bool = True, default: str | None = None
     ) -> None:
         self._screen = Screen(keys=False) if flag("plots", plots) else None
         self.scenery = Scenery(scene)
@@ -61,7 +56,7 @@ class OffscreenPainter:
         model = self.scenery.model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         model.vis.quality.shadowsize, model.vis.quality.offsamples = _SHADOWS, _SAMPLES
-        self._gl = _context(width, height, backend or os.environ.get("MUJOCO_GL", "").lower() or "osmesa")
+        self._gl = _context(width, height, drawing_library(default))
         self._gl.make_current()
         self._scene = mujoco.MjvScene(model, 2000)
         self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
@@ -111,11 +106,11 @@ class OffscreenPainter:
         self.close()
 
 
-def _context(width: int, height: int, backend: str) -> Any:
+def _context(width: int, height: int, library: str) -> Any:
     """Return an OpenGL context without a visible window."""
-    if backend not in _NEEDS:
-        raise DisplayError(f"MUJOCO_GL must be one of {', '.join(_NEEDS)} for a picture, not {backend!r}")
     try:
-        return import_module(f"mujoco.{backend}").GLContext(width, height)
-    except (ImportError, AttributeError, OSError, RuntimeError, TypeError) as error:
-        raise DisplayError(f"pictures need {backend}, {_NEEDS[backend]}; MUJOCO_GL chooses: {error}") from error
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", UserWarning)  # glfw only warns of a missing display
+            return import_module(f"mujoco.{library}").GLContext(width, height)
+    except (ImportError, AttributeError, OSError, RuntimeError, TypeError, UserWarning) as error:
+        raise DisplayError(f"pictures by {library} need {NEEDS[library]}; MUJOCO_GL chooses: {error}") from error

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -16,6 +15,7 @@ from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED, Colou
 from maglev_mj.display.curves import SHOWN, Ranges, curves, round_up
 from maglev_mj.display.stability_map import Margin, StabilityMap
 from maglev_mj.frames import Array
+from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import Any, TypeAlias
 
-import mujoco
 import numpy as np
 
 from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.display.stops import met_stops
 from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
+from maglev_mj.lazy import mujoco
 from maglev_mj.model import COILS, load_model
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot

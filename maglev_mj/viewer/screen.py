@@ -10,11 +10,11 @@ from dataclasses import replace
 from typing import Any, NamedTuple, TypeAlias
 
 import glfw
-import mujoco
 
 from maglev_mj.colours import BAD, STOP, Colour
 from maglev_mj.display.banner import Banner, banner
 from maglev_mj.frames import AXES
+from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot

@@ -17,19 +17,20 @@ from statistics import median
 from typing import Any, NamedTuple
 
 import glfw
-import mujoco
 
 from maglev_mj.display.remote import ShowReport
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
+from maglev_mj.lazy import mujoco
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
+from maglev_mj.viewer.backend import DisplayError
 from maglev_mj.viewer.clip import write_picture
 from maglev_mj.viewer.framing import Framing
 from maglev_mj.viewer.keys import AXIS, CAMERA, KEYS, SCREENSHOT, keys_of
 from maglev_mj.viewer.layout import Area
-from maglev_mj.viewer.offscreen import DisplayError, OffscreenPainter
+from maglev_mj.viewer.offscreen import OffscreenPainter
 from maglev_mj.viewer.scenery import GRIP, Scenery
 from maglev_mj.viewer.screen import Screen
 from maglev_mj.viewer.shadows import SlowFrames
@@ -280,11 +281,8 @@ class _Window:
         """
         try:
             # a program draws with one library only: that of its window, unless MUJOCO_GL is set
-            backend = os.environ.get("MUJOCO_GL", "").lower() or "glfw"
-            with (
-                self._handle.lock()
-            ):  # the window may be loading a model, and the engine's table of GL functions is one
-                painter = OffscreenPainter(snapshot.scene, *_PICTURE, backend=backend)
+            with self._handle.lock():  # it may be loading a model, and the engine's table of GL functions is one
+                painter = OffscreenPainter(snapshot.scene, *_PICTURE, default="glfw")
             with painter:
                 painter.wait(snapshot)
                 write_picture(painter.picture(snapshot), path)

@@ -1,13 +1,15 @@
 """A picture of the device, as the README shows it.
 
-Off screen, MuJoCo draws with OSMesa (Debian: libosmesa6) or EGL (libegl1, libgl1); MUJOCO_GL=egl chooses the latter.
+MuJoCo draws with the library that MUJOCO_GL names, by default with the first that works.
 """
 
 import os
 import sys
 from pathlib import Path
 
-os.environ.setdefault("MUJOCO_GL", "osmesa")
+from maglev_mj.viewer.backend import drawing_library
+
+os.environ["MUJOCO_GL"] = drawing_library()
 
 import mujoco
 from matplotlib.image import imsave

@@ -16,7 +16,9 @@ from dataclasses import replace
 from itertools import product
 
 if __name__ == "__main__":
-    os.environ.setdefault("MUJOCO_GL", "osmesa")  # before the engine is imported
+    from maglev_mj.viewer.backend import drawing_library
+
+    os.environ["MUJOCO_GL"] = drawing_library()  # before the engine is imported
 
 import numpy as np
 

@@ -1,0 +1,111 @@
+"""The library that draws off screen: what MUJOCO_GL says is kept, else the first that works is found."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.viewer import backend
+from maglev_mj.viewer.backend import DisplayError, drawing_library
+
+RENDER = "render drop --out a.png --size 160x160 --seconds 0.02"
+
+
+def say(command: str, folder: Any, word: str) -> tuple[int, str]:
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    done = subprocess.run(
+        [sys.executable, "-m", "maglev_mj", *command.split()],
+        env={**environment, "MUJOCO_GL": word},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+    )
+    return done.returncode, done.stderr
+
+
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("command", ["drop --phases 2", "stability", RENDER])
+@pytest.mark.parametrize("word", ["foo", "wgl", "cgl"])
+def test_a_word_that_the_engine_does_not_know_here_is_one_line(command: str, word: str, tmp_path: Any) -> None:
+    status, told = say(command, tmp_path, word)
+    name = command.split()[0]
+    assert (status, told.count("\n")) == (2, 1)
+    assert told.startswith(f"maglev-mj {name}: MUJOCO_GL must be one of osmesa, egl, glfw, glx, on,"), told
+    assert f"or unset, not {word!r}" in told
+
+
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("word", ["glfw", "glx", " GLFW"])
+def test_a_window_library_without_a_display_is_one_line(word: str, tmp_path: Any) -> None:
+    status, told = say(RENDER, tmp_path, word)
+    assert status == 1 and "Traceback" not in told and "Warning" not in told
+    assert told.startswith("maglev-mj render: pictures by glfw need a display with OpenGL"), told
+
+
+def test_drawing_that_is_turned_off_is_said(tmp_path: Any) -> None:
+    status, told = say(RENDER, tmp_path, "off")
+    assert status == 1 and told.startswith("maglev-mj render: MUJOCO_GL=off turns drawing off: unset it"), told
+
+
+@pytest.mark.needs("drawing")
+@pytest.mark.parametrize("word", ["", "on", "1"])
+def test_the_first_that_works_draws(word: str, tmp_path: Any) -> None:
+    status, told = say(RENDER, tmp_path, word)
+    assert (status, told) == (0, "")
+    assert (tmp_path / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+
+
+@pytest.fixture(autouse=True)
+def anew() -> Iterator[None]:
+    yield
+    backend._first_working.cache_clear()
+
+
+def works(monkeypatch: pytest.MonkeyPatch, *names: str) -> list[str]:
+    """Let these libraries work alone; return those tried."""
+    tried = list[str]()
+
+    def run(command: list[str], *, env: dict[str, str], **_: Any) -> SimpleNamespace:
+        tried.append(env["MUJOCO_GL"])
+        assert f"mujoco.{tried[-1]} " in command[-1]
+        return SimpleNamespace(returncode=tried[-1] not in names)
+
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(subprocess, "run", run)
+    backend._first_working.cache_clear()
+    return tried
+
+
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("working", [("osmesa", "egl", "glfw"), ("egl", "glfw"), ("glfw",)])
+def test_they_are_tried_in_order_until_one_works(working: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = works(monkeypatch, *working)
+    assert drawing_library() == working[0] == tried[-1]
+    assert drawing_library("glfw") == "glfw"  # of a program that has a window
+    assert tried == ["osmesa", "egl", "glfw"][: len(tried)]  # once
+
+
+@pytest.mark.needs("linux")
+def test_what_to_install_is_said_where_none_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    works(monkeypatch)
+    with pytest.raises(DisplayError, match=r"nothing that draws works here, of osmesa, egl, glfw: .* libosmesa6"):
+        drawing_library()
+
+
+@pytest.mark.needs("linux")
+def test_what_the_user_chose_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = works(monkeypatch, "osmesa")
+    for word, library in {"egl": "egl", "OSMesa": "osmesa", "glx": "glfw"}.items():
+        monkeypatch.setenv("MUJOCO_GL", word)
+        assert drawing_library("glfw") == drawing_library() == library
+        assert os.environ["MUJOCO_GL"] == word
+    monkeypatch.setenv("MUJOCO_GL", "nothing")
+    with pytest.raises(ParameterError, match="or unset, not 'nothing'"):
+        drawing_library()
+    assert not tried

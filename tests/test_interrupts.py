@@ -1,0 +1,158 @@
+"""Ctrl-C at any moment: while modules load, where an exception is lost, and while processes start."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from maglev_mj.interrupts import Interrupts, interrupts_held
+from maglev_mj.process import SideProcess
+
+PATIENCE = 60.0
+
+# Ctrl-C as the n-th module whose name begins so is looked for
+PROGRAM = """
+import os, runpy, signal, sys
+at, number = sys.argv[1], int(sys.argv[2])
+class Pressed:
+    left = number
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        if name.startswith(at):
+            cls.left -= 1
+            if cls.left == 0:
+                os.kill(os.getpid(), signal.SIGINT)
+sys.meta_path.insert(0, Pressed)
+sys.argv[:3] = ["maglev-mj"]
+runpy.run_module("maglev_mj", run_name="__main__", alter_sys=True)
+"""
+COMMANDS = {
+    "info": "info",
+    "drop": "drop --phases 400 --out pictures",
+    "press": "press --json -",
+    "stability": "stability --hand arm",
+    "scene": "stability drop",
+    "design": "design",
+    "sweep": "sweep drop --vary height=1e-3:4e-3:3 --workers 1",
+    "fidelity": "fidelity drop",
+    "render": "render drop --out a.png --size 160x160",
+    "page": "view --web --port 0 --no-open --seconds 3",
+    "twin": "twin --listen udp://127.0.0.1:0",
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "module, number",
+    [("maglev_mj.cli.", 1), ("maglev_mj.", 40), ("numpy", 1), ("numpy", 60), ("", 250)],
+    ids=lambda value: str(value).rstrip(".") or "any",
+)
+def test_no_traceback_while_a_command_loads(command: str, module: str, number: int, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, module, str(number), *COMMANDS[command].split()],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert (done.returncode, "Traceback" in done.stderr, "ignored" in done.stderr) == (130, False, False), done.stderr
+
+
+def test_a_module_that_swallows_it_does_not_keep_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    press = "import os, signal\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n    print()\n"
+    (tmp_path / "swallowing.py").write_text(press + "except BaseException:\n    pass\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt), Interrupts() as interrupts:
+        import swallowing  # type: ignore[import-not-found] # noqa: F401
+
+        assert interrupts.seen
+        time.sleep(PATIENCE)
+
+
+def test_a_module_that_loads_for_long_is_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "slow.py").write_text(
+        "import os, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60.0)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    before = time.monotonic()
+    with pytest.raises(KeyboardInterrupt), Interrupts():
+        import slow  # type: ignore[import-not-found] # noqa: F401
+    assert time.monotonic() - before < 30.0
+
+
+def test_it_is_raised_again_where_it_was_only_reported(capfd: pytest.CaptureFixture[str]) -> None:
+    class Deaf:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGINT)
+            print()
+
+    with pytest.raises(KeyboardInterrupt), Interrupts():
+        Deaf()
+        time.sleep(PATIENCE)
+    assert capfd.readouterr().err == ""
+
+
+def test_the_handlers_of_before_are_back() -> None:
+    before = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    with pytest.raises(KeyboardInterrupt), Interrupts():
+        signal.raise_signal(signal.SIGINT)
+    assert (signal.getsignal(signal.SIGINT), sys.unraisablehook) == before
+
+
+def test_an_ignored_signal_stays_ignored() -> None:
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with Interrupts() as interrupts:
+            signal.raise_signal(signal.SIGINT)
+        assert not interrupts.seen
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_a_thread_leaves_signals_alone() -> None:
+    failed = list[BaseException]()
+
+    def work() -> None:
+        try:
+            with Interrupts(), interrupts_held():
+                pass
+        except BaseException as error:
+            failed.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert not failed
+
+
+def test_it_waits_while_a_process_starts_though_another_thread_takes_the_signal() -> None:
+    # threads of libraries do not block it: then it reaches this one's handler all the same
+    done = False
+    threading.Thread(target=time.sleep, args=(1.0,), daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        with interrupts_held():
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.01)
+            done = True
+    assert done
+
+
+def test_a_process_whose_start_is_interrupted_ends_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    closed = list[float]()
+    close = SideProcess.close
+
+    def closing(process: SideProcess, patience: float = 10.0) -> None:
+        close(process, patience)
+        closed.append(patience)
+        assert not process._process.is_alive()
+
+    monkeypatch.setattr(SideProcess, "close", closing)
+    with pytest.raises(KeyboardInterrupt):
+        monkeypatch.setattr("maglev_mj.process.atexit.register", lambda _: os.kill(os.getpid(), signal.SIGINT))
+        SideProcess(time.sleep, 30.0)
+    assert closed == [0.0]
