@@ -81,8 +81,8 @@ def _lacks(need: str) -> str:
     return "" if NEEDS[need].there() else f"needs {NEEDS[need].name}"
 
 
-_LINES = pytest.StashKey[Path]()
-"""File through which the first worker tells what is missing; another's is read by nobody."""
+_LINES = pytest.StashKey[Path | None]()
+"""File through which the first worker tells what is missing; None in others."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -93,7 +93,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Declare the marker, and a file through which workers tell."""
     config.addinivalue_line("markers", f"needs(name): skipped without it, of {', '.join([*NEEDS, *sorted(PEERS)])}")
-    config.stash[_LINES] = Path(getattr(config, "workerinput", {}).get("lines") or tempfile.mkstemp()[1])
+    known = getattr(config, "workerinput", {"lines": ""}).get("lines")
+    config.stash[_LINES] = None if known is None else Path(known or tempfile.mkstemp()[1])
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -117,13 +118,12 @@ def _needs(item: pytest.Item) -> set[str]:
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Say what is missing, and exclude tests and modules from garbage collection."""
     lacked = {name for item in session.items for name in _needs(item) - PEERS if _lacks(name)}
-    if lacked:
+    file = session.config.stash[_LINES]
+    if lacked and file is not None:
         count = sum(bool(_needs(item) & lacked) for item in session.items)
         packages = " ".join(dict.fromkeys(" ".join(NEEDS[name].packages for name in NEEDS if name in lacked).split()))
         names = ", ".join(NEEDS[name].name for name in NEEDS if name in lacked)
-        session.config.stash[_LINES].write_text(
-            f"missing here: {names}; {count} tests are left out\nto run them too: apt install {packages}\n"
-        )
+        file.write_text(f"missing here: {names}; {count} tests are left out\nto run them too: apt install {packages}\n")
     if not hasattr(session.config, "workerinput"):
         _say(session.config)
     gc.freeze()
@@ -138,7 +138,7 @@ def pytest_xdist_node_collection_finished(node: Any) -> None:
 
 def _say(config: pytest.Config) -> None:
     file, reporter = config.stash[_LINES], config.pluginmanager.get_plugin("terminalreporter")
-    if reporter is not None and file.exists():
+    if reporter is not None and file is not None and file.exists():
         for line in file.read_text().splitlines():
             reporter.write_line(line)
         file.unlink()
