@@ -12,6 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from maglev_mj.interrupts import interrupts_held
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
@@ -109,7 +110,7 @@ class OffscreenPainter:
 def _context(width: int, height: int, library: str) -> Any:
     """Return an OpenGL context without a visible window."""
     try:
-        with warnings.catch_warnings():
+        with interrupts_held(), warnings.catch_warnings():  # a context half made cannot be released
             warnings.simplefilter("error", UserWarning)  # glfw only warns of a missing display
             return import_module(f"mujoco.{library}").GLContext(width, height)
     except (ImportError, AttributeError, OSError, RuntimeError, TypeError, UserWarning) as error:
