@@ -29,6 +29,7 @@ __all__ = [
     "quaternions",
     "rotation_matrix",
     "rotation_vector",
+    "unit_of",
 ]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -36,6 +37,11 @@ AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 Translations along stator axes, then rotations about them.
 """
+
+_TURNING = {
+    **{"m": "rad", "mm": "mrad", "µm": "µrad", "m/s": "rad/s", "mm/s": "mrad/s"},
+    **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N/mm": "N m/rad", "kN/m": "N m/rad", "N s/m": "N m s/rad"},
+}
 
 ZERO = (0.0,) * 6
 """Six zeros: no wrench, twist or currents.
@@ -201,3 +207,15 @@ def rotation_matrix(vectors: Array) -> Array:
         (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
     )
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def unit_of(unit: str, axis: str | int, along: bool = True) -> str:
+    """Return the unit of a quantity on an axis.
+
+    Args:
+        unit: Its unit on a translation.
+        axis: Name or index of the axis.
+        along: True if the quantity is along that axis: a force, then a torque. Others keep their unit.
+    """
+    turning = along and (AXES.index(axis) if isinstance(axis, str) else axis) >= 3
+    return _TURNING.get(unit, unit) if turning else unit

@@ -289,9 +289,11 @@ class Parameter:
     derive: Callable[[Any], Any] | None
     parse: Callable[[Any], Any] | None
     live: Literal[False] | Turn
+    along: bool
 
     def __post_init__(self) -> None:
         flag("optional", self.optional)
+        flag("along", self.along)
 
     def checked(self, value: Any) -> Any:
         """Return a checked value.
@@ -350,6 +352,7 @@ def param(
     derive: Callable[[Any], Any] | None = None,
     parse: Callable[[Any], Any] | None = None,
     live: bool | Turn = False,
+    along: bool = False,
 ) -> Any:
     """Declare a parameter in place of a field's default.
 
@@ -366,6 +369,7 @@ def param(
         derive: Function that makes the default from the object, with its earlier parameters set.
         parse: Function that checks a value of another type than number, bool or text.
         live: True if it may change while the scene runs; a `Turn` sets the change by a key, a quarter by default.
+        along: True if it is along the axis that the parameter `axis` chooses; its unit is that along a translation.
 
     Example:
         >>> class Ball(Parameters):
@@ -384,6 +388,7 @@ def param(
         "derive": derive,
         "parse": parse,
         "live": Turn(factor=1.25) if live is True else live,
+        "along": along,
     }
     return field(default=default, metadata={"param": declared})
 

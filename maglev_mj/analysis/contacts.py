@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.frames import AXES, Array, Mask
+from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.metrics import Hardness, perceived_hardness, summarise_bounce
 from maglev_mj.trace import Trace
 
@@ -77,7 +77,7 @@ class FaceFigures:
     def name(self) -> str:
         """Axis, side and edge, such as "z below 0 mm"."""
         side = "below" if self.normal > 0.0 else "above"
-        return f"{AXES[self.axis]} {side} {self.edge * 1e3:.4g} {'mm' if self.axis < 3 else 'mrad'}"
+        return f"{AXES[self.axis]} {side} {self.edge * 1e3:.4g} {unit_of('mm', self.axis)}"
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from maglev_mj.analysis.contacts import plain
 from maglev_mj.analysis.output_error import Fit, student
-from maglev_mj.frames import AXES, Array, Mask
+from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.recording.metadata import Face
 
 __all__ = ["Estimate", "Friction", "Identification", "OfAxis", "OfWall", "find_noise", "find_quantum"]
@@ -115,7 +115,7 @@ class OfWall:
         """Axis, side and edge, such as "z below 0 mm"."""
         axis, normal, edge = self.face
         side = "below" if normal > 0.0 else "above"
-        return f"{AXES[axis]} {side} {edge * 1e3:.4g} {'mm' if axis < 3 else 'mrad'}"
+        return f"{AXES[axis]} {side} {edge * 1e3:.4g} {unit_of('mm', axis)}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from maglev_mj.cli.arguments import Container, Parser, offer
 from maglev_mj.cli.pictures import add_pictures
 from maglev_mj.errors import ParameterError
+from maglev_mj.frames import unit_of
 from maglev_mj.net.authentication import LEAST_KEY, MOST_KEY
 from maglev_mj.parameters import Parameter, Parameters
 
@@ -84,7 +85,8 @@ def _add_parameter(parser: Container, option: str, one: Parameter, default: Any,
 def described(one: Parameter, default: Any) -> str:
     """Return a parameter's description with unit, choices and default."""
     text, more, rest = one.help.partition(";")
-    said = f"{text} [{one.unit}]{more}{rest}" if one.unit else text + more + rest
+    unit = " or ".join(dict.fromkeys(unit_of(one.unit, axis, one.along) for axis in ("x", "rx")))
+    said = f"{text} [{unit}]{more}{rest}" if unit else text + more + rest
     if one.choices:
         said += f": {', '.join(one.choices)}"
     if one.kind is bool:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.frames import AXES, Array
+from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.session import SHOWN, Snapshot
 
 __all__ = ["SHOWN", "Curves", "SteadyRange", "curves", "fitted_range", "round_up"]
@@ -50,15 +50,14 @@ def curves(snapshot: Snapshot, axis: int, most: int) -> Curves:
         axis: Index into AXES.
         most: Largest number of points.
     """
-    turning = axis > 2
     rows = snapshot.history
     if len(rows) > most:
         rows = rows[:: -(-len(rows) // most)]
     time = rows[:, 0] - (rows[-1, 0] if len(rows) else 0.0)
     return Curves(
         axis=AXES[axis],
-        unit="mrad" if turning else "mm",
-        torque="N m" if turning else "N",
+        unit=unit_of("mm", axis),
+        torque=unit_of("N", axis),
         time=time,
         position=1e3 * rows[:, 1 + axis],
         speed=1e3 * rows[:, 7 + axis],

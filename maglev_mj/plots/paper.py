@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
-from maglev_mj.frames import AXES, Array
+from maglev_mj.frames import Array, unit_of
 from maglev_mj.plots.drawing import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import Phases, Result, run, run_phases
@@ -289,7 +289,7 @@ def stick_slip(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     result = next(iter(results.values()))
     p, series = result.scene, result.series(1e-4)
-    time, length = series["time"], "mm" if p.axis in AXES[:3] else "mrad"
+    time, length = series["time"], unit_of("mm", p.axis)
     exact = p.exact(time)
     upper.plot(time, series["position"] * 1e3, color=FIRST, linewidth=1.7, label=f"{p.law}, {1.0 / p.period:g} Hz")
     anchor = np.where(series["state"] == "stuck", series["stick_position"], np.nan)

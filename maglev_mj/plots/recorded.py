@@ -13,7 +13,7 @@ import numpy as np
 
 from maglev_mj.analysis import Analysed, Run
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
-from maglev_mj.frames import AXES, Array
+from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.plots.drawing import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
 from maglev_mj.recording import Recording
 from maglev_mj.recording.samples import Samples
@@ -162,7 +162,7 @@ def staircases(time: Array, position: Array, anchors: Array, said: Mapping[int, 
     for (axis, words), panel in zip(said.items(), order):
         panel.plot(time, position[:, axis] * 1e3, color=FIRST, linewidth=1.0, label="position")
         panel.step(time, anchors[:, axis] * 1e3, color=STUCK, linewidth=2.0, where="post", label="stick position")
-        panel.set_title(f"{AXES[axis]} ({'mm' if axis < 3 else 'mrad'}): {words}", **TITLE)
+        panel.set_title(f"{AXES[axis]} ({unit_of('mm', axis)}): {words}", **TITLE)
         panel.set_xlim(float(time[0]), float(time[-1]))
         _no_narrower(panel, 0.02)
     for panel in order[len(said) :]:
@@ -199,7 +199,7 @@ def _over_time(analysed: Analysed, axis: int, path: Path | None, window: tuple[f
         _marks(upper, analysed.recorded, axis)
     _no_narrower(upper, 0.02)
     _walls(upper, analysed, axis)
-    small, force = ("mm", "N") if axis < 3 else ("mrad", "N m")
+    small, force = unit_of("mm", axis), unit_of("N", axis)
     upper.set_ylabel(f"position along {AXES[axis]} ({small})" if axis < 3 else f"{AXES[axis]} ({small})")
     lower.set_ylabel(f"force of the actuators ({force})" if axis < 3 else f"torque of the actuators ({force})")
     lower.set_xlabel("time (s)")

@@ -12,8 +12,9 @@ import numpy as np
 
 from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.frames import unit_of
 from maglev_mj.plots.drawing import TITLE, name_curves, new_figure, save
-from maglev_mj.scenes.figures import Figure, unit_along
+from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.run import Phases, Result
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
@@ -98,7 +99,7 @@ def sweep(found: Sweep) -> Any:
         for index, line in enumerate(lines):
             label = ", ".join(map(_chosen, others, line, (found.units.get(other, "") for other in others)))
             panel.plot(found.varied[first], values[:, index], "o-", color=SERIES[index % len(SERIES)], label=label)
-        panel.set_title(_label(name, one.unit), **TITLE)
+        panel.set_title(_label(name, found.unit_along(one.unit, one.along)), **TITLE)
         panel.set_xlabel(_label(first, found.units.get(first)))
     for panel in panels[len(named) :]:
         panel.set_axis_off()
@@ -187,7 +188,7 @@ def spread(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
             values = np.asarray(sweep.figures[name], dtype=np.float64).reshape(len(sweep.phases), -1) * one.scale
             lines = panel.plot(sweep.phases, values, color=SERIES[place % len(SERIES)])
             lines[0].set_label(label)
-        panel.set_title(_label(name, unit_along(scene.axis, one.unit)), **TITLE)
+        panel.set_title(_label(name, unit_of(one.unit, scene.axis, one.along)), **TITLE)
         panel.set_xlim(0.0, 1.0)
         panel.set_xlabel("phase of the first sample")
     for panel in panels[len(scene.figures) :]:

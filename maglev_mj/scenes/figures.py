@@ -6,7 +6,7 @@ Each has a unit and a short help text.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,20 +20,11 @@ from maglev_mj.terminal import cell
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["STOCK", "Figure", "changes", "figure", "figures_named", "unit_along"]
+__all__ = ["STOCK", "Figure", "changes", "figure", "figures_named"]
 
 _MOST_SHOWN = 4
 _SHARES = 50.0, 5.0, 95.0
 _SMALLER = {1.0: "", 1e3: "m", 1e6: "µ"}
-_TURNING = {
-    **{"m": "rad", "mm": "mrad", "µm": "µrad", "m/s": "rad/s", "mm/s": "mrad/s"},
-    **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N s/m": "N m s/rad"},
-}
-
-
-def unit_along(axis: str, unit: str) -> str:
-    """Return the unit along a translation or rotation axis."""
-    return _TURNING.get(unit, unit) if AXES.index(axis) >= 3 else unit
 
 
 @dataclass(frozen=True)
@@ -43,11 +34,12 @@ class Figure:
     Attributes:
         name: Its name.
         function: Function of a `Result` that returns a number, or a list of them; for a batch (..., N).
-        unit: Unit in tables; that of a translation if the axis may be a rotation.
+        unit: Unit in tables.
         help: Short description.
         scale: Factor from SI units to that unit.
         batched: True if the function takes a batch of devices at once, with the same bits as one by one.
         late: True if a missing figure counts as the largest in percentiles; otherwise it is left out.
+        along: True if it is along the scene's axis, with the unit of a translation; see `unit_of`.
 
     Example:
         >>> from maglev_mj import find_scene, run
@@ -64,10 +56,12 @@ class Figure:
     scale: float = 1.0
     batched: bool = True
     late: bool = False
+    along: bool = False
 
     def __post_init__(self) -> None:
         flag("batched", self.batched)
         flag("late", self.late)
+        flag("along", self.along)
 
     def __call__(self, result: Result) -> Any:
         """Return the figure of a result."""
@@ -131,6 +125,7 @@ def figure(
     scale: float = 1.0,
     batched: bool = False,
     late: bool = False,
+    along: bool = False,
 ) -> Callable[[Callable[[Result], Any]], Figure]:
     """Make a figure of a function; see `Figure`.
 
@@ -144,9 +139,10 @@ def figure(
     """
     flag("batched", batched)
     flag("late", late)
+    flag("along", along)
 
     def make(function: Callable[[Result], Any]) -> Figure:
-        return Figure(function.__name__, function, unit, help, scale, batched, late)
+        return Figure(function.__name__, function, unit, help, scale, batched, late, along)
 
     return make
 
@@ -218,7 +214,7 @@ def _press_name(name: str) -> str:
 
 
 STOCK: Mapping[str, Figure] = {
-    one.name: one
+    one.name: replace(one, along=True)
     for one in (
         Figure("penetration", _bounce("penetration"), "mm", "greatest depth behind the wall", 1e3, late=True),
         Figure("rebound", _bounce("rebound"), "mm", "greatest height after the first contact", 1e3, late=True),

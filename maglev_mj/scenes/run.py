@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError, not_one_of
-from maglev_mj.frames import AXES, Array, Command, Component, Sample
+from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
 from maglev_mj.loop import drive
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.scenes.figures import Figure, unit_along
+from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.spec import ESCAPE
 from maglev_mj.tabular import Table, Tabular
@@ -114,7 +114,7 @@ class Result(Tabular):
     @property
     def units(self) -> dict[str, str]:
         """Unit of each column the package knows."""
-        return {name: unit_along(self.scene.axis, unit) for name, unit in _UNITS.items()}
+        return {name: unit_of(unit, self.scene.axis) for name, unit in _UNITS.items()}
 
     def table(self) -> Table:
         """Return the figures; those of several phases as `Phases` does."""
@@ -188,7 +188,7 @@ class Phases(Tabular):
     def units(self) -> dict[str, str]:
         """Unit of each column."""
         named: Mapping[str, Figure] = self.scene.figures
-        known = {name: unit_along(self.scene.axis, one.si_unit) for name, one in named.items()}
+        known = {name: unit_of(one.si_unit, self.scene.axis, one.along) for name, one in named.items()}
         return {column: known[column.partition(".")[0]] for column in self.columns() if column != "phase"}
 
     def table(self) -> Table:
@@ -232,7 +232,7 @@ def _figures_table(scene: Scene, title: str, figures: Mapping[str, Any], *, seve
         (
             name.replace("_", " "),
             one.spread(figures[name]) if several else one.text(figures[name]),
-            unit_along(scene.axis, one.unit),
+            unit_of(one.unit, scene.axis, one.along),
             one.help,
         )
         for name, one in named.items()

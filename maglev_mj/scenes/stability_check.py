@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from maglev_mj import theory
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import AXES, ZERO, Sample, components
+from maglev_mj.frames import AXES, ZERO, Sample, components, unit_of
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene
@@ -63,17 +63,17 @@ class UnstableLoop(NamedTuple):
     delay: float
 
     def __str__(self) -> str:
-        unit, rate = ("N/m", "N s/m") if self.axis in AXES[:3] else ("N m/rad", "N m s/rad"), 1.0 / self.period
+        stiff, damp = (unit_of(unit, self.axis) for unit in ("N/m", "N s/m"))
         if self.largest_stable is None:
             bound = ""
         elif self.largest_stable:
-            bound = f"; at this damping it is stable up to {self.largest_stable:.4g} {unit[0]}"
+            bound = f"; at this damping it is stable up to {self.largest_stable:.4g} {stiff}"
         else:
             bound = "; at this damping it is unstable at any stiffness"
         return (
-            f"{self.acting} on {self.axis}: {self.stiffness:.4g} {unit[0]} and {self.damping:.4g} {unit[1]} in all, at "
-            f"{rate:.4g} Hz with {self.delay * 1e3:.3g} ms of delay, have the largest root modulus {self.modulus:.4f}, "
-            f"which must be below 1{bound}"
+            f"{self.acting} on {self.axis}: {self.stiffness:.4g} {stiff} and {self.damping:.4g} {damp} in all, at "
+            f"{1.0 / self.period:.4g} Hz with {self.delay * 1e3:.3g} ms of delay, have the largest root modulus "
+            f"{self.modulus:.4f}, which must be below 1{bound}"
         )
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from maglev_mj.frames import AXES, Array
+from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.laws import (
     AdaptiveWindow,
     Dahl,
@@ -101,13 +101,25 @@ class StickSlip(Scene):
     velocity: str = param("velocity estimator", default="difference", choices=tuple(VELOCITIES))
     axis: str = param("axis", default="x", choices=AXES)
     quantize: float = param(
-        "resolution of the position sensor; 0 for an ideal one", "m", default=0.0, at_least=0.0, at_most=1.0
+        "resolution of the position sensor; 0 for an ideal one", "m", default=0.0, at_least=0.0, at_most=1.0, along=True
     )
     spring: float = param(
-        "stiffness of the virtual spring", "N/m", default=None, derive=_at_radius(1000.0, 2), above=0.0, at_most=1e8
+        "stiffness of the virtual spring",
+        "N/m",
+        default=None,
+        derive=_at_radius(1000.0, 2),
+        above=0.0,
+        at_most=1e8,
+        along=True,
     )
     target: float = param(
-        "where the spring's far end is", "m", default=None, derive=_at_radius(0.003, -1), at_least=-0.5, at_most=0.5
+        "where the spring's far end is",
+        "m",
+        default=None,
+        derive=_at_radius(0.003, -1),
+        at_least=-0.5,
+        at_most=0.5,
+        along=True,
     )
     stiffness: float = param(
         "stiffness of the friction law while stuck",
@@ -117,15 +129,29 @@ class StickSlip(Scene):
         above=0.0,
         at_most=1e8,
         live=True,
+        along=True,
     )
     damping: float = param(
-        "viscous damping", "N s/m", default=None, derive=_at_radius(80.0, 2), at_least=0.0, at_most=1e6, live=True
+        "viscous damping",
+        "N s/m",
+        default=None,
+        derive=_at_radius(80.0, 2),
+        at_least=0.0,
+        at_most=1e6,
+        live=True,
+        along=True,
     )
     breakaway: float = param(
-        "breakaway force", "N", default=None, derive=_at_radius(2.0, 1), above=0.0, at_most=1e6, live=True
+        "breakaway force", "N", default=None, derive=_at_radius(2.0, 1), above=0.0, at_most=1e6, live=True, along=True
     )
     v_min: float = param(
-        "speed below which the flotor sticks", "m/s", default=None, derive=_at_radius(0.005, -1), above=0.0, at_most=1e3
+        "speed below which the flotor sticks",
+        "m/s",
+        default=None,
+        derive=_at_radius(0.005, -1),
+        above=0.0,
+        at_most=1e3,
+        along=True,
     )
     duration: float = param("simulated time", "s", default=0.3, above=0.0, at_most=1000.0)
 
@@ -153,7 +179,8 @@ class StickSlip(Scene):
 
     def describe(self) -> str:
         """Return a one-line description."""
-        gains = f"{self.stiffness:.6g} N/m and {self.damping:.4g} N s/m while stuck"
+        stiff, damp = (unit_of(unit, self.axis) for unit in ("N/m", "N s/m"))
+        gains = f"{self.stiffness:.6g} {stiff} and {self.damping:.4g} {damp} while stuck"
         return f"pulled out of {self.law} friction by a spring, as in figure 8; {gains}"
 
     @property

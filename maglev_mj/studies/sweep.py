@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 import maglev_mj
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, unit_of
 from maglev_mj.parameters import parsed_number
 from maglev_mj.scenes.find import hash_of, made_again, reference_of, scene_of_text, text_of
 from maglev_mj.scenes.names import installed_scenes
@@ -80,8 +80,15 @@ class Sweep(Tabular):
     @property
     def units(self) -> dict[str, str]:
         """Unit of each column."""
-        units = {name: self.scene.parameter(name).unit for name in self.varied if name not in ("plant", "phase")}
-        return units | {name: self.scene.figures[name].si_unit for name in self.names if name in self.scene.figures}
+        parameters = [self.scene.parameter(name) for name in self.varied if name not in ("plant", "phase")]
+        named = {name: self.scene.figures[name] for name in self.names if name in self.scene.figures}
+        units = {one.name: self.unit_along(one.unit, one.along) for one in parameters}
+        return units | {name: self.unit_along(one.si_unit, one.along) for name, one in named.items()}
+
+    def unit_along(self, unit: str, along: bool) -> str:
+        """Return a quantity's unit on the axes of the cells; see `unit_of`."""
+        axes = dict.fromkeys(cell.get("axis", self.scene.shown_axis) for cell in self.cells)
+        return " or ".join(dict.fromkeys(unit_of(unit, axis, along) for axis in axes))
 
     def table(self) -> Table:
         """Return the first cells."""

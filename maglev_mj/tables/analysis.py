@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from maglev_mj.analysis import Analysed, Comparison, FaceFigures, StretchFigures
-from maglev_mj.frames import AXES, Array
+from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.tables.identification import identified_lines
 from maglev_mj.terminal import cell, wrapped
 
@@ -72,7 +72,7 @@ def _walls(
     faces: Sequence[FaceFigures], others: Mapping[tuple[int, float], FaceFigures] | None, *, turning: bool
 ) -> list[str]:
     """Return a row for each wall and for its simulation."""
-    small, force, hard = ("mrad", "N m", "N m/rad") if turning else ("mm", "N", "N/mm")
+    small, force, hard = (unit_of(unit, 3 * turning) for unit in ("mm", "N", "N/mm"))
     lines = [
         _cells("wall", ("depth", "rebound", "peak", "settling", "rate", "extended", "contacts"), _WALL),
         _cells("", (small, small, force, "ms, 2 %", hard, hard), _WALL),
@@ -101,7 +101,7 @@ def _wall(face: FaceFigures, *, turning: bool) -> list[str]:
 
 def _contacts(faces: Sequence[FaceFigures], *, turning: bool) -> list[str]:
     """Return a row per contact, the first ones, by time."""
-    small, force = ("mrad", "N m") if turning else ("mm", "N")
+    small, force = (unit_of(unit, 3 * turning) for unit in ("mm", "N"))
     lines = [
         _cells("contact", ("at", "for", "approach", "depth", "peak"), _CONTACT),
         _cells("", ("s", "ms", f"{small}/s", small, force), _CONTACT),
@@ -146,7 +146,7 @@ def _friction(figures: StretchFigures) -> list[str]:
     for axis in rubbing:
         places = [f"{stick.position * 1e3:.3f}" for stick in figures.sticks[axis] or ()]
         more = f" and {len(places) - _STICKS_SHOWN} more" if len(places) > _STICKS_SHOWN else ""
-        unit = "mm" if axis < 3 else "mrad"
+        unit = unit_of("mm", axis)
         told = f"{', '.join(places[:_STICKS_SHOWN])}{more} {unit}"
         lines += wrapped(told, f"  {f'stuck at, {AXES[axis]}':<{_NAME}}  ", " " * (_NAME + 4))
     return lines

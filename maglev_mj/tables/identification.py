@@ -8,7 +8,7 @@ from itertools import groupby
 from typing import NamedTuple
 
 from maglev_mj.analysis import Estimate, Identification
-from maglev_mj.frames import AXES
+from maglev_mj.frames import AXES, unit_of
 from maglev_mj.terminal import wrapped
 
 __all__ = ["identified_lines"]
@@ -72,32 +72,33 @@ def _rounded(value: float, error: float) -> tuple[str, str]:
     return f"{round(value, decimals) + 0.0:.{decimals}f}", f"{error:.2g}" if error < 100.0 else f"{error:.0f}"
 
 
+def _units(axis: int) -> tuple[str, str, tuple[float, str], tuple[float, str]]:
+    """Return the units of gains, and scale and unit of positions and forces."""
+    stiff, damp, small, force = (unit_of(unit, axis) for unit in ("N/m", "N s/m", "µm", "N"))
+    return stiff, damp, (1e6, small), (1.0, force)
+
+
 def _rows(found: Identification) -> Iterator[_Row]:
-    position, force = [(1e6, "µm"), (1e6, "µrad")], ["N", "N m"]
     yield _Row("", "effective delay", found.delay, 1e3, "ms", (1e6, "µm"))
     for wall in found.walls:
-        turning = int(wall.face[0] >= 3)
-        moved, said = position[turning], (1.0, force[turning])
-        stiff, damp = (("N/m", "N s/m"), ("N m/rad", "N m s/rad"))[turning]
+        stiff, damp, moved, said = _units(wall.face[0])
         yield _Row(wall.name, "stiffness", wall.stiffness, 1.0, stiff, moved)
         yield _Row(wall.name, "damping", wall.damping, 1.0, damp, moved)
         yield _Row(wall.name, "of largest stable", wall.share, 1e2, "%", moved)
         yield _Row(wall.name, "commanded stiffness", wall.commanded_stiffness, 1.0, stiff, said)
         yield _Row(wall.name, "commanded damping", wall.commanded_damping, 1.0, damp, said)
     for axis, rub in found.friction.items():
-        turning, name = int(axis >= 3), f"friction on {AXES[axis]}"
-        moved, said = position[turning], (1.0, force[turning])
-        stiff, damp = (("N/m", "N s/m"), ("N m/rad", "N m s/rad"))[turning]
+        stiff, damp, moved, said = _units(axis)
+        name = f"friction on {AXES[axis]}"
         yield _Row(name, "stiffness", rub.stiffness, 1.0, stiff, moved)
         yield _Row(name, "commanded stiffness", rub.commanded_stiffness, 1.0, stiff, said)
         yield _Row(name, "breakaway", rub.breakaway, 1.0, said[1], said)
         yield _Row(name, "sliding", rub.sliding, 1.0, said[1], said)
         yield _Row(name, "damping", rub.damping, 1.0, damp, said)
     for axis, one in found.axes.items():
-        turning, name = int(axis >= 3), AXES[axis]
-        moved = position[turning]
+        name, (_, _, moved, said) = AXES[axis], _units(axis)
         mass = ("mass", 1.0, "kg") if axis < 3 else ("moment of inertia", 1e3, "g m²")
         yield _Row(name, mass[0], one.inertia, mass[1], mass[2], moved)
-        yield _Row(name, "force not compensated", one.force_error, 1e3, f"m{force[turning]}", moved)
+        yield _Row(name, "force not compensated", one.force_error, 1e3, f"m{said[1]}", moved)
         yield _Row(name, "noise", one.noise, *moved, moved)
         yield _Row(name, "steps", one.quantum, *moved, moved)

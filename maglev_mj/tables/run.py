@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.frames import Array, Mask
-from maglev_mj.scenes.figures import unit_along
+from maglev_mj.frames import Array, Mask, unit_of
 from maglev_mj.scenes.run import Phases, Result
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import RANGE, Spec
@@ -62,7 +61,7 @@ def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: 
         list(results), [one.trace.furthest() for one in results.values()], [one.furthest for one in sweeps.values()]
     )
     if gap is not None:
-        remarks.append(f"MuJoCo and the exact plant differ by at most {gap:.1e} {unit_along(scene.axis, 'm')}")
+        remarks.append(f"MuJoCo and the exact plant differ by at most {gap:.1e} {unit_of('m', scene.axis)}")
     told = [line for remark in remarks for line in wrapped(remark, further="    ")]
     return "\n".join([*lines, *(["", *told] if told else [])])
 
@@ -74,7 +73,11 @@ def _head(scene: Scene, plant: str) -> list[str]:
         value = getattr(scene, one.name)
         if one.name in ("period", "delay") or one.kind in (object, bool) or value is None:
             continue
-        text = f"{value:.6g} {unit_along(scene.axis, one.unit)}".rstrip() if one.kind in (int, float) else str(value)
+        text = (
+            f"{value:.6g} {unit_of(one.unit, scene.axis, one.along)}".rstrip()
+            if one.kind in (int, float)
+            else str(value)
+        )
         shown.append(f"{one.name.replace('_', ' ')} {text}")
     # a name, its number and its unit stay on one line
     lines = wrapped(", ".join(text.replace(" ", "\0") for text in shown))
@@ -102,7 +105,7 @@ def _blocks(scene: Scene, blocks: Sequence[tuple[str, Mapping[str, Sequence[str]
     Columns beyond the width go on below.
     """
     names = [name.replace("_", " ") for name in scene.figures]
-    units = [unit_along(scene.axis, figure.unit) for figure in scene.figures.values()]
+    units = [unit_of(figure.unit, scene.axis, figure.along) for figure in scene.figures.values()]
     left = max([_NAME, *map(len, names)]) + 2
     room = WIDTH - left - 2 - max(map(len, units), default=0)
     parts = [(title, _columns(columns)) for title, columns in blocks]

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from maglev_mj.display.banner import pace
 from maglev_mj.display.stops import met_stops
+from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.session import DEVICES_OWN, Snapshot
 from maglev_mj.shapes import ARROW
@@ -33,7 +34,7 @@ def status_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
     scene = snapshot.scene
     live = [one for one in scene.parameters() if one.live and one.live.has_keys and one.name not in DEVICES_OWN]
     on = [one.name for one in live if one.kind is bool and getattr(scene, one.name)]
-    gains = [_shown(one, getattr(scene, one.name)) for one in live if one.kind in (float, int)]
+    gains = [_shown(one, getattr(scene, one.name), scene.axis) for one in live if one.kind in (float, int)]
     time, early = ("time", _time(snapshot)), snapshot.duration is not None or snapshot.time_scale != 1.0
     rows = [
         *_tour(snapshot),
@@ -75,7 +76,7 @@ def _energy(snapshot: Snapshot) -> str:
     return f"hand gave {snapshot.work * 1e3:.1f} mJ" + ("" if math.isnan(snapshot.taken) else taken)
 
 
-def _shown(one: Parameter, value: float | None) -> str:
+def _shown(one: Parameter, value: float | None, axis: str) -> str:
     """Return a gain as text, with its name if needed.
 
     Gains of a wall have no name.
@@ -83,4 +84,5 @@ def _shown(one: Parameter, value: float | None) -> str:
     if value is None:
         return f"{one.name} none"
     number = f"{value:.0f}" if abs(value) >= 1e3 else f"{value:.3g}"
-    return f"{number} {one.unit}" if one.name in ("stiffness", "damping") else f"{one.name} {number} {one.unit}".strip()
+    text = f"{number} {unit_of(one.unit, axis, one.along)}".strip()
+    return text if one.name in ("stiffness", "damping") else f"{one.name} {text}"

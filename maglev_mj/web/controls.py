@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from maglev_mj.display.curves import round_up
+from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 from maglev_mj.web.handles import put
@@ -158,7 +159,7 @@ def control(gui: Any, one: Parameter, scene: Scene, ask: Ask) -> Control | None:
 
     None for a parameter that programs alone set.
     """
-    value, label, hint = getattr(scene, one.name), one.name.replace("_", " "), _hint(one)
+    value, label, hint = getattr(scene, one.name), one.name.replace("_", " "), _hint(one, scene.axis)
     if one.kind is bool:
         return Switch(one.name, gui.add_checkbox(label, value, hint=hint), ask)
     if one.kind is str and one.choices:
@@ -176,7 +177,7 @@ def control(gui: Any, one: Parameter, scene: Scene, ask: Ask) -> Control | None:
         named = {text(each): each for each in values}
         handle = gui.add_dropdown(one.live.word or label, tuple(named), initial_value=text(value), hint=hint)
         return Choice(one.name, handle, ask, text, named)
-    scale, unit = (1e3, "ms") if one.unit == "s" else (1.0, one.unit)
+    scale, unit = (1e3, "ms") if one.unit == "s" else (1.0, unit_of(one.unit, scene.axis, one.along))
     made = Slider(
         gui,
         one.name,
@@ -203,7 +204,8 @@ def _ends(one: Parameter) -> tuple[float, float]:
     return least, most
 
 
-def _hint(one: Parameter) -> str:
+def _hint(one: Parameter, axis: str) -> str:
     """Return a parameter's description and allowed values."""
-    words = [f"{word.replace('_', ' ')} {bound:g} {one.unit}".strip() for word, bound in one.bounds.items()]
+    unit = unit_of(one.unit, axis, one.along)
+    words = [f"{word.replace('_', ' ')} {bound:g} {unit}".strip() for word, bound in one.bounds.items()]
     return ": ".join([one.help, " and ".join(words)]) if words else one.help

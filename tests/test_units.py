@@ -1,0 +1,124 @@
+"""Units along each of the six axes, in every table, chart, slider and data frame."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import Hold, Scene, Session, figure, param, run, run_phases, sweep
+from maglev_mj.cli.options import described
+from maglev_mj.frames import AXES, unit_of
+from maglev_mj.plots.paper import stick_slip
+from maglev_mj.plots.results import series, spread
+from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.tables.run import run_table, sweep_table
+from maglev_mj.tables.stability import loop_table
+from maglev_mj.theory.verdict import stability
+from maglev_mj.viewer.overlay import status_rows
+from maglev_mj.web.controls import control
+
+SHORT: dict[str, Any] = {"duration": 0.02}
+ALONG = "quantize", "spring", "target", "stiffness", "damping", "breakaway", "v_min"
+UNIT = re.compile(r"(?<![\w/.])(N m s/rad|N m/rad|m?N m|[mµ]?rad(/s)?|N s/m|k?N/m+|[km]?N|[mµ]?m(/s)?)(?![\w/])")
+
+
+def wrong(text: str, axis: str) -> list[str]:
+    """Return the units of the other kind of axis in a text."""
+    units = [match[0] for match in UNIT.finditer(text)]
+    return [unit for unit in units if ("rad" in unit or "N m" in unit) != axis.startswith("r")]
+
+
+def test_the_two_kinds_are_told_apart() -> None:
+    for text in ("3 N m/rad", "0.07 N m", "5 mrad/s", "[rad]", "N m s/rad", "µrad"):
+        assert wrong(text, "x") and not wrong(text, "rz"), text
+    for text in ("3 N/m", "0.07 N", "5 mm/s", "[m]", "N s/m", "3.0 µm", "kN/m", "m/s"):
+        assert wrong(text, "rz") and not wrong(text, "x"), text
+
+
+class Gui:
+    """Widgets of a page, as texts."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def __getattr__(self, _: str) -> Any:
+        def add(label: str, *_: Any, hint: str = "", **__: Any) -> Any:
+            self.texts += [label, hint or ""]
+            return SimpleNamespace(on_update=lambda function: None, value=0.0, min=0.0, max=1.0)
+
+        return add
+
+
+def texts_of(drawn: Any) -> Iterator[str]:
+    for panel in drawn.axes:
+        yield from (panel.get_title("left"), panel.get_xlabel(), panel.get_ylabel())
+        yield from (text.get_text() for text in panel.texts)
+        if panel.get_legend() is not None:
+            yield from (text.get_text() for text in panel.get_legend().get_texts())
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
+    scene = StickSlip(axis=axis, **SHORT)
+    result, phases = run(scene, plant="exact"), run_phases(scene, 2, plant="exact")
+    values = [0.9 * scene.stiffness, scene.stiffness]
+    swept = sweep(scene, {"stiffness": values, "breakaway": [scene.breakaway, 1.1 * scene.breakaway]}, plant="exact")
+    gui, session = Gui(), Session(scene)
+    for one in scene.parameters():
+        control(gui, one, scene, lambda *_: None)
+    said = {
+        "run": run_table({"a": result}, {"a": phases}, 1e-6),
+        "sweep": sweep_table(swept, ""),
+        "stability": loop_table(scene, stability(scene)),
+        "page": "\n".join(gui.texts),
+        "window": "\n".join(map(" ".join, [row for row in status_rows(session.snapshot()) if row[0] != "arrows"])),
+        "tables": "\n".join(str(found.table()) for found in (result, phases, swept)),
+        "frames": "\n".join(f" {unit} " for found in (result, phases, swept) for unit in found.units.values()),
+        "figure 8": "\n".join(texts_of(stick_slip({"a": result}, {"a": phases}))),
+        "plots": "\n".join(text for found in (result, phases, swept) for text in texts_of(found.plot())),
+        "spread": "\n".join(texts_of(spread({"a": result}, {"a": phases}))),
+        "series": "\n".join(texts_of(series({"a": result}, {"a": phases}))),
+    }
+    session.close()
+    assert {name: wrong(text, axis) for name, text in said.items() if wrong(text, axis)} == {}
+    other = "x" if axis.startswith("r") else "rx"
+    assert {name for name in said if not wrong(said[name], other)} == {"sweep"}  # which is in SI units without words
+    assert swept.units["stiffness"] == unit_of("N/m", axis) and result.units["position"] == unit_of("m", axis)
+
+
+def test_a_sweep_over_axes_names_both_units() -> None:
+    swept = sweep(StickSlip(**SHORT), {"axis": ["x", "rx"]}, plant="exact")
+    assert swept.units["peak_speed"] == "m/s or rad/s" and swept.units["stick_time"] == "s"
+
+
+def test_every_parameter_along_the_chosen_axis_says_so() -> None:
+    declared = {one.name: one for one in StickSlip().parameters()}
+    assert [name for name, one in declared.items() if one.along] == list(ALONG)
+    assert "[N s/m or N m s/rad]" in described(declared["damping"], 80.0)
+    assert "[s]" in described(declared["duration"], 0.3)
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_what_is_not_along_the_axis_keeps_its_unit(axis: str) -> None:
+    class Own(Scene):
+        """Own."""
+
+        shown_axis = axis
+        figures = ("final_position", figure("N", "of all axes")(lambda result: 1.0))
+        place: float = param("place of a wall along x", "m", default=0.002)
+        force: float = param("force along x", "N", default=1.0)
+        duration: float = param("simulated time", "s", default=0.02)
+
+        def laws(self) -> list[Any]:
+            return [Hold(stiffness=np.full(6, 1.0), damping=np.full(6, 0.1))]
+
+    result = run(Own(), plant="exact")
+    head, _, table = run_table({"a": result}, {}, None).partition("\n\n")
+    assert "place 0.002 m," in head and "force 1 N," in head
+    units = {row[0]: row[2] for row in result.table().rows}
+    assert units == {"final position": unit_of("mm", axis), "<lambda>": "N"} and unit_of("mm", axis) in table
