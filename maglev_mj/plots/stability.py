@@ -82,7 +82,7 @@ def stability_map(result: StabilityMap, path: Path | None = None) -> Any:
     hand = "" if p.hand == "none" else f", hand {p.hand}"
     panel.set_title(
         f"largest modulus: {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, {p.mass:g} kg{hand}\n"
-        f"stiffest wall {float(best.stiffness):.0f} N/m at {float(best.damping):.1f} N s/m",
+        f"stiffest wall: {best.describe()}",
         **TITLE,
     )
     return save(figure, path)

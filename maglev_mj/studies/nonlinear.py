@@ -162,7 +162,7 @@ class DropMap(GainMap):
             "endings": [one.name.lower() for one in Ending],
             "settles_up_to": self.settles_up_to.tolist(),
             "boundary": self.boundary.tolist(),
-            "maximum": {"stiffness": float(self.maximum.stiffness), "damping": float(self.maximum.damping)},
+            "maximum": {name: value.item() for name, value in self.maximum._asdict().items()},
             "other_versions": list(self.others),
         }
 

@@ -113,9 +113,7 @@ class GainMap(Tabular):
 
     def table(self) -> Table:
         """Return the first cells, under the stiffest wall."""
-        best = self.maximum
-        title = f"stiffest wall by theory: {float(best.stiffness):.0f} N/m at {float(best.damping):.1f} N s/m"
-        return super().table()._replace(title=title)
+        return super().table()._replace(title=f"stiffest wall by theory: {self.maximum.describe()}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,7 +164,7 @@ class StabilityMap(GainMap):
             "modulus": self.modulus.tolist(),
             "simulated_stable": None if self.simulated is None else self.simulated.tolist(),
             "boundary": self.boundary.tolist(),
-            "maximum": {"stiffness": float(self.maximum.stiffness), "damping": float(self.maximum.damping)},
+            "maximum": {name: value.item() for name, value in self.maximum._asdict().items()},
             "other_versions": list(self.others),
         }
 
@@ -211,9 +209,9 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
     Dampings [N s/m], (B,), stiffnesses [N/m], (K,), and the stiffest wall by theory.
     """
     best = stiffest_in(p.period, p.delay, p.mass, p.hand)
-    some = float(best.stiffness) > 0.0  # without a stable wall there is nothing to frame
-    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) if some else p.mass / p.period)
-    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) if some else p.mass / p.period**2)
+    # a wall without damping or stiffness, or none, frames nothing
+    damping = _axis(p.damping, p.grid, 2.2 * float(best.damping) or p.mass / p.period)
+    stiffness = _axis(p.stiffness, p.grid, 1.25 * float(best.stiffness) or p.mass / p.period**2)
     return damping, stiffness, best
 
 

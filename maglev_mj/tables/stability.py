@@ -11,7 +11,7 @@ from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.nonlinear import SAMPLES, DropMap, Ending
 from maglev_mj.studies.stability_map import StabilityMap, StabilityParameters
 from maglev_mj.terminal import wrapped
-from maglev_mj.theory import Verdict, bounds, is_stable
+from maglev_mj.theory import StiffestWall, Verdict, bounds, is_stable
 from maglev_mj.theory.design import Case
 
 __all__ = ["design_table", "drop_table", "loop_table", "stability_table"]
@@ -29,9 +29,8 @@ def stability_table(result: StabilityMap) -> str:
     lines = [
         *wrapped(f"Stability of a PD wall, {_loop(p)}", ""),
         "",
-        f"  stiffest stable wall  {stiffest:>9.0f} N/m at {damping:.1f} N s/m"
-        if stiffest > 0.0
-        else "  no wall is stable",
+        f"  stiffest stable wall   {_stiffest(best)}",
+        *(["  at a damping slightly beside the jump, softer walls are unstable"] if best.on_jump else []),
         "  published bounds at this damping, without a hand; times the stiffest wall",
     ]
     for name, bound, sense in (
@@ -76,12 +75,16 @@ def drop_table(result: DropMap) -> str:
         f"  stiffest up to which all settle  {up_to[best]:>8.0f} N/m at {result.damping[best]:.1f} N s/m"
         if up_to[best] > 0.0
         else "  none settles",
-        f"  stiffest stable wall by theory   {float(result.maximum.stiffness):>8.0f} N/m at "
-        f"{float(result.maximum.damping):.1f} N s/m",
+        f"  stiffest stable wall by theory   {_stiffest(result.maximum)}",
         f"  stable by theory, does not settle {int((stable & ~settles).sum()):>7}",
         f"  settles, unstable by theory       {int((~stable & settles).sum()):>7}",
     ]
     return "\n".join(lines)
+
+
+def _stiffest(best: StiffestWall) -> str:
+    amount, _, rest = best.describe().partition(" ")
+    return f"{amount:>8} {rest}"
 
 
 def _loop(p: StabilityParameters) -> str:

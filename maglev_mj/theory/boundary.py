@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import common_shape, number, numbers
-from maglev_mj.theory.characteristic import SampledCurve, characteristic, crossings, scales
+from maglev_mj.theory.characteristic import characteristic, crossings, scales
 from maglev_mj.theory.closed_loop import ROUNDING, LoopKeywords, SampledLoop, is_stable
 
 __all__ = [
@@ -32,20 +32,36 @@ __all__ = [
 
 _HIGHEST = 8.0
 _NEAR = 1e-7
-_LOWEST, _APART = 8e-4, 1e-9
 _CLOSE = np.array([-1e-4, -2e-7, 2e-7, 1e-4])
 _EVEN = np.array([0.0, 0.3, 0.7, 1.0])
-_GRID = np.geomspace(_LOWEST, _HIGHEST, 60)
+_LOWEST, _FINEST = 8e-5, 1e-8
+_GRID = np.array([0.0, *np.geomspace(_LOWEST, _HIGHEST, 240)])
+_PEAKS, _FINER = 3, 16
+_SOFTEST = 1e-9
+"""Softest wall that rounding tells from none [m/T²]."""
+_BESIDE, _FALL = 1e-6 * np.linspace(-1.0, 1.0, 5), 1e-3
 
 
 class StiffestWall(NamedTuple):
-    """Largest stable stiffness [N/m] and its damping [N s/m].
+    """Largest stable stiffness over all dampings, with its damping.
 
     (...,) each.
+
+    Attributes:
+        stiffness: The stiffness [N/m]; 0 if no wall is stable.
+        damping: Its damping [N s/m]; 0 if no wall is stable.
+        on_jump: True if the stiffness falls by 0.1 % or more at a damping within 1e-6 of this one.
     """
 
     stiffness: Array
     damping: Array
+    on_jump: Mask
+
+    def describe(self) -> str:
+        """Return one wall as a phrase."""
+        if not self.stiffness > 0.0:
+            return "none, no wall is stable"
+        return f"{self.stiffness:.0f} N/m at {self.damping:.1f} N s/m" + (", on a jump" if self.on_jump else "")
 
 
 def flattened(loop: SampledLoop, damping: Array) -> tuple[SampledLoop, Array, tuple[int, ...]]:
@@ -130,8 +146,7 @@ def largest_stable_stiffness(damping: ArrayLike | None = None, **loop: Unpack[Lo
         loop: Keywords of `SampledLoop`; they broadcast with the damping.
 
     Returns:
-        The stiffness (...,), 0 if no soft wall is stable, and 8 m/T² at most; for `damping=None` stiffness and
-        damping.
+        The stiffness (...,), 0 if no soft wall is stable, and 8 m/T² at most; for `damping=None` a `StiffestWall`.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -193,9 +208,10 @@ def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
 
 
 def stiffest_wall(**loop: Unpack[LoopKeywords]) -> StiffestWall:
-    """Return the largest stable stiffness over all dampings.
+    """Return the largest stable stiffness over all dampings, and its damping.
 
-    Its damping is returned too.
+    Dampings from 0 to 8 m/T are searched by grids that close in on the highest maxima. If the largest stiffness lies
+    on a jump of the boundary, `on_jump` is True: at a slightly different damping softer walls are unstable.
 
     Args:
         loop: Keywords of `SampledLoop`.
@@ -212,31 +228,35 @@ def stiffest_of(loop: SampledLoop) -> StiffestWall:
     See `stiffest_wall`.
     """
     found = [_stiffest(loop.part(loop.shape, index)) for index in range(math.prod(loop.shape))]
-    stiffness, damping = np.array(found).reshape(*loop.shape, 2).transpose(-1, *range(len(loop.shape)))
-    return StiffestWall(stiffness, damping)
+    stiffness, damping, on_jump = np.moveaxis(np.array(found).reshape(*loop.shape, 3), -1, 0)
+    return StiffestWall(stiffness, damping, on_jump.astype(bool))
 
 
-def _stiffest(loop: SampledLoop) -> tuple[float, float]:
-    """Return stiffness and damping of one loop's stiffest wall.
+def _stiffest(loop: SampledLoop) -> tuple[float, float, bool]:
+    """Return stiffness, damping and `on_jump` of one loop's stiffest wall."""
+    stiff, damp = scales(loop)
+    dampings = _GRID * float(damp)
+    stiffness = first_end(*spans(loop, dampings, 1.0))[0]
+    sides = np.pad(stiffness, 1, constant_values=-1.0)
+    peaks = np.flatnonzero((stiffness > sides[:-2]) & (stiffness >= sides[2:]))
+    highest = peaks[np.argsort(-stiffness[peaks], kind="stable")[:_PEAKS]]
+    maxima = np.array([_maximum(loop, dampings, place) for place in highest])[:, None]
+    beside = np.maximum(maxima + np.maximum(maxima, dampings[1]) * _BESIDE, 0.0)
+    exact = boundary_of(loop, beside)
+    row, column = np.unravel_index(int(np.argmax(exact)), exact.shape)
+    most = float(exact[row, column])
+    if not most > _SOFTEST * float(stiff):
+        return 0.0, 0.0, False
+    return most, float(beside[row, column]), bool(exact[row].min() < most * (1.0 - _FALL))
 
-    The boundary over the damping can have its maximum at a smooth maximum of the explicit curve, a fold of it, its
-    intersection with the line of z = -1, or an end of the range. Two parts of the curve may also cross; crossings are
-    searched between the other points. All are found by samples of the curve to about 1e-8; the eigenvalues decide.
-    """
-    unit = float(scales(loop)[1])
-    curve = SampledCurve(characteristic(loop, 1.0))
-    places = np.array([damping for damping in curve.extremes if _LOWEST < damping < _HIGHEST])
-    sides = np.outer(1.0 + _APART * np.array([-1.0, 0.0, 1.0]), places).ravel()
-    dampings, low, high = _GRID, _LOWEST, _HIGHEST
+
+def _maximum(loop: SampledLoop, dampings: Array, best: int) -> float:
+    """Return the damping of the boundary's maximum beside a point of a grid."""
+    least = dampings[1]
     while True:
-        # a fold or a corner is found only at its exact damping
-        dampings = np.unique([*dampings, *sides[(low <= sides) & (sides <= high)]])
-        stiffness = np.minimum(curve.reach(dampings), _HIGHEST)
-        stiffness[np.isin(dampings, places)] *= 1.0 + 1e-12
-        level = np.flatnonzero(stiffness >= stiffness.max() * (1.0 - 1e-14))
-        best = dampings[level[len(level) // 2]]
-        low = dampings[dampings < best * (1.0 - 10.0 * _APART)].max(initial=low)
-        high = dampings[dampings > best * (1.0 + 10.0 * _APART)].min(initial=high)
-        if high - low <= 60.0 * _APART * high:
-            return float(boundary_of(loop, np.asarray(best * unit))), float(best * unit)
-        dampings = np.linspace(low, high, 33)
+        low, high = dampings[max(best - 1, 0)], dampings[min(best + 1, dampings.size - 1)]
+        if high - low <= _FINEST * max(high, least):
+            return float(dampings[best])
+        # the best one so far is kept: at a jump all the others may be lower
+        dampings = np.unique([*np.linspace(low, high, _FINER), dampings[best]])
+        best = int(np.argmax(first_end(*spans(loop, dampings, 1.0))[0]))
