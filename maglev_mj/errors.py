@@ -5,11 +5,13 @@ A message states the value and what is allowed.
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 from collections.abc import Iterable
 from difflib import get_close_matches
 from importlib.util import find_spec
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -23,11 +25,17 @@ __all__ = [
     "ParameterError",
     "PlantError",
     "SensingError",
+    "check_instance",
+    "file_path",
     "install_command",
+    "lacks",
     "meant",
     "not_one_of",
+    "one_line",
     "require",
 ]
+
+_LONGEST = 200
 
 
 class MaglevError(Exception):
@@ -122,7 +130,45 @@ def not_one_of(name: str, allowed: Iterable[str], given: object, also: str = "")
         also: Further allowed values, in words.
     """
     known = list(allowed)
-    return f"{name} must be one of {', '.join(known)}{also}, not {given!r}{meant(given, known)}"
+    return f"{name} must be one of {', '.join(known)}{also}, not {one_line(given)}{meant(given, known)}"
+
+
+def check_instance(name: str, value: object, kind: Any, allowed: str) -> None:
+    """Check that an argument is of a class.
+
+    Args:
+        name: Name of the argument.
+        value: The argument.
+        kind: The class, or a union of classes.
+        allowed: Allowed values, in words.
+
+    Raises:
+        ParameterError: If it is of another class.
+    """
+    if not isinstance(value, kind):
+        raise ParameterError(f"{name} must be {allowed}, not {one_line(value)}")
+
+
+def file_path(value: Path | str) -> Path:
+    """Return a file's path given as text or path.
+
+    Raises:
+        ParameterError: If it is neither.
+    """
+    check_instance("path", value, str | os.PathLike, "the path of a file")
+    return Path(value)
+
+
+def lacks(cls: type, method: str) -> str:
+    """Return the message for a class without a method."""
+    file = getattr(sys.modules.get(cls.__module__), "__file__", None)
+    return f"{cls.__name__} of {Path(file or cls.__module__).name} must define {method}"
+
+
+def one_line(value: object) -> str:
+    """Return a value as one short line."""
+    text = " ".join(repr(value).split())
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
 
 
 def meant(given: object, allowed: Iterable[str]) -> str:

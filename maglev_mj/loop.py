@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol, TypeAlias
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, one_line
 from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.plants import Plant
@@ -46,7 +46,7 @@ class ControlLoop:
         record: Function that records each cycle.
 
     Raises:
-        ParameterError: If the periods differ.
+        ParameterError: If the periods differ, or plant and controller are swapped.
     """
 
     def __init__(
@@ -57,6 +57,9 @@ class ControlLoop:
         observe: Callable[[Sample, Command], object] | None = None,
         record: Record | None = None,
     ) -> None:
+        for name, part, method in (("plant", plant, "read"), ("controller", controller, "step")):
+            if not hasattr(part, method):
+                raise ParameterError(f"{name} must have {method}(), not be {one_line(part)}")
         if controller.period != plant.period:
             raise ParameterError(
                 f"period must be the plant's {plant.period:g} in the controller, not {controller.period:g}"

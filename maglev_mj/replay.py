@@ -36,10 +36,10 @@ from maglev_mj.recording import (
     Stretch,
     open_recording,
 )
-from maglev_mj.recording.checks import start_in, whole
+from maglev_mj.recording.checks import check_setup, start_in, whole
 from maglev_mj.recording.setup import ALLOW, controller_again, plant_again, scripted
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
-from maglev_mj.scenes.find import defined_in, object_of_text, text_of
+from maglev_mj.scenes.find import SceneLike, defined_in, get_scene, object_of_text, text_of
 from maglev_mj.scenes.legacy import parameters_in, recorded_scene
 from maglev_mj.scenes.run import checked_phase, checked_plant
 from maglev_mj.scenes.scene import PLANTS
@@ -175,6 +175,7 @@ def rebuild(
         >>> type(plant).__name__, [type(law).__name__ for law in controller.laws]
         ('ExactPlant', ['Wall', 'Hold'])
     """
+    check_setup(setup)
     return _plant(setup, hand, own), _controller(setup, own)
 
 
@@ -298,13 +299,13 @@ def unmade_plant(setup: Setup, own: OwnCode | None = None) -> str:
     return ""
 
 
-def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> Recording:
+def record_run(scene: SceneLike, *, plant: str | None = None, phase: float = 0.0) -> Recording:
     """Run a scene and record it in memory.
 
     A run that fails is recorded up to the failure.
 
     Args:
-        scene: The scene.
+        scene: The scene, its class, or a text for `find_scene`.
         plant: Name of a plant; the scene's default by default.
         phase: Phase of the samples, in [0, 1).
 
@@ -319,14 +320,14 @@ def record_run(scene: Scene, *, plant: str | None = None, phase: float = 0.0) ->
     return file.recording
 
 
-def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: float = 0.0) -> list[Path]:
+def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, phase: float = 0.0) -> list[Path]:
     """Run a scene and record it to a file.
 
     The file is .mcap or .npz. A run that fails is recorded up to the failure.
 
     Args:
         path: The file.
-        scene: The scene.
+        scene: The scene, its class, or a text for `find_scene`.
         plant: Name of a plant; the scene's default by default.
         phase: Phase of the samples, in [0, 1).
 
@@ -356,7 +357,8 @@ def write_run(path: Path, scene: Scene, *, plant: str | None = None, phase: floa
     return [] if written is None else [written]
 
 
-def _run_into(file: RecordingFile, scene: Scene, plant: str | None, phase: float) -> None:
+def _run_into(file: RecordingFile, scene: SceneLike, plant: str | None, phase: float) -> None:
+    scene = get_scene(scene)
     name, phase = checked_plant(scene, plant), checked_phase(phase)
     device, controller = scene.plant(name, phase=phase, record=True), scene.controller()
     ticks = scene.ticks(scene.timing(phase))

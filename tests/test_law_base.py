@@ -271,7 +271,7 @@ def test_a_class_that_is_no_law_is_refused() -> None:
     class Silent(AxisLaw):
         pass
 
-    with pytest.raises(ParameterError, match="needs force"):
+    with pytest.raises(ParameterError, match=r"Silent of test_law_base\.py must define force"):
         Controller([Silent()], period=T).step(Sample(0, 0.0, [0.0] * 6))
 
 

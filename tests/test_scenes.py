@@ -92,7 +92,7 @@ def test_only_laws_are_required() -> None:
         def laws(self) -> list[Law]:
             return []
 
-    with pytest.raises(NotImplementedError, match=r"Bare needs laws\(\)"):
+    with pytest.raises(ParameterError, match=r"Bare of test_scenes\.py must define laws\(\)"):
         run(Bare(), plant="exact")
     assert Empty().end == 1.0 and not Empty.figures
     found = run_phases(Fall().replace(duration=0.01), 3, plant="exact")

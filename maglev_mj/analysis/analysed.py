@@ -177,9 +177,9 @@ def analyse(
         (6000, 80)
     """
     flag("simulated", simulated)
+    metadata = metadata_of(stretch, rebuild)
     if len(stretch.tick) < 2:
         raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
-    metadata = metadata_of(stretch, rebuild)
     whole = reconstruct(stretch, metadata)
     first, last = _rows(whole, begin, end)
     comparison = other = None

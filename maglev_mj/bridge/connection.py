@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from typing import NamedTuple
 
 from maglev_mj.bridge.fault import HandshakeError
@@ -31,7 +31,7 @@ from maglev_mj.bridge.wire import (
 )
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO
-from maglev_mj.net.udp import Link
+from maglev_mj.net.udp import Link, open_link
 from maglev_mj.parameters import number
 
 __all__ = ["Connection", "EstopReport", "SampleCounter", "estop"]
@@ -78,13 +78,13 @@ class EstopReport(NamedTuple):
         return f"not confirmed: cut the power ({why})"
 
 
-def estop(link: Link, key: bytes | None = None, patience: float = 1.0) -> EstopReport:
+def estop(link: Link | str, key: bytes | None = None, patience: float = 1.0) -> EstopReport:
     """Send an emergency stop to a device, without a session.
 
-    It works while another host is in session. The link is left open.
+    It works while another host is in session.
 
     Args:
-        link: Link to the device; left open.
+        link: Link to the device, left open; or its address.
         key: Authentication key of the frames; None for none.
         patience: Longest time to try [s], above 0.
 
@@ -99,7 +99,10 @@ def estop(link: Link, key: bytes | None = None, patience: float = 1.0) -> EstopR
         >>> report.confirmed
         True
     """
-    return _stop(link, Codec(key), number("patience", patience, above=0.0), lambda frame: None)
+    if isinstance(link, str):
+        with closing(open_link(link, key)) as opened:
+            return estop(opened, key, patience)
+    return _stop(open_link(link), Codec(key), number("patience", patience, above=0.0), lambda frame: None)
 
 
 def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], object]) -> EstopReport:

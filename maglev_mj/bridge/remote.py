@@ -30,7 +30,7 @@ from maglev_mj.bridge.wire import Fault, Frame, Operation, State, StateReport, f
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.loop import ControlLoop
-from maglev_mj.net.udp import Link, LinkError
+from maglev_mj.net.udp import Link, LinkError, open_link
 from maglev_mj.sensing.solver import PoseTracker
 
 __all__ = ["RemotePlant"]
@@ -49,7 +49,7 @@ class RemotePlant:
     current limit, temperatures. A failure ends in zero currents, a fault until `reset`, and a file of the last cycles.
 
     Args:
-        link: The wire; see `open_link`. It is closed with the plant, or if the handshake fails.
+        link: The wire, or its address; see `open_link`. It is closed with the plant, or if the handshake fails.
         calibration: Calibration of the device; the device must have its hash.
         key: Authentication key of the frames; None for none.
         limits: Limits of the host; the smaller of these and the device's apply.
@@ -91,7 +91,7 @@ class RemotePlant:
 
     def __init__(
         self,
-        link: Link,
+        link: Link | str,
         *,
         calibration: Calibration | None = None,
         key: bytes | None = None,
@@ -99,7 +99,7 @@ class RemotePlant:
         patience: float = 1.0,
         folder: Path | str = Path(),
     ) -> None:
-        known, own = calibration or Calibration.nominal(), limits or HostLimits()
+        known, own, link = calibration or Calibration.nominal(), limits or HostLimits(), open_link(link, key)
         self.calibration = known
         self._hover: list[float] = known.hover.tolist()
         weight = known.mass * math.hypot(*known.gravity)

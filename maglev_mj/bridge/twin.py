@@ -23,6 +23,7 @@ from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.wire import Codec, Fault, StateReport
+from maglev_mj.errors import check_instance
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import HandForce
 from maglev_mj.net.udp import Address, Server
@@ -184,6 +185,7 @@ class Twin:
         hand_force: HandForce | None = None,
         draw: Callable[[], int] = lambda: secrets.randbelow(2**32 - 1) + 1,
     ) -> None:
+        check_instance("parameters", parameters, TwinParameters, "TwinParameters(...)")
         self.parameters = parameters
         truth = parameters.truth or parameters.calibration
         self.plant = _plant(parameters, truth, hand_force)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from contextlib import closing
 
 from maglev_mj.bridge.connection import estop
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_key, chosen_key
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.net.udp import open_link
 from maglev_mj.terminal import say
 
 __all__ = ["add_options"]
@@ -34,8 +32,7 @@ def add_options(parser: Parser) -> None:
 def _estop(options: argparse.Namespace) -> int:
     key = chosen_key(options.key)
     try:
-        with closing(open_link(options.address, key)) as link:
-            report = estop(link, key)
+        report = estop(options.address, key)
     except ParameterError:
         raise
     except (MaglevError, OSError) as error:

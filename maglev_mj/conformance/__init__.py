@@ -13,7 +13,7 @@ from maglev_mj.bridge.wire import Operation, State, fault_names
 from maglev_mj.conformance import answers, commands  # noqa: F401, they fill CHECKS in this order
 from maglev_mj.conformance.check import CHECKS, CheckResult
 from maglev_mj.conformance.tester import Tester
-from maglev_mj.errors import PlantError
+from maglev_mj.errors import PlantError, check_instance
 from maglev_mj.net.udp import Link
 from maglev_mj.parameters import flag
 
@@ -58,6 +58,7 @@ def conform(
         []
     """
     flag("flight", flight)
+    check_instance("links", links, list | tuple, "a list of links, as open_link returns")
     tester = Tester(links, calibration or Calibration.nominal(), key)
     tester.join()
     if tester.welcome.state == State.FAULT:

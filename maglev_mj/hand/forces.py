@@ -153,7 +153,7 @@ class SpringHand:
         device_target: Target given by an input device, used while `target` is None [m, rad], (6,); None for none.
 
     Raises:
-        ParameterError: If a value is negative.
+        ParameterError: If a value is negative, or a target is no pose.
 
     Example:
         >>> import numpy as np
@@ -176,6 +176,10 @@ class SpringHand:
     def __post_init__(self) -> None:
         for name in ("stiffness", "damping", "turning_stiffness", "turning_damping", "force_limit", "torque_limit"):
             setattr(self, name, number(f"hand {name}", getattr(self, name), at_least=0.0))
+        for name in ("target", "device_target"):
+            goal = getattr(self, name)
+            if not isinstance(goal, Trajectory | None) and numbers(f"hand {name}", goal).shape != (len(AXES),):
+                raise ParameterError(f"hand {name} must be a pose (6,), a Trajectory or None, not {goal!r}")
 
     @property
     def goal(self) -> Sequence[float] | Trajectory | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.errors import ParameterError, check_instance, not_one_of
 from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import axis_indices, common_shape, numbers
 
@@ -123,14 +123,17 @@ class Hand:
         return tuple(np.asarray(part, dtype=np.float64) for part in parts)
 
 
-def get_hand(text: str) -> Hand | None:
+def get_hand(text: str | Hand | None) -> Hand | None:
     """Return a hand by name or from its numbers.
 
-    The numbers are "mass,damping,stiffness[,grip damping,grip stiffness]".
+    The numbers are "mass,damping,stiffness[,grip damping,grip stiffness]". A hand, or None, is returned as it is.
 
     Raises:
         ParameterError: If there is no such name, or the numbers are invalid.
     """
+    if not isinstance(text, str):
+        check_instance("hand", text, Hand | None, f"a Hand, or one of {', '.join(HANDS)}")
+        return text
     values = HANDS.get(text)
     if values is None:
         try:

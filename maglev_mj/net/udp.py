@@ -12,7 +12,7 @@ from contextlib import suppress
 from select import select
 from typing import Protocol, TypeAlias
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, one_line
 from maglev_mj.net.addresses import check_host, parse_url, resolve
 
 __all__ = ["Address", "Link", "LinkError", "Server", "UdpLink", "UdpServer", "check_host", "open_link", "parse_url"]
@@ -205,11 +205,11 @@ class UdpServer(_Udp):
             _complain("send", error)
 
 
-def open_link(url: str, key: bytes | None = None) -> Link:
+def open_link(url: str | Link, key: bytes | None = None) -> Link:
     """Return a link to the device at an address.
 
     Args:
-        url: See `parse_url`.
+        url: See `parse_url`; a link is returned as it is.
         key: Authentication key of the frames; needed for any machine but this.
 
     Raises:
@@ -224,6 +224,10 @@ def open_link(url: str, key: bytes | None = None) -> Link:
         True
         >>> link.close()
     """
+    if not isinstance(url, str):
+        if not hasattr(url, "receive"):
+            raise ParameterError(f"link must be an address, or a link that open_link returns, not {one_line(url)}")
+        return url
     scheme, place, number = parse_url(url)
     if scheme == "udp":
         # the checked address is opened: a name may have another address the next time

@@ -14,7 +14,7 @@ from typing import Any, Protocol, Self, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import DivergenceError, ParameterError, PlantError
+from maglev_mj.errors import DivergenceError, ParameterError, PlantError, check_instance
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, clipped, components, join
 from maglev_mj.hand import Hand, HandForce
 from maglev_mj.parameters import flag, number, numbers
@@ -98,6 +98,8 @@ class SampledPlant(ABC):
         """Return a plant that stores its constructor arguments."""
         made = super().__new__(cls)
         made.given = {**dict(zip(("timing",), timing)), **options}
+        check_instance("timing", made.given.get("timing"), Timing | None, "a Timing, such as Timing(period=0.005)")
+        check_instance("hand", made.given.get("hand"), Hand | None, "a Hand, as maglev_mj.hand.get_hand('arm') returns")
         return made
 
     def __init__(

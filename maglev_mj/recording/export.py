@@ -12,8 +12,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from maglev_mj.errors import ParameterError, not_one_of, require
-from maglev_mj.recording.recording import Recording, aside
+from maglev_mj.errors import ParameterError, check_instance, file_path, not_one_of, require
+from maglev_mj.recording.recording import READ, Recording, aside
 from maglev_mj.recording.row import FIELDS, TOTALS, told, units
 from maglev_mj.recording.samples import samples_of
 
@@ -22,7 +22,7 @@ __all__ = ["EXPORTS", "export"]
 _BLOCK = 1 << 14
 
 
-def export(recording: Recording, kind: str, path: Path) -> None:
+def export(recording: Recording, kind: str, path: Path | str) -> None:
     """Write a recording as a table, one row per sample.
 
     All other content goes with it.
@@ -49,6 +49,8 @@ def export(recording: Recording, kind: str, path: Path) -> None:
     """
     if kind not in EXPORTS:
         raise ParameterError(not_one_of("to", EXPORTS, kind))
+    check_instance("recording", recording, Recording, READ)
+    path = file_path(path)
     with aside(path) as partial:
         EXPORTS[kind](recording, partial, path)
 

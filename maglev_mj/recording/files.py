@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Protocol, TypeAlias
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, file_path
 from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
@@ -208,7 +208,7 @@ def check_name(path: Path) -> None:
         require_mcap()
 
 
-def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
+def open_recording(path: Path | str, *, wait: bool = False) -> RecordingFile:
     """Open a file to record to, by its suffix.
 
     Args:
@@ -232,5 +232,6 @@ def open_recording(path: Path, *, wait: bool = False) -> RecordingFile:
         5
     """
     flag("wait", wait)
+    path = file_path(path)
     check_name(path)
     return LiveFile(path, wait=wait) if path.suffix == ".mcap" else ArrayFile(path)

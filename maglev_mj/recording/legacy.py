@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.recording.metadata import Mechanics, RunMetadata
 from maglev_mj.recording.recording import InvalidRecordingError, Stretch
 from maglev_mj.recording.verify import Rebuild
@@ -27,6 +27,7 @@ def metadata_of(stretch: Stretch, rebuild: Rebuild | None) -> RunMetadata:
     Raises:
         InvalidRecordingError: If the recording has no metadata and is of no older format.
     """
+    check_instance("stretch", stretch, Stretch, "a Stretch, such as Recording.load(FILE).stretches[0]")
     if stretch.metadata is not None and stretch.metadata.faces is not None:
         return stretch.metadata
     kind, setup = stretch.setup["kind"], stretch.setup

@@ -15,7 +15,7 @@ from zipfile import ZIP_STORED, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, check_instance, file_path
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording.checks import (
     Allowance,
@@ -36,10 +36,22 @@ if TYPE_CHECKING:
     from maglev_mj.recording.mcap import Found
     from maglev_mj.recording.samples import Samples
 
-__all__ = ["InvalidRecordingError", "Recording", "RecordingError", "Stretch", "aside", "read_file", "split_setup"]
+__all__ = [
+    "READ",
+    "InvalidRecordingError",
+    "Recording",
+    "RecordingError",
+    "Stretch",
+    "aside",
+    "read_file",
+    "split_setup",
+]
 
 _ZIP = b"PK"
 _FORMAT = "maglev_mj recording 1"
+
+READ = "a Recording, as Recording.load(FILE) returns"
+"""Allowed values of a recording, for messages."""
 
 
 class RecordingError(MaglevError):
@@ -132,6 +144,9 @@ class Recording(Tabular):
     about: Mapping[str, str] = field(default_factory=dict)
     drawn_by: ClassVar = "maglev_mj.plots.recorded:recording"
 
+    def __post_init__(self) -> None:
+        check_instance("stretches", self.stretches, list | tuple, "a list of Stretch, as Recording.load(FILE) reads")
+
     def samples(self) -> Samples:
         """Return all samples of all stretches as arrays."""
         from maglev_mj.recording.samples import samples_of  # which needs what is defined here
@@ -191,7 +206,7 @@ class Recording(Tabular):
             np.savez(file, header=np.array(json.dumps(header)), **arrays)
 
     @classmethod
-    def load(cls, path: Path) -> Recording:
+    def load(cls, path: Path | str) -> Recording:
         """Read a file of either format.
 
         An MCAP file that was not closed is read up to its last complete chunk.
@@ -212,7 +227,7 @@ class Recording(Tabular):
         return sum(len(stretch) for stretch in self.stretches)
 
 
-def read_file(path: Path, names: frozenset[str] | None = None) -> Recording | Found:
+def read_file(path: Path | str, names: frozenset[str] | None = None) -> Recording | Found:
     """Read a file of either format.
 
     Args:
@@ -225,6 +240,7 @@ def read_file(path: Path, names: frozenset[str] | None = None) -> Recording | Fo
     """
     from maglev_mj.recording.mcap import MAGIC, read_mcap  # it imports this module
 
+    path = file_path(path)
     try:
         with path.open("rb", buffering=1 << 20) as file:
             size, first = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))

@@ -119,7 +119,7 @@ def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Sampl
     unknown = [name for name in names if name not in _FIELDS]
     if unknown:
         raise ParameterError(f"fields must be of {', '.join(_FIELDS)}, not {unknown[0]!r}")
-    return samples_of(read_file(Path(path), frozenset(names)), names)
+    return samples_of(read_file(path, frozenset(names)), names)
 
 
 def samples_of(found: Recording | Found, names: Sequence[str]) -> Samples:

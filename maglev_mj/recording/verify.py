@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.hand import HandForce, RecordedHand
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording.files import row_of
 from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
-from maglev_mj.recording.recording import Recording, Stretch
+from maglev_mj.recording.recording import READ, Recording, Stretch
 from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, as_table, compiled, named, told
 
 __all__ = ["Expected", "FieldVerdict", "Rebuild", "Verdict", "first_other_answer", "verify"]
@@ -103,6 +103,7 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
         >>> verdict.same
         True
     """
+    check_instance("recording", recording, Recording, READ)
     found: dict[str, FieldVerdict] = {}
     for place, stretch in enumerate(recording.stretches):
         for name, values, again in _fields(stretch, rebuild, expect(stretch.setup) if expect else Expected()):

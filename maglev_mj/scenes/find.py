@@ -12,16 +12,18 @@ from importlib.util import decode_source
 from pathlib import Path
 from traceback import walk_tb
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeAlias
 
-from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.errors import ParameterError, check_instance, not_one_of, one_line
 from maglev_mj.scenes.names import BUILT_IN, installed_scenes, scene_names
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.versions import TEXT, file_of, hash_of
 
 __all__ = [
+    "SceneLike",
     "defined_in",
     "find_scene",
+    "get_scene",
     "hash_of",
     "line_of",
     "made_again",
@@ -33,6 +35,9 @@ __all__ = [
 ]
 
 _OWN = "maglev_mj_scene_"
+
+SceneLike: TypeAlias = Scene | type[Scene] | str
+"""A scene, its class, or a text for `find_scene`."""
 
 
 def find_scene(text: str) -> type[Scene]:
@@ -49,6 +54,7 @@ def find_scene(text: str) -> type[Scene]:
         >>> find_scene("drop")(height=0.002).height
         0.002
     """
+    check_instance("scene", text, str, "a name, FILE.py or FILE.py:CLASS")
     if text in BUILT_IN:
         return _in_module(BUILT_IN[text])
     path, _, wanted = text.partition(".py:") if ".py:" in text else (text.removesuffix(".py"), "", "")
@@ -58,6 +64,19 @@ def find_scene(text: str) -> type[Scene]:
         if entry.name == text:  # loaded on demand: a broken package breaks only its own scene
             return _installed(entry)
     raise ParameterError(not_one_of("scene", scene_names(), text, ", or a file such as my_scene.py"))
+
+
+def get_scene(scene: SceneLike) -> Scene:
+    """Return a scene, also from its class or text.
+
+    Raises:
+        ParameterError: If it is none of these, or there is no such scene.
+    """
+    found = find_scene(scene) if isinstance(scene, str) else scene
+    made = found() if isinstance(found, type) and issubclass(found, Scene) else found
+    if isinstance(made, type) or not hasattr(made, "plants"):  # a stack of scenes is as good as one
+        raise ParameterError(f"scene must be a Scene, or the name of one such as 'drop', not {one_line(scene)}")
+    return made
 
 
 def reference_of(cls: type[Scene]) -> str:

@@ -19,6 +19,7 @@ from maglev_mj.loop import drive
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.figures import Figure
+from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.spec import ESCAPE
 from maglev_mj.tabular import Table, Tabular
@@ -241,7 +242,7 @@ def _figures_table(scene: Scene, title: str, figures: Mapping[str, Any], *, seve
 
 
 def run(
-    scene: Scene,
+    scene: SceneLike,
     *,
     plant: str | None = None,
     phase: ArrayLike = 0.0,
@@ -252,7 +253,7 @@ def run(
     N phases give N devices.
 
     Args:
-        scene: The scene.
+        scene: The scene, its class, or a text for `find_scene`.
         plant: Name from PLANTS; the scene's usual one by default.
         phase: The samples are at (k + phase) period, in [0, 1); (N,) for N devices, on the exact plant.
         observe: Function called with each sample and the command as applied.
@@ -268,6 +269,7 @@ def run(
         >>> round(float(result.figures["penetration"]), 5)  # [m]
         0.00184
     """
+    scene = get_scene(scene)
     plant = checked_plant(scene, plant)
     if plant not in PLANTS:
         raise ParameterError(not_one_of("plant", PLANTS, plant, f" to run {scene.name}"))
@@ -290,7 +292,7 @@ def run(
 
 
 def run_phases(
-    scene: Scene,
+    scene: SceneLike,
     phases: int | ArrayLike,
     *,
     plant: str | None = None,
@@ -301,7 +303,7 @@ def run_phases(
     On the exact plant they run in batches, elsewhere one after the other.
 
     Args:
-        scene: The scene.
+        scene: See `run`.
         phases: Number of phases, evenly spread over a period, or the phases themselves.
         plant: Name from PLANTS; the scene's usual one by default.
         progress: Function called with the number of phases done and the number of all.
@@ -316,6 +318,7 @@ def run_phases(
         >>> phases.figures["penetration"].shape
         (8,)
     """
+    scene = get_scene(scene)
     chosen, plant = _phases(phases), checked_plant(scene, plant)
     size = _TOGETHER if plant == "exact" else 1
     rows: list[tuple[Mapping[str, Array], Array]] = []  # a trace is large: only its figures are kept
@@ -339,10 +342,8 @@ def checked_plant(scene: Scene, plant: str | None) -> str:
     """Return the checked name of a scene's plant.
 
     Raises:
-        ParameterError: If the scene does not run on it, or `scene` is not a scene.
+        ParameterError: If the scene does not run on it.
     """
-    if isinstance(scene, type) or not hasattr(scene, "plants"):  # a stack of scenes is as good as one
-        raise ParameterError(f"scene must be a Scene, such as find_scene('drop')(), not {scene!r}")
     chosen = scene.plants[0] if plant is None else plant
     if chosen not in scene.plants:
         raise ParameterError(not_one_of("plant", sorted(scene.plants), plant))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, lacks
 from maglev_mj.frames import AXES, ZERO, Array, Component
 from maglev_mj.hand import HandForce
 from maglev_mj.laws import Law, VelocityEstimator
@@ -163,7 +163,7 @@ class Scene(Parameters):
 
         A function f(position, velocity) is a law too; see `Controller`.
         """
-        raise NotImplementedError(f"{type(self).__name__} needs laws()")
+        raise ParameterError(lacks(type(self), "laws()"))
 
     def start(self) -> Start:
         """Return the state at release."""

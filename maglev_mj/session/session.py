@@ -15,7 +15,8 @@ from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile
-from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.scenes import BUILT_IN, find_scene
+from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, Action, actions, settable
 from maglev_mj.session.live import centred, lifted
@@ -42,7 +43,7 @@ class Session:
     between two changes is a run like any other: it can be recorded, and run again.
 
     Args:
-        scene: The first scene; the joystick by default.
+        scene: The first scene, or a text for `find_scene`; the joystick by default.
         hand: The hand on the flotor; the mouse's by default.
         folder: Folder of recordings started by a key.
         record: File to record to from the start; None for no recording until a key starts one.
@@ -65,7 +66,7 @@ class Session:
 
     def __init__(
         self,
-        scene: Scene | None = None,
+        scene: SceneLike | None = None,
         *,
         hand: HandForce | None = None,
         folder: Path = Path(),
@@ -80,7 +81,7 @@ class Session:
         self.hand = self._hand if isinstance(self._hand, SpringHand) else SpringHand()
         self.simulated = 0.0
         self._pacer = pacer or Pacer()
-        self._scene = scene or find_scene("joystick")()
+        self._scene = get_scene("joystick" if scene is None else scene)
         own = type(self._scene)
         self._scenes = [find_scene(name) for name in BUILT_IN]
         if own not in self._scenes:

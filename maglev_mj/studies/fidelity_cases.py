@@ -20,7 +20,7 @@ from maglev_mj.loop import drive
 from maglev_mj.parameters import axis_indices, number
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.find import find_scene
+from maglev_mj.scenes.find import get_scene
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import Scene, SideBySide
 from maglev_mj.studies.levels import LEVELS, Level, apart, exact_options, level_index, timing_of
@@ -95,7 +95,7 @@ def preset_of(scene: str | Scene | Preset) -> Preset:
     for preset in _PRESETS:
         if scene == preset.name:
             return preset
-    made = find_scene(scene)() if isinstance(scene, str) else scene
+    made = get_scene(scene)
     return Preset(made.name, made, made.tolerance, made.tolerance_reason)
 
 

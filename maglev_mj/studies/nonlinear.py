@@ -15,6 +15,7 @@ import maglev_mj
 import maglev_mj.theory as theory
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, Command, Mask, Sample
+from maglev_mj.hand import get_hand
 from maglev_mj.loop import drive
 from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, Timing
@@ -242,7 +243,7 @@ def judge_drops(stiffness: Array, damping: Array, parameters: DropMapParameters)
     plant = ExactPlant(
         timing,
         mass=p.mass,
-        hand=p.loop["hand"],
+        hand=get_hand(p.hand),
         pose=along_z(np.full(count, p.height)),
         escape=_FAR,
         wrench_limit=limit,

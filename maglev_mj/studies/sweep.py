@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import maglev_mj
-from maglev_mj.errors import MaglevError, ParameterError, not_one_of
+from maglev_mj.errors import MaglevError, ParameterError, check_instance, not_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.parameters import parsed_number
-from maglev_mj.scenes.find import hash_of, made_again, reference_of, scene_of_text, text_of
+from maglev_mj.scenes.find import SceneLike, get_scene, hash_of, made_again, reference_of, scene_of_text, text_of
 from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
 from maglev_mj.scenes.scene import Scene
@@ -125,7 +125,7 @@ class Sweep(Tabular):
 
 
 def sweep(
-    scene: Scene | type[Scene],
+    scene: SceneLike,
     vary: Mapping[str, Sequence[Any]],
     *,
     plant: str | None = None,
@@ -143,7 +143,8 @@ def sweep(
         (2, 2)
 
     Args:
-        scene: The scene, or its class. On other machines a user's own scene file cannot import files beside it.
+        scene: The scene, its class, or a text for `find_scene`. On other machines a user's own scene file cannot
+            import files beside it.
         vary: Values by parameter; "plant" and "phase" vary too.
         plant: Name from PLANTS; the scene's default by default.
         phase: Phase of the samples, in [0, 1).
@@ -156,7 +157,7 @@ def sweep(
         StudyInterrupted: On Ctrl-C; the cells done are in the record.
         WorkersError: If a cluster is gone, or one of its workers has other code.
     """
-    made = scene() if isinstance(scene, type) else scene
+    made = get_scene(scene)
     cells = swept_cells(made, vary, plant=plant, phase=phase)
     kept = Record(None if record is None else Path(record))
     known = 0 if record is None else sum(cell in kept for cell in cells)
@@ -190,6 +191,7 @@ def swept_cells(
     Raises:
         ParameterError: If there is no such parameter, a value is outside its bounds, or the grid is too large.
     """
+    check_instance("vary", vary, Mapping, "lists of values by parameter")
     for name, values in vary.items():
         if isinstance(values, str) or not isinstance(values, Collection):
             raise ParameterError(f"vary must give a list of values for {name}, not {values!r}")

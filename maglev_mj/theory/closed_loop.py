@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
-from maglev_mj.hand import Hand, motion, transition
+from maglev_mj.hand import Hand, get_hand, motion, transition
 from maglev_mj.laws import FiniteDifference, LinearController, LowPass, VelocityEstimator, Window
 from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.spec import Spec
@@ -53,7 +53,7 @@ class LoopKeywords(TypedDict, total=False):
     period: ArrayLike
     delay: ArrayLike
     mass: ArrayLike
-    hand: Hand | None
+    hand: Hand | str | None
     driver_lag: float
     velocity: VelocityEstimator
     prediction: ArrayLike
@@ -106,7 +106,7 @@ class SampledLoop:
         period: Sample period T [s].
         delay: Time from a sample to the effect of its command [s], up to 10 periods.
         mass: Mass of the flotor with its handle [kg].
-        hand: The hand on it; None for a free flotor.
+        hand: The hand on it, or a text for `get_hand`; None for a free flotor.
         driver_lag: Time constant of the current drivers [s]; 0 for none.
         velocity: Linear velocity estimate of the PD wall; None for the finite difference.
         prediction: Prediction time of the PD wall's position along the velocity [s].
@@ -119,7 +119,7 @@ class SampledLoop:
     period: ArrayLike = 1.0 / Spec.control_rate.value
     delay: ArrayLike = Spec.transport_delay.value
     mass: ArrayLike = Spec.moving_mass.value
-    hand: Hand | None = None
+    hand: Hand | Any | None = None
     driver_lag: float = 0.0
     velocity: VelocityEstimator | None = None
     prediction: ArrayLike = 0.0
@@ -134,6 +134,7 @@ class SampledLoop:
                 raise ParameterError(f"{name} must be above 0 everywhere, not 0")
             object.__setattr__(self, name, values)
         number("driver_lag", self.driver_lag, at_least=0.0)
+        object.__setattr__(self, "hand", get_hand(self.hand))
         common_shape("period and delay", np.shape(self.period), np.shape(self.delay))
         ratio = np.asarray(self.delay) / np.asarray(self.period)
         if not (ratio <= MOST_PERIODS * (1.0 + 1e-9)).all():

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.errors import ParameterError, check_instance, not_one_of
 from maglev_mj.frames import Array
 from maglev_mj.hand import get_hand
 from maglev_mj.laws import Law, ObserverWall
@@ -272,6 +272,7 @@ def design_wall(
         >>> round(wall.stiffness), round(wall.damping)
         (7725, 74)
     """
+    check_instance("requirements", requirements, WallRequirements, "WallRequirements(...)")
     if law not in LAWS:
         raise ParameterError(not_one_of("law", LAWS, law))
     if goal not in GOALS:
