@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from maglev_mj.bridge import Calibration, RemotePlant, State
 from maglev_mj.bridge.commissioning import check_coil, mean_pose, record_step, with_offsets
+from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, Effect, InjectedFault
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.cli.twin import foam
@@ -21,10 +23,11 @@ COILS = range(6)
 
 
 def device(
-    truth: Calibration | None = None, *, stiffness: float = 10_000.0, period: float = 0.005
+    truth: Calibration | None = None, *, stiffness: float = 10_000.0, period: float = 0.005, **parameters: Any
 ) -> tuple[Twin, RemotePlant]:
     """Return a twin in foam, and its host."""
-    twin = Twin(TwinParameters(truth=truth, pose=[0.0] * 6, period=period), hand_force=foam(stiffness))
+    parameters |= {"truth": truth, "pose": [0.0] * 6, "period": period}
+    twin = Twin(TwinParameters(**parameters), hand_force=foam(stiffness))
     plant = RemotePlant(VirtualLink(twin))
     for _ in range(round(0.5 / period)):
         plant.read()
@@ -66,6 +69,24 @@ def test_a_coil_as_calibrated_is_told_from_a_reversed_one(coil: int, period: flo
         assert plant.state == twin.firmware.state == State.INACTIVE
         plant.read()
         assert not twin.plant.currents.any()
+
+
+def test_currents_of_other_coils_are_told_and_an_offset_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Coil 2's current shows in coils 0 and 4 too; every measured current is 20 mA too high.
+    shares = np.array([0.03, 0.0, 1.0, 0.0, -0.06, 0.0])
+    leak = Effect("", 5, read=lambda now, *_: now._replace(measured=[*(0.02 + shares * now.measured[2])]))
+    monkeypatch.setitem(INJECTED_FAULTS, "leak", leak)
+    _, plant = device(faults=[InjectedFault(kind="leak", which=0, at=0.0)])
+    check = check_coil(plant, 2)
+    assert check.measured == pytest.approx(0.2) and check.others == pytest.approx(0.012)
+
+
+def test_the_error_is_that_of_the_mean() -> None:
+    # The same check under twelve other noises: its results scatter by its error, along each axis.
+    checks = [check_coil(device(seed=seed, noise=2e-6, quantum=0.0)[1], 1) for seed in range(12)]
+    scatter = np.std([check.displacement for check in checks], axis=0, ddof=1)
+    error = np.mean([check.error for check in checks], axis=0)
+    assert np.sqrt(np.mean((scatter / error) ** 2)) == pytest.approx(1.0, abs=0.25)
 
 
 def test_exchanged_coils_and_a_clamped_flotor_are_named() -> None:

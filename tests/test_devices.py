@@ -20,7 +20,7 @@ from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Timing
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.coils import CoilMap
-from maglev_mj.energy import HandWork, PassivityObserver, actuator_work, hand_work
+from maglev_mj.energy import EnergyAccount, HandWork, PassivityObserver, actuator_work, hand_work
 from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.model import load_model, model_path
@@ -68,13 +68,17 @@ def test_meter_trace_and_observer_agree_on_the_work_of_a_drop(kind: Any, record:
 )
 def test_every_combination_of_options_runs_and_is_metered(integrator: str, options: dict[str, Any]) -> None:
     # The flotor falls onto the wall: the work is that of the exact plant but for what the options change.
-    plant = MuJoCoPlant(
-        TIMING, pose=[0, 0, 3e-3, 0, 0, 0], integrator=integrator, metered=True, current_limit=10.0, **options
-    )
-    drive(plant, controller(), 40)
-    exact = ExactPlant(TIMING, pose=[0, 0, 3e-3, 0, 0, 0], metered=True, driver_lag="driver_lag" in options)
+    start: dict[str, Any] = {"pose": [0, 0, 3e-3, 0, 0, 0], "metered": True}
+    plant = MuJoCoPlant(TIMING, integrator=integrator, current_limit=10.0, **start, **options)
+    watch = PassivityObserver(TIMING, INERTIA, load=[0, 0, -INERTIA[0] * GRAVITY, 0, 0, 0])
+    watch(drive(plant, controller(), 40, observe=watch), Command([0.0] * 6))
+    exact = ExactPlant(TIMING, driver_lag="driver_lag" in options, **start)
     drive(exact, controller(), 40)
-    assert plant.work == pytest.approx(exact.work, rel=0.25)
+    weaker = 1.0163 if "force_falloff" in options else 1.0  # the wall gives way by more
+    assert plant.work == pytest.approx(weaker * exact.work, rel=3e-4 if weaker > 1.0 else 5e-5)
+    # the observer knows neither the handle that swings, nor the commanded force that is not all there
+    unknown = 2e-4 if "driver_lag" in options else 3e-7 if {"flexible", "force_falloff"} & {*options} else 1e-12
+    assert -watch.energy.sum() == pytest.approx(plant.work, abs=unknown)
 
 
 def test_a_plant_is_corrected_and_metered_at_once() -> None:
@@ -116,6 +120,17 @@ def test_a_hand_that_uses_its_list_again_is_counted_as_it_was() -> None:
     work.add(np.array([1e-3, 0, 0, 0, 0, 0]), effort)
     assert work.total == pytest.approx(2e-3)
     assert hand_work(np.array([[0.0] * 6, [1e-3] * 6]), np.array([[2.0] * 6, [5.0] * 6])).tolist() == [[2e-3] * 6]
+
+
+def test_what_an_environment_gave_back_beyond_its_tank_counts() -> None:
+    # 1 N carried, which is no work of the environment; it takes 0.5 J, of which it may give back 0.2.
+    account = EnergyAccount(np.zeros(6), [0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    place, work = 0.0, 0.0
+    for way, taken, stored in ((0.1, 0.1, 0.1), (0.2, 0.4, 0.2), (-0.1, -0.3, -0.1), (0.3, 0.1, 0.0), (0.0, 0.4, 0.2)):
+        place, work = place + way, work + way - taken
+        account.add(np.array([0.0, 0.0, place, 0.0, 0.0, 0.0]), [0.0] * 6, work)
+        assert account.stored == pytest.approx(stored, abs=1e-12)
+    assert account.taken == pytest.approx(0.7) and account.hand == 0.0
 
 
 def test_work_that_is_not_metered_is_not_zero() -> None:

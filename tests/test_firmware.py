@@ -36,6 +36,7 @@ from tests.firmware_core import FIRMWARE, FIRMWARES
 from tests.test_wire import KEY, sealed, tables
 
 PERIOD, DELAY = 5_000_000, 1_500_000
+START = 3_000_000_000_123  # of the device's clock: it has run for 50 minutes
 CALIBRATION = bytes(range(16))
 ZERO = (0.0,) * 6
 ONES = (1.0, 1.0, 1.0, -1.0, -1.0, -1.0)
@@ -68,8 +69,8 @@ class Bench:
         self.toggles: list[int] = []
         self.cuts = 0
         self.currents: Sequence[float] = ZERO
-        self.sequence = self.request = self.now = self.conversions = 0
-        self.tick = -1
+        self.sequence = self.request = self.conversions = 0
+        self.now, self.tick = START, -1
         self.device = Bench.make(profile, self, self.codec, self._draw)
 
     def _draw(self) -> int:
@@ -143,7 +144,7 @@ class Bench:
     ) -> StateReport | None:
         """Go on by so many periods and sample."""
         self.tick += steps
-        self.now = self.tick * self.period
+        self.now = START + self.tick * self.period
         self.conversions = self.conversions + steps if conversions is None else conversions
         flowing = self.currents if currents is None else currents
         reading = Reading(
@@ -235,7 +236,7 @@ def test_estop_is_taken_in_every_state_from_anyone_any_number_of_times(state: St
         cuts = bench.cuts
         bench.now += 1000
         answer = bench.estop(request=2**64 - 1, peer=peer)
-        assert answer == (2**64 - 1, State.FAULT, before | Fault.ESTOP, bench.tick * PERIOD, measured), count
+        assert answer == (2**64 - 1, State.FAULT, before | Fault.ESTOP, START + bench.tick * PERIOD, measured), count
         assert bench.cuts == cuts + 1
     assert bench.device.peer == "host" and bench.last.session == 0
     bench.refuses(before | Fault.ESTOP)
@@ -247,7 +248,7 @@ def test_estop_needs_no_session(fault: bool) -> None:
     bench.sample()
     if fault:
         bench.estop()
-    assert bench.estop() == (5, State.FAULT, Fault.ESTOP, 0, ZERO) and not bench.device.counts
+    assert bench.estop() == (5, State.FAULT, Fault.ESTOP, START, ZERO) and not bench.device.counts
     assert bench.hello().state == State.FAULT
 
 
@@ -653,7 +654,7 @@ def test_warmth_trips_when_the_closed_form_says(current: float, time: float) -> 
         assert bench.device.state == State.ACTIVE
         assert report.temperatures[2] == pytest.approx(1.0 - math.exp(-6.0), rel=1e-3)
         return
-    assert bench.now * 1e-9 == pytest.approx(expected, abs=1.1 * PERIOD * 1e-9)
+    assert (bench.now - START) * 1e-9 == pytest.approx(expected, abs=1.1 * PERIOD * 1e-9)
     assert bench.device.faults == Fault.COIL_OVERTEMP and bench.currents == ZERO
     assert report.temperatures[2] >= 1.0 > max(report.temperatures[:2] + report.temperatures[3:])
     # it is reset when it has cooled to 0.8, not before
@@ -676,7 +677,7 @@ def test_warmth_goes_by_what_flowed_between_samples() -> None:
     for _ in range(100):
         bench.command()
         bench.tick += 1
-        bench.now = bench.tick * PERIOD
+        bench.now = START + bench.tick * PERIOD
         bench.conversions += 1
         reading = Reading(moving(bench.tick), 7, ZERO, ZERO, pulse, bench.conversions)
         bench.device.sample(bench.tick, bench.now, reading)

@@ -162,20 +162,31 @@ def test_a_closed_end_is_a_link_error_and_closes_again(pair: Pair) -> None:
 def test_an_adapter_that_was_pulled_out_is_closed_without_a_word() -> None:
     with closing(PtyServer()) as server:
         link = SerialLink(server.path, 921600)
-        close = link._port.close
+        close, descriptor, tried = link._port.close, link._port.fileno(), []
 
         def pulled() -> None:
+            tried.append(descriptor)
             raise OSError(errno.EIO, "Input/output error")
 
         link._port.close = pulled
         link.close()
+        assert tried == [descriptor]
+        for use in (lambda: link.send(b"x"), lambda: link.receive(0.0)):  # not the number that may be another file's
+            with pytest.raises(LinkError):
+                use()
+        assert server.receive(0.01) is None
         close()
 
 
 def test_a_forged_sender_does_not_stop_a_server() -> None:
-    with closing(UdpServer(HOME, 0)) as server:
+    with closing(UdpServer(HOME, 0)) as server, closing(UdpLink(*server.address)) as link:
         for address in ((HOME, 0), ("255.255.255.255", 9)):
             server.send(b"answer", address)
+            link.send(b"question")
+            heard = server.receive(PATIENCE)
+            assert heard is not None and heard[0] == b"question"
+            server.send(b"answer", heard[1])
+            assert link.receive(PATIENCE) == b"answer" and link.receive(0.0) is None
 
 
 def test_a_port_in_use_is_one_line() -> None:

@@ -304,6 +304,16 @@ def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch
     assert asks.answers == [asks.snapshots[-1].since]
 
 
+def test_period_and_delay_of_settings_are_the_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    asks = Asks(Joystick(stiffness=3000.0, period=0.001, delay=0.02))
+    flown, plant = flight(publishers=[asks])
+    with plant:
+        assert flown.run(0.3).ticks == 60
+    assert asks.snapshots[-1].scene == Joystick(stiffness=3000.0, period=plant.period, delay=plant.delay)
+    assert asks.answers == [asks.snapshots[-1].since]
+
+
 @contextmanager
 def theory_called() -> Iterator[set[str]]:
     """Yield the called functions of the theory.

@@ -17,11 +17,12 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.loop import drive
 from maglev_mj.playback import Replay
-from maglev_mj.recording import Recording, RecordingError, Stretch, best_suffix, open_recording, verify
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, best_suffix, open_recording, verify
 from maglev_mj.replay import rebuild, record_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import run
+from maglev_mj.session import Pacer, Session
 from maglev_mj.viewer.clip import write_clip, write_picture
 
 
@@ -238,6 +239,18 @@ def test_missed_samples_are_kept_with_their_place(suffix: str, tmp_path: Path) -
     file.close()
     (stretch,) = Recording.load(tmp_path / f"run{suffix}").stretches
     assert list(stretch.gaps) == [(40, 5)]
+
+
+def test_each_gap_of_a_slow_session_is_its_own_ticks() -> None:
+    # One tick a frame is all that the budget allows, of ten, of six, of ten: the others are given up.
+    file = ArrayFile()
+    session = Session(file=file, pacer=Pacer(budget=1e-9, patience=0.0))
+    for frame in (0.05, 0.03, 0.05):
+        session.tick(frame)
+    session.close()
+    (stretch,) = file.recording.stretches
+    assert list(stretch.gaps) == [(1, 9), (2, 5), (3, 9)]
+    assert file.recording.events == tuple(f"missed: {count} ticks were given up: too slow" for count in (9, 5, 9))
 
 
 def test_what_is_no_recording_is_called_none(tmp_path: Path, capsys: Any) -> None:

@@ -36,6 +36,22 @@ def test_a_change_is_in_force_with_the_next_tick() -> None:
     assert (now.scene.as_json()["stiffness"], now.scene.delay, now.since) == (3000.0, 0.003, made_ticks)
 
 
+@pytest.mark.parametrize("axis", range(6))
+def test_a_change_keeps_the_force_until_the_next_answer_acts(axis: int) -> None:
+    # At rest under a hand, 4 ms of every period pass under the force of before the change.
+    hand = SpringHand(target=[(0.01 if axis < 3 else 0.3) * (place == axis) for place in range(6)])
+    session = made(Joystick(delay=0.004, wall=False), hand=hand)
+    for _ in range(4):
+        session.tick(1.0)
+    before = session.snapshot()
+    assert abs(before.force[axis]) > (0.1 if axis < 3 else 0.005)
+    session.change({"damping": 21.0})
+    session.tick(0.1)
+    now = session.snapshot()
+    assert now.since == before.tick and now.tick == before.tick + 20
+    assert session._history.rows[-20:, 1:7] == pytest.approx(np.tile(before.pose, (20, 1)), abs=1e-6)
+
+
 def test_changes_in_quick_succession_act_together() -> None:
     # A slider that is dragged at 50 Hz makes ten controllers a second, and the last value is in force at the end.
     session, begun = made(Joystick()), set()

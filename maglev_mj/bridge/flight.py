@@ -23,6 +23,7 @@ from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number
 from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
 from maglev_mj.scenes import Scene
+from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import (
     DEVICES_OWN,
@@ -103,11 +104,13 @@ class StopSwitch:
 
     @contextmanager
     def flying(self, plant: RemotePlant) -> Iterator[None]:
-        """Guard a flight: an interrupt is an emergency stop.
+        """Guard a flight: any error cuts its currents.
+
+        An interrupt is an emergency stop, any other error a fault of the host.
 
         Raises:
             KeyboardInterrupt: If landing was requested before the start, or the currents were cut before takeoff.
-            DeviceFault: If the currents were cut.
+            DeviceFault: If the currents were cut, by an interrupt or by an error once it is armed.
             PlantError: If the device does not confirm the cut.
         """
         if self.landing:
@@ -123,6 +126,11 @@ class StopSwitch:
                 raise PlantError(f"the flight was to be cut, {error}") from None
             plant.read()  # raises the fault, with the last cycles on disk
             raise KeyboardInterrupt("stopped before takeoff; ESTOP is latched in the device") from None
+        except BaseException as error:
+            self._plant = None
+            where = line_of(error)
+            plant.abort(f"{where}: " * (where is not None) + f"{type(error).__name__}: {error}")
+            raise
         finally:
             self._plant = None
 
@@ -181,7 +189,7 @@ def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float], expe
     said = f"99 % of delays are below {late * 1e3:.2f} ms, and {expected * 1e3:.2f} ms was checked"
     try:
         verdict = stability(scene, inertia=inertia, delay=late)
-    except MaglevError as error:
+    except Exception as error:  # of an own law too, and the flight's own fault is to be reported
         return f"{said}; stability at {late * 1e3:.2f} ms is not known: {error}"
     word = {True: "stable", False: "UNSTABLE", None: "perhaps unstable"}[verdict.stable]
     return f"{said}; held at {late * 1e3:.2f} ms, {scene.name} is {word} (largest root {verdict.modulus:.4f})"

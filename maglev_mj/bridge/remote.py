@@ -143,9 +143,9 @@ class RemotePlant:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         try:
-            if self._armed and isinstance(error, Exception) and self.state is _ACTIVE:
+            if isinstance(error, Exception):
                 with suppress(Exception):
-                    self._fail(Fault.HOST, f"{type(error).__name__}: {error}")
+                    self.abort(f"{type(error).__name__}: {error}")
         finally:
             self.close()
 
@@ -217,14 +217,12 @@ class RemotePlant:
         self._answer(frame, currents, None, 0.0)
 
     def _answered_frame(self, call: str) -> Frame:
-        """Return the last sample, for a call that answers it."""
         self._check_open()
         if self._frame is None:
             raise PlantError(f"{call}() needs a sample: call read() first")
         return self._frame
 
     def _answer(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
-        """Send the answer to the last sample; update the temperatures."""
         self._send(held, pulsed, width)
         self._owed = False
         if self.state is _ACTIVE:
@@ -295,6 +293,11 @@ class RemotePlant:
         with suppress(LinkError):  # the watchdog does it where there is no line
             self._line.control(Operation.TRIP, faults=faults)
 
+    def abort(self, reason: str) -> None:
+        """Trip a device that this host armed; DeviceFault then."""
+        if self._armed:
+            self._fail_if_active(Fault.HOST, reason)
+
     def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> None:
         """Check rest, arm, and move the flotor to the centre.
 
@@ -353,9 +356,8 @@ class RemotePlant:
             loop.cycle()
         self.disarm()
         motion = self._watch(_WATCHING)
-        return LandingReport(
-            math.dist(motion.pose[:3], self.rest[:3]), *motion.speeds, motion.at_rest and not self._doubt
-        )
+        rests = motion.at_rest and not self._doubt
+        return LandingReport(math.dist(motion.pose[:3], self.rest[:3]), *motion.speeds, rests)
 
     def _lead(self, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> None:
         end = self.samples.tick + max(round(duration / self.period), 1)
@@ -394,7 +396,6 @@ class RemotePlant:
             raise PlantError("the plant is closed")
 
     def _next_frame(self) -> Frame:
-        """Return the newest STATE."""
         try:
             if (frame := self._line.state(self._patience)) is not None:
                 return frame
@@ -419,7 +420,6 @@ class RemotePlant:
         self._sequence, self._frame, self._seen = frame.sequence, frame, _UNKNOWN
 
     def _adopt(self, state: int, faults: int) -> None:
-        """Adopt the device's reported state; raise if flight must end."""
         if state not in tuple(State):
             self._fail(Fault.HOST, f"the device says that it is in state {state}, which is none")
         before = self.state

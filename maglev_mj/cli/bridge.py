@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.fault import HandshakeError
+from maglev_mj.bridge.fault import DeviceFault, HandshakeError
 from maglev_mj.bridge.flight import LANDING_TIME, Flight, StopSwitch, expected_delay
 from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.realtime import interrupt, realtime, stopping
@@ -26,7 +27,7 @@ from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.cli.web import add_web, chosen_front
 from maglev_mj.display.remote import Front, RemoteViewer
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording, tee
@@ -95,6 +96,7 @@ def _bridge(options: argparse.Namespace) -> int:
     front = chosen_front(options, options.out, watch=True)
     # publishers first: their errors are reported before the device moves
     with (
+        _faults_told(options),
         stopping(interrupt, lambda: None),  # closing is not stopped by a second Ctrl-C
         chosen_publishers(options) as (publishers, live),
         _opened(options, calibration, key, limits) as plant,
@@ -170,9 +172,12 @@ def _fly(
         with _punctual(options):
             print(f"  {scene.name} at {1.0 / plant.period:g} Hz; keep hands off while it takes off", flush=True)
             try:
-                print(flown_table(flight.run(options.seconds)), flush=True)
-            finally:
-                print(timing_table(flight.timing, flight.warning), end="", flush=True)
+                report = flight.run(options.seconds)
+            except BaseException:
+                with suppress(OSError):  # a closed output must not hide the fault
+                    print(timing_table(flight.timing, flight.warning), end="", flush=True)
+                raise
+            print(flown_table(report), timing_table(flight.timing, flight.warning), sep="\n", end="", flush=True)
 
 
 def _warn(text: str) -> None:
@@ -200,6 +205,17 @@ def _opened(
         return RemotePlant(link, calibration=calibration, key=key, limits=limits, folder=options.out)
     except HandshakeError as error:
         raise HandshakeError(f"{options.address}: {error}") from None
+
+
+@contextmanager
+def _faults_told(options: argparse.Namespace) -> Iterator[None]:
+    """Add the command that clears a fault to its message."""
+    try:
+        yield
+    except DeviceFault as error:
+        ends = [f"--{name}={value}" for name in ("key", "calibration") if (value := getattr(options, name)) is not None]
+        again = shlex.join(["maglev-mj", "bridge", options.address, *ends, "--reset"])
+        raise PlantError(f"{error}; the currents are cut; {again} clears the fault") from error
 
 
 @contextmanager
