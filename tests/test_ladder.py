@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,16 @@ from maglev_mj.studies.fidelity_cases import (
     scene_at,
     screen_levels,
 )
-from maglev_mj.studies.fidelity_levels import LevelResult, distance, largest_jump, measure_levels, run_case, run_levels
+from maglev_mj.studies.fidelity_levels import (
+    LevelResult,
+    distance,
+    largest_jump,
+    level_results,
+    measure_costs,
+    measure_levels,
+    run_case,
+    run_levels,
+)
 from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
 from maglev_mj.studies.levels import LEVELS, apart, level_index, level_parts, loop_of, motion_of
 from maglev_mj.tables import fidelity_table
@@ -439,6 +449,32 @@ def test_a_looser_tolerance_takes_a_lower_level() -> None:
     for over, words in ((Range(share=0.0), "share"), (Range(around=0.6), "around"), (Range(phases=0), "phases")):
         with pytest.raises(ParameterError, match=words):
             measure_fidelity("twist", over=over)
+
+
+def test_a_level_that_diverges_in_any_case_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> None:
+    def diverged(*given: Any) -> tuple[LevelResult, ...]:
+        axes, *others = level_results(*given)
+        return (axes._replace(diverged=1), *others)
+
+    monkeypatch.setattr("maglev_mj.studies.fidelity.level_results", diverged)
+    result = measure_fidelity("twist", 2e-4, Range(phases=1))
+    assert MARGIN * result.levels[0].missing <= 2e-4  # so that only its divergence forbids it
+    assert result.level is not None and result.level.level == "body"
+
+
+def test_a_cost_is_of_a_simulated_second() -> None:
+    makers = [partial(level_parts, small("drop", period=period).scene, "axes") for period in (0.005, 0.002)]
+    assert measure_costs(makers, [2.0, 3.0], 1) == pytest.approx((2.0 / 0.105, 3.0 / 0.102))
+
+
+def test_all_cases_keep_a_tolerance_only_if_each_does() -> None:
+    shares = {1.0: "all", 4095 / 4096: "99.98%", 0.9995: "99.95%", 1.0 - 1e-9: "99.99%", 0.0: "0.00%"}
+    row = LevelResult("body", "", 0.0, 0.0, 0.0, 1.0, 0, 0.0, 1.0)
+    for share, text in shares.items():
+        rows = (row._replace(keeps=share),)
+        result = FidelityResult(preset_of("drop"), 1e-3, Range(), (itself(),), 4096, 0.0, 0, rows, None, (), None)
+        line = next(line for line in fidelity_table(result).splitlines() if line.startswith("    body"))
+        assert line.split()[-3] == text
 
 
 def test_a_step_that_diverges_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> None:
