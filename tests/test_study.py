@@ -22,6 +22,7 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.cells import Cell, Record, StudyInterrupted, run_cells
 from maglev_mj.studies.sweep import run_scene_cells, swept_cells
+from maglev_mj.versions import versions
 from maglev_mj.workers import Workers, dask_workers, inline, local_workers
 
 
@@ -62,6 +63,17 @@ def test_a_rerun_computes_only_what_is_missing(tmp_path: Path) -> None:
     assert calls == [4, 2, 4]
     assert second[:6] == first and second == squares(cells)
     assert len(path.read_text().splitlines()) == 10
+
+
+@pytest.mark.parametrize(("newest", "count"), [("ours", 0), ("theirs", 1)])
+def test_the_newest_line_of_a_cell_names_its_code(tmp_path: Path, newest: str, count: int) -> None:
+    path, made = tmp_path / "record.jsonl", {"ours": versions(), "theirs": {**versions(), "numpy": "1.0"}}
+    kinds = sorted(made, key=lambda kind: kind == newest)
+    lines = [{"cell": {"x": 1}, "result": {"of": kind}, "versions": made[kind]} for kind in kinds]
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    kept = Record(path)
+    assert kept[{"x": 1}] == {"of": newest}
+    assert sum(other["cells"] for other in kept.others([{"x": 1}])) == count
 
 
 def test_cells_given_twice_run_once_and_come_back_in_order() -> None:

@@ -93,13 +93,26 @@ def test_the_series_of_a_run_are_those_of_its_trace() -> None:
         one.plot(picture="x")
 
 
+@pytest.mark.parametrize("duration", [0.35, 0.57])
+def test_the_last_row_of_a_series_is_the_end_of_its_run(duration: float) -> None:
+    assert duration / 1e-3 % 1.0 > 0.5  # so that a rounded quotient would lose it
+    time = run(Drop(duration=duration), plant="exact").to_pandas()["time"]
+    assert len(time) == round(duration * 1000) + 1 and time.iloc[-1] == pytest.approx(duration)
+
+
 def test_a_choice_of_model_draws_the_distance_of_each_level() -> None:
     found: Any = results()["fidelity"]
     missing = 1e6 * found.to_pandas()["missing"].to_numpy()
     dots, tolerance = lines(found.plot())
     np.testing.assert_array_equal(dots.get_xdata(), missing[missing > 0.0])
     assert tolerance.get_xdata()[0] == pytest.approx(1e6 * found.tolerance / MARGIN)
+    assert found.to_pandas().attrs["units"] == {
+        **dict.fromkeys(("changes", "worst", "missing"), "m"),
+        "force": "N",
+        "cost": "s",
+    }
     table = found.table()
+    assert table.head[2] == "missing [µm]" and table.head[4] == "cost [s]"
     assert [row[2] for row in table.rows] == missing.tolist() and found.level.level in table.note
 
 

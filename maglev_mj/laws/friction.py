@@ -118,7 +118,7 @@ class StickSlip(Friction):
     Args:
         v_min: Speed below which a sliding axis sticks [m/s, rad/s], above 0.
         coupled: Treat the law's axes as one vector, as for a block on a table: breakaway and speed are norms, and all
-            axes stick and slide together. The axes must be translations, and every parameter is one number.
+            axes stick and slide together. The axes must be translations, and every parameter the same on all.
 
     Source: Salcudean & Vlaar 1997, eq. (12)-(13).
 
@@ -138,7 +138,7 @@ class StickSlip(Friction):
     def __post_init__(self) -> None:
         super().__post_init__()
         flag("coupled", self.coupled)
-        if self.coupled and any(map(np.ndim, (self.stiffness, self.damping, self.breakaway, self.v_min))):
+        if self.coupled and any(np.ptp(np.atleast_1d(getattr(self, name)), axis=-1).any() for name in self.per_device):
             raise ParameterError("coupled axes share their parameters: give one number for each")
         if self.coupled and not set(self.indices) <= {0, 1, 2}:
             raise ParameterError(f"coupled axes must be translations, of x, y, z, not {self.axes!r}")

@@ -337,15 +337,16 @@ def _keywords(plant: str) -> frozenset[str]:
 
 
 class SideBySide:
-    """N hands as one hand of a batch.
-
-    They differ in their trajectories alone.
-    """
+    """N hands as one hand of a batch, each at the time and state of its own device."""
 
     def __init__(self, hands: Sequence[HandForce]) -> None:
         self._hands, self.hand = hands, getattr(hands[0], "hand", None)
 
     def __call__(self, tick: int, time: Component, state: Any) -> list[Array]:
         """See `HandForce`."""
-        rows = [hand(tick, time, state) for hand in self._hands]
+        times, once = np.broadcast_to(time, len(self._hands)).tolist(), cache(state)
+        rows = [
+            hand(tick, at, lambda own=device: tuple(part[own] for part in once()))  # type: ignore[misc]
+            for device, (hand, at) in enumerate(zip(self._hands, times, strict=True))
+        ]
         return [np.array(part) for part in zip(*rows, strict=True)]

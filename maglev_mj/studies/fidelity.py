@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from maglev_mj.parameters import number
 from maglev_mj.scenes.run import checked_phase, parameters_json
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.spec import Spec
 from maglev_mj.studies.fidelity_cases import Case, Preset, choice_cases, itself, preset_of, screen_levels
 from maglev_mj.studies.fidelity_levels import (
     DEAR,
@@ -112,13 +113,15 @@ class FidelityResult(Tabular):
         tolerance: Largest negligible displacement of a coil [m].
         over: Validity range of the answer.
         cases: Cases of the whole device.
-        screened: Number of cases on the exact plant.
+        screened: Number of cases on the exact plant; 0 if the laws do not accept many devices at once.
         jump: Largest jump among them [m], from a sample that just meets or just misses the wall; 0 if none.
         met_stops: Number of cases with contact at the metal stops of the model.
         levels: From the least model to the most.
         level: The least level that keeps the tolerance, with the margin, against all above it; None if none does.
         steps: Integrators and steps on that level.
         cheapest: The cheapest of them that keeps the tolerance and the stability boundary; None if none does.
+        unscreened: Reason why there are no cases on the exact plant: the share is then one of the few cases of the
+            whole device. Empty if there are.
     """
 
     preset: Preset
@@ -132,6 +135,7 @@ class FidelityResult(Tabular):
     level: LevelResult | None
     steps: tuple[StepResult, ...]
     cheapest: StepResult | None
+    unscreened: str = ""
 
     drawn_by: ClassVar = "maglev_mj.plots.results:fidelity"
 
@@ -158,11 +162,12 @@ class FidelityResult(Tabular):
     def furthest(self) -> float | None:
         """Largest expected distance of the chosen model [m].
 
-        The margin is included; None without a choice.
+        The margin is included; None without a choice, without a screen, or for more than the flotor's range.
         """
-        if self.level is None or self.cheapest is None:
+        if self.level is None or self.cheapest is None or self.unscreened:
             return None
-        return MARGIN * max(self.cheapest.missing or 0.0, self.level.worst, self.jump)
+        most = MARGIN * max(self.cheapest.missing or 0.0, self.level.worst, self.jump)
+        return most if most <= Spec.translation_range.value else None
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON.
@@ -177,6 +182,7 @@ class FidelityResult(Tabular):
             **self.over._asdict(),
             "cases": [case._asdict() for case in self.cases],
             "screened": self.screened,
+            "unscreened": self.unscreened or None,
             "jump": self.jump,
             "furthest": self.furthest,
             "met_stops": self.met_stops,
@@ -204,7 +210,8 @@ def measure_fidelity(
     The expensive levels, from the drivers' filter on, run in the scene itself and the three cases that are worst
     without them; `screen_levels` adds 4096 further cases on the exact plant. A level keeps the tolerance if `MARGIN`
     times its distance from every level above it does, in all cases of the whole device and the given share of the
-    others. No model except the device itself keeps it in all cases: see `largest_jump`.
+    others. No model except the device itself keeps it in all cases: see `largest_jump`. Laws that do not accept many
+    devices at once are not screened: the answer then holds for the cases of the whole device alone, and says why.
 
     Args:
         scene: See `preset_of`.
@@ -231,7 +238,11 @@ def measure_fidelity(
     dear = (len(LEVELS) - DEAR) * min(DEAR_CASES, len(cases))
     done = _Count(progress, len(cases) * DEAR + dear + len(STEPPINGS))
     motions = run_levels(scene, cases, done=done)
-    screen = screen_levels(scene, over.around)
+    unscreened = ""
+    try:
+        screen = screen_levels(scene, over.around)
+    except Exception as error:  # a user's law may raise anything for arrays
+        screen, unscreened = np.zeros((len(LEVELS), 1)), (str(error) or type(error).__name__).splitlines()[0]
     levels = level_results(scene, motions, screen, kept / MARGIN, over.share)
     met = sum(motion is not None and motion.met_stops for motion in motions[level_index("stops")].values())
     level = next((row for row in levels if MARGIN * row.missing <= kept and not row.diverged), None)
@@ -249,8 +260,8 @@ def measure_fidelity(
             over.boundary,
             lambda row: max(check(row), beyond),
         )
-    jump = largest_jump(screen)
-    return FidelityResult(preset, kept, over, cases, screen.shape[1], jump, met, levels, level, steps, cheapest)
+    screened, jump = 0 if unscreened else screen.shape[1], largest_jump(screen)
+    return FidelityResult(preset, kept, over, cases, screened, jump, met, levels, level, steps, cheapest, unscreened)
 
 
 class _Count:

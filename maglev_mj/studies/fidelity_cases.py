@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,8 +16,10 @@ import numpy as np
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array
+from maglev_mj.laws import Law
+from maglev_mj.laws.stack import law_kind, stacked
 from maglev_mj.loop import drive
-from maglev_mj.parameters import axis_indices, number
+from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import get_scene
@@ -186,7 +188,7 @@ def scene_at(scene: Scene, case: Case) -> tuple[Scene, float]:
 def screen_levels(scene: Scene, around: float) -> Array:
     """Return each level's distance from those above it [m].
 
-    (levels, 4096): in 4096 cases on the exact plant.
+    (levels, cases): 4096 cases on the exact plant; 16 of a scene with neither gains nor phases to vary.
 
     The exact plant has the lag, the current limit along z, the sensor's steps and the jitter, for many devices at
     once. It lacks turning coils, falloff, spots, stops and the handle's swing. A rare jump, of a sample that just meets
@@ -197,16 +199,15 @@ def screen_levels(scene: Scene, around: float) -> Array:
         around: Largest relative change of a gain.
 
     Returns:
-        The distances; infinite throughout if a case diverges, zero for one case in a scene without gains or with laws
-        that do not accept many devices at once.
+        The distances; infinite throughout if a case diverges.
+
+    Raises:
+        ParameterError: If a law does not declare its gains; an `if` on a coordinate raises ValueError.
     """
-    if not has_gains(scene):  # no loop, so nothing jumps
-        return np.zeros((len(LEVELS), 1))
-    points = [scene_at(scene, case) for case in scattered_cases(scene, _POINTS, around, seed=0)]
+    count = _POINTS if has_gains(scene) or scene.takes_phase else 1
+    points = [scene_at(scene, case) for case in scattered_cases(scene, count, around, seed=0)]
     try:
         return _screen(points)
-    except ValueError:  # a law fails for arrays, at once or later, or differs in more than numbers
-        return np.zeros((len(LEVELS), 1))
     except PlantError:  # one diverged, and with it the batch
         return np.full((len(LEVELS), len(points) * _SEEDS), math.inf)
 
@@ -253,7 +254,7 @@ def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -
     Returns poses (K, N, 6), at the scenes' phases. The scenes differ in gains alone.
 
     Raises:
-        ParameterError: If their laws differ in more than gains.
+        ParameterError: If their laws differ in more than declared gains, or do not accept many devices at once.
     """
     timings, starts = zip(*(_parts(scene, phase) for scene, phase in points), strict=True)
     timing, common = timings[0], starts[0]
@@ -270,7 +271,8 @@ def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -
     if common.get("wrench_limit") is not None:  # the scene's own
         near.pop("wrench_limit", None)
     options = common | near | {"escape": _FAR, "record": False}
-    controllers = [scene.controller() for scene, _ in points]
+    made = {id(scene): scene.controller() for scene, _ in points}
+    controllers = [made[id(scene)] for scene, _ in points]
     laws = [_stacked_law(alike) for alike in zip(*(controller.laws for controller in controllers), strict=True)]
     controller = Controller(laws, period=controllers[0].period, velocity=controllers[0].velocity)
     ticks = min(scene.ticks(scene.timing(phase)) for scene, phase in points)
@@ -288,21 +290,12 @@ def _parts(scene: Scene, phase: float) -> tuple[Timing, dict[str, Any]]:
     return made[0]
 
 
-def _stacked_law(laws: Sequence[Any]) -> Any:
-    """Return one law for N devices.
-
-    Numbers that differ become (N, axes).
-    """
-    first: Any = laws[0]
-    if not is_dataclass(first) or not hasattr(first, "axes") or any(type(law) is not type(first) for law in laws):
-        raise ParameterError(f"law must be of one class with axes and declared gains, not {type(first).__name__}")
-    count = len(axis_indices(first.axes))
-    changed = {}
-    for item in fields(first):
-        values = [getattr(law, item.name) for law in laws]
-        if item.init and any(not np.array_equal(values[0], value) for value in values[1:]):
-            try:
-                changed[item.name] = np.array([np.broadcast_to(np.asarray(value, float), (count,)) for value in values])
-            except (TypeError, ValueError):
-                raise ParameterError(f"{item.name} of {type(first).__name__} must be numbers to differ") from None
-    return replace(laws[0], **changed) if changed else first
+def _stacked_law(laws: Sequence[Law]) -> Law:
+    first, kind = laws[0], law_kind(laws[0])
+    if any(law is not first and (kind is None or law_kind(law) != kind) for law in laws):
+        name = getattr(first, "name", type(first).__name__)
+        raise ParameterError(
+            f"law {name} must be an AxisLaw, or name its gains in per_device, and differ in them alone"
+        )
+    law: Law = stacked(laws)
+    return law

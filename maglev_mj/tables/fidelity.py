@@ -8,7 +8,8 @@ import numpy as np
 
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult, StepResult, stepping_name
 from maglev_mj.studies.fidelity_cases import has_gains
-from maglev_mj.studies.fidelity_levels import LevelResult
+from maglev_mj.studies.fidelity_levels import DEAR, DEAR_CASES, LevelResult
+from maglev_mj.studies.levels import level_index
 from maglev_mj.terminal import cell, wrapped
 
 __all__ = ["fidelity_table", "levels_table"]
@@ -73,16 +74,27 @@ def fidelity_table(result: FidelityResult) -> str:
         "",
         *wrapped(f"take {chosen.level} with {_stepping(result.cheapest)}: {result.cheapest.cost * 1e3:.1f} µs a ms"),
         *wrapped(
-            f"within {_micro(most)} in {result.over.share:.4g} of the cases, the margin of {MARGIN:g} included; "
-            f"none expected beyond {_micro(result.furthest or 0.0)}{_jumps(result)}"
+            f"within {_micro(most)} in {result.over.share:.4g} of {_cases(result)}, the margin of {MARGIN:g} included; "
+            f"{_others(result)}"
         ),
     ]
     return "\n".join(lines)
 
 
-def _jumps(result: FidelityResult) -> str:
-    """Return the reason of large deviations in some cases."""
-    return ", where a sample just meets the wall or misses it" if result.jump else ""
+def _cases(result: FidelityResult) -> str:
+    """Return the cases that the share is one of."""
+    if not result.unscreened or result.level is None:
+        return "the cases"
+    count = len(result.cases)
+    return f"{min(count, DEAR_CASES) if level_index(result.level.level) >= DEAR else count} cases of the whole device"
+
+
+def _others(result: FidelityResult) -> str:
+    """Return how far the other cases go."""
+    if result.furthest is None:
+        return "how far others go is not known"
+    jumps = ", where a sample just meets the wall or misses it" if result.jump else ""
+    return f"none expected beyond {_micro(result.furthest)}{jumps}"
 
 
 def _range_lines(result: FidelityResult) -> list[str]:
@@ -92,7 +104,9 @@ def _range_lines(result: FidelityResult) -> list[str]:
     lines = [f"{count} cases of the whole device: {over.phases} {seeds}"]
     if has_gains(result.preset.scene) and over.around:
         lines[0] += f", times 5 pairs of gains (given, and {over.around:.3g} of each up and down)"
-    if result.screened > 1:
+    if result.unscreened:
+        lines.append(f"none on the exact plant, which takes many devices at once: {result.unscreened}")
+    else:
         lines.append(f"and {result.screened} on the exact plant in the same range: lag, limit, sensor's steps, jitter")
     lines.append(
         f"kept if {MARGIN:g} times the worst of {over.share:.4g} of these is: the margin for cases not looked at"
