@@ -6,6 +6,7 @@ import gc
 import importlib.util
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -20,6 +21,9 @@ import pytest
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # small matrices: more threads only wait, on cores that others need
 os.environ["LANGUAGE"] = "C"  # else each option of a command line is looked for in catalogues of translations
+
+# a shell lets what it runs in the background ignore Ctrl-C, and so would the programs that tests start
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 

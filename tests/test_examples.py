@@ -172,7 +172,7 @@ LOOP = Controller([SPRING], period=0.005)
 WRONG: Any = {"a": object()}
 MISUSES: dict[str, tuple[Callable[[], object], str]] = {
     "laws": (lambda: Controller(SPRING, period=0.005), "laws must be a list of laws"),  # type: ignore[arg-type]
-    "class": (lambda: run_phases(DROP, 3), "scene must be a Scene"),  # type: ignore[arg-type]
+    "object": (lambda: run_phases(WRONG, 3), "scene must be a Scene"),
     "share": (lambda: run_phases(DROP(), 2, plant="exact").percentile(150.0), "share must be .* at most 100, not 150"),
     "no scene": (lambda: stability(LOOP), "scene must be a scene"),  # type: ignore[arg-type]
     "no controller": (lambda: judge(SPRING, delay=0.0), "controller must be a Controller"),  # type: ignore[arg-type]
