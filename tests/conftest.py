@@ -1,4 +1,4 @@
-"""Settings of every worker of the tests, and what some tests need beside the packages of `make test`."""
+"""Settings of the tests' workers, and what some tests need beside Python packages."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ BROWSERS = "chromium", "chromium-browser", "google-chrome"
 
 
 class Need(NamedTuple):
-    """A need of tests: its name for people, how to ask for it, and the Debian packages that bring it."""
+    """Need of tests: its name, how to ask for it, and its Debian packages."""
 
     name: str
     there: Callable[[], bool]

@@ -1,4 +1,4 @@
-"""The library that draws off screen: what MUJOCO_GL says is kept, else the first that works is found."""
+"""The library that draws off screen: MUJOCO_GL's, else the first that works."""
 
 import os
 import subprocess

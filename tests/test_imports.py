@@ -142,7 +142,7 @@ def test_heavy_packages_stay_in_their_rooms() -> None:
 
 
 def test_no_module_outgrows_its_room() -> None:
-    long = {path.name: count for path in PACKAGE.rglob("*.py") if (count := len(path.read_text().splitlines())) > 500}
+    long = {path.name: count for path in PACKAGE.rglob("*.py") if (count := len(path.read_text().splitlines())) > 700}
     assert not long
 
 

@@ -1,6 +1,7 @@
 """Settings by other programs: own walls, and their stability check."""
 
 import json
+import operator
 from typing import Any
 
 import mujoco
@@ -203,19 +204,22 @@ class Detents(Scene):
         return [Detent(axes="x", stiffness=self.stiffness, damping=self.damping), others]
 
 
-class Integral(AxisLaw):
-    """Integral action."""
+WEIGHTS = np.random.default_rng(0).standard_normal(600)
+
+
+class Echo(AxisLaw):
+    """Force by the positions of 600 samples."""
 
     def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
-        area = (0.0 if state is None else state) + x
-        return -100.0 * x - 10.0 * v - area, area
+        line = (x,) * len(WEIGHTS) if state is None else (x, *state[:-1])
+        return -sum(map(operator.mul, WEIGHTS, line)), line
 
 
-class Integrated(Detents):
-    """Detents and an integral."""
+class Echoing(Detents):
+    """Detents and an echo."""
 
     def laws(self) -> list[Law]:
-        return [Integral(), *super().laws()]
+        return [Echo(axes="x"), *super().laws()]
 
 
 def test_a_law_that_states_no_gains_is_judged_too() -> None:
@@ -231,7 +235,7 @@ def test_what_is_not_known_to_be_stable_is_refused() -> None:
     with pytest.raises(
         ParameterError, match=r"not known whether the scene would be stable; not judged at .*"
     ) as caught:
-        unstable_loop(Integrated(stiffness=1000.0))
+        unstable_loop(Echoing(stiffness=1000.0))
     assert "\n" not in str(caught.value)
 
 
@@ -247,9 +251,9 @@ def test_a_scene_that_may_be_unstable_warns_in_one_line() -> None:
     wrong = Detents(stiffness=9870.0)
     assert stability_warning(wrong) == f"detents is unstable: {unstable_loop(wrong)}"
     assert "have the largest root modulus 1.0308, which must be below 1" in str(stability_warning(wrong))
-    unknown = stability_warning(Integrated(stiffness=1000.0))
+    unknown = stability_warning(Echoing(stiffness=1000.0))
     assert unknown is not None and "\n" not in unknown
-    assert unknown.startswith("integrated may be unstable: it is not known whether the scene would be stable; not")
+    assert unknown.startswith("echoing may be unstable: it is not known whether the scene would be stable; not")
     late = stability_warning(Detents(period=0.001, delay=0.05))
     assert late is not None and late.startswith("detents may be unstable: delay must be at most 10 periods")
     with pytest.raises(ParameterError, match="law Detent must leave six"):  # a slip in a law is no question of gains

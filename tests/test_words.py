@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-MOST_WORDS = 10
+MOST_WORDS = 16
 CODE = re.compile(r"`[^`]*`")  # names of the program are no words
 RULES = {
-    "a clause": re.compile(r"\b(what|where|who)(ever)?\b|\bthat which\b", re.IGNORECASE),
+    "a clause": re.compile(r"\bthat which\b", re.IGNORECASE),
     "a literary word": re.compile(
         r"\b(nobody|for ever|lets? go|likewise|askew|reckon(s|ed)?|came to|is none|for a person)\b", re.IGNORECASE
     ),
@@ -52,11 +52,12 @@ def test_first_lines_are_short_and_plain(folder: str) -> None:
     ("text", "broken"),
     [
         ("Return the largest stable stiffness.", []),
-        ("Return the ten words that a first line may have.", []),
-        ("Return eleven words, one more than a first line may have.", ["11 words, at most 10"]),
-        ("What was recorded.", ["a clause (What)"]),
-        ("Return where the flotor sticks.", ["a clause (where)"]),
-        ("Stop a device, whoever flies it.", ["a clause (whoever)"]),
+        ("Return one line of sixteen words, as many as a first line of one sentence has.", []),
+        (
+            "Return one line of the seventeen words that a first line of one sentence must not have.",
+            ["17 words, at most 16"],
+        ),
+        ("Return where the flotor sticks.", []),
         ("Return the wrench of that which is held.", ["a clause (that which)"]),
         ("Hand that lets go of the flotor.", ["a literary word (lets go)"]),
         ("Recording status, for a person.", ["a literary word (for a person)"]),

@@ -337,7 +337,7 @@ def _keywords(plant: str) -> frozenset[str]:
 
 
 class SideBySide:
-    """N hands as one hand of a batch, each at the time and state of its own device."""
+    """N hands as one of a batch, each at its own device's time and state."""
 
     def __init__(self, hands: Sequence[HandForce]) -> None:
         self._hands, self.hand = hands, getattr(hands[0], "hand", None)

@@ -95,13 +95,13 @@ def _loop(p: StabilityParameters) -> str:
 def loop_table(scene: Scene, verdict: Verdict) -> str:
     """Return the stability of a scene's closed loop as text.
 
-    The worst pose is named.
+    Each state of the laws has a line; without stated gains, the worst pose is named.
     """
     place = ", ".join(f"{axis} {value:g}" for axis, value in zip(AXES, verdict.pose, strict=True) if value) or "centre"
-    worst = f"states of the laws: {', '.join(verdict.acting) or 'none'}" if verdict.stated else f"at {place} (m, rad)"
+    states = [str(state) for state in verdict.states] or [f"{verdict}; at {place} (m, rad)"]
     means = "by the laws' own gains" if verdict.stated else "by the answers of the laws to small displacements"
     lines = wrapped(f"{scene.name}: {scene.describe()}", "", "  ")
-    for text in (f"{verdict}; {worst}", f"found {means}", *verdict.remarks):
+    for text in (*states, f"found {means}", *verdict.remarks):
         lines += wrapped(text)
     return "\n".join(lines)
 

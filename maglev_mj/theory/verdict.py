@@ -20,16 +20,16 @@ from maglev_mj.model import load_model
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.tabular import Table, Tabular
-from maglev_mj.theory.closed_loop import SampledLoop, largest_modulus
+from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import Linearised, check_controller, linearise, loop_matrices
+from maglev_mj.theory.realisation import StateSpace, realised
 
 __all__ = ["Judged", "Verdict", "inertia_of", "judge", "stability", "stated_gains"]
 
-_ROUNDING, _FREE = 1e-9, 1e-6
-"""Tolerances of a modulus, bound and free axis.
-
-The double root at 1 of an axis without stiffness is found to half of the digits.
-"""
+_ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
+"""Tolerances of a modulus, of gains beside the responses that sum up to them, of a mean root."""
+_SHORT = 16
+"""Samples of a response whose closed loop is exact as it is."""
 _POINTS, _STRIDE = 23, 0.9871
 """Number of poses along each axis, and range covered.
 
@@ -43,14 +43,44 @@ The first is for a start moved off an edge, the others for poses inside a face.
 _SCALE = np.array([1.0] * 3 + [10.0] * 3)
 
 
+class LoopState(NamedTuple):
+    """Closed loop of like axes in one state of the laws that act there.
+
+    Attributes:
+        axes: Names of the axes.
+        acting: States of the laws that act, such as "contact"; () for none.
+        others: States of laws on these axes that do not act.
+        modulus: Largest modulus of the eigenvalues, those of free motion left out; 0 if there are no others.
+        free: True if nothing pulls back: there are roots at exactly 1.
+    """
+
+    axes: tuple[str, ...]
+    acting: tuple[str, ...]
+    others: tuple[str, ...]
+    modulus: float
+    free: bool
+
+    @property
+    def margin(self) -> float:
+        """Distance of the largest root from 1; negative for an unstable loop."""
+        return 1.0 - self.modulus
+
+    def __str__(self) -> str:
+        lacking = (f"no {name}" if name == "contact" else f"not {name}" for name in self.others)
+        where = "all axes" if self.axes == AXES else ", ".join(self.axes)
+        root = f"largest root {self.modulus:.4f}, margin {self.margin:.4f}, {_word(self.margin > 0.0)}"
+        parts = ["free"] * self.free + [root] * (self.modulus > 0.0)
+        return f"{where} ({', '.join([*self.acting, *lacking]) or 'always'}): {', else '.join(parts)}"
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Verdict(Tabular):
     """Stability verdict with the worst closed loop of a controller.
 
     Attributes:
-        stable: True if all loops are stable; None if not known.
-        modulus: Largest modulus of the worst loop's eigenvalues, below 1 for a stable loop and 1 for a free axis; NaN
-            if not known.
+        stable: True if all loops are stable, apart from free motion; None if not known.
+        modulus: Largest modulus of the worst loop's eigenvalues, those of free motion left out: they are exactly 1, by
+            structure, where nothing pulls back. Below 1 for a stable loop; NaN if not known.
         axes: Names of the worst loop's axes; () if not known.
         acting: States of the acting laws: "always", "contact", "stuck" and so on; () if gains are not stated.
         pose: Pose of the worst loop [m, rad], (6,).
@@ -58,8 +88,10 @@ class Verdict(Tabular):
         damping: Total damping at the pose [N s/m, N m s/rad], (6, 6).
         stated: True if all laws state their gains, so that the pose does not matter.
         jumps: Poses with a jump or kink of the wrench, so that no gains describe it, (J, 6); they are left out.
-        unknown: Poses with a controller memory of more than 512 samples, (U, 6).
+        unknown: Poses where the controller remembers for more than 512 samples, and not as a linear law of few states
+            does, (U, 6).
         away: Poses of unstable equilibrium, such as the crest between two detents, (A, 6); they are left out.
+        states: Loop of each axis in each state of the laws on it, like ones together; () if gains are not stated.
     """
 
     stable: bool | None
@@ -74,6 +106,7 @@ class Verdict(Tabular):
     jumps: Array = field(default_factory=lambda: np.zeros((0, 6)))
     unknown: Array = field(default_factory=lambda: np.zeros((0, 6)))
     away: Array = field(default_factory=lambda: np.zeros((0, 6)))
+    states: tuple[LoopState, ...] = ()
     drawn_by: ClassVar = "maglev_mj.plots.poles:pole_map"
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -93,9 +126,10 @@ class Verdict(Tabular):
         return super().table()._replace(title=f"{self}{acting}{remarks}")
 
     def __str__(self) -> str:
-        word = {True: "stable", False: "UNSTABLE", None: "not known"}[self.stable]
+        if self.stable and not self.modulus:
+            return f"{', '.join(self.axes)}: free"
         loop = f"{', '.join(self.axes)}: largest root {self.modulus:.4g}" if self.axes else "stability"
-        return f"{loop} {word}"
+        return f"{loop} {_word(self.stable)}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the verdict, ready for JSON."""
@@ -106,6 +140,7 @@ class Verdict(Tabular):
             "acting": list(self.acting),
             "pose": self.pose.tolist(),
             "stated": self.stated,
+            "states": [{**one._asdict(), "margin": one.margin} for one in self.states],
             "remarks": list(self.remarks),
         }
 
@@ -248,32 +283,44 @@ def _by_gains(
     gains: dict[tuple[str, ...], tuple[Array, Array]], controller: Controller, delay: float, pose: Array, body: Array
 ) -> Verdict:
     """Return the verdict from stated gains, in closed form."""
-    worst: tuple[bool, float] = False, -1.0
-    found: tuple[int, tuple[str, ...]] = 0, ()
-    for acting, (stiffness, damping) in gains.items():
-        velocity: Any = controller.velocity
-        loop = {"period": controller.period, "delay": delay, "mass": body, "velocity": velocity}
-        modulus = largest_modulus(stiffness, damping, **loop)
-        # without stiffness the flotor may rest anywhere, which is one root at 1
-        wrong = modulus >= np.where(stiffness > 0.0, 1.0 - _ROUNDING, 1.0 + _ROUNDING)
-        for index in range(len(AXES)):
-            if wrong[index] > worst[0] or (wrong[index] == worst[0] and modulus[index] > worst[1] * (1.0 + _ROUNDING)):
-                worst = bool(wrong[index]), float(modulus[index])
-                found = index, acting
-    index, acting = found
-    stiffness, damping = gains[acting]
-    around = SampledLoop(period=controller.period, delay=delay, mass=body[index], velocity=controller.velocity)
+    loop: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
+    found: dict[tuple[Any, ...], list[str]] = {}
+    for index, axis in enumerate(AXES):
+        own = {acting: (float(both[0][index]), float(both[1][index])) for acting, both in gains.items()}
+        here = [acting[0] for acting in gains if len(acting) == 1 and own[acting] != own[()]]
+        for acting in (acting for acting in gains if set(acting) <= set(here)):
+            stiffness, damping = own[acting]
+            free = 0 if stiffness > 0.0 else 1 if damping > 0.0 else 2
+            roots = np.linalg.eigvals(SampledLoop(mass=body[index], **loop).matrix(stiffness, damping))
+            others = tuple(name for name in here if name not in acting)
+            kind = acting, others, round(_modulus(roots, free), 12), free > 0
+            found.setdefault(kind, []).append(axis)
+    states = tuple(LoopState(tuple(axes), *kind) for kind, axes in found.items())
+    worst = max(states, key=lambda state: state.modulus)
+    index, (stiff, damp) = AXES.index(worst.axes[0]), gains[worst.acting]
+    around = SampledLoop(mass=body[index], **loop)
     return Verdict(
-        stable=not worst[0],
-        modulus=worst[1],
-        axes=(AXES[index],),
-        acting=acting,
+        stable=worst.modulus < 1.0 - _ROUNDING,
+        modulus=worst.modulus,
+        axes=worst.axes[:1],
+        acting=worst.acting,
         pose=pose,
-        stiffness=np.diag(stiffness),
-        damping=np.diag(damping),
-        eigenvalues=np.linalg.eigvals(around.matrix(stiffness[index], damping[index])).astype(np.complex128),
+        stiffness=np.diag(stiff),
+        damping=np.diag(damp),
+        eigenvalues=np.linalg.eigvals(around.matrix(stiff[index], damp[index])).astype(np.complex128),
         stated=True,
+        states=states,
     )
+
+
+def _word(stable: bool | None) -> str:
+    return {True: "stable", False: "UNSTABLE", None: "not known"}[stable]
+
+
+def _modulus(roots: NDArray[Any], free: int) -> float:
+    """Return the largest modulus without the roots of free motion, those nearest to 1."""
+    kept = np.argsort(np.abs(roots - 1.0))[free:]
+    return float(np.abs(roots[kept]).max(initial=0.0))
 
 
 class _Loop(NamedTuple):
@@ -282,27 +329,79 @@ class _Loop(NamedTuple):
     near: Linearised
     axes: tuple[int, ...]
     scaled: Array
-    stiffness: Array
-    """Real eigenvalue parts of the stiffness without units."""
+    settles: bool
+    system: StateSpace | None
+    """Without units; None for a short response, or one that no law of few states has."""
+    still: int
+    """Number of directions without stiffness."""
+    moments: tuple[Array, Array]
+    """Sums of the response and of its age times response, without units."""
+
+    @property
+    def pushes_away(self) -> bool:
+        """True if the flotor leaves the pose by itself."""
+        static = self.moments[0]
+        own = np.linalg.eigvals(-static).real if np.isfinite(static).all() else np.zeros(1)
+        return bool(own.min() < -_FREE * np.abs(self.scaled).max())
+
+    def gains(self, body: Array) -> tuple[Array, Array]:
+        """Return stiffness and damping, (6, 6) each."""
+        place, root = np.ix_(self.axes, self.axes), np.sqrt(body[list(self.axes)])
+        stiffness, damping = self.near.stiffness.copy(), self.near.damping.copy()
+        size = np.outer(root, root) / self.near.period**2
+        stiffness[place], damping[place] = -size * self.moments[0], self.near.period * size * self.moments[1]
+        return stiffness, damping
+
+
+def _loop(near: Linearised, axes: tuple[int, ...], own: Array, seen: list[_Loop]) -> _Loop:
+    """Return the loop of some axes, added to those seen or like one of them."""
+    settles = bool(near.settled[list(axes)].all())
+    for one in seen:
+        if one.axes == axes and one.settles == settles and _alike(one.scaled, own):
+            return one._replace(near=near)
+    memory = 1 + int(np.flatnonzero(own.any(axis=(1, 2))).max(initial=0))
+    # the roots of a long response, cut off where it is small, are those of the cut
+    system = realised(own[:memory]) if memory > _SHORT and np.isfinite(near.response).all() else None
+    moments = (own.sum(axis=0), np.tensordot(np.arange(len(own)), own, 1)) if system is None else system.moments()
+    sizes = np.linalg.svd(np.nan_to_num(moments[0], neginf=1.0), compute_uv=False)
+    still = int((sizes <= _FREE * max(np.abs(own).sum(axis=0).max(), _FREE)).sum())
+    seen.append(_Loop(near, axes, own, settles, system, still, moments))
+    return seen[-1]
+
+
+def _alike(one: Array, other: Array) -> bool:
+    return bool(np.abs(one - other).max() <= _ROUNDING * np.abs(other).max())
+
+
+def _own_modulus(roots: NDArray[np.complex128], still: int) -> float:
+    """Return the largest modulus without the roots of free motion.
+
+    Each direction without stiffness has a root at exactly 1, and a second where there is no damping either. A virtual
+    mass leaves both: nothing holds it and the flotor in place together. Such a pair is known to half of the digits, and
+    its mean to nearly all.
+    """
+    near = roots[np.argsort(np.abs(roots - 1.0))][: 2 * still]
+    free = [count for count in range(still, 2 * still + 1) if abs(near[:count].mean() - 1.0) < _PAIR] if still else []
+    return _modulus(roots, max(free, default=still))
 
 
 def _numerically(controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
     """Return the verdict by linearisation."""
     loops: list[_Loop] = []
     away: list[_Loop] = []
+    seen: list[_Loop] = []
     jumps, unknown, judged = [], [], set()
     for near in linearise(controller, _poses(controller, pose)):
         scaled = near.scaled(body)
         for axes in _coupled(scaled):
             chosen = list(axes)
-            own = scaled[:, chosen][:, :, chosen]
-            still = -own.sum(axis=0)
-            loop = _Loop(near, axes, own, still[0] if len(axes) == 1 else np.linalg.eigvals(still).real)
             if near.jumps[chosen].any():
                 jumps.append(near.pose)
-            elif not near.settled[chosen].all():
+                continue
+            loop = _loop(near, axes, scaled[:, chosen][:, :, chosen], seen)
+            if loop.system is None and not loop.settles:
                 unknown.append(near.pose)
-            elif loop.stiffness.min() < -_FREE * np.abs(own).max():
+            elif loop.pushes_away:
                 away.append(loop)
             else:
                 loops.append(loop)
@@ -310,23 +409,22 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
     # an axis without a stable equilibrium is judged at the unstable ones
     lost = [loop for loop in away if not judged.issuperset(loop.axes)]
     nowhere = set(range(len(AXES))) - judged - {axis for loop in lost for axis in loop.axes}
-    worst: tuple[bool, float, _Loop | None] = False, np.nan, None
-    eigenvalues = np.empty(0, dtype=np.complex128)
+    found: _Loop | None = None
+    modulus, eigenvalues = np.nan, np.empty(0, dtype=np.complex128)
     for loop, roots in _roots(loops + lost, delay, body):
-        modulus = float(np.abs(roots).max())
-        free = np.abs(loop.stiffness).min() <= _FREE * max(_FREE, np.abs(loop.scaled).max())
-        wrong = modulus >= 1.0 + (_FREE if free else -_ROUNDING)
-        if worst[2] is None or wrong > worst[0] or (wrong == worst[0] and modulus > worst[1] * (1.0 + _ROUNDING)):
-            worst, eigenvalues = (wrong, modulus, loop), roots
-    unstable, modulus, found = worst
-    known = bool(unstable) or not (unknown or nowhere)
+        own = _own_modulus(roots, loop.still)
+        if found is None or own > modulus * (1.0 + _ROUNDING):
+            found, modulus, eigenvalues = loop, own, roots
+    unstable = modulus >= 1.0 - _ROUNDING
+    known = unstable or not (unknown or nowhere)
+    stiffness, damping = np.full((2, 6, 6), np.nan) if found is None else found.gains(body)
     return Verdict(
         stable=not unstable if known else None,
         modulus=modulus,
         axes=() if found is None else tuple(AXES[axis] for axis in found.axes),
         pose=pose if found is None else found.near.pose,
-        stiffness=np.full((6, 6), np.nan) if found is None else found.near.stiffness,
-        damping=np.full((6, 6), np.nan) if found is None else found.near.damping,
+        stiffness=stiffness,
+        damping=damping,
         eigenvalues=eigenvalues,
         stated=False,
         jumps=_distinct(jumps),
@@ -344,9 +442,13 @@ def _roots(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[
     sizes: dict[tuple[tuple[int, ...], int], list[_Loop]] = {}
     for loop in loops:
         same = known.setdefault(loop.axes, [])
-        least = _ROUNDING * np.abs(loop.scaled).max()
-        if not any(np.abs(one.scaled - loop.scaled).max() <= least for one in same):
-            same.append(loop)
+        if any(_alike(one.scaled, loop.scaled) for one in same):
+            continue
+        same.append(loop)
+        if loop.system is not None:
+            matrix = loop.system.closed_loop(period=loop.near.period, delay=delay, inertia=body[list(loop.axes)])
+            yield loop, np.linalg.eigvals(matrix).astype(np.complex128)
+        else:
             memory = 1 + int(np.flatnonzero(loop.scaled.any(axis=(1, 2))).max(initial=0))
             sizes.setdefault((loop.axes, memory), []).append(loop)
     for (axes, memory), different in sizes.items():

@@ -48,7 +48,7 @@ Differences between equal runs, growing walls at the limit, digests, errors of f
 """
 
 _EQUALITY = re.compile(r"  \d+ of \d+ the same|    ")
-"""Lines of a check that depend on the last bit: fields that are the same, and those that are not."""
+"""Lines of a check that depend on the last bit."""
 
 _PROGRESS = re.compile(r"(\S+ ?\S*: \d+ of \d+.*)?")
 _NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")
