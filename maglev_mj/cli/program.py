@@ -17,6 +17,7 @@ import maglev_mj
 from maglev_mj.cli.arguments import Parser, joined
 from maglev_mj.cli.commands import GROUPS, Command
 from maglev_mj.cli.completion import complete
+from maglev_mj.cli.writable import check_outputs
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.interrupts import Interrupts
 from maglev_mj.terminal import say
@@ -60,6 +61,7 @@ def _run(options: argparse.Namespace) -> int:
     interrupts = Interrupts()
     try:
         with interrupts:
+            check_outputs(options)
             status: int = options.run(options)
         return status
     except KeyboardInterrupt as stopped:
