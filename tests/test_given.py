@@ -116,6 +116,7 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "hand of a plant": (lambda: m.ExactPlant(hand="arm"), "hand must be a Hand, .* not 'arm'"),
     "hand of the engine": (lambda: m.MuJoCoPlant(hand="arm"), "hand must be a Hand, .* not 'arm'"),
     "timing of a plant": (lambda: m.ExactPlant(0.005), r"timing must be a Timing, .* not 0\.005"),
+    "many lines": (lambda: m.analyse(np.eye(6)), "stretch must be a Stretch, .* not array"),
     "scene, misspelt": (lambda: m.run("drp"), "scene must be one of .*'drp'; did you mean drop?"),
     "scene, a number": (lambda: m.run(3), "scene must be a Scene, .* not 3"),
     "scene, another class": (lambda: m.record_run(m.Wall), "scene must be a Scene, .*Wall"),

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from maglev_mj import cli
+from maglev_mj.cli import program
 from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.commands import COMMANDS
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import Parameters, interval, param
@@ -99,3 +104,77 @@ def test_a_value_outside_its_bounds_is_refused_by_the_parameters() -> None:
         given("--length=-1")
     with pytest.raises(ParameterError, match="kind must be one of first, second, not 'third'"):
         given("--kind", "third")
+
+
+NEEDED = {
+    "render": "--out a.png",
+    "run": "drop",
+    "stability": "drop",
+    "sweep": "drop",
+    "fidelity": "drop",
+    "bridge": "udp://127.0.0.1:9",
+    "estop": "udp://127.0.0.1:9",
+    "commission": "udp://127.0.0.1:9 spots",
+    "conform": "udp://127.0.0.1:9",
+    "fault": "a.json",
+    "replay": "a.mcap",
+    "analyse": "a.mcap",
+    "export": "a.mcap --to csv",
+}
+TIMED = set("view render serve-spacenav drop press stick-slip run stability design fidelity twin".split())
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_rate_is_understood_where_a_period_is(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [command, *NEEDED.get(command, "").split()]
+    found = []
+    for more in ("--period=0.002", "--rate=500"):
+        try:
+            options = vars(program.parser().parse_args([*words, more]))
+            found.append({name: value for name, value in options.items() if name == "rate" or "period" in name})
+        except SystemExit:
+            assert "unrecognized arguments: --" in capsys.readouterr().err
+    assert found == (2 * [{"rate": 500.0} if command == "twin" else {"parameter period": 0.002}]) * (command in TIMED)
+
+
+def test_a_map_takes_a_rate_too(capsys: pytest.CaptureFixture[str]) -> None:
+    words = "stability --grid 2 --damping 10:90 --stiffness 500:9000 --json -".split()
+    assert cli.main([*words, "--rate", "1000"]) == cli.main([*words, "--period", "0.001"]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == second and json.loads(first)["parameters"]["period"] == 0.001
+
+
+@pytest.mark.parametrize("rate", ["0", "-5", "nan", "inf", "fast"])
+def test_a_rate_that_is_none_is_one_line(rate: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        program.parser().parse_args(["drop", f"--rate={rate}"])
+    told = capsys.readouterr().err
+    assert told.startswith("maglev-mj drop: argument --rate: must be a ") and told.endswith(f"not {rate!r}\n")
+
+
+def test_a_scene_may_have_a_rate_of_its_own(tmp_path: Path) -> None:
+    path = tmp_path / "own.py"
+    path.write_text(
+        "from maglev_mj import Scene, param\n"
+        "class Own(Scene):\n"
+        "    rate: float = param('of something', default=3.0)\n"
+        "    def laws(self):\n"
+        "        return []\n"
+    )
+    options = program.parser().parse_args(["run", str(path), "--rate", "7"])
+    assert vars(options)["parameter rate"] == 7.0 and "parameter period" not in vars(options)
+
+
+def test_another_port_and_another_display_are_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert cli.main(["twin", "--port", "5680"]) == 2
+    assert capsys.readouterr().err == "maglev-mj twin: port is for --web; a device's address is given by --listen\n"
+    assert cli.main(["tour", "--port", "5680"]) == 2
+    assert capsys.readouterr().err == "maglev-mj tour: port is for --web\n"
+    monkeypatch.setattr("sys.platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    for command in ("view", "tour", "twin --view"):
+        assert cli.main(command.split()) == 1
+        assert "--web shows it in a browser" in capsys.readouterr().err

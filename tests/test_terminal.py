@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import maglev_mj
 from maglev_mj import cli
 from maglev_mj.bridge.commissioning import CoilCheck
 from maglev_mj.bridge.fault import BlackBox, load_black_box
@@ -86,6 +87,9 @@ def test_the_command_alone_prints_help_of_all_commands_in_groups(capsys: pytest.
     places = [out.index(f"\n{title}:\n") for title in GROUPS]
     assert list(GROUPS) == ["feel it", "compute", "device", "recordings"] and places == sorted(places)
     assert re.findall(r"^  (\w[a-z-]*)  +\S", out, re.MULTILINE) == [*COMMANDS]
+    assert places[0] < 100 and out.count("\n") <= 45  # it fits a screen, and begins with the commands
+    assert max(map(len, out.splitlines())) <= 80 and not ({*dir(maglev_mj)} - {*COMMANDS}) & {*out.split()}
+    assert "--rate [Hz]" in out and "help(maglev_mj)" in out
 
 
 def test_the_package_runs_as_the_command_does() -> None:

@@ -10,7 +10,7 @@ from maglev_mj import plots
 from maglev_mj.analysis import Analysed, analyse
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_outputs, count, number_option
-from maglev_mj.cli.output import check_outputs, write_json
+from maglev_mj.cli.output import write_json
 from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.replay import add_own_scene, own_code
@@ -56,7 +56,6 @@ def add_options(parser: Parser) -> None:
 
 
 def _analyse(options: argparse.Namespace) -> int:
-    check_outputs(json=options.json)
     if options.axis is not None:
         axis_indices(options.axis)
     pictures = chosen_pictures(options)

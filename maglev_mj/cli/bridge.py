@@ -21,7 +21,6 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, add_parameters, add_recording, chosen, chosen_key, number_option
-from maglev_mj.cli.output import check_file, check_outputs, check_recording
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
@@ -119,9 +118,6 @@ def _check(options: argparse.Namespace) -> None:
     """Check options as far as possible without the device."""
     if options.seconds is not None:
         number("seconds", options.seconds, above=0.0)
-    check_recording(options.record)
-    if options.identify is not None:
-        check_file("identify", options.identify)
     if options.mass is not None and options.identify is None:
         raise ParameterError("mass is for --identify")
     for mode in ("identify", "reset"):
@@ -130,7 +126,6 @@ def _check(options: argparse.Namespace) -> None:
                 raise ParameterError(f"{name} is for scenes, not for --{mode}")
     if options.reset and options.identify is not None:
         raise ParameterError("identify flies, and --reset does not: two commands")
-    check_outputs(out=options.out)
 
 
 def _fly(

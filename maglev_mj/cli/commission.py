@@ -16,7 +16,6 @@ from maglev_mj.bridge.commissioning import CoilCheck, check_coil, mean_pose, rec
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
-from maglev_mj.cli.output import check_file
 from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.net.udp import open_link
@@ -52,8 +51,6 @@ def _commission(options: argparse.Namespace) -> int:
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
     if (options.write is not None) != (options.test == "offsets"):
         raise ParameterError("write must name the file for offsets, and is for offsets alone")
-    if options.write is not None:
-        check_file("write", options.write)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
     key = chosen_key(options.key)
     with RemotePlant(open_link(options.address, key), calibration=calibration, key=key) as plant:

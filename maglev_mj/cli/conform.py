@@ -13,7 +13,6 @@ from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_calibration, add_key, chosen_key
-from maglev_mj.cli.output import check_file
 from maglev_mj.cli.progress import Progress
 from maglev_mj.conformance import CheckResult, checks, conform
 from maglev_mj.net.udp import open_link, parse_url
@@ -44,8 +43,6 @@ def add_options(parser: Parser) -> None:
 def _conform(options: argparse.Namespace) -> int:
     key = chosen_key(options.key)
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
-    if options.json is not None:
-        check_file("json", options.json)
     for name in ("SIGTERM", "SIGHUP"):  # as Ctrl-C: a flight is landed
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.default_int_handler)

@@ -9,7 +9,7 @@ from contextlib import suppress
 from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_outputs, add_parameters, chosen, range_of
-from maglev_mj.cli.output import check_outputs, write_results
+from maglev_mj.cli.output import write_results
 from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
@@ -79,7 +79,6 @@ def _design(options: argparse.Namespace) -> int:
             raise ParameterError("mass or delay must be a range for a picture, not one value each")
     if contact.pulse and options.law != "pd":
         raise ParameterError(f"pulse must be left out for the {options.law}: it gives none")
-    check_outputs(json=options.json)
     with Progress("design"):
         wall = design_wall(requirements, options.law, goal=options.goal)
         reference = None

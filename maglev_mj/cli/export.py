@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.output import check_file
 from maglev_mj.cli.progress import Progress
-from maglev_mj.errors import ParameterError
+from maglev_mj.cli.writable import check_outputs
 from maglev_mj.recording import EXPORTS, Recording, export
 from maglev_mj.terminal import say
 
@@ -25,10 +24,8 @@ def add_options(parser: Parser) -> None:
 
 
 def _export(options: argparse.Namespace) -> int:
-    path = options.out or options.file.with_suffix(f".{options.to}")
-    check_file("out", path)
-    if path.exists() and path.resolve() == options.file.resolve():
-        raise ParameterError(f"out must be another file than the recording, not {str(path)!r}")
+    options.out = path = options.out or options.file.with_suffix(f".{options.to}")
+    check_outputs(options)
     with Progress("export"):
         recording = Recording.load(options.file)
         export(recording, options.to, path)

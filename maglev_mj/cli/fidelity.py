@@ -6,7 +6,7 @@ import argparse
 
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_json, chosen, count, number_option
-from maglev_mj.cli.output import check_outputs, write_results
+from maglev_mj.cli.output import write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.scenes.scene import Scene
@@ -96,7 +96,6 @@ def _add_range(parser: Parser, cls: type[Scene]) -> None:
 
 
 def _fidelity(options: argparse.Namespace) -> int:
-    check_outputs(json=options.json)
     if options.scene_class is None:
         return _all(options)
     preset = preset_of(options.scene)._replace(scene=chosen(options, options.scene_class))

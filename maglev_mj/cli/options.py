@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -18,6 +19,7 @@ from maglev_mj.parameters import Parameter, Parameters
 __all__ = [
     "add_bridge",
     "add_calibration",
+    "add_inverse",
     "add_json",
     "add_key",
     "add_outputs",
@@ -56,10 +58,33 @@ def add_parameters(
         without: Names of parameters without option.
     """
     made = parameters() if isinstance(parameters, type) else parameters
+    names = [one.name for one in made.parameters()]
     for one in made.parameters():
         option = f"--{prefix}{one.name.replace('_', '-')}"
         if one.kind is not object and one.name not in without and option not in parser._option_string_actions:
             _add_parameter(parser, option, one, getattr(made, one.name), prefix)
+            if one.name == "period" and "rate" not in names:
+                add_inverse(parser, f"--{prefix}rate", _APART + prefix + one.name)
+
+
+def add_inverse(parser: Container, option: str, dest: str) -> None:
+    """Add an unlisted option that gives another's inverse.
+
+    A rate [Hz] is understood wherever a period [s] is, and a period wherever a rate is.
+
+    Args:
+        parser: Parser of the command.
+        option: Name of the option.
+        dest: Attribute of the other option.
+    """
+    parser.add_argument(option, type=_inverse, dest=dest, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+
+
+def _inverse(text: str) -> float:
+    value = number_option(text)
+    if not (value > 0.0 and math.isfinite(value)):
+        raise argparse.ArgumentTypeError(f"must be a finite number above 0, not {text!r}")
+    return 1.0 / value
 
 
 def _add_parameter(parser: Container, option: str, one: Parameter, default: Any, prefix: str) -> None:

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.writable import check_folder
 from maglev_mj.errors import ParameterError
 from maglev_mj.plots import FORMATS, PictureFolder, require
 
-__all__ = ["add_pictures", "check_folder", "chosen_pictures", "script_options"]
+__all__ = ["add_pictures", "chosen_pictures", "script_options"]
 
 
 def add_pictures(parser: Parser, told: str = "write pictures to this folder", default: Path | None = None) -> None:
@@ -26,16 +27,6 @@ def add_pictures(parser: Parser, told: str = "write pictures to this folder", de
     output.add_argument(
         "--format", metavar="NAME", choices=FORMATS, help=f"of pictures: {', '.join(FORMATS)} (default {FORMATS[0]})"
     )
-
-
-def check_folder(path: Path) -> None:
-    """Check that a folder exists or can be made.
-
-    Raises:
-        ParameterError: If it is a file.
-    """
-    if path.exists() and not path.is_dir():
-        raise ParameterError(f"out must be a folder, not {str(path)!r}")
 
 
 def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:

@@ -17,6 +17,7 @@ import maglev_mj
 from maglev_mj.cli.arguments import Parser, joined
 from maglev_mj.cli.commands import GROUPS, Command
 from maglev_mj.cli.completion import complete
+from maglev_mj.cli.writable import check_outputs
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.interrupts import Interrupts
 from maglev_mj.terminal import say
@@ -60,6 +61,7 @@ def _run(options: argparse.Namespace) -> int:
     interrupts = Interrupts()
     try:
         with interrupts:
+            check_outputs(options)
             status: int = options.run(options)
         return status
     except KeyboardInterrupt as stopped:
@@ -115,10 +117,11 @@ def parser() -> Parser:
 
     A command's module is loaded with its first arguments.
     """
-    made = Parser(prog="maglev-mj", description=maglev_mj.__doc__)
+    made = Parser(prog="maglev-mj", description=f"{str(maglev_mj.__doc__).partition(':')[0]}.")
     made.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     made.epilog = (
-        "maglev-mj COMMAND --help lists the options of one, with an example.\n\n"
+        "maglev-mj COMMAND --help lists the options of one, with an example. For a --period [s] a --rate [Hz] is "
+        "understood too, and the reverse. In Python, help(maglev_mj) lists all names.\n\n"
         "Exit status: 0; 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output that nobody reads."
     )
     made.set_defaults(command=None)

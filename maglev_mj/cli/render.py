@@ -8,7 +8,6 @@ from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import count, number_option
-from maglev_mj.cli.output import check_file
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.errors import ParameterError
@@ -46,7 +45,7 @@ def _render(options: argparse.Namespace) -> int:
     from maglev_mj.viewer.clip import checked_name
     from maglev_mj.viewer.render import render
 
-    check_file("out", checked_name(options.out))
+    checked_name(options.out)
     with Progress(f"render {scene.name}") as progress:
         frames = render(
             scene,

@@ -11,7 +11,7 @@ import numpy as np
 from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser, offer
 from maglev_mj.cli.options import add_outputs, add_parameters, add_recording, count, number_option
-from maglev_mj.cli.output import check_outputs, check_recording, keep_partial, write_results
+from maglev_mj.cli.output import keep_partial, write_results
 from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
@@ -59,9 +59,7 @@ def _add_plant(parser: Parser, cls: type[Scene]) -> None:
 
 def _run(options: argparse.Namespace) -> int:
     scene = chosen_scene(options)
-    check_recording(options.record)
     pictures = chosen_pictures(options)
-    check_outputs(json=options.json)
     warn_of_instability(scene)
     recorded = []
     if options.record is not None:

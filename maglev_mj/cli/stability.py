@@ -11,7 +11,7 @@ from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.cells import add_workers, cells_kept, chosen_workers, tell_of_others
 from maglev_mj.cli.options import add_json, add_parameters, chosen, given, range_of
-from maglev_mj.cli.output import check_outputs, write_results
+from maglev_mj.cli.output import write_results
 from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
@@ -63,7 +63,6 @@ def _stability(options: argparse.Namespace) -> int:
 def _verdict(options: argparse.Namespace) -> int:
     """Print the stability of a scene's closed loop."""
     scene: Scene = chosen(options, options.scene_class)
-    check_outputs(json=options.json)
     found = stability(scene)
     data = {"scene": scene.name, "parameters": scene.as_json(), **found.as_json()}
     write_results(options, lambda: data, lambda: loop_table(scene, found))
@@ -79,7 +78,6 @@ def _map(options: argparse.Namespace) -> int:
         for name in ("damping", "stiffness"):
             if (limits := getattr(parameters, name)) is not None and limits[0] == limits[1]:
                 raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
-    check_outputs(json=options.json, record=options.record)
     # a map of drops is simulated on every core where it has more than one part
     workers = chosen_workers(options, default=None if drops and parameters.grid**2 > PART else 0)
     run, table, draw, name = _DROPS if drops else _GROWTH

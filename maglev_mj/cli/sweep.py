@@ -15,9 +15,10 @@ import numpy as np
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.cells import add_workers, cells_kept, chosen_workers, tell_of_others
 from maglev_mj.cli.options import add_json, described
-from maglev_mj.cli.output import check_outputs, write_results
+from maglev_mj.cli.output import write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
+from maglev_mj.cli.writable import check_outputs
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import parsed_number
 from maglev_mj.scenes.scene import Scene
@@ -63,8 +64,8 @@ def _sweep(options: argparse.Namespace) -> int:
     varied = {name: _values(cls, name, text) for name, text in _assignments(options.vary).items()}
     if both := sorted(set(fixed) & set(varied)):
         raise ParameterError(f"{both[0]} must be either set or varied, not both")
-    path = options.record or Path(f"{cls.name}-sweep.jsonl")
-    check_outputs(json=options.json, record=path)
+    options.record = path = options.record or Path(f"{cls.name}-sweep.jsonl")
+    check_outputs(options)
     workers = chosen_workers(options, default=None)
     with cells_kept(path, path), Progress(f"sweep {cls.name}") as progress:
         found = sweep(cls, fixed | varied, workers=workers, record=path, progress=progress)

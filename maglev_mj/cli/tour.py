@@ -8,7 +8,6 @@ from pathlib import Path
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.hand_device import add_hand_device, chosen_hand_device
 from maglev_mj.cli.options import number_option
-from maglev_mj.cli.output import check_outputs
 from maglev_mj.cli.web import add_web, chosen_page, show_session
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
@@ -34,7 +33,6 @@ def add_options(parser: Parser) -> None:
 
 def _tour(options: argparse.Namespace) -> int:
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
-    check_outputs(out=options.out)
     page, hand = chosen_page(options), SpringHand()
     options.out.mkdir(parents=True, exist_ok=True)
     with chosen_hand_device(options, hand) as devices:

@@ -20,7 +20,7 @@ from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
+from maglev_mj.cli.options import add_bridge, add_inverse, chosen_key, count, number_option
 from maglev_mj.cli.publishers import add_foxglove, chosen_foxglove
 from maglev_mj.cli.web import add_web, chosen_front
 from maglev_mj.controller import Controller
@@ -60,6 +60,7 @@ def add_options(parser: Parser) -> None:
         device.add_argument(
             f"--{name}", type=number_option, default=default, metavar="X", help=f"{text} (default {default:g})"
         )
+    add_inverse(device, "--period", "rate")
     device.add_argument("--seed", type=count, default=0, metavar="N", help="of the noise (default 0)")
     device.add_argument("--lockstep", action="store_true", help="wait for each answer instead of keeping real time")
     faults = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())

@@ -8,7 +8,6 @@ from pathlib import Path
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.hand_device import add_hand_device, chosen_hand_device
 from maglev_mj.cli.options import add_recording, number_option
-from maglev_mj.cli.output import check_outputs, check_recording
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.cli.web import add_web, chosen_page, show_session
@@ -46,8 +45,6 @@ def _view(options: argparse.Namespace) -> int:
     scene = chosen_scene(options)
     hand = SpringHand(stiffness=options.hand_stiffness)
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
-    check_outputs(out=options.out)
-    check_recording(options.record)
     page = chosen_page(options)
     if page is None:
         # imported here: it loads the library that opens windows

@@ -91,7 +91,9 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
     flag("settings", settings)
     if not options.web:
         if wrong := [name for name in _OWN if getattr(options, name) not in (None, False)]:
-            raise ParameterError(f"{wrong[0].replace('_', '-')} is for --web")
+            # a device's own port is another
+            more = "; a device's address is given by --listen" if wrong[0] == "port" and "listen" in options else ""
+            raise ParameterError(f"{wrong[0].replace('_', '-')} is for --web{more}")
         return None
     host = options.host or "127.0.0.1"
     # every user of this machine can read a token on the command line in the list of processes

@@ -62,7 +62,7 @@ def require_display() -> None:
     Raises:
         DisplayError: If there is no display, or no library to open a window with.
     """
-    instead = "use `maglev-mj render SCENE --out FILE.png` for a picture, or `maglev-mj drop --out DIR`"
+    instead = "--web shows it in a browser, and `maglev-mj render SCENE --out FILE.png` draws a picture"
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise DisplayError(f"a window needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set: {instead}")
     # mjpython has loaded the viewer module and set this attribute
