@@ -606,6 +606,19 @@ def test_a_level_that_the_exact_plant_says_nothing_on_promises_less() -> None:
     assert "on the exact plant in the same range" in said
 
 
+def test_where_the_level_below_jumps_its_share_of_the_screen_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = np.zeros((len(LEVELS), 40))
+    screen[: level_index("filter"), :7] = 1e-3  # so that the filter is needed, of which the exact plant knows nothing
+    monkeypatch.setattr("maglev_mj.studies.fidelity.screen_levels", lambda *_: screen)
+    result = measure_fidelity(SixAxes(duration=0.05), over=Range(phases=1))
+    assert result.level is not None and result.level.level == "filter"
+    told = (
+        "the exact plant says nothing on the level filter (jitter, below it, misses the tolerance in 0.17 of its cases"
+    )
+    assert result.unscreened.startswith(told)
+    assert "in 0.99 of 4 cases of the whole device alone" in " ".join(fidelity_table(result).split())
+
+
 def test_laws_of_two_kinds_do_not_run_together() -> None:
     with pytest.raises(ParameterError, match="law Hold must be an AxisLaw"):
         run_together([(SixAxes(), 0.0), (OneAlone(), 0.0)], "axes", 0)

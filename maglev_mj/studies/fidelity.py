@@ -258,6 +258,8 @@ def measure_fidelity(
         beyond = worst_of(screen[index], over.share)
         if not unscreened and screen[index].max() < _ROUNDING:
             unscreened = f"the exact plant says nothing on the level {level.level}"
+            if moved := float(np.mean(screen[level_index("jitter")] > kept / MARGIN)):
+                unscreened += f" (jitter, below it, misses the tolerance in {moved:.2g} of its cases)"
         steps, cheapest = _choose(
             measure_steps(scene, level.level, phase=cases[0].phase, done=done),
             loop_of(scene, level.level),
