@@ -76,6 +76,8 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["stability", "--delay", "1"], "delay must be at most 10 periods of 0.005 s, not 1"),
         (["stability", "--damping", "20", "--out", "."], "damping must be a range for a picture, not 20 alone"),
         (["stability", "--workers", "-1", "--plant", "exact"], "workers must be at least 0, not -1"),
+        (["sweep", "drop"], "a sweep needs --vary NAME=VALUES; for one run: maglev-mj run drop"),
+        (["sweep", "drop", "--set", "mass=1"], "a sweep needs --vary NAME=VALUES"),
         (["sweep", "moon"], "scene must be one of joystick, drop, press, "),
         (["sweep", "moon.py"], "scene must be a file that is there, not 'moon.py'"),
         (
@@ -84,7 +86,7 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
         ),
         (["sweep", "drop", "--vary", "height=1:2"], "height must vary as LOW:HIGH:COUNT, A,B,C or A;B;C, not '1:2'"),
         (["sweep", "drop", "--vary", "height"], "a parameter must be given as NAME=VALUE, not 'height'"),
-        (["sweep", "drop", "--set", "mass=0"], "mass must be a finite number at least 0.001"),
+        (["sweep", "drop", "--vary", "phase=0", "--set", "mass=0"], "mass must be a finite number at least 0.001"),
         (["sweep", "drop", "--set", "mass=1", "--vary", "mass=1,2"], "mass must be either set or varied, not both"),
         (["sweep", "drop", "--vary", "height=0:1:2000", "--vary", "phase=0:1:2000"], "at most 1000000 cells"),
         (["sweep", "drop", "--vary", "height=0:1:100000000000"], "height must vary as LOW:HIGH:COUNT"),
@@ -92,8 +94,11 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
         (["sweep", "drop", "--set", "mass=1", "--set", "mass=2"], "mass must be given once, not as 1 and 2"),
         (["sweep", "drop", "--set", "mass=true"], "mass must be a finite number, not 'true'"),
         (["sweep", "drop", "--set", "carry=2"], "carry must be true or false, not '2'"),
-        (["sweep", "wall", "--set", "hand=5"], "hand must be one of none, arm"),
-        (["sweep", "stick-slip", "--set", "axis=1"], "axis must be one of x, y, z, rx, ry, rz, not '1'"),
+        (["sweep", "wall", "--vary", "period=0.005", "--set", "hand=5"], "hand must be one of none, arm"),
+        (
+            ["sweep", "stick-slip", "--vary", "period=0.005", "--set", "axis=1"],
+            "axis must be one of x, y, z, rx, ry, rz, not '1'",
+        ),
         (["stability", "--hand", "1e-300,0,0,0,1e10"], "hand grip_stiffness must be at most 1e+07"),
         (["stability", "--hand", "0,0,1e300"], "hand stiffness must be at most 1e+07"),
         (["stability", "--hand", "0.2,0,0,1,0"], "grip_stiffness above 0 in a soft grip"),
@@ -103,9 +108,18 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
         ),
         (["stability", "--record", "."], "record must be a file in a folder that is there, not '.'"),
         (["stability", "--record", "a", "--json", "./a"], "json and record must be two files, not 'a' for both"),
-        (["sweep", "wall", "--json", "wall-sweep.jsonl"], "json and record must be two files"),
-        (["sweep", "wall", "--scheduler", "moon"], "scheduler must be the address of a Dask scheduler, not 'moon'"),
-        (["sweep", "wall", "--workers", "2", "--scheduler", "tcp://x:1"], "workers must be left to the scheduler"),
+        (
+            ["sweep", "wall", "--vary", "period=0.005", "--json", "wall-sweep.jsonl"],
+            "json and record must be two files",
+        ),
+        (
+            ["sweep", "wall", "--vary", "period=0.005", "--scheduler", "moon"],
+            "scheduler must be the address of a Dask scheduler, not 'moon'",
+        ),
+        (
+            ["sweep", "wall", "--vary", "period=0.005", "--workers", "2", "--scheduler", "tcp://x:1"],
+            "workers must be left to the scheduler",
+        ),
     ],
 )
 def test_bad_studies_are_one_line_and_status_2(

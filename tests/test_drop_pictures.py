@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 from maglev_mj import plots
+from maglev_mj.laws import AxisLaw, Law, gain
+from maglev_mj.parameters import param
+from maglev_mj.plots import paper
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import Result, run, run_phases
+from maglev_mj.scenes.scene import Scene
 
 DROP, PHASE = Drop(), 0.56
 ANALOG = "analog wall, 10 kHz filter"
@@ -58,6 +62,56 @@ def test_figure_3_has_a_column_for_each_reading(figures: list[Any]) -> None:
         for panel, part, scale in ((upper, 0, 1e3), (lower, 2, 1.0)):
             time, drawn = lines(panel)[ANALOG].get_data()
             np.testing.assert_allclose(drawn, DROP.analog(time)[part] * scale, rtol=0.0, atol=1e-9)
+
+
+class Own(AxisLaw):
+    """Wall without damping, with a gain of one's own."""
+
+    push: float = gain("push at the edge", "N/m")
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        """See `AxisLaw`."""
+        return -(gains.push * x + 60.0 * v) * (x < 0.0)
+
+
+class Beside(Drop):
+    """My wall beside published ones.
+
+    It has no pulse, whatever the scene's parameter says.
+    """
+
+    mine: bool = param("the wall of one's own", default=True)
+
+    def laws(self) -> list[Law]:
+        """See `Scene`."""
+        wall, hold = super().laws()
+        return [Own(axes="z", push=5000.0), hold] if self.mine else [wall, hold]
+
+    def variants(self) -> dict[str, Drop]:  # type: ignore[override]
+        """See `Scene`."""
+        published = self.replace(mine=False, pulse=0.0)
+        return {"mine": self, "published": published, "soft": published.replace(stiffness=3000.0)}
+
+
+@pytest.mark.parametrize("draw", [plots.time_series, plots.phase_plane, paper.phases])
+def test_laws_of_ones_own_have_lines_of_their_own_beside_published_ones(draw: Any, figures: list[Any]) -> None:
+    results = runs(Beside())
+    sweeps = {label: run_phases(one.scene, 20, plant="exact") for label, one in results.items()}
+    draw(results, sweeps, Path("unused.png"))
+    drawn = lines(figures[0].axes[0])
+    assert len({drawn[label].get_color() for label in results}) == 3
+    assert len({str(drawn[label]._unscaled_dash_pattern) for label in results}) == 3
+    if draw is not paper.phases:
+        said = figures[0].get_suptitle()
+        assert "shaded: all of 20 phases" in said and "N/m" not in said and "N s/m" not in said
+        assert [panel.get_title(loc="left") for panel in figures[0].axes] == [""] * len(figures[0].axes)
+
+
+def test_a_scene_is_titled_by_its_own_docstring() -> None:
+    assert Scene.describe(Beside()) == "My wall beside published ones"
+    assert Scene.describe(Drop()) == "Drop the flotor on a stiff wall (figures 3 and 4)"
+    assert Scene.describe(type("Bare", (Drop,), {})()) == Scene.describe(Drop())
+    assert Scene.describe(type("Bare", (Scene,), {})()) == "bare"
 
 
 def test_bands_reach_as_far_as_the_drop_at_any_phase(figures: list[Any]) -> None:

@@ -343,7 +343,7 @@ def test_coupled_friction_is_the_same_in_every_direction() -> None:
     with pytest.raises(ParameterError, match="coupled axes must be translations"):
         StickSlip(stiffness=K, breakaway=F, v_min=0.005, coupled=True)
     with pytest.raises(ParameterError, match="coupled axes share"):
-        StickSlip(axes=("x", "y"), stiffness=[K, 2.0 * K], breakaway=F, v_min=0.005, coupled=True)
+        StickSlip(axes=("x", "y"), stiffness=[[K, K], [K, 2.0 * K]], breakaway=F, v_min=0.005, coupled=True)
 
 
 def test_spring_reset_is_a_sawtooth() -> None:

@@ -169,7 +169,7 @@ def test_the_model_recommended_holds_in_cases_never_looked_at(
             f"{found.max() * 1e6:.3g} | {beyond} | {furthest * 1e6:.3g} | {result.met_stops} |"
         )
     # what is expected is no bound: with the present jitter one press of the 648 cases of all scenes is beyond it
-    assert (found > furthest).sum() <= (name == "press") and beyond <= 2
+    assert (found > furthest).sum() <= (name == "press") and (beyond <= 2 or result.unscreened)
 
 
 @pytest.mark.study
@@ -595,6 +595,28 @@ def test_laws_that_take_one_device_alone_are_not_screened_and_promise_less(branc
     assert "in 0.99 of 5 cases of the whole device" in said and "how far others go is not known" in said
     data = result.as_json()
     assert (data["screened"], data["furthest"], data["unscreened"]) == (0, None, result.unscreened)
+
+
+def test_a_level_that_the_exact_plant_says_nothing_on_promises_less() -> None:
+    result = measure_fidelity("twist", 1e-5, Range(phases=3))
+    assert result.screened and result.unscreened == "the exact plant says nothing on the level body"
+    said = " ".join(fidelity_table(result).split())
+    assert f"in 0.99 of 3 cases of the whole device alone, as {result.unscreened}, the margin" in said
+    assert result.furthest is not None and "none expected beyond" in said
+    assert "on the exact plant in the same range" in said
+
+
+def test_where_the_level_below_jumps_its_share_of_the_screen_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    screen = np.zeros((len(LEVELS), 40))
+    screen[: level_index("filter"), :7] = 1e-3  # so that the filter is needed, of which the exact plant knows nothing
+    monkeypatch.setattr("maglev_mj.studies.fidelity.screen_levels", lambda *_: screen)
+    result = measure_fidelity(SixAxes(duration=0.05), over=Range(phases=1))
+    assert result.level is not None and result.level.level == "filter"
+    told = (
+        "the exact plant says nothing on the level filter (jitter, below it, misses the tolerance in 0.17 of its cases"
+    )
+    assert result.unscreened.startswith(told)
+    assert "in 0.99 of 4 cases of the whole device alone" in " ".join(fidelity_table(result).split())
 
 
 def test_laws_of_two_kinds_do_not_run_together() -> None:

@@ -162,7 +162,7 @@ def test_a_closed_end_is_a_link_error_and_closes_again(pair: Pair) -> None:
 def test_an_adapter_that_was_pulled_out_is_closed_without_a_word() -> None:
     with closing(PtyServer()) as server:
         link = SerialLink(server.path, 921600)
-        close: Callable[[], object] = link._port.close
+        close: Any = link._port.close
         descriptor, tried = link._port.fileno(), []
 
         def pulled() -> None:

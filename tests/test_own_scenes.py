@@ -170,7 +170,7 @@ def test_a_scene_of_another_package_goes_by_its_place_and_a_hash(file: Path, mon
 
     (cell,) = swept_cells(magnet.Magnet(), {}, plant="exact")
     assert cell["scene"].startswith("magnet:Magnet@") and len(cell["scene"]) == len("magnet:Magnet@") + 16
-    assert sweep(magnet.Magnet, {}, plant="exact").results == run_scene_cells([cell])
+    assert sweep(magnet.Magnet, {"phase": [0.0]}, plant="exact").results == run_scene_cells([cell])
 
 
 def test_scenes_that_no_file_has_at_its_top_are_refused() -> None:
@@ -178,7 +178,7 @@ def test_scenes_that_no_file_has_at_its_top_are_refused() -> None:
         """A scene in a function."""
 
     with pytest.raises(ParameterError, match="scene must be at the top of a file, so that others can run it"):
-        sweep(Local, {})
+        sweep(Local, {"duration": [0.1]})
 
 
 def test_a_grid_is_refused_before_anything_runs() -> None:

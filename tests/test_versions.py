@@ -149,7 +149,7 @@ COMMANDS = [
     ["press", "--plant", "exact"],
     ["stick-slip", "--plant", "exact"],
     ["stability", "--grid", "3"],
-    ["sweep", "drop", "--set", "plant=exact", "--workers", "0"],
+    ["sweep", "drop", "--vary", "plant=exact", "--workers", "0"],
     ["info"],
 ]
 

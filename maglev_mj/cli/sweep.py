@@ -62,6 +62,8 @@ def _sweep(options: argparse.Namespace) -> int:
     cls: type[Scene] = options.scene_class
     fixed = {name: [value_of(cls, name, text)] for name, text in _assignments(options.set).items()}
     varied = {name: _values(cls, name, text) for name, text in _assignments(options.vary).items()}
+    if not varied:
+        raise ParameterError(f"a sweep needs --vary NAME=VALUES; for one run: maglev-mj run {options.scene}")
     if both := sorted(set(fixed) & set(varied)):
         raise ParameterError(f"{both[0]} must be either set or varied, not both")
     options.record = path = options.record or Path(f"{cls.name}-sweep.jsonl")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
 from maglev_mj.frames import Array, unit_of
+from maglev_mj.laws import Wall
 from maglev_mj.plots.drawing import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import Phases, Result, run, run_phases
@@ -18,7 +20,7 @@ from maglev_mj.spec import Spec
 
 __all__ = ["figure_6", "phase_plane", "phases", "stick_slip", "time_series"]
 
-_PHASES = 100
+_PHASES = np.arange(100) / 100
 _SWEPT = 50
 _POINTS = 2001
 
@@ -36,6 +38,7 @@ class _Drop:
     band: tuple[Array, Array, Array]
     less_deep: float
     """Share of the phases with less penetration than the line."""
+    phases: int
 
 
 def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
@@ -46,7 +49,7 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
 
     Args:
         results: Drops by label.
-        sweeps: Not drawn: the band has phases of its own.
+        sweeps: The same at many phases, those of the band; 100 without any.
         path: File to write; None to return the figure.
 
     Raises:
@@ -54,7 +57,7 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
         DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
     time = _times(results)
-    columns = _columns(results, time)
+    columns = _columns(results, sweeps, time)
     figure, panels = new_figure(2, len(columns), 6.4, sharex=True, sharey="row")
     heights, forces = panels[: len(columns)], panels[len(columns) :]
     analog = _analog(columns[0][0].result.scene, time)
@@ -86,7 +89,7 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
 
     Args:
         results: Drops by label.
-        sweeps: Not drawn: the band has phases of its own.
+        sweeps: The same at many phases, those of the band; 100 without any.
         path: File to write; None to return the figure.
 
     Raises:
@@ -94,7 +97,7 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
         DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
     time = _times(results)
-    columns = _columns(results, time)
+    columns = _columns(results, sweeps, time)
     figure, panels = new_figure(1, len(columns), 5.0, sharex=True, sharey=True)
     analog = _analog(columns[0][0].result.scene, time)
     for panel, column in zip(panels, columns, strict=True):
@@ -128,8 +131,9 @@ def phases(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
     """
     figure, panels = new_figure(1, 3, 3.6, sharex=True)
     shown = sweeps or {label: run_phases(one.scene, _SWEPT, plant="exact") for label, one in results.items()}
-    for place, (label, sweep) in enumerate(shown.items()):
-        style = _style(place, label, pulsed=sweep.scene.pulse > 0.0)
+    styles = _styles({label: sweep.scene for label, sweep in shown.items()})
+    for label, sweep in shown.items():
+        style = styles[label]
         for panel, name in zip(panels, ("penetration", "rebound", "peak_force"), strict=True):
             panel.plot(sweep.phases, sweep.figures[name] * sweep.scene.figures[name].scale, **style)
     for panel, name in zip(panels, ("penetration (mm)", "rebound (mm)", "peak force (N)"), strict=True):
@@ -142,6 +146,9 @@ def phases(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
     return save(figure, path)
 
 
+_PULSED = FIRST, *SERIES[2:4]
+_PLAIN = SECOND, *SERIES[4:]
+_DASHES = "--", "-.", (0, (7, 2)), (0, (4, 1, 1, 1, 1, 1))
 _IDEAL: dict[str, Any] = {"color": REFERENCE, "linestyle": ":", "linewidth": 1.8}
 _ANALOG: dict[str, Any] = _IDEAL | {"label": "analog wall, 10 kHz filter"}
 _LIMIT: dict[str, Any] = {
@@ -152,11 +159,30 @@ _LIMIT: dict[str, Any] = {
 }
 
 
-def _style(place: int, label: str, *, pulsed: bool) -> dict[str, Any]:
-    """Return the line style of a drop, in its colour."""
-    color = (FIRST, SERIES[2])[place % 2] if pulsed else SECOND
-    dashes, front = ("-", 4) if pulsed else ("--", 3)
-    return {"color": color, "linestyle": dashes, "linewidth": 1.8, "zorder": front, "label": label}
+def _published(scene: Drop) -> tuple[float, float, float] | None:
+    """Return stiffness, damping and pulse of the published wall; None for a drop on a law of one's own."""
+    for law in scene.laws():
+        if isinstance(law, Wall) and not any(map(np.ndim, gains := (law.stiffness, law.damping, law.pulse))):
+            stiffness, damping, pulse = np.array(gains, dtype=np.float64).tolist()
+            return stiffness, damping, pulse
+    return None
+
+
+def _pulsed(scene: Drop) -> bool:
+    wall = _published(scene)
+    return wall is not None and wall[2] > 0.0
+
+
+def _styles(scenes: Mapping[str, Drop]) -> dict[str, dict[str, Any]]:
+    """Return the line style of each drop by label, those without a pulse dashed."""
+    shared, styles, counts = {"linewidth": 1.8}, {}, Counter[bool]()
+    for label, scene in scenes.items():
+        pulsed = _pulsed(scene)
+        colours, dashes = (_PULSED, ("-",)) if pulsed else (_PLAIN, _DASHES)
+        place, counts[pulsed] = counts[pulsed], counts[pulsed] + 1
+        line = {"color": colours[place % len(colours)], "linestyle": dashes[place % len(dashes)]}
+        styles[label] = shared | line | {"zorder": 4 if pulsed else 3, "label": label}
+    return styles
 
 
 def _times(results: Mapping[str, Result]) -> Array:
@@ -169,17 +195,18 @@ def _times(results: Mapping[str, Result]) -> Array:
     return np.linspace(0.0, settled if settled < end else end, _POINTS)
 
 
-def _columns(results: Mapping[str, Result], time: Array) -> list[list[_Drop]]:
+def _columns(results: Mapping[str, Result], sweeps: Mapping[str, Phases], time: Array) -> list[list[_Drop]]:
     """Return the drops of each column, pulsed ones first."""
     pulsed: list[_Drop] = []
     plain: list[_Drop] = []
-    for place, (label, result) in enumerate(results.items()):
+    styles = _styles({label: result.scene for label, result in results.items()})
+    for label, result in results.items():
         scene: Drop = result.scene
-        band = run(scene.replace(duration=float(time[-1])), plant="exact", phase=np.arange(_PHASES) / _PHASES)
+        phases = sweeps[label].phases if label in sweeps else _PHASES
+        band = run(scene.replace(duration=float(time[-1])), plant="exact", phase=phases)
         less_deep = scene.less_deep(result.figures["penetration"], band.figures["penetration"])
-        style = _style(place, label, pulsed=scene.pulse > 0.0)
-        drop = _Drop(result, style, _shown(result, time), _shown(band, time), less_deep)
-        (pulsed if scene.pulse > 0.0 else plain).append(drop)
+        drop = _Drop(result, styles[label], _shown(result, time), _shown(band, time), less_deep, phases.size)
+        (pulsed if _pulsed(scene) else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
 
 
@@ -201,17 +228,21 @@ def _analog(scene: Drop, time: Array) -> tuple[Array, Array, Array] | None:
 
 def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]]) -> None:
     """Add the titles, which name the phase of the lines."""
-    for panel, (drop, *_) in zip(tops, columns, strict=True):
-        total = f"{drop.result.scene.damping + drop.result.scene.pulse:g} N s/m"
-        panel.set_title(f"{drop.style['label']}: {total}", fontweight="bold", **TITLE)
+    for panel, (drop, *others) in zip(tops, columns, strict=True):
+        wall = _published(drop.result.scene)
+        if wall is not None and (wall[2] > 0.0 or not others):  # else the legend names them all
+            panel.set_title(f"{drop.style['label']}: {wall[1] + wall[2]:g} N s/m", fontweight="bold", **TITLE)
     drop = columns[0][0]
     p, result = drop.result.scene, drop.result
+    walls = {(_published(one.result.scene) or ())[:2] for column in columns for one in column}
+    common = walls.pop() if len(walls) == 1 else ()
+    gains = "{:g} N/m and {:g} N s/m, ".format(*common) if common else ""
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
     figure.suptitle(
-        f"{p.height * 1e3:g} mm drop, {p.stiffness:g} N/m and {p.damping:g} N s/m, {1.0 / p.period:g} Hz, "
+        f"{p.height * 1e3:g} mm drop, {gains}{1.0 / p.period:g} Hz, "
         f"delay {p.delay * 1e3:g} ms{limit} ({result.plant})\n"
         f"lines: phase {result.phase:g}, deeper than {100.0 * drop.less_deep:.0f} % of the phases; "
-        f"shaded: all of {_PHASES} phases",
+        f"shaded: all of {drop.phases} phases",
         x=0.01,
         ha="left",
         fontsize=10,

@@ -84,10 +84,7 @@ def sweep(found: Sweep) -> Any:
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
-        ParameterError: If nothing varies.
     """
-    if not found.varied:
-        raise ParameterError("a sweep must vary a parameter to be drawn, not none")
     first, *others = found.varied
     lines = list(itertools.product(*(found.varied[name] for name in others)))
     bare = Figure("", lambda result: None)

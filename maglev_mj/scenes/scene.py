@@ -140,6 +140,8 @@ class Scene(Parameters):
         for name, value in vars(cls).items():
             if name in RESERVED and "param" in getattr(value, "metadata", ()):
                 raise TypeError(f"{cls.__name__}.{name} cannot be a parameter: it is an option of every command")
+        if "title" not in vars(cls) and (doc := vars(cls).get("__doc__")):
+            cls.title = doc.strip().split("\n")[0].rstrip(".")
         super().__init_subclass__(**keywords)
         if "name" not in cls.__dict__:
             cls.name = "".join(f"-{c.lower()}" if c.isupper() else c for c in cls.__name__).strip("-")
@@ -197,7 +199,7 @@ class Scene(Parameters):
 
     def describe(self) -> str:
         """Return a one-line description."""
-        return self.title or (type(self).__doc__ or self.name).strip().split("\n")[0].rstrip(".")
+        return self.title or self.name
 
     @property
     def axis(self) -> str:

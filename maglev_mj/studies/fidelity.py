@@ -47,6 +47,7 @@ It covers cases not simulated.
 """
 
 _REFERENCE_STEP = 2e-5
+_ROUNDING = 1e-12
 
 STEPPINGS: tuple[tuple[str, float | None], ...] = tuple(
     (integrator, step)
@@ -120,8 +121,9 @@ class FidelityResult(Tabular):
         level: The least level that keeps the tolerance, with the margin, against all above it; None if none does.
         steps: Integrators and steps on that level.
         cheapest: The cheapest of them that keeps the tolerance and the stability boundary; None if none does.
-        unscreened: Reason why there are no cases on the exact plant: the share is then one of the few cases of the
-            whole device. Empty if there are.
+        unscreened: Reason why the cases on the exact plant say nothing about the level: there are none, or that plant
+            does not tell it from those above. The share is then one of the few cases of the whole device. Empty
+            otherwise.
     """
 
     preset: Preset
@@ -164,7 +166,7 @@ class FidelityResult(Tabular):
 
         The margin is included; None without a choice, without a screen, or for more than the flotor's range.
         """
-        if self.level is None or self.cheapest is None or self.unscreened:
+        if self.level is None or self.cheapest is None or not self.screened:
             return None
         most = MARGIN * max(self.cheapest.missing or 0.0, self.level.worst, self.jump)
         return most if most <= Spec.translation_range.value else None
@@ -210,8 +212,9 @@ def measure_fidelity(
     The expensive levels, from the drivers' filter on, run in the scene itself and the three cases that are worst
     without them; `screen_levels` adds 4096 further cases on the exact plant. A level keeps the tolerance if `MARGIN`
     times its distance from every level above it does, in all cases of the whole device and the given share of the
-    others. No model except the device itself keeps it in all cases: see `largest_jump`. Laws that do not accept many
-    devices at once are not screened: the answer then holds for the cases of the whole device alone, and says why.
+    others. No model except the device itself keeps it in all cases: see `largest_jump`. Where the exact plant says
+    nothing, because laws do not accept many devices at once or it lacks what the levels above add, the share is one of
+    the cases of the whole device alone: `unscreened` is the reason.
 
     Args:
         scene: See `preset_of`.
@@ -243,6 +246,7 @@ def measure_fidelity(
         screen = screen_levels(scene, over.around)
     except Exception as error:  # a user's law may raise anything for arrays
         screen, unscreened = np.zeros((len(LEVELS), 1)), (str(error) or type(error).__name__).splitlines()[0]
+    screened = 0 if unscreened else screen.shape[1]
     levels = level_results(scene, motions, screen, kept / MARGIN, over.share)
     met = sum(motion is not None and motion.met_stops for motion in motions[level_index("stops")].values())
     level = next((row for row in levels if MARGIN * row.missing <= kept and not row.diverged), None)
@@ -252,6 +256,10 @@ def measure_fidelity(
         index = level_index(level.level)
         check = partial(_missing_of, scene, cases, motions[index:], level.level, over.share)
         beyond = worst_of(screen[index], over.share)
+        if not unscreened and screen[index].max() < _ROUNDING:
+            unscreened = f"the exact plant says nothing on the level {level.level}"
+            if moved := float(np.mean(screen[level_index("jitter")] > kept / MARGIN)):
+                unscreened += f" (jitter, below it, misses the tolerance in {moved:.2g} of its cases)"
         steps, cheapest = _choose(
             measure_steps(scene, level.level, phase=cases[0].phase, done=done),
             loop_of(scene, level.level),
@@ -260,7 +268,7 @@ def measure_fidelity(
             over.boundary,
             lambda row: max(check(row), beyond),
         )
-    screened, jump = 0 if unscreened else screen.shape[1], largest_jump(screen)
+    jump = largest_jump(screen)
     return FidelityResult(preset, kept, over, cases, screened, jump, met, levels, level, steps, cheapest, unscreened)
 
 

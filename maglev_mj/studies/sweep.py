@@ -153,11 +153,14 @@ def sweep(
         progress: Function called with the number of cells done and the number of all.
 
     Raises:
-        ParameterError: If there is no such parameter, a value is outside its bounds, or the grid is too large.
+        ParameterError: If nothing varies, there is no such parameter, a value is outside its bounds, or the grid is too
+            large.
         StudyInterrupted: On Ctrl-C; the cells done are in the record.
         WorkersError: If a cluster is gone, or one of its workers has other code.
     """
     made = get_scene(scene)
+    if not vary:
+        raise ParameterError("vary must give a list of values for at least one parameter, not {}; run() does one run")
     cells = swept_cells(made, vary, plant=plant, phase=phase)
     kept = Record(None if record is None else Path(record))
     known = 0 if record is None else sum(cell in kept for cell in cells)

@@ -85,8 +85,9 @@ def _cases(result: FidelityResult) -> str:
     """Return the cases that the share is one of."""
     if not result.unscreened or result.level is None:
         return "the cases"
-    count = len(result.cases)
-    return f"{min(count, DEAR_CASES) if level_index(result.level.level) >= DEAR else count} cases of the whole device"
+    count = min(len(result.cases), DEAR_CASES) if level_index(result.level.level) >= DEAR else len(result.cases)
+    why = f" alone, as {result.unscreened}" if result.screened else ""
+    return f"{count} cases of the whole device{why}"
 
 
 def _others(result: FidelityResult) -> str:
@@ -104,7 +105,7 @@ def _range_lines(result: FidelityResult) -> list[str]:
     lines = [f"{count} cases of the whole device: {over.phases} {seeds}"]
     if has_gains(result.preset.scene) and over.around:
         lines[0] += f", times 5 pairs of gains (given, and {over.around:.3g} of each up and down)"
-    if result.unscreened:
+    if not result.screened:
         lines.append(f"none on the exact plant, which takes many devices at once: {result.unscreened}")
     else:
         lines.append(f"and {result.screened} on the exact plant in the same range: lag, limit, sensor's steps, jitter")

@@ -211,7 +211,7 @@ def sweep_table(found: Sweep, path: str) -> str:
     """
     results = found.results
     failed = [result["error"] for result in results if "error" in result]
-    over = ", ".join(f"{name} ({len(values)})" for name, values in found.varied.items()) or "nothing"
+    over = ", ".join(f"{name} ({len(values)})" for name, values in found.varied.items())
     lines = [
         *wrapped(f"Sweep of {found.scene.name} over {over}: {len(results)} cells", "", "  "),
         *wrapped(f"{found.known} of them already in {path}"),

@@ -27,7 +27,7 @@ from maglev_mj.theory.realisation import StateSpace, realised
 __all__ = ["Judged", "Verdict", "inertia_of", "judge", "stability", "stated_gains"]
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
-"""Tolerances of a modulus, of gains beside the responses that sum up to them, of a mean root."""
+"""Tolerances of a modulus, of gains beside their responses, and of a mean root."""
 _SHORT = 16
 """Samples of a response whose closed loop is exact as it is."""
 _POINTS, _STRIDE = 23, 0.9871
