@@ -191,7 +191,7 @@ def test_a_disk_that_is_full_ends_a_session_with_one_line(
             raise OSError(28, "No space left on device")
         save(recording, path)
 
-    def shown(session: Session, *_: Any) -> ShowReport:
+    def shown(session: Session, *_rest: Any) -> ShowReport:
         session._pacer = Pacer(budget=60.0, patience=3600.0)
         for _ in range(1 + by_key):
             if by_key:
