@@ -50,7 +50,7 @@ class HandWork:
     The hand's wrench is constant from sample to sample.
 
     Attributes:
-        total: Work since the first sample [J].
+        total: Work since the first sample [J]; NaN if a wrench of the hand is NaN, that is not known.
     """
 
     def __init__(self) -> None:
@@ -65,8 +65,9 @@ class HandWork:
             pose: Pose at the sample [m, rad], (6,).
             effort: Wrench of the hand from the sample on [N, N m], six.
         """
-        if self._pose is not None:
-            self.total += float(self._effort @ (pose - self._pose))
+        if self._pose is None:
+            self._pose, self._effort = pose, np.array(effort)
+        self.total += float(self._effort @ (pose - self._pose))
         self._pose, self._effort = pose, np.array(effort)
 
     def take(self, poses: Array, efforts: Array) -> Array:
@@ -78,7 +79,7 @@ class HandWork:
             poses: Poses at the samples [m, rad], (N, 6).
             efforts: Wrenches of the hand from each sample on [N, N m], (N, 6).
         """
-        acting = np.concatenate([self._effort[None], efforts])[:-1]
+        acting = np.concatenate([efforts[:1] if self._pose is None else self._effort[None], efforts[:-1]])
         ways = np.diff(poses, axis=0, prepend=poses[:1] if self._pose is None else self._pose[None])
         work = (acting[:, None, :] @ ways[:, :, None])[:, 0, 0]
         totals: Array = np.add.accumulate(np.append(self.total, work))[1:]

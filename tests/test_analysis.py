@@ -5,7 +5,9 @@ To rounding if every force is recorded, within bounds otherwise.
 
 from __future__ import annotations
 
+import csv
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
@@ -23,12 +25,14 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.cli import main
+from maglev_mj.display.curves import Ranges, curves
 from maglev_mj.energy import PassivityObserver
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.hand import SpringHand, Trajectory
 from maglev_mj.metrics import perceived_hardness, summarise_bounce
 from maglev_mj.plants import Timing
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, metadata_of
+from maglev_mj.playback import Replay
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, metadata_of, open_recording
 from maglev_mj.replay import rebuild, record_run, stick_positions_of
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
@@ -39,6 +43,11 @@ from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.spec import GRAVITY
+from maglev_mj.tables.analysis import analysis_table
+from maglev_mj.viewer.overlay import status_rows
+from maglev_mj.viewer.plots import Plots
+from maglev_mj.web import panel
+from maglev_mj.web import plots as web_plots
 
 ZERO = (0.0,) * 6
 TOUR = Trajectory(
@@ -493,3 +502,35 @@ def test_a_flight_is_recorded_with_the_mass_of_its_calibration() -> None:
     assert metadata is not None
     assert metadata.inertia.tolist() == [0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3]
     assert metadata.load[2] == pytest.approx(-0.75 * GRAVITY)
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+def test_the_hand_on_a_device_is_not_known_and_taken_for_none(suffix: str, tmp_path: Path, capsys: Any) -> None:
+    path, file = tmp_path / f"flight{suffix}", open_recording(tmp_path / f"flight{suffix}", wait=True)
+    with RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7))) as plant:
+        Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(0.5)
+    file.close()
+    recording = Recording.load(path)
+    (stretch,) = recording.stretches
+    assert np.isnan(stretch.hand).all() and not stretch.known_hand.any() and len(stretch) == 100
+    if suffix == ".mcap":
+        assert stretch.totals is not None
+        assert np.isnan(stretch.totals["hand_work"]).all() and np.isfinite(stretch.totals["taken"]).all()
+    former = stretch.replace(hand=0.0)  # as recorded by earlier versions
+    found, before = (analysed(one) for one in (stretch, former))
+    assert analysis_table(found, 1, 1) == analysis_table(before, 1, 1)
+    assert found.recorded.motion.trace.pose.tobytes() == before.recorded.motion.trace.pose.tobytes()
+    for command in (["analyse", "--out", str(tmp_path)], ["replay", "--check"], ["export", "--to", "csv"]):
+        assert main([command[0], str(path), *command[1:]]) == 0
+    assert "nan" not in capsys.readouterr().out
+    header, *rows = csv.reader((tmp_path / "flight.csv").read_text(encoding="utf-8").splitlines())
+    assert {row[header.index("hand.x [N]")] for row in rows} == {"nan"}
+    replay = Replay(recording)
+    replay.tick(0.4)
+    shown = replay.snapshot()
+    assert np.isnan(shown.hand).all() and math.isnan(shown.work)
+    assert "hand" not in dict(status_rows(shown)).get("energy", "") and "hand" not in panel._words(shown)
+    force = Plots().update(shown)[1]
+    assert force.linepnt[0] > 50 and force.linepnt[1] == 0 and np.isfinite(force.linedata).all()
+    drawn = web_plots._force(curves(shown, 0, 100), Ranges(0))
+    assert drawn.count("<polyline") == 2 and '<polyline points=""' in drawn and "nan" not in drawn

@@ -172,7 +172,8 @@ def test_an_adapter_that_was_pulled_out_is_closed_without_a_word() -> None:
         link._port.close = pulled
         link.close()
         assert tried == [descriptor]
-        for use in (lambda: link.send(b"x"), lambda: link.receive(0.0)):  # not the number that may be another file's
+        uses: list[Callable[[], object]] = [lambda: link.send(b"x"), lambda: link.receive(0.0)]
+        for use in uses:  # not the number that may be another file's
             with pytest.raises(LinkError):
                 use()
         assert server.receive(0.01) is None

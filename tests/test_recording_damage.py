@@ -4,17 +4,21 @@ import io
 import os
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
+from maglev_mj.cli import main, view
 from maglev_mj.controller import Controller
+from maglev_mj.display.remote import ShowReport
 from maglev_mj.laws import Wall
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import Recording, RecordingError, load_samples, open_recording, setup_of
 from maglev_mj.recording.files import row_of
 from maglev_mj.recording.writer import McapWriter
+from maglev_mj.session import Pacer, Session
 
 PERIOD = 0.001
 TICKS = 1500
@@ -164,6 +168,61 @@ def test_a_disk_that_is_full_is_told_of_and_what_was_written_is_read(
     if part is not None:
         assert part.damage and (part.ticks > 200 or share < 0.5)
         same_so_far(part, full)
+
+
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+@pytest.mark.parametrize("by_key", [False, True])
+def test_a_disk_that_is_full_ends_a_session_with_one_line(
+    by_key: bool, suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    # The recording of the option, or two that a key began; every sample that was written can be read.
+    import resource
+
+    spare, save = tmp_path / "spare", Recording.save
+    spare.mkdir()
+    (spare / f"run{suffix}").write_text("of another run")
+    monkeypatch.setattr("tempfile.tempdir", str(spare))
+    monkeypatch.setattr("maglev_mj.session.recorder.best_suffix", lambda: suffix)
+    monkeypatch.setattr(view, "chosen_page", lambda _: Mock())
+
+    def full(recording: Recording, path: Path) -> None:
+        if spare not in Path(path).parents:
+            raise OSError(28, "No space left on device")
+        save(recording, path)
+
+    def shown(session: Session, *_rest: Any) -> ShowReport:
+        session._pacer = Pacer(budget=60.0, patience=3600.0)
+        for _ in range(1 + by_key):
+            if by_key:
+                session.act("record")
+            file: Any = session._recorder.file
+            if suffix == ".mcap":
+                resource.prlimit(file._process.pid, resource.RLIMIT_FSIZE, (60_000, 60_000))
+            for _ in range(50):
+                session.tick(0.1)
+            if by_key:
+                session.act("record")
+        session.close()
+        return ShowReport(0, 0.0, 0.0, 0.0, 0, 0)
+
+    monkeypatch.setattr(Recording, "save", full)
+    monkeypatch.setattr(view, "show_session", shown)
+    option = [] if by_key else ["--record", str(tmp_path / f"run{suffix}")]
+    assert main(["view", "--out", str(tmp_path), *option]) == 1
+    said = capfd.readouterr()
+    (line,) = said.err.splitlines()
+    assert not said.out and line.startswith(f"maglev-mj view: {tmp_path}")
+    if suffix == ".mcap":
+        assert line.count("is not whole: File too large") == 1 + by_key
+        kept = list(tmp_path.glob("*.mcap"))
+    else:
+        assert line.count("cannot be written: No space left on device; it is in ") == 1 + by_key
+        kept = [path for path in spare.rglob("*.npz") if path.parent != spare]
+        assert all(str(path) in line for path in kept)
+    ticks = [Recording.load(path).ticks for path in kept]
+    assert len(ticks) == 1 + by_key and all(one == 1000 if suffix == ".npz" else one > 100 for one in ticks)
+    assert (spare / f"run{suffix}").read_text() == "of another run"
 
 
 @pytest.mark.needs("linux")

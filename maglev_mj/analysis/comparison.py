@@ -107,7 +107,7 @@ def simulate(
         ParameterError: If a plant cannot be made at the recorded start.
     """
     rows = np.round(stretch.tick - stretch.tick[0]).astype(np.intp)
-    plant, controller = rebuild(stretch.setup, RecordedHand(stretch.hand))
+    plant, controller = rebuild(stretch.setup, RecordedHand(stretch.known_hand))
     if plant is None:
         plant = _twin(stretch, motion, metadata, scene)
     recorder = Recorder(plant, stretch.setup)

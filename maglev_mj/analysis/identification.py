@@ -188,7 +188,7 @@ class _Axis:
         width = self.stretch.applied_pulse_width
         switch, levels = recorded_switches(time, late, extra, width, period=period, delay=0.0)
         before = np.append(np.zeros(gains), [self.metadata.before[axis], 0.0])
-        hand = self.stretch.hand[:-1, axis] if self.metadata.hand_acts_on_flotor else none[:-1]
+        hand = self.stretch.known_hand[:-1, axis] if self.metadata.hand_acts_on_flotor else none[:-1]
         span = np.diff(time)[:, None]
         prompt = np.column_stack([nothing[:-1], hand, none[:-1] + 1.0])
         speed, way = span * prompt, 0.5 * span**2 * prompt

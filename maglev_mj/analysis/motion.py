@@ -95,7 +95,7 @@ def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
     pieces = _pieces(stretch, metadata, time)
     steady = np.tile(metadata.load, (len(time) - 1, 1))
     if metadata.hand_acts_on_flotor:
-        steady += stretch.hand[:-1]
+        steady += stretch.known_hand[:-1]
     _, twist, end = _through(stretch.position, pieces, steady, metadata.inertia)
     period = np.diff(time)[:, None]
     jump = twist[1:, 0] - end[:-1]

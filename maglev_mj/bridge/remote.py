@@ -71,7 +71,7 @@ class RemotePlant:
         newest_delay: The same for the newest answer that has arrived, to any sample; NaN without a new one.
         rest: Pose before takeoff and target of the landing [m, rad].
         samples: Counter of received, lost and skipped samples.
-        hand_wrench: Zero: the hand's wrench is not measured.
+        hand_wrench: NaN: the hand's wrench is not measured.
         arrival: Arrival of the last sample, by the link's clock [s].
 
     Raises:
@@ -86,7 +86,7 @@ class RemotePlant:
         0.005
     """
 
-    hand_wrench = ZERO
+    hand_wrench = _UNKNOWN
     arrival = property(lambda self: self._line.heard * 1e-9)
 
     def __init__(

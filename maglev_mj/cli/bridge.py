@@ -184,7 +184,7 @@ def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trac
     """Close a recording; print its error after an earlier one."""
     try:
         path = file.close()
-    except MaglevError as problem:
+    except (MaglevError, OSError) as problem:
         if error is None:
             raise
         say(f"  {problem}", sys.stderr)

@@ -169,7 +169,7 @@ def check_rows(rows: Mapping[str, Array], first: int = 0) -> None:
 
     Raises:
         ParameterError: If a number is not finite or out of range, or ticks or times do not increase. Only the last
-            command may be NaN: the plant refused it and applied nothing.
+            command may be NaN: the plant refused it and applied nothing. An unknown field is NaN throughout.
     """
     tick = rows["tick"]
     _check_count(tick, "tick")
@@ -193,7 +193,7 @@ def check_rows(rows: Mapping[str, Array], first: int = 0) -> None:
 
 
 def _check_field(field: Field, values: Array, first: int) -> None:
-    if field.optional and np.isnan(values).all():
+    if (field.optional or field.unknown) and np.isnan(values).all():
         return
     if not field.unit:
         return _check_count(values, field.name)

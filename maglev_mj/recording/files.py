@@ -17,7 +17,7 @@ from maglev_mj.parameters import flag
 from maglev_mj.recording.live import LiveFile
 from maglev_mj.recording.mcap import require_mcap
 from maglev_mj.recording.metadata import Setup
-from maglev_mj.recording.recording import Recording, Stretch, split_setup
+from maglev_mj.recording.recording import Recording, RecordingError, Stretch, split_setup
 from maglev_mj.recording.row import RecordedPlant, Row, as_rows, compiled
 from maglev_mj.recording.setup import attach_parts, whole_setup
 from maglev_mj.versions import versions
@@ -173,19 +173,22 @@ class ArrayFile:
     def close(self) -> Path | None:
         """Write the file; see `RecordingFile.close`.
 
-        If its folder cannot be written, the temporary folder is used.
+        If it cannot be written, a new folder in the temporary folder is used.
 
         Raises:
-            OSError: If both cannot be written; the next call tries again.
+            RecordingError: If it is there.
+            OSError: If it is in neither; the next call tries again.
         """
         recording = self.recording
         if self._closed or self._path is None or not recording.ticks:
             return self._path if self._closed else None
         try:
             recording.save(self._path)
-        except OSError:
-            self._path = Path(tempfile.gettempdir()) / self._path.name
-            recording.save(self._path)
+        except OSError as error:
+            kept = Path(tempfile.mkdtemp(prefix="maglev-"), self._path.name)
+            recording.save(kept)
+            asked, self._path, self._closed = self._path, kept, True
+            raise RecordingError(f"{asked} cannot be written: {error.strerror or error}; it is in {kept}") from None
         self._closed = True
         return self._path
 

@@ -98,6 +98,11 @@ class Stretch:
         """Setup including the metadata, as stored in a file."""
         return {**self.setup, **({} if self.metadata is None else {"run": self.metadata.as_json()})}
 
+    @property
+    def known_hand(self) -> Array:
+        """Wrench of the hand [N, N m], (N, 6); zero if it is not known."""
+        return np.nan_to_num(self.hand)
+
     def part(self, first: int, last: int) -> Stretch:
         """Return the samples from one row to another, both included.
 

@@ -59,6 +59,7 @@ class Field(NamedTuple):
         at_least: Smallest value in a file.
         at_most: Largest absolute value in a file; beyond the range of any device.
         optional: True if files without it are read too, as NaN.
+        unknown: True if it may be NaN throughout, as an optional field.
     """
 
     name: str
@@ -69,6 +70,7 @@ class Field(NamedTuple):
     at_least: float = -np.inf
     at_most: float = _FORCE
     optional: bool = False
+    unknown: bool = False
 
     @property
     def six(self) -> bool:
@@ -97,7 +99,13 @@ FIELDS: Sequence[Field] = (
     Field("pulse", _WRENCH, "what it answered, for as long as a pulse", "command.extra or ZERO", "command"),
     Field("applied", _WRENCH, "the command after the plant's limits", "applied.force", "applied"),
     Field("applied_pulse", _WRENCH, "the pulse after the plant's limits", "applied.extra or ZERO", "applied"),
-    Field("hand", _WRENCH, "what the hand exerts from the sample on", "plant.hand_wrench"),
+    Field(
+        "hand",
+        _WRENCH,
+        "what the hand exerts from the sample on; not known of a device",
+        "plant.hand_wrench",
+        unknown=True,
+    ),
     Field(
         "pulse_width",
         "s",
@@ -134,7 +142,7 @@ TOTALS: Sequence[Field] = (
         "energy that the rendered world has taken in, in the stretch; below 0 it has made some",
         at_most=1e15,
     ),
-    Field("hand_work", "J", "work of the hand in the stretch", at_most=1e15),
+    Field("hand_work", "J", "work of the hand in the stretch; not known of a device", at_most=1e15, unknown=True),
     Field("missed", "", "samples that did not arrive, or that were not kept up with, in the stretch so far"),
 )
 """Running totals, stored in MCAP files with each sample."""

@@ -166,7 +166,7 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[
     None in place of values that are not replayed.
     """
     _, controller = rebuild(stretch.setup, None)
-    plant, other = rebuild(stretch.setup, None if expected.scripted else RecordedHand(stretch.hand))
+    plant, other = rebuild(stretch.setup, None if expected.scripted else RecordedHand(stretch.known_hand))
     metadata = _metadata(stretch, plant, controller, expected)
     seen, failed = (None, False) if plant is None else _seen(plant, other, len(stretch))
     if expected.samples is not None:
@@ -176,8 +176,6 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[
     for field in (field for array in ARRAYS.values() for field in array):
         if not told(field, stretch.rows[field.name]):
             continue
-        if field.optional and np.isnan(stretch.rows[field.name]).all():
-            continue  # not recorded
         again = answers if field in _COMMANDED else seen if field.name != "hand" or expected.scripted else None
         yield field.name, stretch.rows[field.name], None if again is None else again[field.name]
     if stretch.totals is not None and stretch.metadata is not None:

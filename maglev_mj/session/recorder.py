@@ -35,6 +35,7 @@ class SessionRecorder:
         self._said = Note()
         self._closing: list[threading.Thread] = []
         self._unwritten: list[RecordingFile] = []
+        self._broken: list[str] = []
         self._named: set[Path] = set()
 
     @property
@@ -73,13 +74,18 @@ class SessionRecorder:
         """End the recording and wait for all files.
 
         Raises:
-            OSError: If one cannot be written, after another try.
+            RecordingError: If one is not whole, or cannot be written after another try; all are tried.
         """
         self.stop()
         for thread in self._closing:
             thread.join()
         for file in self._unwritten:
-            self._keep(file)
+            try:
+                self._keep(file)
+            except OSError as error:
+                self._broken.append(str(error))
+        if self._broken:
+            raise RecordingError("; ".join(self._broken))
 
     def _finish(self, file: RecordingFile) -> None:
         try:
@@ -90,12 +96,13 @@ class SessionRecorder:
 
     def _keep(self, file: RecordingFile) -> None:
         """Close a file and report the outcome."""
-        path = None
         try:
             path = file.close()
-            self._said.say(f"wrote {path}" if path is not None else "nothing was recorded")
         except RecordingError as error:  # the part before the error is on disk
+            self._broken.append(str(error))
             self._failed = f"RECORDING: {error}"
+            return
+        self._said.say(f"wrote {path}" if path is not None else "nothing was recorded")
         if path is not None:
             self.written.append(path)
 

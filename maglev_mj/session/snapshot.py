@@ -84,7 +84,7 @@ class Snapshot:
         faces: Every wall: index into AXES, normal, edge.
         anchors: Stick positions [m, rad], (6,), NaN on axes that do not stick; None without friction.
         history: Latest samples, (N, 25): time, then pose, twist, wrench of the device and of the hand, six each.
-        work: Work of the hand [J].
+        work: Work of the hand [J]; NaN if unknown.
         taken: Energy absorbed by the rendered world [J]; NaN if not known.
         pulses: Braking pulses given so far.
         cost: Computing time of a tick [s].

@@ -67,13 +67,10 @@ def _time(snapshot: Snapshot) -> str:
 
 
 def _energy(snapshot: Snapshot) -> str:
-    """Return the hand's work and the environment's absorbed energy.
-
-    The latter only if it is known.
-    """
-    made = snapshot.taken < -_NOTHING
-    taken = f", world {'MADE' if made else 'took'} {abs(snapshot.taken) * 1e3:.1f} mJ"
-    return f"hand gave {snapshot.work * 1e3:.1f} mJ" + ("" if math.isnan(snapshot.taken) else taken)
+    """Return the hand's work and the environment's absorbed energy, if known."""
+    made = "MADE" if snapshot.taken < -_NOTHING else "took"
+    parts = {"hand gave": snapshot.work, f"world {made}": abs(snapshot.taken)}
+    return ", ".join(f"{name} {value * 1e3:.1f} mJ" for name, value in parts.items() if not math.isnan(value))
 
 
 def _shown(one: Parameter, value: float | None, axis: str) -> str:

@@ -193,6 +193,7 @@ def _draw(figure: Any, title: str, lines: Sequence[_Line], across: _Range, up: _
     figure.linepnt[:] = 0
     for index, (colour, x, y) in enumerate(lines):
         x, y = np.asarray(x, dtype=np.float32), np.asarray(y, dtype=np.float32)
+        x, y = x[known := np.isfinite(y)], y[known]
         figure.linergb[index] = colour
         figure.linepnt[index] = x.size
         figure.linedata[index, : 2 * x.size : 2] = np.clip(x, *across)
@@ -203,9 +204,9 @@ def _draw(figure: Any, title: str, lines: Sequence[_Line], across: _Range, up: _
 def _dot(colour: Colour, x: Array, y: Array, across: _Range, up: _Range) -> list[_Line]:
     """Return lines forming a dot at the last point.
 
-    It is moved inside the ranges; there are none without a point.
+    It is moved inside the ranges; there are none without a known point.
     """
-    if not len(x):
+    if not len(x) or not np.isfinite(y[-1]):
         return []
     wide, high = _NOW[0] * (across[1] - across[0]), _NOW[1] * (up[1] - up[0])
     middle = min(max(float(x[-1]), across[0] + wide), across[1] - wide)

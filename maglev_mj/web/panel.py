@@ -185,6 +185,7 @@ def _words(snapshot: Snapshot) -> str:
                 ("device", snapshot.force, DEVICE),
                 ("stops", snapshot.stops, STOP),
             )
+            if np.isfinite(wrench).all()
         ),
         f"{snapshot.time:.1f} s, {1.0 / scene.period:.4g} Hz, {snapshot.missed} missed",
     ]

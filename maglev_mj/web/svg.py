@@ -70,7 +70,7 @@ def chart(title: Sequence[tuple[str, Colour | None]], lines: Sequence[Line], acr
         words.append(f'<text x="{_LEFT - 4}" y="{place + 4:.1f}" text-anchor="end">{value:g}</text>')
     for line in lines:
         x, y = _along(line.x, across), _upward(line.y, up)
-        points = " ".join(f"{one:.1f},{other:.1f}" for one, other in zip(x, y))
+        points = " ".join(f"{one:.1f},{other:.1f}" for one, other in zip(x, y) if np.isfinite(other))
         dash = ' stroke-dasharray="4 3"' if line.dashed else ""
         look = f'fill="none" stroke="{hex_of(line.colour)}" stroke-width="1.6"{dash}'
         parts.append(f'<polyline points="{points}" {look}/>')
