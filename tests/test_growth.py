@@ -327,3 +327,19 @@ def test_bad_resting_walls_are_refused() -> None:
         measure_growth([RestingWall()], "mujoco", integrator="magic")
     with pytest.raises(ParameterError, match=r"jitter must be at most 0.0015 s at this delay and period, not 0.002"):
         Timing(delay=0.0015, jitter=0.002)
+
+
+@pytest.mark.parametrize("rate", [0.999, 0.9999, 1.0001, 1.001])
+def test_a_loop_that_no_block_decides_is_judged_by_its_trend(rate: float) -> None:
+    # beside one that grew a thousandfold at once and one that decayed
+    blocks = np.arange(16)
+    slow = rate ** (growing._BLOCK * blocks)
+    assert 1.0 / growing._DECIDED < slow.min() and slow.max() < growing._DECIDED
+    sizes = np.stack(
+        [slow, 10.0 * growing._DECIDED ** (blocks + 1.0), 0.1 * growing._DECIDED ** -(blocks + 1.0)], axis=1
+    )
+    found, decided = growing._judge(sizes, last=True)
+    assert decided.all() and found.stable.tolist() == [rate < 1.0, False, True]
+    assert found.rate[0] == pytest.approx(rate, rel=1e-12)
+    _, decided = growing._judge(sizes, last=False)
+    assert decided.tolist() == [False, True, True]

@@ -367,6 +367,23 @@ def pads(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterato
             os.close(line)
 
 
+def test_a_button_that_is_held_while_a_gamepad_comes_back_is_not_pressed() -> None:
+    pad, shares = Gamepad.__new__(Gamepad), (0.0,) * 6
+    states: list[Any] = [
+        (shares, (True, False)),
+        None,
+        (shares, (True, True)),
+        (shares, (False, True)),
+        (shares, (True, True)),
+    ]
+    pad._state = shares, (False, False)
+    pressed = []
+    for state in states:
+        pad._process = SimpleNamespace(received=lambda state=state: [state], ended=False)  # type: ignore[assignment]
+        pressed.append(pad.read().pressed)
+    assert pressed == [[0], [], [], [], [0]]
+
+
 @pytest.mark.needs("screen", "compiler")
 @pytest.mark.xdist_group("screen")
 def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:

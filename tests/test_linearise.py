@@ -39,6 +39,7 @@ from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory import Verdict, judge, largest_modulus, linearise, stability, stated_gains
 from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.linearise import ClosedLoop
 from tests.sweeps import sweep
 
 T, DELAY = 0.005, 0.0015
@@ -244,6 +245,20 @@ def test_axes_that_act_on_each_other_are_judged_together() -> None:
     assert near.stiffness[:2, :2] == pytest.approx(np.array([[2000.0, -1500.0], [1500.0, 2000.0]]))
     assert near.closed_loop(delay=DELAY, axes=("x", "y")).modulus == pytest.approx(found.modulus, abs=1e-9)
     assert near.closed_loop(delay=DELAY, axes="x").modulus < 1.0
+
+
+def test_a_coupling_of_four_per_cent_counts() -> None:
+    def laws(coupling: float) -> Callable[..., Any]:
+        def force(position: Any, velocity: Any) -> Any:
+            (x, y), (u, v) = position[:2], velocity[:2]
+            pushes = coupling * y, -coupling * x
+            return [-4000.0 * x - 20.0 * u + pushes[0], -4000.0 * y - 20.0 * v + pushes[1], 0.0, 0.0, 0.0, 0.0]
+
+        return force
+
+    alone, found = verdict(laws(0.0), axes=2), verdict(laws(160.0), axes=2)
+    assert alone.stable is True and alone.modulus == pytest.approx(0.9943, abs=1e-4)
+    assert found.stable is False and found.modulus == pytest.approx(1.0017, abs=1e-4) and found.axes == ("x", "y")
 
 
 def test_walls_that_state_no_gains_are_judged_inside_their_faces() -> None:
@@ -486,6 +501,15 @@ def test_a_state_space_needs_python_control(monkeypatch: pytest.MonkeyPatch) -> 
         near.to_statespace()
 
 
+def loop_response(loop: ClosedLoop, push: NDArray[Any]) -> NDArray[Any]:
+    """Return the positions of a loop under a wrench, (n, K), from the recurrence that its docstring states."""
+    state, rows = np.zeros(len(loop.matrix)), []
+    for wrench in push.T:
+        rows.append(loop.seen @ state)
+        state = loop.matrix @ state + loop.enters @ wrench
+    return np.array(rows).T
+
+
 def test_state_spaces_of_controller_and_loop_answer_as_they_do() -> None:
     import control
 
@@ -497,6 +521,13 @@ def test_state_spaces_of_controller_and_loop_answer_as_they_do() -> None:
     # the flotor under a constant push, in the loop and with the controller around it
     push = np.zeros((6, 300))
     push[0] = 1.0
+    moved = loop_response(loop, push)
+    np.testing.assert_allclose(control.forced_response(plant, inputs=push).outputs, moved, atol=1e-15)
+    # a push held for a period moves the flotor from rest by T²/2m, before any law answers
+    assert moved[0, 1] == pytest.approx(T**2 / 2.0 / INERTIA[0], rel=1e-12)
+    free = linearise(Controller([silent], period=T), np.zeros((1, 6)))[0].closed_loop(delay=DELAY)
+    times = T * np.arange(300)
+    np.testing.assert_allclose(loop_response(free, push)[0], times**2 / 2.0 / INERTIA[0], rtol=1e-9)
     moved = control.forced_response(plant, inputs=push).outputs
     assert moved[0, -1] == pytest.approx(1.0 / near.stiffness[0, 0], rel=1e-3)
     answer = control.forced_response(law, inputs=moved).outputs

@@ -72,6 +72,16 @@ def test_every_result_has_a_frame_with_units_a_picture_and_a_table(name: str) ->
     assert "style" not in html and "nan" not in html
 
 
+def test_the_units_of_each_kind_of_result_are_these() -> None:
+    units = {name: found.units for name, found in results().items()}
+    gains = {"stiffness": "N/m", "damping": "N s/m"}
+    assert gains.items() <= units["stability map"].items() and gains.items() <= units["sweep"].items()
+    assert units["drop map"] == {**gains, "swing": "m"} and units["phases"]["peak_force"] == "N"
+    assert units["verdict"] == {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
+    assert units["linearised"]["z.z"] == "N/m" and units["linearised"]["time"] == "s"
+    assert units["closed loop"] == {"frequency": "Hz"} and units["trace"]["pose.rx"] == "rad"
+
+
 def lines(figure: Any, panel: int = 0) -> Any:
     return figure.axes[panel].get_lines()
 

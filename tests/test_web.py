@@ -40,6 +40,7 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.shapes import Shape, shapes
+from maglev_mj.viewer.scenery import GRIP
 from maglev_mj.web.controls import Choice, Slider, Switch, control
 from maglev_mj.web.grab import Grab
 from maglev_mj.web.guard import Door
@@ -529,6 +530,30 @@ def test_a_browser_that_is_gone_without_a_word_has_no_hand() -> None:
         assert aimed[-1] is not None  # the next one has it
 
     asyncio.run(drag())
+
+
+def test_a_drag_with_shift_tilts_about_the_centre() -> None:
+    aimed: list[Any] = []
+    knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
+    place, moved = np.array([0.0, 0.0, 0.08]), np.array([1e-3, -2e-3, 0.0])
+
+    async def drag(modifier: str | None) -> None:
+        grab = Grab(SimpleNamespace(), knob, aimed.append)
+        grab._ask = lambda client: asyncio.sleep(10.0)  # type: ignore[method-assign]
+        grab.pose = np.array([1e-3, 0.0, 2e-3, 0.01, 0.0, 0.0])
+        for phase, end in (("start", place), ("move", place + moved), ("end", place + moved)):
+            await grab._dragged(
+                SimpleNamespace(phase=phase, client_id=1, modifier=modifier, start_position=place, end_position=end)
+            )
+
+    asyncio.run(drag("shift"))
+    assert aimed[-1] is None and aimed[1] == pytest.approx([1e-3, 0.0, 2e-3, 0.01, 0.0, 0.0])
+    # the knob's displacement is the rotation times its place on the handle: r x g = moved, across the handle
+    turn = np.array(aimed[2][3:]) - [0.01, 0.0, 0.0]
+    assert aimed[2][:3] == pytest.approx([1e-3, 0.0, 2e-3]) and turn @ GRIP == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(np.cross(turn, GRIP), moved, atol=1e-12)
+    asyncio.run(drag(None))
+    assert aimed[-2] == pytest.approx([2e-3, -2e-3, 2e-3, 0.01, 0.0, 0.0])
 
 
 def until(page: Page, done: Any) -> None:
