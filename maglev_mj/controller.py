@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample
 from maglev_mj.laws import FiniteDifference, Law, VelocityEstimator
 from maglev_mj.laws.base import Face, answer, as_law
@@ -56,8 +56,7 @@ class Controller:
         velocity: VelocityEstimator | None = None,
     ) -> None:
         self.period = number("period", period, above=0.0)
-        if not isinstance(laws, Iterable):
-            raise ParameterError(f"laws must be a list of laws, not {laws!r}")
+        check_instance("laws", laws, Iterable, "a list of laws")
         self.laws = tuple(map(as_law, laws))
         widths = {law.pulse_width for law in self.laws if law.pulse_width > 0.0}
         if len(widths) > 1:

@@ -28,8 +28,8 @@ __all__ = [
     "check_instance",
     "file_path",
     "install_command",
-    "lacks",
     "meant",
+    "named",
     "not_one_of",
     "one_line",
     "require",
@@ -72,7 +72,7 @@ class MissingPackageError(MaglevError):
     """Error of an extra's missing package."""
 
 
-class ModelError(MaglevError):
+class ModelError(ParameterError):
     """Error of a model file.
 
     The file is missing, does not compile, or lacks a named element.
@@ -159,10 +159,10 @@ def file_path(value: Path | str) -> Path:
     return Path(value)
 
 
-def lacks(cls: type, method: str) -> str:
-    """Return the message for a class without a method."""
+def named(cls: type) -> str:
+    """Return a user's class with its file, for messages."""
     file = getattr(sys.modules.get(cls.__module__), "__file__", None)
-    return f"{cls.__name__} of {Path(file or cls.__module__).name} must define {method}"
+    return f"{cls.__name__} of {Path(file or cls.__module__).name}"
 
 
 def one_line(value: object) -> str:

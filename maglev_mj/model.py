@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.coils import CoilMap
-from maglev_mj.errors import ModelError, ParameterError, not_one_of
+from maglev_mj.errors import ModelError, ParameterError, check_instance, not_one_of
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
 from maglev_mj.lazy import mujoco
@@ -230,8 +230,7 @@ def load_model(
     if coil_map is not None:
         if device.coils is None:
             raise ParameterError("coil_map needs coils=True")
-        if not isinstance(coil_map, CoilMap):
-            raise ParameterError(f"coil_map must be a CoilMap, not {coil_map!r}")
+        check_instance("coil_map", coil_map, CoilMap, "a CoilMap")
         _put_coils(device, coil_map)
         device = replace(device, coils=coil_map)
     return device

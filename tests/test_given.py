@@ -22,6 +22,17 @@ m: Any = maglev_mj
 
 DROP = m.find_scene("drop")(duration=0.05)
 NO_LAWS = "from maglev_mj import Scene\n\n\nclass Empty(Scene):\n    pass\n"
+NO_START = """
+from maglev_mj import Scene
+
+
+class Thrown(Scene):
+    def laws(self):
+        return []
+
+    def start(self):
+        return (0.0, 0.0, 0.001)
+"""
 NO_FORCE = """
 from maglev_mj import AxisLaw, Scene
 
@@ -115,6 +126,8 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "hand, a number": (lambda: m.critical_delay(2000.0, 80.0, hand=3), "hand must be a Hand, .* not 3"),
     "hand of a plant": (lambda: m.ExactPlant(hand="arm"), "hand must be a Hand, .* not 'arm'"),
     "hand of the engine": (lambda: m.MuJoCoPlant(hand="arm"), "hand must be a Hand, .* not 'arm'"),
+    "muscles of a hand": (lambda: m.ExactPlant(hand_force=3), "hand_force must be a function .* not 3"),
+    "model": (lambda: m.load_model("moon"), "model must be one of .* not 'moon'"),
     "timing of a plant": (lambda: m.ExactPlant(0.005), r"timing must be a Timing, .* not 0\.005"),
     "many lines": (lambda: m.analyse(np.eye(6)), "stretch must be a Stretch, .* not array"),
     "scene, misspelt": (lambda: m.run("drp"), "scene must be one of .*'drp'; did you mean drop?"),
@@ -165,9 +178,13 @@ def test_that_anything_else_is_one_line(case: str) -> None:
 
 @pytest.mark.parametrize(
     ("text", "said"),
-    [(NO_LAWS, "Empty of own.py must define laws()"), (NO_FORCE, "Still of own.py must define force(self")],
+    [
+        (NO_LAWS, "Empty of own.py must define laws()"),
+        (NO_FORCE, "Still of own.py must define force(self"),
+        (NO_START, "start() of Thrown of own.py must be a Start, not (0.0, 0.0, 0.001)"),
+    ],
 )
-def test_that_a_class_without_a_method_is_named_with_its_file(text: str, said: str, tmp_path: Path) -> None:
+def test_that_a_class_that_lacks_something_is_named_with_its_file(text: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "own.py"
     path.write_text(text)
     with pytest.raises(ParameterError) as caught:

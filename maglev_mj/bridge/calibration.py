@@ -14,14 +14,14 @@ from typing import Any, Self
 import numpy as np
 
 from maglev_mj.coils import CoilMap
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import Array
 from maglev_mj.model import beams, load_model
 from maglev_mj.parameters import number, numbers
 from maglev_mj.sensing.geometry import Beams
 from maglev_mj.spec import GRAVITY, INERTIA
 
-__all__ = ["Calibration", "CalibrationError"]
+__all__ = ["Calibration", "CalibrationError", "InvalidCalibrationError"]
 
 _FORMAT = "maglev_mj calibration 1"
 _UNIT_LENGTH = 1e-9
@@ -38,6 +38,10 @@ _UNITS: dict[str, Any] = {
 
 class CalibrationError(MaglevError):
     """Error of a calibration file: unreadable, unwritable or invalid."""
+
+
+class InvalidCalibrationError(CalibrationError, ParameterError):
+    """A file is not there, no calibration, or has invalid content."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,8 +86,7 @@ class Calibration:
         object.__setattr__(self, "mass", number("mass", self.mass, above=0.0))
         for moment in self.inertia:
             number("inertia", float(moment), above=0.0)
-        if not isinstance(self.name, str):
-            raise ParameterError(f"name must be a text, not {self.name!r}")
+        check_instance("name", self.name, str, "a text")
 
     @classmethod
     def nominal(cls) -> Self:
@@ -133,16 +136,16 @@ class Calibration:
         """Return the calibration of `as_json` output.
 
         Raises:
-            CalibrationError: If the format or a unit is wrong, or a value is missing or not known.
+            InvalidCalibrationError: If the format or a unit is wrong, or a value is missing or not known.
             ParameterError: As for the class.
             ModelError: If the coils cannot give every wrench, or the beams do not determine the pose.
         """
         if not isinstance(values, dict) or values.get("format") != _FORMAT:
             found = values.get("format") if isinstance(values, dict) else type(values).__name__
-            raise CalibrationError(f"format must be {_FORMAT!r}, not {found!r}")
+            raise InvalidCalibrationError(f"format must be {_FORMAT!r}, not {found!r}")
         parts = _entries("", values, {"format", "name", "units", "coils", "beams", *_REST})
         if values["units"] != _UNITS:
-            raise CalibrationError(f"units must be {json.dumps(_UNITS)}, not {json.dumps(values['units'])}")
+            raise InvalidCalibrationError(f"units must be {json.dumps(_UNITS)}, not {json.dumps(values['units'])}")
         coils, diodes = _arrays("coils", parts, _COILS), _arrays("beams", parts, _BEAMS)
         rest: dict[str, Any] = {name: _checked(name, parts[name], shape) for name, shape in _REST.items()}
         rest["mass"] = float(rest["mass"])
@@ -175,18 +178,18 @@ class Calibration:
         """Read a calibration file.
 
         Raises:
-            CalibrationError: If it cannot be read, or has an invalid value; one line with file and value.
+            InvalidCalibrationError: If it cannot be read, or has an invalid value; one line with file and value.
         """
         try:
             # as floats, or a whole number of many digits is not one that numpy knows
             values = json.loads(Path(path).read_text(encoding="utf-8"), parse_int=float, object_pairs_hook=_once)
             return cls.from_json(values)
         except OSError as error:
-            raise CalibrationError(f"calibration {str(path)!r} cannot be read: {error.strerror}") from error
+            raise InvalidCalibrationError(f"calibration {str(path)!r} cannot be read: {error.strerror}") from error
         except MaglevError as error:
-            raise CalibrationError(f"calibration {str(path)!r}: {error}") from error
+            raise InvalidCalibrationError(f"calibration {str(path)!r}: {error}") from error
         except (ValueError, RecursionError) as error:
-            raise CalibrationError(f"calibration {str(path)!r} is not JSON: {error}") from error
+            raise InvalidCalibrationError(f"calibration {str(path)!r} is not JSON: {error}") from error
 
 
 def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:
@@ -215,10 +218,12 @@ def _arrays(where: str, values: dict[str, Any], shapes: dict[str, tuple[int, ...
 def _entries(where: str, values: Any, names: set[str]) -> dict[str, Any]:
     """Return a dictionary after checking that its names are these."""
     if not isinstance(values, dict):
-        raise CalibrationError(f"{where.strip()} must be an object with {', '.join(sorted(names))}, not {values!r}")
+        raise InvalidCalibrationError(
+            f"{where.strip()} must be an object with {', '.join(sorted(names))}, not {values!r}"
+        )
     for name in sorted(names ^ set(values)):
         what = "is missing" if name in names else "is not known"
-        raise CalibrationError(f"{where}{name} {what}; there must be {', '.join(sorted(names))}")
+        raise InvalidCalibrationError(f"{where}{name} {what}; there must be {', '.join(sorted(names))}")
     return values
 
 
@@ -226,7 +231,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Return a dictionary of pairs; raise if a name repeats."""
     for name, times in Counter(name for name, _ in pairs).items():
         if times > 1:
-            raise CalibrationError(f"{name} must be there once, not {times} times")
+            raise InvalidCalibrationError(f"{name} must be there once, not {times} times")
     return dict(pairs)
 
 

@@ -52,6 +52,8 @@ def _commission(options: argparse.Namespace) -> int:
     if (options.write is not None) != (options.test == "offsets"):
         raise ParameterError("write must name the file for offsets, and is for offsets alone")
     calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
+    number("coil", options.coil or 0, at_least=0, at_most=5)
+    number("current", options.current, above=0.0)
     key = chosen_key(options.key)
     with RemotePlant(open_link(options.address, key), calibration=calibration, key=key) as plant:
         if options.test == "spots":

@@ -45,13 +45,13 @@ def _view(options: argparse.Namespace) -> int:
     scene = chosen_scene(options)
     hand = SpringHand(stiffness=options.hand_stiffness)
     seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
+    warn_of_instability(scene)  # and errors of a user's scene, before a page is opened
     page = chosen_page(options)
     if page is None:
         # imported here: it loads the library that opens windows
         from maglev_mj.viewer.window import require_display
 
         require_display()
-    warn_of_instability(scene)
     options.out.mkdir(parents=True, exist_ok=True)
     # the device first: a 3D mouse of our own is none for this hand
     with chosen_hand_device(options, hand) as devices, chosen_publishers(options) as (publishers, live):

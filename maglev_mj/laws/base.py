@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, datacla
 
 import numpy as np
 
-from maglev_mj.errors import MaglevError, ParameterError, lacks
+from maglev_mj.errors import MaglevError, ParameterError, named
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import axis_indices, batch_shape, numbers, per_axis
 
@@ -274,7 +274,7 @@ class AxisLaw(Law):
             gains: The gains of that axis, by name.
             state: The state of that axis; None at the first sample.
         """
-        raise ParameterError(lacks(type(self), "force(self, x, v, gains, state)"))
+        raise ParameterError(f"{named(type(self))} must define force(self, x, v, gains, state)")
 
     def __call__(
         self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]

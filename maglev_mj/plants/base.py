@@ -100,6 +100,7 @@ class SampledPlant(ABC):
         made.given = {**dict(zip(("timing",), timing)), **options}
         check_instance("timing", made.given.get("timing"), Timing | None, "a Timing, such as Timing(period=0.005)")
         check_instance("hand", made.given.get("hand"), Hand | None, "a Hand, as maglev_mj.hand.get_hand('arm') returns")
+        check_instance("hand_force", made.given.get("hand_force"), Callable | None, "a function (tick, time, state)")
         return made
 
     def __init__(

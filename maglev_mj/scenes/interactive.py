@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar, TypeAlias
 
-from maglev_mj.errors import ParameterError, lacks, not_one_of
+from maglev_mj.errors import ParameterError, named, not_one_of
 from maglev_mj.frames import AXES, ZERO
 from maglev_mj.hand import SpringHand, Trajectory
 from maglev_mj.laws import Law
@@ -110,7 +110,7 @@ class InteractiveScene(Scene):
 
     def own_laws(self) -> list[Law]:
         """Return the laws with the scene's own walls."""
-        raise ParameterError(lacks(type(self), "own_laws()"))
+        raise ParameterError(f"{named(type(self))} must define own_laws()")
 
     def laws(self) -> list[Law]:
         """Return the laws with the present walls.

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError, lacks
+from maglev_mj.errors import ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Array, Component
 from maglev_mj.hand import HandForce
 from maglev_mj.laws import Law, VelocityEstimator
@@ -165,7 +165,7 @@ class Scene(Parameters):
 
         A function f(position, velocity) is a law too; see `Controller`.
         """
-        raise ParameterError(lacks(type(self), "laws()"))
+        raise ParameterError(f"{named(type(self))} must define laws()")
 
     def start(self) -> Start:
         """Return the state at release."""
@@ -294,6 +294,7 @@ class Scene(Parameters):
             hand: The scripted hand, whose impedance is on the flotor.
         """
         start = self.start()
+        check_instance(f"start() of {named(type(self))}", start, Start, "a Start")
         options: dict[str, Any] = {"pose": list(start.pose), "gravity": start.gravity, "escape": (ESCAPE, 1.0)}
         if any(start.twist):
             options["twist"] = start.twist

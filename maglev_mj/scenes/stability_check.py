@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike
 
 from maglev_mj import theory
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Sample, components, unit_of
 from maglev_mj.parameters import numbers
 from maglev_mj.scenes.find import line_of
-from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.theory.verdict import inertia_of, stability
 
 __all__ = ["STEP_FORCE", "UnstableLoop", "check_step", "own_code_refused", "stability_warning", "unstable_loop"]
@@ -173,7 +173,9 @@ def stability_warning(scene: Scene, *, inertia: ArrayLike | None = None, delay: 
     """
     scene.timing()
     controller = scene.controller()
-    controller.step(Sample(0, 0.0, components(numbers("pose", scene.start().pose))))
+    start = scene.start()
+    check_instance(f"start() of {named(type(scene))}", start, Start, "a Start")
+    controller.step(Sample(0, 0.0, components(numbers("pose", start.pose))))
     if not hasattr(controller.velocity, "linear"):  # not linear: the check would take seconds and the run starts anyway
         return None
     try:

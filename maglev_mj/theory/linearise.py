@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, Array, Mask, Sample, components
 from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.spec import INERTIA
 from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import SampledLoop
 
-__all__ = ["ClosedLoop", "Linearised", "check_controller", "linearise", "loop_matrices"]
+__all__ = ["ClosedLoop", "Linearised", "linearise", "loop_matrices"]
 
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
 """Largest speed of a test displacement [m/s, rad/s].
@@ -213,12 +213,6 @@ class ClosedLoop(Tabular):
         )
 
 
-def check_controller(controller: object) -> None:
-    """Raise a ParameterError unless this is a controller."""
-    if not isinstance(controller, Controller):
-        raise ParameterError(f"controller must be a Controller, not {controller!r}")
-
-
 def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
     """Return a controller's linearisation at each pose.
 
@@ -243,7 +237,7 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
         >>> round(near.stiffness[2, 2]), round(near.damping[2, 2])
         (6000, 80)
     """
-    check_controller(controller)
+    check_instance("controller", controller, Controller, "a Controller")
     rest = np.atleast_2d(numbers("poses", poses))
     if rest.ndim != 2 or rest.shape[1] != 6:
         raise ParameterError(f"poses must be (6,) or (P, 6), not {np.shape(poses)}")

@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.model import load_model
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import SampledLoop
-from maglev_mj.theory.linearise import Linearised, check_controller, linearise, loop_matrices
+from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
 from maglev_mj.theory.realisation import StateSpace, realised
 
 __all__ = ["Judged", "Verdict", "inertia_of", "judge", "stability", "stated_gains"]
@@ -240,7 +240,7 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
         >>> judge(Controller([wall], period=0.005), delay=0.0015).stable
         True
     """
-    check_controller(controller)
+    check_instance("controller", controller, Controller, "a Controller")
     start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0)
     if start.shape != (6,) or body.shape != (6,):
         raise ParameterError(f"pose and inertia must be (6,), not {start.shape} and {body.shape}")

@@ -1,0 +1,231 @@
+"""Wrong command lines: status 2, and one line that names the value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeAlias
+
+import pytest
+
+from maglev_mj import cli
+from maglev_mj.cli.commands import COMMANDS
+from tests.test_options import NEEDED
+
+SCENES = {
+    "raises": "    def laws(self):\n        return [1 / 0]\n",
+    "no_laws": "    pass\n",
+    "none": "    def laws(self):\n        return None\n",
+    "wrong_law": "    def laws(self):\n        return [Hold(60.0)]\n",
+    "start": "    def laws(self):\n        return []\n\n    def start(self):\n        return (0.0, 0.0, 0.0)\n",
+    "hand": "    def laws(self):\n        return []\n\n    def scripted_hand(self, phase=0.0):\n        return 5\n",
+    "option": "    def laws(self):\n        return []\n\n    def plant_options(self):\n        return {'hue': 3}\n",
+    "figure": "    figures = ('beauty',)\n\n    def laws(self):\n        return []\n",
+    "model": "    model = 'absent.xml'\n\n    def laws(self):\n        return []\n",
+}
+FILES = {
+    "garbage.npz": "PK garbage",
+    "empty.json": "{}",
+    "broken.json": "[1,",
+    "notes.jsonl": "hello\n",
+    "syntax.py": "class (",
+}
+Refused: TypeAlias = Callable[[str], str]
+DEVICE = "udp://127.0.0.1:9"
+
+TABLE = """
+drp                                                 | drp
+--nosuch                                            | --nosuch
+drop view                                           | view
+view box --stiffness stiff                          | stiff
+view box --stiffness nan                            | nan
+view box --stiffness -5                             | -5
+view nosuch.py                                      | nosuch.py
+view raises.py --web --no-open --port 0             | raises.py, line 6: ZeroDivisionError
+view --hand-stiffness -1                            | -1
+view --seconds nan                                  | nan
+view --web --host 8.8.8.8                           | 8.8.8.8
+view --web --token short                            | token
+view --foxglove 99999                               | 99999
+tour --seconds -1                                   | -1
+tour box                                            | box
+render                                              | --out
+render --out a.foo                                  | a.foo
+render --out a.png --size 10x10                     | 10x10
+render --out a.png --fps 0                          | 0
+render --out a.png --seconds -1                     | -1
+serve-spacenav --axes roll                          | roll
+serve-spacenav --seconds 0                          | 0
+serve-spacenav --spacenav-gain nan                  | nan
+drop --stiffness                                    | --stiffness
+drop --stiffness inf                                | inf
+drop --plant glass                                  | glass
+drop --phase 1                                      | 1
+drop --phases 0                                     | 0
+drop --duration 1e9                                 | 1000000000.0
+drop --format png                                   | png
+drop --record a.foo                                 | a.foo
+drop 0.004                                          | 0.004
+press --hand leg                                    | leg
+press --hand 1,2                                    | 1,2
+press --hits 1.5                                    | 1.5
+stick-slip --law glue                               | glue
+stick-slip --axis w                                 | w
+run                                                 | SCENE
+run nosuch                                          | nosuch
+run drop:Drop                                       | drop:Drop
+run empty.json                                      | empty.json
+run --plant exact                                   | --plant
+run raises.py                                       | raises.py, line 6: ZeroDivisionError
+run raises.py:Other                                 | Other
+run no_laws.py                                      | Own of no_laws.py must define laws()
+run none.py                                         | None
+run wrong_law.py                                    | wrong_law.py, line 6
+run start.py                                        | start() of Own of start.py
+run option.py                                       | hue
+run figure.py                                       | figure.py
+run syntax.py                                       | syntax.py
+stability --grid 0                                  | 0
+stability --hand leg                                | leg
+stability --damping low high                        | low high
+stability --damping 5:1                             | 5 to 1
+stability --delay -1                                | -1
+stability --workers -1                              | -1
+stability --record notes.jsonl                      | notes.jsonl
+stability no_laws.py                                | no_laws.py
+stability run.npz                                   | run.npz
+stability drop --grid 3                             | --grid
+design --mass heavy                                 | heavy
+design --mass 2:1                                   | 2 to 1
+design --hand leg                                   | leg
+design --law glue                                   | glue
+design --modulus 2                                  | 2
+design --held                                       | hand
+sweep                                               | SCENE
+sweep drop --vary height                            | height
+sweep drop --vary glue=1,2                          | glue
+sweep drop --vary height=1:2                        | 1:2
+sweep drop --vary height=nan                        | nan
+sweep drop --set height=high                        | high
+sweep drop --vary height=0.001 --set height=0.002   | height
+sweep drop --vary height=0:1:100000000              | 100000000
+sweep drop --height 3                               | --height
+sweep --vary height=0.001,0.002                     | SCENE
+fidelity drop --tolerance nan                       | nan
+fidelity drop --phases 0                            | 0
+fidelity drop --share 0                             | 0
+fidelity raises.py                                  | raises.py, line 6: ZeroDivisionError
+info extra                                          | extra
+twin --rate nan                                     | nan
+twin --rate fast                                    | fast
+twin --delay -1                                     | -1
+twin --noise -1                                     | -1
+twin --seed -1                                      | -1
+twin --fault glue:1@2                               | glue
+twin --fault dead-coil:9@1                          | 9
+twin --push w:1@0-1                                 | w:1@0-1
+twin --push z:1@2-1                                 | z:1@2-1
+twin --block nan                                    | nan
+twin --listen nosuch                                | nosuch
+twin --listen udp://8.8.8.8:5678                    | 8.8.8.8
+twin --calibration nosuch.json                      | nosuch.json
+twin --calibration broken.json                      | broken.json
+twin --truth empty.json                             | empty.json
+twin --key nosuch.key                               | nosuch.key
+twin --scene nosuch                                 | nosuch
+twin --view --web                                   | view and web
+bridge                                              | ADDRESS
+bridge nosuch                                       | nosuch
+bridge udp://127.0.0.1:0                            | udp://127.0.0.1:0
+bridge udp://8.8.8.8:5678                           | 8.8.8.8
+bridge joystick DEVICE                              | DEVICE
+bridge DEVICE --scene nosuch                        | nosuch
+bridge DEVICE --seconds nan                         | nan
+bridge DEVICE --mass 1                              | mass
+bridge DEVICE --identify a.json --view              | view
+bridge DEVICE --profile nosuch.json                 | nosuch.json
+bridge DEVICE --current-limit 2                     | --current-limit
+bridge DEVICE --calibration run.npz                 | run.npz
+bridge DEVICE --key run.npz                         | run.npz
+estop nosuch                                        | nosuch
+estop DEVICE --key nosuch                           | nosuch
+commission spots DEVICE                             | DEVICE
+commission DEVICE glue                              | glue
+commission DEVICE coils --coil 9                    | 9
+commission DEVICE coils --coil -1                   | -1
+commission DEVICE coils --current nan               | nan
+commission DEVICE coils --current -1                | -1
+commission DEVICE spots --write a.json              | write
+conform nosuch                                      | nosuch
+conform DEVICE --calibration nosuch.json            | nosuch.json
+fault nosuch.json                                   | nosuch.json
+fault empty.json                                    | empty.json
+fault broken.json                                   | broken.json
+fault run.npz                                       | run.npz
+fault empty.json --format png                       | png
+replay nosuch.mcap                                  | nosuch.mcap
+replay garbage.npz                                  | garbage.npz
+replay empty.json                                   | empty.json
+replay run.npz --scene nosuch.py --check            | nosuch.py
+replay run.npz --port 80                            | port
+analyse nosuch.mcap                                 | nosuch.mcap
+analyse drop                                        | drop
+analyse run.npz --stretch 9                         | 9
+analyse run.npz --from nan                          | nan
+analyse run.npz --from -1                           | -1
+analyse run.npz --to 0                              | 0
+analyse run.npz --axis w                            | w
+analyse run.npz --scene nosuch.py                   | nosuch.py
+export run.npz                                      | --to
+export run.npz --to xls                             | xls
+export garbage.npz --to csv                         | garbage.npz
+export csv run.npz                                  | --to
+export run.npz --to npz                             | run.npz
+"""
+LINES = [[part.strip() for part in line.replace("DEVICE", DEVICE).split(" | ")] for line in TABLE.strip().splitlines()]
+LINES += [[f"{command} {NEEDED.get(command, '')} --nosuch", "--nosuch"] for command in COMMANDS]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a recording and files that are wrong."""
+    made = tmp_path_factory.mktemp("wrong")
+    for name, body in SCENES.items():
+        (made / f"{name}.py").write_text(f"from maglev_mj import Hold, Scene\n\n\nclass Own(Scene):\n{body}")
+    for name, text in FILES.items():
+        (made / name).write_text(text)
+    assert cli.main(["drop", "--plant", "exact", "--record", str(made / "run.npz"), "--json", str(made / "json")]) == 0
+    return made
+
+
+@pytest.fixture
+def refused(folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Refused:
+    """Return a function that runs a wrong line and returns its message."""
+    monkeypatch.chdir(folder)
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    files = sorted(folder.iterdir())
+
+    def run(line: str) -> str:
+        capfd.readouterr()
+        try:
+            status = cli.main(line.split())
+        except SystemExit as stopped:
+            status = int(str(stopped.code))
+        captured = capfd.readouterr()
+        assert (status, captured.out) == (2, ""), captured
+        assert captured.err.startswith("maglev-mj") and captured.err.count("\n") == 1, captured.err
+        assert sorted(folder.iterdir()) == files  # and nothing was begun
+        return captured.err
+
+    return run
+
+
+@pytest.mark.parametrize(("line", "named"), LINES)
+def test_a_wrong_line_is_status_2_and_one_line_that_names_the_value(line: str, named: str, refused: Refused) -> None:
+    assert named in refused(line)
+
+
+def test_every_command_is_tried_with_several_lines() -> None:
+    words = [line.split()[0] for line, _ in LINES]
+    assert {command for command in COMMANDS if words.count(command) < 2} == set() and len(LINES) > 160
