@@ -6,6 +6,7 @@ For products of masses, delays and hands.
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -18,7 +19,7 @@ from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import HANDS, get_hand
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall, growing_cases, hardest_contact
-from maglev_mj.theory import Case, DesignedWall, WallRequirements, design_wall, worst_case
+from maglev_mj.theory import Case, DesignedWall, WallRequirements, design_wall, is_stable, worst_case
 from maglev_mj.theory.boundary import ranges_of
 from maglev_mj.theory.closed_loop import SampledLoop
 from tests.sweeps import sweep
@@ -109,6 +110,86 @@ def test_no_stiffer_wall_bears_the_requirements(box: int, count: int) -> None:
     cases = [*needs.grid(3), wall.worst]
     for damping in wall.damping * np.geomspace(0.3, 3.0, count):
         assert needs.moduli(cases, 1.01 * wall.stiffness, float(damping)).max() > needs.modulus
+
+
+LIGHT = "1.5,8,300,0.4,30000"
+ISLAND = "1.70343,5.66451,363.848,23.7146,7005.97"
+SEVERAL = (*HANDS, "none", LIGHT, "0.3,10,500,2,3000", "1,3,300,1,9000", "5,10,100,20,100000", "0.1,0.3,100,0.2,2000")
+
+
+def random_needs(seed: int) -> WallRequirements:
+    random = np.random.default_rng(seed)
+    period, mass = 10.0 ** random.uniform(-3.3, -2.0), 10.0 ** random.uniform(-0.7, 0.3)
+    delay = random.uniform(0.0, 1.5) * period
+    return WallRequirements(
+        period=period,
+        mass=(mass, mass * random.uniform(1.0, 2.0)),
+        delay=(delay, delay * random.uniform(1.0, 1.5)),
+        hands=[str(hand) for hand in random.choice(SEVERAL, random.integers(1, 3), replace=False)],
+        modulus=float(random.choice([0.9, 0.97, 0.99, 0.999, 1.0])),
+    )
+
+
+def scanned(needs: WallRequirements, stiffness: float, count: int) -> float:
+    """Return the largest stiffness that a dense scan over both gains admits; `stiffness` is among them."""
+    unit = needs.nominal[0] / needs.period
+    dampings = np.array([0.0, *np.geomspace(1e-4, 8.0, count)]) * unit
+    gains = np.sort([stiffness, *np.geomspace(1e-6, 2.0, 60) * unit / needs.period])[:, None]
+    most = np.zeros((gains.size, dampings.size))
+    for _, loops in needs.loops(needs.grid(4), None):
+        for place in range(loops.shape[0]):
+            np.maximum(most, loops.part(loops.shape, place).modulus(gains, dampings), out=most)
+    borne = np.logical_and.accumulate(is_stable(most), axis=0) & (most <= needs.modulus)
+    return float((gains * borne).max())
+
+
+@pytest.mark.parametrize(
+    ("seeds", "count"),
+    [((0, 6, 9), 40), *(pytest.param(range(first, 30, 6), 150, marks=pytest.mark.study) for first in range(6))],
+)
+def test_no_wall_of_a_dense_scan_is_stiffer_than_the_designed_one(seeds: Iterable[int], count: int) -> None:
+    for seed in seeds:
+        needs = random_needs(seed)
+        try:
+            wall = design_wall(needs)
+        except ParameterError:
+            assert scanned(needs, 0.0, count) == 0.0, seed
+            continue
+        assert scanned(needs, 1.01 * wall.stiffness, count) < 1.01 * wall.stiffness, seed
+        assert densely(wall, seed, 300).max() <= needs.modulus * (1.0 + 1e-6), seed
+
+
+def test_a_wall_without_damping_is_found_for_a_light_grip() -> None:
+    # the grip's own resonance allows hardly any damping
+    needs = WallRequirements(hands=[LIGHT], mass=(0.5, 1.0), delay=(0.0, 0.004), modulus=0.999)
+    wall = design_wall(needs)
+    assert wall.stiffness > 410.0 and wall.damping < 0.3
+    assert densely(wall, seed=1).max() <= 0.999 * (1.0 + 1e-6)
+
+
+def test_a_wall_is_found_where_few_dampings_admit_one() -> None:
+    needs = WallRequirements(
+        period=1.0 / 1700.0, hands=["stylus"], mass=(0.995006, 1.397408), delay=(0.001809, 0.001892)
+    )
+    assert design_wall(needs).stiffness == pytest.approx(7534.6, rel=1e-3)
+
+
+def test_an_island_of_one_case_is_not_taken_where_another_is_unstable_below_it() -> None:
+    needs = WallRequirements(
+        period=8.5065e-3, mass=(0.3067, 0.35), delay=(1.6242e-3,) * 2, hands=[ISLAND], modulus=0.999
+    )
+    wall = design_wall(needs)
+    for mass in needs.mass:
+        loop = SampledLoop(period=needs.period, delay=needs.delay[0], mass=mass, hand=get_hand(ISLAND))
+        assert ranges_of(loop, wall.damping)[0][1] >= wall.stiffness * (1.0 - 1e-9)
+
+
+@pytest.mark.parametrize("delay", [0.003, 0.004])
+def test_the_dynamic_goal_finds_a_wall_where_the_static_one_does(delay: float) -> None:
+    needs = WallRequirements(hands=[LIGHT], delay=(delay,) * 2, modulus=0.999)
+    static, dynamic = (design_wall(needs, goal=goal) for goal in ("static", "dynamic"))
+    assert dynamic.dynamic_stiffness >= static.dynamic_stiffness > 100.0
+    assert dynamic.modulus <= 0.999 * (1.0 + 1e-9)
 
 
 @cache

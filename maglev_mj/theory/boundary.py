@@ -6,6 +6,7 @@ It is the largest stiffness up to which every wall is stable; stable ranges beyo
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple, Unpack, overload
 
 import numpy as np
@@ -23,6 +24,7 @@ __all__ = [
     "first_end",
     "flattened",
     "largest_stable_stiffness",
+    "maxima",
     "ranges_of",
     "spans",
     "stable_ranges",
@@ -235,13 +237,9 @@ def stiffest_of(loop: SampledLoop) -> StiffestWall:
 def _stiffest(loop: SampledLoop) -> tuple[float, float, bool]:
     """Return stiffness, damping and `on_jump` of one loop's stiffest wall."""
     stiff, damp = scales(loop)
-    dampings = _GRID * float(damp)
-    stiffness = first_end(*spans(loop, dampings, 1.0))[0]
-    sides = np.pad(stiffness, 1, constant_values=-1.0)
-    peaks = np.flatnonzero((stiffness > sides[:-2]) & (stiffness >= sides[2:]))
-    highest = peaks[np.argsort(-stiffness[peaks], kind="stable")[:_PEAKS]]
-    maxima = np.array([_maximum(loop, dampings, place) for place in highest])[:, None]
-    beside = np.maximum(maxima + np.maximum(maxima, dampings[1]) * _BESIDE, 0.0)
+    grid = _GRID * float(damp)
+    highest = maxima(lambda dampings: first_end(*spans(loop, dampings, 1.0))[0], grid, _FINEST)[:, None]
+    beside = np.maximum(highest + np.maximum(highest, grid[1]) * _BESIDE, 0.0)
     exact = boundary_of(loop, beside)
     row, column = np.unravel_index(int(np.argmax(exact)), exact.shape)
     most = float(exact[row, column])
@@ -250,13 +248,26 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float, bool]:
     return most, float(beside[row, column]), bool(exact[row].min() < most * (1.0 - _FALL))
 
 
-def _maximum(loop: SampledLoop, dampings: Array, best: int) -> float:
-    """Return the damping of the boundary's maximum beside a point of a grid."""
-    least = dampings[1]
-    while True:
-        low, high = dampings[max(best - 1, 0)], dampings[min(best + 1, dampings.size - 1)]
-        if high - low <= _FINEST * max(high, least):
-            return float(dampings[best])
-        # the best one so far is kept: at a jump all the others may be lower
-        dampings = np.unique([*np.linspace(low, high, _FINER), dampings[best]])
-        best = int(np.argmax(first_end(*spans(loop, dampings, 1.0))[0]))
+def maxima(function: Callable[[Array], Array], grid: Array, finest: float) -> Array:
+    """Return the places of a function's highest maxima, (M,), M at most 3.
+
+    Args:
+        function: Function of an array, may jump.
+        grid: First grid, ascending; finer ones close in on its maxima.
+        finest: Relative width of the last interval.
+    """
+    values = function(grid)
+    sides = np.pad(values, 1, constant_values=-1.0)
+    peaks = np.flatnonzero((values > sides[:-2]) & (values >= sides[2:]))
+    found = []
+    for best in peaks[np.argsort(-values[peaks], kind="stable")[:_PEAKS]]:
+        finer = grid
+        while True:
+            low, high = finer[max(best - 1, 0)], finer[min(best + 1, finer.size - 1)]
+            if high - low <= finest * max(high, grid[1]):
+                break
+            # the best one so far is kept: at a jump all the others may be lower
+            finer = np.unique([*np.linspace(low, high, _FINER), finer[best]])
+            best = int(np.argmax(function(finer)))
+        found.append(finer[best])
+    return np.array(found)

@@ -20,7 +20,7 @@ from maglev_mj.hand import get_hand
 from maglev_mj.laws import Law, ObserverWall
 from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
-from maglev_mj.theory.boundary import first_end, flattened, ranges_of, spans
+from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
 from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, least_dynamic_stiffness, rendered_stiffness
 
 __all__ = ["GOALS", "LAWS", "Case", "DesignedWall", "WallRequirements", "design_wall", "worst_case"]
@@ -31,9 +31,11 @@ GOALS = ("static", "dynamic")
 """Stiffness to maximize: at rest, or the least dynamic one."""
 
 _POLES = (0.0, 0.2, 0.4, 0.6)
-_DAMPINGS = np.geomspace(0.01, 6.0, 32)
+_DAMPINGS = np.array([0.0, *np.geomspace(1e-4, 8.0, 60)])
+_DENSE = np.array([0.0, *np.geomspace(1e-4, 8.0, 1000)])
 _GRID, _RANDOM, _ROUNDS, _MAP, _STARTS, _YIELDING = 9, 200, 8, 33, 3, 5
-_GOOD = 1e-3
+_GOOD, _NEAR = 1e-3, 1e-6
+_SOFTER = 1.0 - np.array([0.0, 1e-6, 1e-5, 1e-4, 1e-3])
 
 
 class Case(NamedTuple):
@@ -255,7 +257,8 @@ def design_wall(
     Each loop's largest modulus is at most the limit, and all softer walls of that damping are stable in it. The gains
     are found for the corners and the middle of the ranges. Then the worst case over the whole product is searched (a
     grid, random cases, and decreasing steps from the worst of them). If its modulus is too large, it is added to the
-    cases and the gains are found again.
+    cases and the gains are found again. Dampings from 0 to 8 m/T are searched; the static stiffness is within 1 % of a
+    dense scan over both gains.
 
     Args:
         requirements: Requirements on the wall.
@@ -304,15 +307,18 @@ def _bearing(requirements: WallRequirements, design: Design | None, goal: str, c
 
     Worse cases found on the way are added to `cases`.
     """
-    gains, best = _Gains(0.0, 0.0, 0.0), _Gains(0.0, 0.0, 0.0)
-    grid = requirements.grid(_YIELDING)
+    best = _Gains(0.0, 0.0, 0.0)
+    grid, limit = requirements.grid(_YIELDING), requirements.modulus * (1.0 + 1e-9)
     for _ in range(_ROUNDS):
         found = (_stiffest if goal == "static" else _least_yielding)(requirements, design, cases)
         if found is None:
-            return best if best.figure else None
-        gains = found
-        modulus, case = worst_case(requirements, gains.stiffness, gains.damping, design)
-        if modulus > requirements.modulus * (1.0 + 1e-9):
+            break
+        for share in _SOFTER:  # a crossing of the limit is exact to about 1e-6
+            gains = found._replace(stiffness=found.stiffness * share, figure=found.figure * share)
+            modulus, case = worst_case(requirements, gains.stiffness, gains.damping, design)
+            if not limit < modulus < limit * (1.0 + _NEAR):
+                break
+        if modulus > limit:
             cases.append(case)
             continue
         if goal == "static":
@@ -323,14 +329,10 @@ def _bearing(requirements: WallRequirements, design: Design | None, goal: str, c
         if yields.min() >= 0.99 * gains.figure:
             return best
         cases.append(grid[int(np.argmin(yields))])
-    if best.figure:
-        return best
-    # the modulus is only slightly too large: reduce the stiffness
-    for share in 1.0 - _GOOD * np.arange(1.0, 6.0):
-        softer = gains._replace(stiffness=gains.stiffness * share, figure=gains.figure * share)
-        if worst_case(requirements, softer.stiffness, softer.damping, design)[0] <= requirements.modulus:
-            return softer
-    return None
+    if best.figure or goal == "static":
+        return best if best.figure else None
+    stiffest = _bearing(requirements, design, "static", cases)  # better than none
+    return None if stiffest is None else stiffest._replace(figure=0.0)
 
 
 def _admitted(requirements: WallRequirements, design: Design | None, cases: Sequence[Case], damping: Array) -> Array:
@@ -365,19 +367,22 @@ def _admitted(requirements: WallRequirements, design: Design | None, cases: Sequ
 def _stiffest(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
     """Return the gains of the largest static stiffness.
 
-    The stiffness is explicit at each damping; the damping is searched on successively finer grids.
+    The stiffness is explicit at each damping. Only where a grid of dampings admits none, a dense one is searched.
     """
-    damping = _DAMPINGS * requirements.nominal[0] / requirements.period
-    while True:
+    unit = requirements.nominal[0] / requirements.period
+
+    def figure(damping: Array) -> Array:
         stiffness = _admitted(requirements, design, cases, damping)
-        figure = _rendered(design, requirements.period, stiffness, damping) * (stiffness > 0.0)
-        best = int(np.argmax(figure))
-        low, high = damping[max(best - 1, 0)], damping[min(best + 1, len(damping) - 1)]
-        if not figure[best] > 0.0:
-            return None
-        if high - low <= _GOOD * high:
-            return _Gains(float(stiffness[best]), float(damping[best]), float(figure[best]))
-        damping = np.linspace(low, high, 12)
+        return _rendered(design, requirements.period, stiffness, damping) * (stiffness > 0.0)
+
+    for grid in (_DAMPINGS * unit, _DENSE * unit):
+        damping = maxima(figure, grid, _GOOD)
+        figures = figure(damping)
+        best = int(np.argmax(figures))
+        if figures[best] > 0.0:
+            stiffness = _admitted(requirements, design, cases, damping)
+            return _Gains(float(stiffness[best]), float(damping[best]), float(figures[best]))
+    return None
 
 
 def _least_yielding(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
@@ -396,13 +401,14 @@ def _least_yielding(requirements: WallRequirements, design: Design | None, cases
         return stiffness, yields.min(axis=0)
 
     unit = requirements.nominal[0] / requirements.period
-    shares, dampings = np.linspace(0.05, 1.0, 20), np.linspace(0.1, 3.0, 24) * unit
+    shares = np.linspace(0.05, 1.0, 20)
+    dampings = np.array([0.0, *np.geomspace(1e-3, 0.1, 6, endpoint=False), *np.linspace(0.1, 3.0, 24)]) * unit
     _, coarse = search(shares, dampings)
     found = _Gains(0.0, 0.0, 0.0)
     for _ in range(_STARTS):
         row, column = np.unravel_index(int(coarse.argmax()), coarse.shape)
         coarse[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] = 0.0  # excluded from the next start
-        at, wide = np.array([shares[row], dampings[column]]), np.array([0.1, 0.2 * unit])
+        at, wide = np.array([shares[row], dampings[column]]), np.array([0.1, min(dampings[column], 0.2 * unit)])
         best = 0.0
         for _ in range(6):
             share, damping = (centre + size * np.linspace(-1.0, 1.0, 7) for centre, size in zip(at, wide))
