@@ -49,6 +49,10 @@ class Estimate:
     residual: float = math.nan
     why: str = ""
 
+    def beyond(self, least: float, most: float) -> bool:
+        """Return whether the value is known, and outside a range."""
+        return self.value < least or self.value > most
+
     @classmethod
     def of(cls, value: float, error: float, degrees: float, residual: float) -> Self:
         """Return an estimate with the interval of Student's t."""
@@ -169,9 +173,27 @@ class Identification:
             return min(known, key=lambda one: one.error)
         return found[0] if found else Estimate(why="nothing moves")
 
+    @property
+    def outside(self) -> list[str]:
+        """Quantities outside the ranges in which the intervals were tested, in words.
+
+        See docs/explanation/analysis.md.
+        """
+        found = [
+            f"{one.name} at {one.share.value:.0%} of the limit" for one in self.walls if one.share.beyond(0.1, 0.8)
+        ]
+        for axis, rub in self.friction.items():
+            if axis < 3 and rub.breakaway.beyond(0.5, 3.0):
+                found.append(f"breakaway {rub.breakaway.value:.2g} N on {AXES[axis]}")
+        for axis, one in self.axes.items():
+            if axis < 3 and (one.noise.beyond(0.0, 5.05e-6) or one.quantum.beyond(0.0, 5.05e-6)):
+                found.append(f"noise or steps above 5 µm on {AXES[axis]}")
+        return found
+
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
         return {
+            "outside": self.outside,
             "samples": self.samples,
             "of": self.of,
             "delay": self.delay.as_json(),

@@ -50,6 +50,8 @@ def identified_lines(found: Identification) -> list[str]:
     for (names, why), all_of in untold.items():
         whose = f"of {', '.join(all_of)}: " if any(all_of) else ""
         lines += [*wrapped(f"cannot be told: {names}", further=_IN), *wrapped(whose + why, _IN)]
+    if found.outside:
+        lines += wrapped(f"outside the ranges in which errors were tested: {', '.join(found.outside)}", further=_IN)
     if found.samples < found.of:
         lines.append(f"  from {found.samples} of {found.of} samples: docs/explanation/analysis.md says which")
     return lines
