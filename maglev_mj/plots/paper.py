@@ -168,20 +168,15 @@ def _published(scene: Drop) -> tuple[float, float, float] | None:
     return None
 
 
-def _pulsed(scene: Drop) -> bool:
-    wall = _published(scene)
-    return wall is not None and wall[2] > 0.0
-
-
 def _styles(scenes: Mapping[str, Drop]) -> dict[str, dict[str, Any]]:
     """Return the line style of each drop by label, those without a pulse dashed."""
-    shared, styles, counts = {"linewidth": 1.8}, {}, Counter[bool]()
+    styles, counts = {}, Counter[bool]()
     for label, scene in scenes.items():
-        pulsed = _pulsed(scene)
+        pulsed = (_published(scene) or (0.0,))[-1] > 0.0
         colours, dashes = (_PULSED, ("-",)) if pulsed else (_PLAIN, _DASHES)
         place, counts[pulsed] = counts[pulsed], counts[pulsed] + 1
-        line = {"color": colours[place % len(colours)], "linestyle": dashes[place % len(dashes)]}
-        styles[label] = shared | line | {"zorder": 4 if pulsed else 3, "label": label}
+        line = {"color": colours[place % len(colours)], "linestyle": dashes[place % len(dashes)], "linewidth": 1.8}
+        styles[label] = line | {"zorder": 4 if pulsed else 3, "label": label}
     return styles
 
 
@@ -206,7 +201,7 @@ def _columns(results: Mapping[str, Result], sweeps: Mapping[str, Phases], time: 
         band = run(scene.replace(duration=float(time[-1])), plant="exact", phase=phases)
         less_deep = scene.less_deep(result.figures["penetration"], band.figures["penetration"])
         drop = _Drop(result, styles[label], _shown(result, time), _shown(band, time), less_deep, phases.size)
-        (pulsed if _pulsed(scene) else plain).append(drop)
+        (pulsed if styles[label]["linestyle"] == "-" else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
 
 
@@ -273,15 +268,9 @@ def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: 
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     first = next(iter(results.values()))
-    for place, (label, result) in enumerate(results.items()):
-        series = result.series(1e-4)
-        style = {
-            "color": (FIRST, SECOND)[place % 2],
-            "linestyle": ("-", "--")[place % 2],
-            "linewidth": 1.4,
-            "zorder": 3 - place,
-            "label": label,
-        }
+    styles = _styles({label: result.scene for label, result in results.items()})
+    for label, result in results.items():
+        series, style = result.series(1e-4), styles[label] | {"linewidth": 1.4}
         upper.plot(series["time"], series["z"] * 1e3, **style)
         lower.step(series["time"], series["force"], where="post", **style)
     bottom, top = upper.get_ylim()

@@ -368,4 +368,5 @@ def stepping_name(integrator: str, step: float | None) -> str:
 
     The longest step is in [s].
     """
-    return f"{integrator}, {'a step a segment' if step is None else f'{step * 1e3:g} ms'}"
+    length = "a step a segment" if step is None else f"{step * 1e3:g} ms"
+    return integrator if integrator == "closed form" else f"{integrator}, {length}"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from maglev_mj.studies.fidelity import MARGIN, FidelityResult, StepResult, stepping_name
+from maglev_mj.studies.fidelity import MARGIN, FidelityResult, stepping_name
 from maglev_mj.studies.fidelity_cases import has_gains
 from maglev_mj.studies.fidelity_levels import DEAR, DEAR_CASES, LevelResult
 from maglev_mj.studies.levels import level_index
@@ -59,12 +59,10 @@ def fidelity_table(result: FidelityResult) -> str:
         ),
     ]
     for step in result.steps[:_STEPS_SHOWN]:
-        mark = ">" if step is result.cheapest else " "
+        mark, name = ">" if step is result.cheapest else " ", stepping_name(*step[:2])
         shift = "" if step.shift is None else f"{step.shift:+.1%}" if abs(step.shift) >= 5e-4 else "0 %"
         worst = "" if step.missing is None else _micro(step.missing)
-        lines.append(
-            f"  {mark} {_stepping(step):<36}{_micro(step.error):>10}{shift:>9}{worst:>11}{step.cost * 1e3:>10.1f}"
-        )
+        lines.append(f"  {mark} {name:<36}{_micro(step.error):>10}{shift:>9}{worst:>11}{step.cost * 1e3:>10.1f}")
     if diverged_steps := sum(not np.isfinite(step.error) for step in result.steps):
         lines.append(f"    {diverged_steps} diverge")
     if result.cheapest is None:
@@ -72,7 +70,9 @@ def fidelity_table(result: FidelityResult) -> str:
     most = MARGIN * (result.cheapest.missing or 0.0)
     lines += [
         "",
-        *wrapped(f"take {chosen.level} with {_stepping(result.cheapest)}: {result.cheapest.cost * 1e3:.1f} µs a ms"),
+        *wrapped(
+            f"take {chosen.level} with {stepping_name(*result.cheapest[:2])}: {result.cheapest.cost * 1e3:.1f} µs a ms"
+        ),
         *wrapped(
             f"within {_micro(most)} in {result.over.share:.4g} of {_cases(result)}, the margin of {MARGIN:g} included; "
             f"{_others(result)}"
@@ -144,10 +144,6 @@ def levels_table(found: Mapping[str, Sequence[LevelResult]]) -> str:
 def _added(levels: Sequence[LevelResult]) -> list[str]:
     """Return one line per level about its addition."""
     return [f"  {row.level:<10}{row.adds}" for row in levels]
-
-
-def _stepping(step: StepResult) -> str:
-    return step.integrator if step.integrator == "closed form" else stepping_name(step.integrator, step.step)
 
 
 def _newtons(change: float) -> str:
