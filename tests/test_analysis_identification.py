@@ -368,3 +368,12 @@ def test_a_stop_that_nobody_recorded_does_not_pass_for_a_weight() -> None:
     known = metadata_of(stretch, rebuild)
     one = identify(stretch, known).axes[2].force_error
     assert not one.known or holds(one, 0.0)
+
+
+def test_what_lies_outside_the_tested_ranges_is_named() -> None:
+    assert found_in(Drop(), 0.3, "exact").outside == []
+    stiff = found_in(Drop(stiffness=9000.0), 0.3, "exact")
+    assert stiff.outside == ["z below 0 mm at 89% of the limit"] and stiff.as_json()["outside"] == stiff.outside
+    assert any("outside the ranges in which errors were tested" in line for line in identified_lines(stiff))
+    soft = found_in(Drop(stiffness=800.0, quantize=2e-5), 0.3, "exact")
+    assert soft.outside == ["z below 0 mm at 8% of the limit", "noise or steps above 5 µm on z"]

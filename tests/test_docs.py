@@ -19,6 +19,8 @@ import pytest
 import maglev_mj
 from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
+from maglev_mj.bridge.connection import estop
+from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import parser
 from maglev_mj.cli.arguments import joined
@@ -236,3 +238,11 @@ def test_pages_and_examples_take_a_name_from_the_top_of_the_package() -> None:
 def test_every_name_of_the_package_has_an_example() -> None:
     found = {name: getattr(maglev_mj, name) for name in dir(maglev_mj)}
     assert not [name for name, one in found.items() if callable(one) and ">>> " not in (one.__doc__ or "")]
+
+
+def test_the_emergency_stop_says_what_the_drill_waits_for() -> None:
+    quoted = re.findall(r"says `([^`]+)`; `([^`]+)` means", text_of("docs/howto/commission.md"))
+    report = estop(VirtualLink(Twin(TwinParameters())))
+    assert [(re.sub(r"[\d.]+", "0", stopped), failed) for stopped, failed in quoted] == [
+        (re.sub(r"[\d.]+", "0", str(report)), str(report._replace(confirmed=False)).partition(" (")[0])
+    ]
