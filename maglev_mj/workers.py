@@ -120,7 +120,7 @@ def chosen_workers(workers: Workers | int | None) -> Workers:
     Raises:
         ParameterError: If it is neither.
     """
-    if isinstance(workers, Integral):
+    if isinstance(workers, int | Integral):
         return local_workers(int(workers))
     check_instance("workers", workers, Workers | None, "a number of processes or dask_workers(...)")
     return workers or inline()

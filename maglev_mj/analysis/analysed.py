@@ -20,8 +20,6 @@ from maglev_mj.recording import InvalidRecordingError, Rebuild, RunMetadata, Str
 from maglev_mj.scenes import Scene
 from maglev_mj.tabular import Table, Tabular
 
-__all__ = ["Analysed", "Run", "analyse"]
-
 _STILL = 1e-9
 
 

@@ -15,8 +15,6 @@ from maglev_mj.frames import Array, Mask
 from maglev_mj.recording import RunMetadata, Stretch
 from maglev_mj.recording.metadata import Face
 
-__all__ = ["CommandedLaw", "fit_law", "is_inside"]
-
 _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 
 

@@ -22,8 +22,6 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.legacy import parameters_in, recorded_scene
 from maglev_mj.session import live_plant
 
-__all__ = ["Comparison", "compare", "simulate"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Comparison:

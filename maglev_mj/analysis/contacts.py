@@ -13,8 +13,6 @@ from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.metrics import Hardness, perceived_hardness, summarise_bounce
 from maglev_mj.trace import Trace
 
-__all__ = ["HARDNESS_WINDOW", "Contact", "FaceFigures", "face_figures", "plain"]
-
 HARDNESS_WINDOW = 0.005
 """Window of the force rise for the hardness [s]."""
 

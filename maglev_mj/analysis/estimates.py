@@ -17,8 +17,6 @@ from maglev_mj.analysis.output_error import Fit, student
 from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.recording.metadata import Face
 
-__all__ = ["Estimate", "Friction", "Identification", "OfAxis", "OfWall", "find_noise", "find_quantum"]
-
 _DITHERED = 1.0 / 12.0 + 0.25
 """Least mean square of a dithered sensor's error, in steps².
 

@@ -14,8 +14,6 @@ from maglev_mj.energy import actuator_work, hand_work
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording import RunMetadata
 
-__all__ = ["Energy", "Stick", "StretchFigures", "stretch_figures"]
-
 
 class Energy(NamedTuple):
     """Energy balance of each axis [J], (6,) each.

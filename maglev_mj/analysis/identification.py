@@ -32,8 +32,6 @@ from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.closed_loop import MOST_PERIODS
 from maglev_mj.timeline import recorded_switches, split_delay
 
-__all__ = ["identify"]
-
 _MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6
 _CLEAR = 10.0
 """Least ratio of caused motion to noise for identification."""

@@ -13,8 +13,6 @@ from maglev_mj.recording import InvalidRecordingError, RunMetadata, Stretch
 from maglev_mj.timeline import recorded_switches
 from maglev_mj.trace import Trace
 
-__all__ = ["Motion", "reconstruct"]
-
 _ROUNDING = 1e-9
 
 Numbers: TypeAlias = NDArray[np.intp]

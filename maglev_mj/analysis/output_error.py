@@ -24,8 +24,6 @@ from numpy.typing import NDArray
 from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import flag
 
-__all__ = ["SLOW", "Fit", "Forces", "Windows", "fit", "inverse", "student"]
-
 _SINGULAR, _ROUNDS = 1e-10, 40
 _LEAST_SAMPLES, _WINDOW_TIME = 40, 0.05
 _MOST_LEVERAGE = 0.9

@@ -21,8 +21,6 @@ from maglev_mj.parameters import number, numbers
 from maglev_mj.sensing.geometry import Beams
 from maglev_mj.spec import GRAVITY, INERTIA
 
-__all__ = ["Calibration", "CalibrationError", "InvalidCalibrationError"]
-
 _FORMAT = "maglev_mj calibration 1"
 _UNIT_LENGTH = 1e-9
 

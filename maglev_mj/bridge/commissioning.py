@@ -14,8 +14,6 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.parameters import number
 
-__all__ = ["CoilCheck", "check_coil", "mean_pose", "record_step", "with_offsets"]
-
 _PAUSE = 0.25  # [s] a current is on before its displacement is measured, and then again
 _SEEN = 5.0  # standard errors from which a displacement counts
 _CLOSE = 0.5  # cosine between the displacement and the calibration's force from which both agree

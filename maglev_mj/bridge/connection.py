@@ -34,8 +34,6 @@ from maglev_mj.frames import ZERO
 from maglev_mj.net.udp import Link, open_link
 from maglev_mj.parameters import number
 
-__all__ = ["Connection", "EstopReport", "SampleCounter", "estop"]
-
 _AGAIN = 0.02
 """Interval at which an unanswered request is repeated [s]."""
 

@@ -21,8 +21,6 @@ from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.versions import versions
 
-__all__ = ["BlackBox", "BlackBoxError", "DeviceFault", "FaultRecord", "HandshakeError", "load_black_box"]
-
 _KEPT = 200
 _SIX = range(6)
 _SPOTS, _HELD, _PULSED, _MEASURED, _WARM = (

@@ -13,8 +13,6 @@ from maglev_mj.bridge.wire import StateReport
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.parameters import number
 
-__all__ = ["INJECTED_FAULTS", "Effect", "InjectedFault"]
-
 _MS = 1_000_000
 
 

@@ -16,8 +16,6 @@ from maglev_mj.bridge.wire import Codec, Command, Control, Estop, Fault, HelloSt
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import flag
 
-__all__ = ["Amplifiers", "Firmware", "Profile", "Reading"]
-
 _NEVER = 0xFFFFFFFF
 _GAP = 2
 _SILENCE = 1_000_000_000

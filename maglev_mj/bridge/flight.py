@@ -42,17 +42,6 @@ from maglev_mj.session import (
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory import stability
 
-__all__ = [
-    "LANDING_TIME",
-    "LINE_TIME",
-    "Flight",
-    "FlightReport",
-    "LoopTiming",
-    "StopSwitch",
-    "delay_check",
-    "expected_delay",
-]
-
 _USUAL = 100  # answers whose median is the usual delay: one late answer makes no loop unstable
 _RENEWED = 2_000_000_000  # [ns] the quickest way is looked for in: clocks drift apart by up to 100 µs a second
 _NOTE = "the hand, the rate and the delay are the device's"

@@ -40,21 +40,6 @@ from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import Plant
 from maglev_mj.timeline import split_delay
 
-__all__ = [
-    "LINES",
-    "CurrentPlant",
-    "IdentificationError",
-    "Identified",
-    "Motion",
-    "Shaker",
-    "Trim",
-    "added_mass",
-    "collect",
-    "excitation",
-    "find_delay",
-    "identify",
-]
-
 LINES = np.array([[4.5 + axis, 10.5 + axis] for axis in range(6)])
 """Excitation frequencies, two per axis [Hz], (6, 2).
 

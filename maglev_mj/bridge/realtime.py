@@ -20,8 +20,6 @@ from numpy.typing import NDArray
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.parameters import number
 
-__all__ = ["LatencyHistogram", "Realtime", "RealtimeError", "interrupt", "realtime", "stopping"]
-
 
 class LatencyHistogram:
     """Latencies of a loop: recent values and the maximum.

@@ -33,8 +33,6 @@ from maglev_mj.loop import ControlLoop
 from maglev_mj.net.udp import Link, LinkError, open_link
 from maglev_mj.sensing.solver import PoseTracker
 
-__all__ = ["RemotePlant"]
-
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
 _NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6
 _MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)

@@ -19,21 +19,6 @@ from maglev_mj.parameters import Parameters, numbers, param
 from maglev_mj.spec import Spec
 from maglev_mj.timeline import Timeline, Timing
 
-__all__ = [
-    "OFF",
-    "WARNING_RISE",
-    "CoilGuard",
-    "FlotorGuard",
-    "HostLimits",
-    "Limits",
-    "OutputLimiter",
-    "SpotGuard",
-    "ThermalModel",
-    "command_fault",
-    "reading_fault",
-    "weight_fault",
-]
-
 WARNING_RISE = 0.8
 """Temperature rise of a warning, as share of the limit."""
 

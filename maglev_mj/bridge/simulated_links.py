@@ -20,8 +20,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.net.udp import Address, UdpLink, UdpServer
 from maglev_mj.parameters import number
 
-__all__ = ["Impairer", "Impairment", "UdpProxy", "VirtualLink"]
-
 _LOOK = 0.05  # [s] between looks at a line on which nothing happens
 _PEER = "host"
 _NEVER = 2**63

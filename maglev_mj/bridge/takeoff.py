@@ -17,8 +17,6 @@ from maglev_mj.laws import Bias, Hold
 from maglev_mj.parameters import number
 from maglev_mj.spec import Spec
 
-__all__ = ["LandingReport", "Leader", "Motion", "off_stop", "shown"]
-
 _ASIDE, _ASKEW = 0.002, math.radians(3.0)
 
 _SLOW, _SLOW_SPIN = 5e-3, 0.1

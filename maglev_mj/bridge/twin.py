@@ -31,8 +31,6 @@ from maglev_mj.parameters import flag, number
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.spec import Spec
 
-__all__ = ["REST", "AmplifierBoard", "ServerReport", "Twin", "TwinParameters", "TwinServer"]
-
 REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
 """Pose at rest on the lower stop [m, rad]."""
 

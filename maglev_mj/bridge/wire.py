@@ -17,29 +17,6 @@ from typing import Any, NamedTuple, TypeAlias
 
 from maglev_mj.net.authentication import TAG, Authenticator
 
-__all__ = [
-    "MAGIC",
-    "VERSION",
-    "Codec",
-    "Command",
-    "Control",
-    "ControlAck",
-    "Estop",
-    "EstopAck",
-    "Fault",
-    "Flag",
-    "Frame",
-    "Hello",
-    "HelloAck",
-    "HelloStatus",
-    "Operation",
-    "Result",
-    "State",
-    "StateReport",
-    "fault_names",
-    "newer",
-]
-
 
 class State(IntEnum):
     """State of a device.

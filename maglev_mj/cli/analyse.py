@@ -23,8 +23,6 @@ from maglev_mj.tables import analysis_table
 from maglev_mj.terminal import say
 from maglev_mj.versions import versions_read
 
-__all__ = ["add_options"]
-
 
 def add_options(parser: Parser) -> None:
     """Add the options of the command."""

@@ -14,8 +14,6 @@ from typing import Any, TypeAlias
 from maglev_mj.errors import meant, not_one_of
 from maglev_mj.terminal import WIDTH
 
-__all__ = ["Container", "Parser", "joined", "offer"]
-
 Container: TypeAlias = argparse._ActionsContainer
 """A parser, or a group of its options."""
 

@@ -35,8 +35,6 @@ from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot, device_actions
 from maglev_mj.tables import flown_table, latched_table, timing_table
 from maglev_mj.terminal import say, wrapped
 
-__all__ = ["add_options"]
-
 _IDENTIFYING = 10.0
 _FLYING = "record", "view", "web", "seconds", "spacenav", "foxglove"
 

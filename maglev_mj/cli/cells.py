@@ -16,8 +16,6 @@ from maglev_mj.studies.cells import Record, StudyInterrupted
 from maglev_mj.versions import differences, versions
 from maglev_mj.workers import Workers, WorkersError, dask_workers, local_workers
 
-__all__ = ["add_workers", "cells_kept", "chosen_workers", "tell_of_others"]
-
 
 def add_workers(parser: Parser, record: str) -> None:
     """Add --record, --workers and --scheduler.

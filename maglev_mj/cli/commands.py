@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-__all__ = ["COMMANDS", "GROUPS", "Command"]
-
 
 class Command(NamedTuple):
     """Command with a module that has `add_options(parser)`.

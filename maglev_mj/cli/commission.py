@@ -22,8 +22,6 @@ from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
 from maglev_mj.terminal import cell
 
-__all__ = ["add_options"]
-
 _SHOWN = 0.25  # [s] between two lines of spots
 _BLOCKED = "  the flotor must be blocked by something soft; nothing is checked for a hand"
 

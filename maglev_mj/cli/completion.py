@@ -18,8 +18,6 @@ import maglev_mj
 from maglev_mj.cli.arguments import Parser, offer
 from maglev_mj.scenes.names import BUILT_IN, scene_names
 
-__all__ = ["complete"]
-
 _FILES = "FILE", "DIR", "PATH"
 _KEPT = "dest", "nargs", "metavar", "choices", "help"
 _NO_SCENE = r"-(?!-scene).*|[\d.]+(e-?\d+)?"

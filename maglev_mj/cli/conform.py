@@ -19,8 +19,6 @@ from maglev_mj.net.udp import open_link, parse_url
 from maglev_mj.terminal import say, wrapped
 from maglev_mj.versions import versions
 
-__all__ = ["add_options"]
-
 _WORDS = {True: "pass", False: "FAIL", None: "skip"}
 _FORMAT = "maglev_mj conformance 1"
 

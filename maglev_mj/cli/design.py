@@ -20,8 +20,6 @@ from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.tables import design_table
 from maglev_mj.theory import GOALS, LAWS, WallRequirements, design_wall
 
-__all__ = ["add_options"]
-
 _RANGES = "mass", "delay"
 
 

@@ -11,8 +11,6 @@ from maglev_mj.cli.options import add_key, chosen_key
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.terminal import say
 
-__all__ = ["add_options"]
-
 
 def add_options(parser: Parser) -> None:
     """Add the options of the command."""

@@ -11,8 +11,6 @@ from maglev_mj.cli.writable import check_outputs
 from maglev_mj.recording import EXPORTS, Recording, export
 from maglev_mj.terminal import say
 
-__all__ = ["add_options"]
-
 
 def add_options(parser: Parser) -> None:
     """Add the options of the command."""

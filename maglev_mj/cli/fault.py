@@ -11,8 +11,6 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.tables import fault_table
 
-__all__ = ["add_options"]
-
 
 def add_options(parser: Parser) -> None:
     """Add the options of the command."""

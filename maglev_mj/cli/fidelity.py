@@ -15,8 +15,6 @@ from maglev_mj.studies.fidelity_cases import COMPARED, preset_of
 from maglev_mj.studies.fidelity_levels import measure_levels
 from maglev_mj.tables import fidelity_table, levels_table
 
-__all__ = ["add_options"]
-
 _RANGE = "what the answer is to hold for"
 _BY_LEVEL = ("quantize",)
 """Parameters that are a model level here: the sensor's steps."""

@@ -15,8 +15,6 @@ from maglev_mj.hand_devices.device import HAND_MAPPING, HandDevice
 from maglev_mj.hand_devices.find import AUTO, described_devices, open_device
 from maglev_mj.terminal import say
 
-__all__ = ["add_hand_device", "chosen_hand_device"]
-
 _LIST, _PREFIX = "list", "hand-"
 
 

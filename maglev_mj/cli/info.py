@@ -9,8 +9,6 @@ from maglev_mj.cli.options import add_json
 from maglev_mj.cli.output import write_results
 from maglev_mj.report import device_report, device_table
 
-__all__ = ["add_options"]
-
 
 def add_options(parser: Parser) -> None:
     """Add the options of the command."""

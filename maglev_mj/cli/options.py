@@ -16,24 +16,6 @@ from maglev_mj.frames import unit_of
 from maglev_mj.net.authentication import LEAST_KEY, MOST_KEY
 from maglev_mj.parameters import Parameter, Parameters
 
-__all__ = [
-    "add_bridge",
-    "add_calibration",
-    "add_inverse",
-    "add_json",
-    "add_key",
-    "add_outputs",
-    "add_parameters",
-    "add_recording",
-    "chosen",
-    "chosen_key",
-    "count",
-    "described",
-    "given",
-    "number_option",
-    "range_of",
-]
-
 P = TypeVar("P", bound=Parameters)
 
 _APART = "parameter "

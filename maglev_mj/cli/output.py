@@ -13,12 +13,6 @@ from maglev_mj.errors import DivergenceError
 from maglev_mj.plots import PictureFolder
 from maglev_mj.versions import versions
 
-__all__ = [
-    "keep_partial",
-    "write_json",
-    "write_results",
-]
-
 
 def keep_partial(error: DivergenceError, options: argparse.Namespace) -> None:
     """Write the results of a run until it diverged."""

@@ -11,8 +11,6 @@ from maglev_mj.cli.writable import check_folder
 from maglev_mj.errors import ParameterError
 from maglev_mj.plots import FORMATS, PictureFolder, require
 
-__all__ = ["add_pictures", "chosen_pictures", "script_options"]
-
 
 def add_pictures(parser: Parser, told: str = "write pictures to this folder", default: Path | None = None) -> None:
     """Add --out and --format.

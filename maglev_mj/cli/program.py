@@ -23,8 +23,6 @@ from maglev_mj.interrupts import Interrupts
 from maglev_mj.terminal import say
 from maglev_mj.viewer.backend import check_mujoco_gl
 
-__all__ = ["main", "parser"]
-
 _UNREAD = 141  # as a shell gives for a program that a closed pipe ends
 
 

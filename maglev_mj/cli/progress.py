@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Self, TextIO
 
-__all__ = ["Progress"]
-
 _WIDTH, _SLIDER = 30, 6
 _ERASED = "\r\x1b[K"
 

@@ -17,8 +17,6 @@ from maglev_mj.parameters import number
 from maglev_mj.session import STEP_FORCE, Publisher
 from maglev_mj.terminal import say
 
-__all__ = ["OpenPublishers", "add_foxglove", "add_publishers", "chosen_foxglove", "chosen_publishers"]
-
 
 class OpenPublishers(NamedTuple):
     """Opened connections to other programs.

@@ -13,8 +13,6 @@ from maglev_mj.cli.scenes import add_scene, chosen_scene
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
 
-__all__ = ["add_options"]
-
 _LEAST, _MOST = 160, 4000
 
 

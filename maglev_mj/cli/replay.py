@@ -24,9 +24,6 @@ from maglev_mj.tables import verdict_table
 from maglev_mj.terminal import say, wrapped
 from maglev_mj.versions import differences, versions, versions_read
 
-__all__ = ["add_options", "add_own_scene", "own_code"]
-
-
 _COMPARED, _LEAST_COMPARED = 10_000, 10
 """Commands compared before other code's recording is shown.
 

@@ -21,8 +21,6 @@ from maglev_mj.scenes.run import Phases, Result, run, run_phases
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.tables import run_table
 
-__all__ = ["add_options"]
-
 
 def add_options(parser: Parser) -> None:
     """Add the options of `run` or a scene's own command."""

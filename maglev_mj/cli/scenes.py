@@ -17,8 +17,6 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.terminal import say
 
-__all__ = ["add_scene", "chosen_scene", "warn_of_instability"]
-
 _MORE = "SCENE is a name, FILE.py or FILE.py:CLASS; SCENE --help lists its own options."
 
 More = Callable[[Parser, type[Scene]], object]

@@ -26,8 +26,6 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import Session, real_time
 from maglev_mj.terminal import say
 
-__all__ = ["add_options", "tour"]
-
 _SCENE = "joystick"
 
 _STEP = 1.0 / 240.0

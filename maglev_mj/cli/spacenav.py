@@ -13,9 +13,6 @@ from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.parameters import flag
 from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavMapping, SpacenavServer, Taps
 
-__all__ = ["add_spacenav", "chosen_spacenav"]
-
-
 _AXES_TOLD: dict[str, Callable[..., Any]] = {"pose": PoseAxes, "rate": RateAxes}
 """Reported axes by name."""
 

@@ -23,8 +23,6 @@ from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.tables import drop_table, loop_table, stability_table
 from maglev_mj.theory import stability
 
-__all__ = ["add_options"]
-
 _RANGES = "damping", "stiffness"
 _WALL = "parameters of a wall"
 _DROP = "a map of drops instead, where one of these is given"

@@ -26,8 +26,6 @@ from maglev_mj.studies.sweep import MOST_CELLS, sweep, value_of
 from maglev_mj.tables import sweep_table
 from maglev_mj.terminal import wrapped
 
-__all__ = ["add_options"]
-
 
 def add_options(parser: Parser) -> None:
     """Add the options of the command."""

@@ -15,8 +15,6 @@ from maglev_mj.session import Session
 from maglev_mj.tables import show_table
 from maglev_mj.tour import Tour
 
-__all__ = ["add_options"]
-
 
 def add_options(parser: Parser) -> None:
     """Add the options of the command."""

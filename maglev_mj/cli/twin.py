@@ -39,8 +39,6 @@ from maglev_mj.session import EMERGENCY_STOP, Publishers, SampledMotion, Snapsho
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.tables import served_table
 
-__all__ = ["add_options", "foam"]
-
 _LISTEN = "udp://127.0.0.1:5678"
 
 

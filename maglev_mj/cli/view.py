@@ -16,8 +16,6 @@ from maglev_mj.parameters import number
 from maglev_mj.session import Session
 from maglev_mj.tables import show_table
 
-__all__ = ["add_options"]
-
 
 def add_options(parser: Parser) -> None:
     """Add the options of the command."""

@@ -23,8 +23,6 @@ from maglev_mj.net.addresses import is_loopback, listen
 from maglev_mj.parameters import flag
 from maglev_mj.session import SnapshotSource
 
-__all__ = ["PORT", "add_web", "chosen_front", "chosen_page", "show_session"]
-
 PORT = 8123
 """Default port of the page."""
 

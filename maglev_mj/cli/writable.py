@@ -9,8 +9,6 @@ from pathlib import Path
 
 from maglev_mj.errors import ParameterError
 
-__all__ = ["check_folder", "check_outputs"]
-
 _OUTPUTS = "json", "record", "write", "identify", "out"
 _FILES = "render", "export"
 """Commands whose `out` is a file."""

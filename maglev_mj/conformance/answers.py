@@ -11,8 +11,6 @@ from maglev_mj.conformance.check import HALF, NAN, NEVER, QUIET, check, close, f
 from maglev_mj.conformance.tester import WRAP, Tester, draw, fail, is_off, same, shown
 from maglev_mj.frames import ZERO
 
-__all__: list[str] = []
-
 
 @check("HELLO_ACK has this version and calibration, and plausible numbers")
 def _welcome(t: Tester) -> str:

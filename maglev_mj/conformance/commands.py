@@ -13,9 +13,6 @@ from maglev_mj.conformance.check import HALF, NAN, NEVER, check, close, flipped,
 from maglev_mj.conformance.tester import WRAP, Tester, Unexpected, draw, fail, is_off, same, shown
 from maglev_mj.frames import ZERO
 
-__all__: list[str] = []
-
-
 _JUNK = 500
 
 

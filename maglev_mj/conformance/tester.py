@@ -24,8 +24,6 @@ from maglev_mj.frames import ZERO, Sample
 from maglev_mj.net.udp import Link
 from maglev_mj.sensing.solver import PoseTracker
 
-__all__ = ["WRAP", "Tester", "Unexpected", "draw", "fail", "is_off", "same", "shown"]
-
 WRAP = 0xFFFFFFFF
 _AGAIN, _PATIENCE, _TAKEOVER = 0.02, 2.0, 1.0  # [s]
 _ANSWERS: dict[type, type] = {wire.Hello: wire.HelloAck, wire.Control: wire.ControlAck, wire.Estop: wire.EstopAck}

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 from maglev_mj.session import Snapshot
 
-__all__ = ["Banner", "banner", "pace"]
-
 
 class Banner(NamedTuple):
     """Words over everything else.

@@ -11,8 +11,6 @@ from collections.abc import Callable, Sequence
 
 from maglev_mj.hand import SpringHand
 
-__all__ = ["SILENCE", "Glide"]
-
 SILENCE = 0.5
 """Silence after which the hand is released [s].
 

@@ -35,8 +35,6 @@ from maglev_mj.session import (
     settable,
 )
 
-__all__ = ["Front", "RemoteSession", "RemoteViewer", "ShowReport", "show_remotely"]
-
 _MOST_ROWS = 400
 _NAP = 0.001
 _LEAVE = 0.5

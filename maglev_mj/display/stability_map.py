@@ -16,8 +16,6 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.scenes import Scene
 from maglev_mj.theory import Verdict, inertia_of, largest_stable_stiffness, stability, stated_gains
 
-__all__ = ["Margin", "StabilityMap", "margin"]
-
 _DAMPINGS = 32
 _NOTHING = np.zeros(0)
 

@@ -10,8 +10,6 @@ from maglev_mj.frames import AXES
 from maglev_mj.session import Snapshot
 from maglev_mj.shapes import LEAST_FORCE
 
-__all__ = ["MetStops", "met_stops"]
-
 _LEAST_TORQUE = 1e-3
 """Below this no stop is met [N m]."""
 

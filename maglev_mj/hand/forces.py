@@ -20,8 +20,6 @@ from maglev_mj.frames import AXES, Array, Component, quaternion, rotation_vector
 from maglev_mj.hand.impedance import Hand
 from maglev_mj.parameters import number, numbers
 
-__all__ = ["GuidedHand", "HandForce", "RecordedHand", "SpringHand", "Trajectory"]
-
 State: TypeAlias = Callable[[], tuple[Array, Array]]
 """Function returning the flotor's present pose and twist.
 

@@ -12,8 +12,6 @@ from maglev_mj.errors import ParameterError, check_instance, not_one_of
 from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import axis_indices, common_shape, numbers
 
-__all__ = ["HANDS", "Hand", "exponential", "get_hand", "motion", "transition"]
-
 HANDS: Mapping[str, tuple[float, ...]] = {
     "none": (),
     # one trial: van Beek, Bergmann Tiest, Mugge & Kappers 2015, figure 3

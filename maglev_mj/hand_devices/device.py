@@ -13,8 +13,6 @@ from maglev_mj.session import Snapshot
 from maglev_mj.spacenav import AxisMapping
 from maglev_mj.spec import RANGE
 
-__all__ = ["HAND_MAPPING", "HandDevice"]
-
 HAND_MAPPING = AxisMapping(gain=3.0, turning_gain=3.0, dead_zone=0.15)
 """Default settings of the axes.
 

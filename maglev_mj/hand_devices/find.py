@@ -10,8 +10,6 @@ from maglev_mj.hand_devices.mouse import SpacenavMouse
 from maglev_mj.hand_devices.reading import InputDevice
 from maglev_mj.spacenav import searched_paths
 
-__all__ = ["AUTO", "described_devices", "open_device"]
-
 AUTO = "auto"
 """Name that selects the first available device."""
 

@@ -15,8 +15,6 @@ from maglev_mj.frames import AXES
 from maglev_mj.hand_devices.reading import BUTTONS, GONE, Reading
 from maglev_mj.process import SideProcess
 
-__all__ = ["Gamepad", "gamepad_names", "gamepad_shares", "watch"]
-
 _PERIOD = 1.0 / 120.0
 _PATIENCE = 20.0
 

@@ -13,8 +13,6 @@ from maglev_mj.hand_devices.reading import GONE, Reading
 from maglev_mj.spacenav.axes import EXCHANGED, FULL, REST
 from maglev_mj.spacenav.protocol import EVENT, GREETING, read_event
 
-__all__ = ["SpacenavMouse"]
-
 _AT_ONCE = 65_536
 _AGAIN = 1.0
 

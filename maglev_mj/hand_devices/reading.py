@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
-__all__ = ["BUTTONS", "GONE", "InputDevice", "Reading"]
-
 BUTTONS = "centre", "pause"
 """Actions of the first and second button."""
 

@@ -17,8 +17,6 @@ from maglev_mj.errors import MaglevError, ParameterError, named
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import axis_indices, batch_shape, numbers, per_axis
 
-__all__ = ["AxisLaw", "Face", "Gains", "Law", "LinearController", "VelocityEstimator", "answer", "as_law", "gain"]
-
 
 class LinearController(NamedTuple):
     """Linear discrete-time controller of one axis.

@@ -14,8 +14,6 @@ from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.laws.base import Gains, Law
 from maglev_mj.parameters import numbers, per_axis
 
-__all__ = ["Bias"]
-
 
 @dataclass(frozen=True, eq=False)
 class Bias(Law):

@@ -17,8 +17,6 @@ from maglev_mj.laws.base import gain
 from maglev_mj.laws.friction import SLIDING_SHARE, Friction, FrictionState, apply, choose
 from maglev_mj.parameters import number
 
-__all__ = ["Dahl", "ElastoPlastic", "HaywardArmstrong", "LuGre"]
-
 
 class _Bristle(Friction):
     """Friction law with the bristle deflection as its state."""

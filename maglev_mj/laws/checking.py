@@ -15,8 +15,6 @@ from maglev_mj.frames import AXES, Array, Component, components
 from maglev_mj.laws.base import Law, answer, as_law
 from maglev_mj.laws.velocity import FiniteDifference
 
-__all__ = ["check_law"]
-
 _DEVICES, _SAMPLES, _PERIOD = 7, 60, 0.005
 _REACH = np.array([4e-3] * 3 + [0.09] * 3)
 

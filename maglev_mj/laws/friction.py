@@ -17,9 +17,6 @@ from maglev_mj.frames import AXES, Component
 from maglev_mj.laws.base import AxisLaw, Gains, gain
 from maglev_mj.parameters import flag, number
 
-__all__ = ["Friction", "FrictionState", "ImplicitCoulomb", "SpringReset", "StickSlip", "apply", "choose"]
-
-
 SLIDING_SHARE = 0.95
 """Share of the limit force that counts as sliding.
 

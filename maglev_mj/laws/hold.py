@@ -15,8 +15,6 @@ from maglev_mj.laws.base import AxisLaw, Gains, gain
 from maglev_mj.parameters import axis_indices, number, numbers
 from maglev_mj.spec import INERTIA
 
-__all__ = ["Hold"]
-
 
 class Hold(AxisLaw):
     """PD hold of a target pose.

@@ -18,8 +18,6 @@ from maglev_mj.laws.friction import choose
 from maglev_mj.parameters import number
 from maglev_mj.timeline import MOST_PERIODS, split_delay
 
-__all__ = ["PassivityController"]
-
 _AxisState: TypeAlias = tuple[Component, Component, tuple[Component, ...]]
 """Absorbed energy [J], last position, past forces.
 

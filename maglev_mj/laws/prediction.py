@@ -17,8 +17,6 @@ from maglev_mj.laws.friction import choose
 from maglev_mj.parameters import flag, number
 from maglev_mj.timeline import MOST_PERIODS, split_delay
 
-__all__ = ["ObserverWall", "PredictiveWall"]
-
 
 class PredictiveWall(AxisLaw):
     """Wall that renders the predicted mean force over each hold.

@@ -15,8 +15,6 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.laws.base import Law
 from maglev_mj.parameters import axis_indices
 
-__all__ = ["content", "law_kind", "stacked"]
-
 
 def law_kind(law: object) -> Hashable | None:
     """Return the kind of a law, or None.

@@ -17,9 +17,6 @@ from maglev_mj.laws.friction import choose
 from maglev_mj.parameters import number, whole
 from maglev_mj.spec import RESOLUTION
 
-__all__ = ["AdaptiveWindow", "FiniteDifference", "LowPass", "Window"]
-
-
 _LONGEST = 1000
 """Longest window [samples]: 1 s at 1 kHz."""
 

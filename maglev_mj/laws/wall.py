@@ -15,8 +15,6 @@ from maglev_mj.frames import AXES, Array, Component, clipped
 from maglev_mj.laws.base import Face, Gains, Law
 from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
 
-__all__ = ["Wall"]
-
 
 class _Braking(NamedTuple):
     """Braking-pulse parameters of one wall face.

@@ -13,8 +13,6 @@ from contextlib import suppress
 
 from maglev_mj.net.addresses import LOOPBACK
 
-__all__ = ["MOST", "PATIENCE", "forward", "objection"]
-
 PATIENCE = 5.0
 """Longest time for a request to arrive [s]."""
 

@@ -20,8 +20,6 @@ from maglev_mj.recording.setup import whole_setup
 from maglev_mj.session import Snapshot, Wish
 from maglev_mj.versions import versions
 
-__all__ = ["PORT", "LiveServer", "LiveServerError"]
-
 PORT = 8765
 """Default port of Foxglove programs."""
 

@@ -27,8 +27,6 @@ from maglev_mj.recording.messages import Messages
 from maglev_mj.scenes import Scene
 from maglev_mj.session import UnstableLoop
 
-__all__ = ["LONGEST_CHECK", "serve"]
-
 LONGEST_CHECK = 10.0
 """Longest time of a check [s]."""
 

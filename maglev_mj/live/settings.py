@@ -16,8 +16,6 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, UnstableLoop, own_code_refused, settable, unstable_loop
 
-__all__ = ["NICE", "Answer", "Requests", "State", "Verdict", "check_requests", "checked", "values_of"]
-
 NICE = 5
 """Niceness of processes without deadlines."""
 

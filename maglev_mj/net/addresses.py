@@ -11,18 +11,6 @@ from typing import NamedTuple
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import flag
 
-__all__ = [
-    "LOOPBACK",
-    "ListenError",
-    "Url",
-    "check_host",
-    "check_port",
-    "is_loopback",
-    "listen",
-    "parse_url",
-    "resolve",
-]
-
 BAUD = 921600
 """Default baud rate of a serial line.
 

@@ -6,8 +6,6 @@ import hashlib
 
 from maglev_mj.errors import ParameterError
 
-__all__ = ["LEAST_KEY", "MOST_KEY", "TAG", "Authenticator"]
-
 LEAST_KEY, MOST_KEY = 16, 32
 """Smallest and largest length of a key [bytes]."""
 

@@ -15,8 +15,6 @@ from contextlib import suppress
 from maglev_mj.errors import ParameterError, require
 from maglev_mj.net.udp import Address, LinkError, readable
 
-__all__ = ["LONGEST", "Deframer", "PtyServer", "SerialLink", "cobs_decode", "cobs_encode"]
-
 LONGEST = 4096
 """Largest number of bytes of a frame."""
 

@@ -13,8 +13,6 @@ from maglev_mj.frames import Component
 from maglev_mj.hand import Hand, motion, transition
 from maglev_mj.parameters import flag
 
-__all__ = ["Amendment", "DryFriction", "Forces", "HeldAxis", "Lag", "Motion"]
-
 _MOST_KEPT = 64
 
 Motion: TypeAlias = tuple[list[Component], list[Component], list[Component]]

@@ -23,8 +23,6 @@ from maglev_mj.spec import ESCAPE
 from maglev_mj.timeline import Segment, Timeline, Timing
 from maglev_mj.trace import Trace, TraceRecorder
 
-__all__ = ["Plant", "PlantKeywords", "SampledPlant"]
-
 _NO_EFFORT: Sequence[Component] = (0.0,) * 6
 
 

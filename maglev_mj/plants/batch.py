@@ -28,8 +28,6 @@ from maglev_mj.plants.engine import (
 from maglev_mj.spec import GRAVITY
 from maglev_mj.timeline import Timing
 
-__all__ = ["MuJoCoBatchPlant"]
-
 Drive: TypeAlias = tuple[Array, Array]
 """Wrenches (N, 6) and engine controls (N, 6)."""
 

@@ -11,8 +11,6 @@ import numpy as np
 from maglev_mj.coils import CoilMap, limited_wrench
 from maglev_mj.frames import Array, Command
 
-__all__ = ["CoilDrive"]
-
 
 class CoilDrive:
     """Map from a wrench to six limited coil currents.

@@ -20,22 +20,6 @@ from maglev_mj.model import COILS, Device, Model, load_model
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.spec import GRAVITY
 
-__all__ = [
-    "INTEGRATORS",
-    "CorrectedSteps",
-    "Drive",
-    "Steps",
-    "effort_addresses",
-    "engine_warnings_silenced",
-    "longest_step",
-    "near_stops",
-    "one_step",
-    "prepared",
-    "start_state",
-    "turned_back",
-    "turned_work",
-]
-
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
 """Commanded wrench, engine controls, inverse coil map.
 

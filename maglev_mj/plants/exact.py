@@ -18,9 +18,6 @@ from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 from maglev_mj.timeline import Timing
 
-__all__ = ["ExactPlant"]
-
-
 Drive: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
 """Accelerations with gravity [m/s², rad/s²], and forces [N, N m].
 

@@ -34,9 +34,6 @@ from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
 from maglev_mj.timeline import Timing
 
-__all__ = ["MuJoCoPlant"]
-
-
 _Kept: TypeAlias = tuple[Sequence[float], Sequence[float], Drive]
 """Snapshot: position and quaternion, velocity, acting drive.
 

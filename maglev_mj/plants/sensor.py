@@ -19,8 +19,6 @@ from maglev_mj.parameters import number, numbers, whole
 from maglev_mj.sensing.geometry import Beams
 from maglev_mj.sensing.solver import FastBeams, PoseTracker
 
-__all__ = ["PoseSensor", "Sensor", "SpotReader", "SpotSensor", "measuring"]
-
 Measure: TypeAlias = Callable[[Sequence[Component]], list[Component]]
 """Function from true to measured pose components."""
 

@@ -15,24 +15,6 @@ from maglev_mj.colours import GRID, REFERENCE, SERIES, WALL
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.parameters import flag
 
-__all__ = [
-    "BESIDE",
-    "FIRST",
-    "FORMATS",
-    "SECOND",
-    "SHADE",
-    "TITLE",
-    "WIDTH",
-    "Panel",
-    "PictureFolder",
-    "legend_height",
-    "name_curves",
-    "new_figure",
-    "require",
-    "save",
-    "small_multiples",
-]
-
 FIRST, SECOND = SERIES[:2]
 SHADE: dict[str, Any] = {"color": WALL, "alpha": 0.15, "linewidth": 0.0, "zorder": 0}
 """Style of shaded areas, such as behind a wall's edge."""

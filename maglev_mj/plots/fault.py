@@ -13,8 +13,6 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.plots.drawing import BESIDE, TITLE, new_figure, save
 from maglev_mj.terminal import printable
 
-__all__ = ["last_cycles"]
-
 
 def last_cycles(record: FaultRecord, path: Path) -> Path:
     """Draw the last cycles before a fault.

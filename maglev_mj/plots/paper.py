@@ -18,8 +18,6 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import Phases, Result, run, run_phases
 from maglev_mj.spec import Spec
 
-__all__ = ["figure_6", "phase_plane", "phases", "stick_slip", "time_series"]
-
 _PHASES = np.arange(100) / 100
 _SWEPT = 50
 _POINTS = 2001

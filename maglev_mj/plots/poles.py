@@ -10,8 +10,6 @@ from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.plots.drawing import FIRST, SECOND, TITLE, name_curves, new_figure
 from maglev_mj.theory import ClosedLoop, Linearised, Verdict
 
-__all__ = ["impulse_response", "pole_map"]
-
 _FREE = 1e-6  # to which the double root at 1 of an axis without stiffness is found
 
 

@@ -19,8 +19,6 @@ from maglev_mj.recording import Recording
 from maglev_mj.recording.samples import Samples
 from maglev_mj.trace import Trace
 
-__all__ = ["analysed", "first_contact", "recording", "samples", "staircases", "sticks", "trace", "whole_run"]
-
 _STILL = 1e-6
 _SHOWN, _LEAD, _POINTS = 0.4, 0.1, 2001
 _MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045

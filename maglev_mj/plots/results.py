@@ -20,8 +20,6 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
 from maglev_mj.studies.sweep import Sweep
 
-__all__ = ["Picture", "fidelity", "phases", "pictures_of", "result", "series", "spread", "sweep"]
-
 Picture: TypeAlias = Callable[[Mapping[str, Result], Mapping[str, Phases], Path | None], Any]
 """Draws results and phases by label; see `series`."""
 

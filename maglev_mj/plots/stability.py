@@ -16,8 +16,6 @@ from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.nonlinear import DropMap
 from maglev_mj.studies.stability_map import StabilityMap
 
-__all__ = ["design_map", "drop_map", "drop_panels", "level_sets", "stability_map"]
-
 _DECADES = [10.0**power for power in range(-6, 0)]
 _SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#43a2ca", "#0868ac"]
 _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])

@@ -12,8 +12,6 @@ from maglev_mj.frames import AXES
 from maglev_mj.recording.checks import shown, whole
 from maglev_mj.recording.row import FIELDS, TOTALS
 
-__all__ = ["sample_row"]
-
 _ALL = (*FIELDS, *TOTALS)
 _WHOLE_FIELDS = [field.name for field in _ALL if not field.unit]
 _NUMBERS = {float, int}

@@ -17,24 +17,6 @@ from maglev_mj.recording.row import FIELDS, TOTALS, Field
 if TYPE_CHECKING:
     from mcap.records import Chunk
 
-__all__ = [
-    "LARGEST_PART",
-    "Allowance",
-    "UnpackingError",
-    "check_rows",
-    "check_setup",
-    "flag_in",
-    "list_in",
-    "object_in",
-    "parsed",
-    "shown",
-    "six",
-    "start_in",
-    "text_in",
-    "unpacked",
-    "whole",
-]
-
 _WHOLE = 2**53  # from there on a float skips whole numbers
 _MISSING = 1_000_000
 _FORCE, _POSE = 1e12, 1e3

@@ -10,8 +10,6 @@ from maglev_mj.frames import Array
 from maglev_mj.recording.checks import check_rows
 from maglev_mj.recording.row import Field, as_rows
 
-__all__ = ["BLOCK", "Columns"]
-
 BLOCK = 1 << 13
 """Number of samples that are checked together."""
 

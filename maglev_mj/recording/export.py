@@ -17,8 +17,6 @@ from maglev_mj.recording.recording import READ, Recording, aside
 from maglev_mj.recording.row import FIELDS, TOTALS, told, units
 from maglev_mj.recording.samples import samples_of
 
-__all__ = ["EXPORTS", "export"]
-
 _BLOCK = 1 << 14
 
 

@@ -22,16 +22,6 @@ from maglev_mj.recording.row import RecordedPlant, Row, as_rows, compiled
 from maglev_mj.recording.setup import attach_parts, whole_setup
 from maglev_mj.versions import versions
 
-__all__ = [
-    "ArrayFile",
-    "Recorder",
-    "RecordingFile",
-    "best_suffix",
-    "check_name",
-    "open_recording",
-    "row_of",
-]
-
 _SUFFIXES = (".mcap", ".npz")
 
 

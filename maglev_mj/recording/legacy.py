@@ -11,8 +11,6 @@ from maglev_mj.recording.metadata import Mechanics, RunMetadata
 from maglev_mj.recording.recording import InvalidRecordingError, Stretch
 from maglev_mj.recording.verify import Rebuild
 
-__all__ = ["metadata_of"]
-
 _AXES = {"joystick": "x", "table": "x", "box": "x"}
 """Displayed axis of older scenes; z for all others."""
 

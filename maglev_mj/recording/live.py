@@ -34,8 +34,6 @@ from maglev_mj.recording.row import ROW, RecordedPlant, Row, compiled
 from maglev_mj.recording.setup import attach_parts, whole_setup
 from maglev_mj.versions import versions
 
-__all__ = ["ROWS", "LiveFile", "Ring", "RowReader"]
-
 ROWS = 1 << 15
 """Rows in the shared memory.
 

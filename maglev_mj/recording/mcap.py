@@ -37,19 +37,6 @@ from maglev_mj.recording.protobuf import STRETCH as NUMBER
 from maglev_mj.recording.protobuf import Layout, layout_of
 from maglev_mj.recording.row import FIELDS, TOTALS
 
-__all__ = [
-    "EVENT",
-    "FORMAT",
-    "MAGIC",
-    "METADATA",
-    "SAMPLE",
-    "STRETCH",
-    "Found",
-    "Part",
-    "read_mcap",
-    "require_mcap",
-]
-
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of a file."""
 

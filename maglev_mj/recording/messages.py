@@ -39,9 +39,6 @@ from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
 from maglev_mj.recording.row import FIELDS, Field, Row, as_rows, named, schema
 from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
 
-__all__ = ["FRAMES", "LOG", "SCENE", "Messages"]
-
-
 FRAMES, SCENE, LOG = "/tf", "/maglev/scene", "/log"
 
 _SHOWN = 60.0  # poses to look at in a second

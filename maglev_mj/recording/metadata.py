@@ -20,8 +20,6 @@ from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.terminal import printable
 from maglev_mj.timeline import Timing
 
-__all__ = ["Mechanics", "RunMetadata", "Setup", "Totals"]
-
 Face: TypeAlias = tuple[int, float, float]
 """Plane of a wall: index into AXES, normal, edge.
 

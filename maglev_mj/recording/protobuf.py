@@ -17,8 +17,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording.row import FIELDS, TOTALS, Field, Row
 
-__all__ = ["NAME", "STRETCH", "Layout", "MessageArray", "descriptor", "layout_of", "packed"]
-
 NAME = "maglev_mj.Sample"
 """Full name of the message type."""
 

@@ -36,17 +36,6 @@ if TYPE_CHECKING:
     from maglev_mj.recording.mcap import Found
     from maglev_mj.recording.samples import Samples
 
-__all__ = [
-    "READ",
-    "InvalidRecordingError",
-    "Recording",
-    "RecordingError",
-    "Stretch",
-    "aside",
-    "read_file",
-    "split_setup",
-]
-
 _ZIP = b"PK"
 _FORMAT = "maglev_mj recording 1"
 

@@ -11,24 +11,6 @@ from numpy.typing import NDArray
 
 from maglev_mj.frames import AXES, ZERO, Array
 
-__all__ = [
-    "ARRAYS",
-    "FIELDS",
-    "ROW",
-    "TOTALS",
-    "Field",
-    "RecordedPlant",
-    "Row",
-    "Rows",
-    "as_rows",
-    "as_table",
-    "compiled",
-    "named",
-    "schema",
-    "told",
-    "units",
-]
-
 Row: TypeAlias = Sequence[float]
 """Values of one sample in FIELDS order, components flattened."""
 

@@ -18,8 +18,6 @@ from maglev_mj.recording.recording import Recording, Stretch, read_file
 from maglev_mj.recording.row import FIELDS, TOTALS, Field
 from maglev_mj.tabular import Tabular
 
-__all__ = ["Samples", "load_samples", "samples_of"]
-
 _FIELDS: Mapping[str, Field] = {field.name: field for field in (*FIELDS, *TOTALS)}
 
 

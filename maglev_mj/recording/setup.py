@@ -27,20 +27,6 @@ from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.recording import InvalidRecordingError
 from maglev_mj.versions import file_of, hash_of
 
-__all__ = [
-    "ALLOW",
-    "Own",
-    "OwnCodeError",
-    "attach_model",
-    "attach_parts",
-    "attach_source",
-    "controller_again",
-    "plant_again",
-    "scripted",
-    "setup_of",
-    "whole_setup",
-]
-
 Own: TypeAlias = Callable[[str], Any]
 """Loader of a user's class or function by reference.
 
@@ -213,7 +199,7 @@ def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | N
     with _refused(), engine_warnings_silenced():
         if isinstance(told, dict) and (hand is not None or not scripted(setup)):
             told = {name: value for name, value in told.items() if name != "hand_force"}
-        plant = _made("plant", told, None, {} if hand is None else {"hand_force": hand})
+        plant: SampledPlant = _made("plant", told, None, {} if hand is None else {"hand_force": hand})
         check_instance("plant", plant, SampledPlant, "an object")
         if plant.batch or np.ndim(plant.timing.delay):
             raise ParameterError("a plant must be one device")

@@ -14,8 +14,6 @@ from maglev_mj.recording.metadata import Setup
 from maglev_mj.recording.row import RecordedPlant
 from maglev_mj.recording.setup import whole_setup
 
-__all__ = ["tee"]
-
 
 def tee(*files: RecordingFile | None) -> RecordingFile | None:
     """Return one file that writes to all given, or None."""

@@ -19,8 +19,6 @@ from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
 from maglev_mj.recording.recording import READ, Recording, Stretch
 from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, as_table, compiled, named, told
 
-__all__ = ["Expected", "FieldVerdict", "Rebuild", "Verdict", "first_other_answer", "verify"]
-
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
 """Function that rebuilds plant and controller.
 

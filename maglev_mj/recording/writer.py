@@ -27,8 +27,6 @@ from maglev_mj.recording.messages import Messages
 from maglev_mj.recording.row import units
 from maglev_mj.versions import versions
 
-__all__ = ["McapWriter", "main"]
-
 _NAP = 0.02
 _TOGETHER = 1 << 10  # samples that are added up at once
 _LOST = 0.1  # s that a SIGKILL to this process may cost

@@ -17,8 +17,6 @@ from maglev_mj.plants import Sensor
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import INERTIA, Spec
 
-__all__ = ["WallScene", "along", "hold", "others", "stepped"]
-
 
 def others(axis: str) -> list[str]:
     """Return all axes but one."""

@@ -9,8 +9,6 @@ from maglev_mj.laws import Law
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import contacts, spring, weight
 
-__all__ = ["Box"]
-
 _AIR = 1.0
 
 BOX_WALLS = (0.003,) * 3 + (math.radians(4.0),) * 3

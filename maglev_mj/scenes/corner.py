@@ -13,8 +13,6 @@ from maglev_mj.laws import Law
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import contacts, spring, weight
 
-__all__ = ["Corner"]
-
 _INTO = ("x", "z", "ry")
 
 

@@ -23,8 +23,6 @@ from maglev_mj.theory.analog_wall import analog_wall
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["Drop"]
-
 
 class Drop(WallScene):
     """Drop the flotor on a stiff wall (figures 3, 4)."""

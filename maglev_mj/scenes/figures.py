@@ -20,8 +20,6 @@ from maglev_mj.terminal import cell
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["STOCK", "Figure", "changes", "figure", "figures_named"]
-
 _MOST_SHOWN = 4
 _SHARES = 50.0, 5.0, 95.0
 _SMALLER = {1.0: "", 1e3: "m", 1e6: "µ"}

@@ -14,8 +14,6 @@ from maglev_mj.plants import Timing
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.spec import INERTIA
 
-__all__ = ["LetGo", "SixAxes", "Twist"]
-
 
 class _Body(Scene):
     """Scene with a run that ends at a sample.

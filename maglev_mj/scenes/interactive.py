@@ -14,8 +14,6 @@ from maglev_mj.scenes import parts
 from maglev_mj.scenes.scene import DELAY, RATE, Scene, Start
 from maglev_mj.spec import RANGE, Spec
 
-__all__ = ["Face", "InteractiveScene"]
-
 Face: TypeAlias = tuple[str, int, float]
 """Wall: axis name, normal (1 or -1), edge [m, rad].
 

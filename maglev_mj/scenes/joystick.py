@@ -12,8 +12,6 @@ from maglev_mj.laws import Law
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import contacts, spring, weight
 
-__all__ = ["CENTRING", "Joystick"]
-
 CENTRING = 300.0
 """Stiffness of the spring to the centre [N/m]."""
 

@@ -17,8 +17,6 @@ from maglev_mj.scenes.parts import wall, weight
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
 
-__all__ = ["parameters_in", "recorded_scene"]
-
 _OTHERS = tuple(axis for axis in AXES if axis != "z")
 
 

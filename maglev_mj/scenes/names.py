@@ -11,8 +11,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
 
-__all__ = ["BUILT_IN", "GROUP", "installed_scenes", "scene_names"]
-
 GROUP = "maglev_mj.scenes"
 """Entry point group of scenes in other packages."""
 

@@ -21,20 +21,6 @@ from maglev_mj.spec import GRAVITY, Spec
 if TYPE_CHECKING:
     from maglev_mj.scenes.interactive import Face, InteractiveScene
 
-__all__ = [
-    "INERTIA",
-    "LEAST_STIFFNESS",
-    "MASS",
-    "WEIGHT",
-    "contacts",
-    "friction",
-    "shared",
-    "spring",
-    "wall",
-    "walls",
-    "weight",
-]
-
 MASS = Spec.moving_mass.value
 """Moving mass [kg]."""
 

@@ -24,8 +24,6 @@ from maglev_mj.spec import ESCAPE
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["Press"]
-
 # as shares of an interval: wait before the first stroke, and duration of each way
 _WAIT, _WAY = 0.5, 0.25
 _LEAST_SAMPLES = 8

@@ -12,8 +12,6 @@ from maglev_mj.energy import actuator_work
 from maglev_mj.frames import Array
 from maglev_mj.trace import Trace
 
-__all__ = ["HIT_FIGURES", "PressSummary", "summarise_press"]
-
 _STEP = 1e-4
 _TAIL = 0.2
 

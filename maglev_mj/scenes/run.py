@@ -25,8 +25,6 @@ from maglev_mj.spec import ESCAPE
 from maglev_mj.tabular import Table, Tabular
 from maglev_mj.trace import Trace
 
-__all__ = ["Phases", "Result", "plain", "run", "run_phases"]
-
 _MOST_PHASES = 10_000
 _TOGETHER = 64
 _STEP = 1e-3

@@ -29,8 +29,6 @@ from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["DELAY", "PLANTS", "RATE", "PlantMaker", "Scene", "SideBySide", "Start"]
-
 RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
 """Key settings of a sample period."""
 

@@ -20,8 +20,6 @@ from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.theory.verdict import inertia_of, stability
 
-__all__ = ["STEP_FORCE", "UnstableLoop", "check_step", "own_code_refused", "stability_warning", "unstable_loop"]
-
 STEP_FORCE = 2.0
 """Default limit of force steps by other programs [N].
 

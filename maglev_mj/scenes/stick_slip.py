@@ -38,8 +38,6 @@ from maglev_mj.theory.karnopp import FrictionEvent, KarnoppMotion, karnopp
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import Result
 
-__all__ = ["LAWS", "VELOCITIES", "StickSlip"]
-
 LAWS: Mapping[str, Callable[..., Friction]] = {
     "stick-slip": lambda *, period, **common: StickSlipFriction(**common),
     "spring-reset": lambda *, v_min, period, **common: SpringReset(**common),

@@ -13,8 +13,6 @@ from maglev_mj.scenes.bench import hold
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import friction, weight
 
-__all__ = ["Table"]
-
 
 class Table(InteractiveScene):
     """A block with friction on a table (figures 8, 9)."""

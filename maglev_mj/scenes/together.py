@@ -20,8 +20,6 @@ from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.run import Result, run
 from maglev_mj.scenes.scene import Scene, SideBySide
 
-__all__ = ["SceneStack", "figures_together"]
-
 _LEAST = 8  # fewer do not pay for a batch
 _MOST, _AT_ONCE = 512, 64
 _ROOM = 256e6

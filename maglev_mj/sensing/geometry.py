@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from maglev_mj.errors import ModelError, SensingError
 from maglev_mj.frames import Array, quaternions, rotation_matrix, rotation_vector
 
-__all__ = ["Beams"]
-
 _CLOSE_ENOUGH = 1e-13
 _MOST_STEPS = 20
 

@@ -28,8 +28,6 @@ from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers
 from maglev_mj.sensing.geometry import Beams
 
-__all__ = ["FARTHEST", "MOST_TURNED", "FastBeams", "PoseTracker"]
-
 FARTHEST = 30e-3
 """Largest distance of a measured pose from the centre [m].
 

@@ -9,8 +9,6 @@ from typing import TypeAlias
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 
-__all__ = ["DEVICES_OWN", "EMERGENCY_STOP", "Action", "actions", "device_actions", "settable"]
-
 DEVICES_OWN = "period", "delay"
 """Parameters that other programs cannot change.
 

@@ -16,8 +16,6 @@ from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session.actions import settable
 from maglev_mj.spec import Spec
 
-__all__ = ["centred", "device_controller", "lifted", "live_plant"]
-
 _LIFTED = 0.004
 
 

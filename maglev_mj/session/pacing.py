@@ -8,8 +8,6 @@ from collections.abc import Callable, Iterator, Sequence
 
 from maglev_mj.parameters import number
 
-__all__ = ["TIME_SCALES", "Due", "Note", "Pacer", "next_scale", "real_time"]
-
 TIME_SCALES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 """Steps of slow motion."""
 

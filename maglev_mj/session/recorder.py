@@ -13,8 +13,6 @@ from pathlib import Path
 from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording, tee
 from maglev_mj.session.pacing import Note
 
-__all__ = ["SessionRecorder"]
-
 
 class SessionRecorder:
     """Recordings of a session.

@@ -25,8 +25,6 @@ from maglev_mj.session.recorder import SessionRecorder
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
 from maglev_mj.session.stretch import LiveStretch
 
-__all__ = ["Session"]
-
 _OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", EMERGENCY_STOP
 _CHOOSES = "scene "
 """Prefix of actions that choose a scene by name."""

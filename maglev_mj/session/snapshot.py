@@ -17,8 +17,6 @@ from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session.pacing import Due
 
-__all__ = ["History", "Publisher", "Publishers", "SampledMotion", "Snapshot", "SnapshotSource", "TourLine", "Wish"]
-
 SHOWN = 2.0
 """Time that a history covers [s]."""
 

@@ -18,8 +18,6 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of, source_of
 from maglev_mj.session.live import live_plant
 
-__all__ = ["LiveStretch", "begin_scene"]
-
 
 def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **known: Any) -> Record:
     """Begin a stretch of a recording with a scene's metadata.

@@ -19,8 +19,6 @@ from maglev_mj.spacenav.navigation import Navigation, Navigator
 from maglev_mj.spacenav.protocol import MOST
 from maglev_mj.spec import RANGE
 
-__all__ = ["EXCHANGED", "FULL", "FULL_POSE", "FULL_RATE", "REST", "RUNS", "Axes", "PoseAxes", "RateAxes"]
-
 EXCHANGED = [0, 2, 1, 3, 5, 4]
 """Index permutation between device and spacenav axes, both ways."""
 

@@ -9,8 +9,6 @@ from maglev_mj.parameters import number
 from maglev_mj.session import Snapshot
 from maglev_mj.spacenav.axes import RUNS
 
-__all__ = ["NO_BUTTONS", "Buttons", "Taps"]
-
 Buttons: TypeAlias = Callable[[Snapshot], tuple[bool, ...]]
 """Returns which buttons are down at a snapshot."""
 

@@ -13,8 +13,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import Parameters, param
 
-__all__ = ["AxisMapping", "SpacenavMapping"]
-
 _NOTHING, _NONE = "0", "none"
 _FINITE = 1e6
 

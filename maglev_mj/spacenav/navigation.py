@@ -17,8 +17,6 @@ from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import INERTIA
 
-__all__ = ["Mode", "Navigation", "Navigator"]
-
 _PUSHES, _LETS_GO, _FOR = 0.25, 0.10, 0.1
 
 _BREAKAWAY = 2.0

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from maglev_mj.errors import MaglevError, ParameterError
 
-__all__ = ["Place", "default_path", "searched_paths"]
-
 _LONGEST = 107  # bytes: what a Unix socket's address has room for
 _WAITING = 16
 _SETTINGS, _DAEMONS = Path("/etc/spnavrc"), Path("/var/run/spnav.sock")

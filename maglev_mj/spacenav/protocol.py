@@ -13,19 +13,6 @@ from collections.abc import Sequence
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import flag
 
-__all__ = [
-    "ALL_EVENTS",
-    "DEVICE",
-    "EVENT",
-    "GREETING",
-    "MOST",
-    "Conversation",
-    "GarbageError",
-    "button_event",
-    "motion_event",
-    "read_event",
-]
-
 EVENT = 32
 """Bytes of an event, a request, or an answer."""
 

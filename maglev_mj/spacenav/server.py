@@ -13,8 +13,6 @@ from maglev_mj.spacenav.buttons import NO_BUTTONS, Buttons
 from maglev_mj.spacenav.place import Place
 from maglev_mj.spacenav.protocol import Conversation, GarbageError, button_event, motion_event
 
-__all__ = ["SpacenavServer"]
-
 _MOST_CLIENTS = 16
 _AT_ONCE = 512
 _ROOM = 106_496  # bytes: with what Linux adds to each event, some 4 s of motion

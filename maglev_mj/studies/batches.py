@@ -20,8 +20,6 @@ from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, SampledPlant, Sensor, Timing
 from maglev_mj.spec import GRAVITY, INERTIA, Spec
 
-__all__ = ["FAR", "along_z", "around_wall", "each_phase", "hum", "wall_controller", "watched"]
-
 _HELD = tuple(axis for axis in AXES if axis != "z")
 
 FAR = (1e9, 1.0)

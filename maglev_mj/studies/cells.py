@@ -22,8 +22,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.versions import Versions, differences, versions, versions_read
 from maglev_mj.workers import Workers, WorkersError, chosen_workers
 
-__all__ = ["Cell", "Record", "StudyInterrupted", "run_cells"]
-
 Cell: TypeAlias = dict[str, Any]
 """Values of a cell by the parameter's name."""
 

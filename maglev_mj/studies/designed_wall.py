@@ -26,8 +26,6 @@ from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.design import Case, DesignedWall
 from maglev_mj.timeline import split_delay
 
-__all__ = ["Contact", "DesignResult", "evaluate_wall", "growing_cases", "hardest_contact"]
-
 _ANYWHERE = (1e150, 1.0)  # a flotor thrown far away is a verdict, not an error
 _TICKS, _CONTACT_TICKS = 800, 100
 _RANDOM, _PHASES = 240, 8

@@ -38,8 +38,6 @@ from maglev_mj.studies.levels import LEVELS, level_index, level_parts, loop_of, 
 from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import SampledLoop
 
-__all__ = ["MARGIN", "FidelityResult", "Range", "StepResult", "measure_fidelity", "measure_steps", "stepping_name"]
-
 MARGIN = 1.25
 """Safety factor on the worst error seen.
 

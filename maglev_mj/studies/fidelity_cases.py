@@ -27,20 +27,6 @@ from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import Scene, SideBySide
 from maglev_mj.studies.levels import LEVELS, Level, apart, exact_options, level_index, timing_of
 
-__all__ = [
-    "COMPARED",
-    "Case",
-    "Preset",
-    "choice_cases",
-    "has_gains",
-    "itself",
-    "preset_of",
-    "run_together",
-    "scattered_cases",
-    "scene_at",
-    "screen_levels",
-]
-
 _MOST_PHASES = 1000
 _FAR = (1e9, 1e9)
 _POINTS, _SEEDS = 256, 16

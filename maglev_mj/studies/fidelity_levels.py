@@ -23,22 +23,6 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.fidelity_cases import Case, Preset, itself, preset_of, scene_at
 from maglev_mj.studies.levels import LEVELS, Motion, apart, level_index, level_parts, motion_of
 
-__all__ = [
-    "LevelResult",
-    "Motions",
-    "closed_loop",
-    "distance",
-    "finite",
-    "largest_jump",
-    "level_results",
-    "measure_costs",
-    "measure_levels",
-    "median_times",
-    "run_case",
-    "run_levels",
-    "worst_of",
-]
-
 _SHORT, _LONG = 2e-3, 0.1
 
 Parts = tuple[SampledPlant, Controller, int]

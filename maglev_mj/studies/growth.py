@@ -27,8 +27,6 @@ from maglev_mj.studies.batches import wall_controller
 from maglev_mj.theory import StiffestWall, largest_modulus, largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 
-__all__ = ["HAND_HELP", "RestingWall", "grow_together", "measure_growth", "stiffest_in"]
-
 _MOVED = 1e-6
 _DECIDED = 1e4
 _BLOCK = 16

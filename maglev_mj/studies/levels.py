@@ -25,20 +25,6 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
 from maglev_mj.theory.closed_loop import SampledLoop
 
-__all__ = [
-    "LEVELS",
-    "Level",
-    "Motion",
-    "apart",
-    "exact_options",
-    "level_index",
-    "level_parts",
-    "loop_of",
-    "motion_of",
-    "step_of",
-    "timing_of",
-]
-
 _JITTER = 1e-4
 _LAG = DRIVER_TIME_CONSTANT
 _SHORTEN = ("driver_lag", "stops", "force_falloff", "flexible")  # options that need shorter steps

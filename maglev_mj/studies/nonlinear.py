@@ -26,8 +26,6 @@ from maglev_mj.studies.cells import Cell, Record, run_cells
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, gain_axes
 from maglev_mj.workers import Workers
 
-__all__ = ["PART", "SAMPLES", "DropMap", "DropMapParameters", "Ending", "judge_drops", "run_drop_map"]
-
 PART = 10_000
 """Number of walls simulated at once; they fit the cache."""
 

@@ -26,8 +26,6 @@ from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 from maglev_mj.workers import Workers
 
-__all__ = ["GainMap", "StabilityMap", "StabilityParameters", "gain_axes", "run_stability"]
-
 _NEAR = 0.005
 _TOGETHER = 240
 _AT_ONCE = 50_000

@@ -30,8 +30,6 @@ from maglev_mj.studies.cells import Cell, Record, run_cells
 from maglev_mj.tabular import Table, Tabular
 from maglev_mj.workers import Workers, chosen_workers
 
-__all__ = ["MOST_CELLS", "Sweep", "run_scene_cells", "sweep", "swept_cells", "value_of"]
-
 MOST_CELLS = 1_000_000
 """Largest number of cells in a sweep."""
 

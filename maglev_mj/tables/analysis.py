@@ -11,8 +11,6 @@ from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.tables.identification import identified_lines
 from maglev_mj.terminal import cell, wrapped
 
-__all__ = ["analysis_table"]
-
 _NAME, _CELL = 20, 8
 _WALL = 7, 9, 7, 9, 8, 9, 9
 _CONTACT = 10

@@ -16,8 +16,6 @@ from maglev_mj.terminal import printable, wrapped
 if TYPE_CHECKING:
     from maglev_mj.bridge.remote import RemotePlant
 
-__all__ = ["fault_table", "latched_table"]
-
 _SHOWN = 20
 
 _HEADING = ("ms", *AXES, "A cmd", "A meas", "warm %", "delay", "answer")

@@ -12,8 +12,6 @@ from maglev_mj.studies.fidelity_levels import DEAR, DEAR_CASES, LevelResult
 from maglev_mj.studies.levels import level_index
 from maglev_mj.terminal import cell, wrapped
 
-__all__ = ["fidelity_table", "levels_table"]
-
 _STEPS_SHOWN = 12
 
 

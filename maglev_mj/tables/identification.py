@@ -11,8 +11,6 @@ from maglev_mj.analysis import Estimate, Identification
 from maglev_mj.frames import AXES, unit_of
 from maglev_mj.terminal import wrapped
 
-__all__ = ["identified_lines"]
-
 _DECIMALS, _NAME, _IN = 4, 26, "    "
 
 

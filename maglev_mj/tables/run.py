@@ -20,8 +20,6 @@ from maglev_mj.terminal import WIDTH, printable, wrapped
 if TYPE_CHECKING:
     from maglev_mj.studies.sweep import Sweep
 
-__all__ = ["run_table", "sweep_table"]
-
 _NAME, _LEAST = 13, 12
 
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from maglev_mj.bridge.twin import ServerReport, Twin
     from maglev_mj.display.remote import ShowReport
 
-__all__ = ["flown_table", "served_table", "show_table", "timing_table", "verdict_table"]
-
 _IN = "    "
 
 

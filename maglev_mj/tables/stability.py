@@ -14,8 +14,6 @@ from maglev_mj.terminal import wrapped
 from maglev_mj.theory import StiffestWall, Verdict, bounds, is_stable
 from maglev_mj.theory.design import Case
 
-__all__ = ["design_table", "drop_table", "loop_table", "stability_table"]
-
 _MOST_LISTED = 8
 
 

@@ -13,8 +13,6 @@ from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import GRAVITY
 
-__all__ = ["analog_wall"]
-
 
 def analog_wall(
     time: ArrayLike,

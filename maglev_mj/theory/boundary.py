@@ -18,20 +18,6 @@ from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.theory.characteristic import characteristic, crossings, scales
 from maglev_mj.theory.closed_loop import ROUNDING, LoopKeywords, SampledLoop, is_stable
 
-__all__ = [
-    "StiffestWall",
-    "boundary_of",
-    "first_end",
-    "flattened",
-    "largest_stable_stiffness",
-    "maxima",
-    "ranges_of",
-    "spans",
-    "stable_ranges",
-    "stiffest_of",
-    "stiffest_wall",
-]
-
 _HIGHEST = 8.0
 _NEAR = 1e-7
 _CLOSE = np.array([-1e-4, -2e-7, 2e-7, 1e-4])

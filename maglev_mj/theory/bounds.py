@@ -15,8 +15,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import numbers
 
-__all__ = ["abbott_okamura", "colgate", "gil", "minsky"]
-
 
 def colgate(damping: ArrayLike, *, period: ArrayLike, physical_damping: ArrayLike = 0.0) -> Array:
     """Return the largest passive stiffness.

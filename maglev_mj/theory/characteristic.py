@@ -19,8 +19,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.theory.closed_loop import SampledLoop
 
-__all__ = ["Characteristic", "characteristic", "crossings", "scales"]
-
 _LEAST, _TRIM = 1e-11, 1e-10
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
 _Series: TypeAlias = Array

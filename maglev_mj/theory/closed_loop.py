@@ -24,19 +24,6 @@ from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.spec import Spec
 from maglev_mj.timeline import split_delay
 
-__all__ = [
-    "ROUNDING",
-    "Design",
-    "LoopKeywords",
-    "SampledLoop",
-    "critical_delay",
-    "is_stable",
-    "largest_modulus",
-    "least_dynamic_stiffness",
-    "pd",
-    "rendered_stiffness",
-]
-
 MOST_PERIODS = 10
 _TOGETHER = 1 << 16
 

@@ -23,8 +23,6 @@ from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
 from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, least_dynamic_stiffness, rendered_stiffness
 
-__all__ = ["GOALS", "LAWS", "Case", "DesignedWall", "WallRequirements", "design_wall", "worst_case"]
-
 LAWS = ("pd", "observer", "disturbance-observer")
 """Names of the wall laws, the last with disturbance estimate."""
 GOALS = ("static", "dynamic")

@@ -18,8 +18,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import number, numbers
 
-__all__ = ["FrictionEvent", "KarnoppMotion", "karnopp"]
-
 
 class FrictionEvent(NamedTuple):
     """Change of friction state: time, "stick" or "slip", position."""

@@ -21,8 +21,6 @@ from maglev_mj.spec import INERTIA
 from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import SampledLoop
 
-__all__ = ["ClosedLoop", "Linearised", "linearise", "loop_matrices"]
-
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
 """Largest speed of a test displacement [m/s, rad/s].
 

@@ -24,8 +24,6 @@ from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
 from maglev_mj.theory.realisation import StateSpace, realised
 
-__all__ = ["Judged", "Verdict", "inertia_of", "judge", "stability", "stated_gains"]
-
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
 """Tolerances of a modulus, of gains beside their responses, and of a mean root."""
 _SHORT = 16

@@ -9,8 +9,6 @@ from functools import cache
 
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 
-__all__ = ["DisplayError", "check_mujoco_gl", "drawing_library"]
-
 _LIBRARIES = {"linux": ("osmesa", "egl", "glfw"), "darwin": ("cgl", "glfw")}.get(sys.platform, ("glfw",))
 _WORDS = dict(zip(_LIBRARIES, _LIBRARIES)) | {"linux": {"glx": "glfw"}, "win32": {"wgl": "glfw"}}.get(sys.platform, {})
 _ON, _OFF = ("", "on", "enable", "enabled", "true", "1"), ("off", "disable", "disabled", "false", "0")

@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from maglev_mj.errors import ParameterError, require
 
-__all__ = ["CLIPS", "checked_name", "write_clip", "write_picture"]
-
 CLIPS = (".gif", ".mp4")
 """File endings of clips."""
 

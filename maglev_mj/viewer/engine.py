@@ -11,8 +11,6 @@ from typing import Any
 
 import mujoco.viewer
 
-__all__ = ["launch"]
-
 
 class _Simulation(mujoco.viewer._Simulate):  # type: ignore[misc] # it has no types
     """The engine's simulation, which may be closed while it loads.

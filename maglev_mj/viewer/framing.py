@@ -14,8 +14,6 @@ from maglev_mj.frames import Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.viewer.layout import Area
 
-__all__ = ["Framing"]
-
 _HIGH, _WIDE = 0.85, 0.95
 """Shares of the default view's height kept in view.
 

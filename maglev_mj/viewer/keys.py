@@ -10,8 +10,6 @@ import glfw
 from maglev_mj.parameters import flag
 from maglev_mj.session import EMERGENCY_STOP
 
-__all__ = ["AXIS", "CAMERA", "HAND", "KEYS", "SCREENSHOT", "help_rows", "key_of", "keys_of"]
-
 SCREENSHOT, AXIS, CAMERA, KEYS = "screenshot", "axis of the plots", "camera", "keys"
 """Actions of every window."""
 

@@ -12,8 +12,6 @@ from typing import NamedTuple, TypeAlias
 
 from maglev_mj.parameters import flag
 
-__all__ = ["Area", "Font", "Layout", "Row", "Words", "arrange"]
-
 Row: TypeAlias = tuple[str, str]
 """Name and value, or keys and their action."""
 

@@ -23,8 +23,6 @@ from maglev_mj.viewer.layout import Area
 from maglev_mj.viewer.scenery import Scenery
 from maglev_mj.viewer.screen import Screen
 
-__all__ = ["OffscreenPainter"]
-
 _SHADOWS, _SAMPLES = 2048, 4
 _LARGE = 1500
 

@@ -17,8 +17,6 @@ from maglev_mj.shapes import ARROW
 from maglev_mj.viewer.keys import HAND, key_of
 from maglev_mj.viewer.layout import Row
 
-__all__ = ["status_rows"]
-
 _NOTHING = 5e-5
 
 

@@ -20,8 +20,6 @@ from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 
-__all__ = ["Label", "Plots", "TimeBar", "shown_colour"]
-
 _POINTS = 500
 _LEAST = 1e-3
 _NOW = 0.018, 0.045

@@ -17,8 +17,6 @@ from maglev_mj.session import Pacer, Session
 from maglev_mj.viewer.clip import CLIPS, write_clip, write_picture
 from maglev_mj.viewer.offscreen import OffscreenPainter
 
-__all__ = ["render"]
-
 _FOR_EVER = 3600.0
 
 

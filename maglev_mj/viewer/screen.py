@@ -23,8 +23,6 @@ from maglev_mj.viewer.layout import Area, Font, Layout, arrange
 from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.plots import Label, Plots, TimeBar
 
-__all__ = ["Drawn", "Screen"]
-
 _Text: TypeAlias = tuple[int, int, str, str]
 """Font, position in the picture, and two columns."""
 

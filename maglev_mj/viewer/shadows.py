@@ -8,8 +8,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-__all__ = ["SlowFrames"]
-
 _SLOW, _LONG = 0.05, 1.0
 
 

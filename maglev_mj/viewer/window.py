@@ -35,8 +35,6 @@ from maglev_mj.viewer.scenery import GRIP, Scenery
 from maglev_mj.viewer.screen import Screen
 from maglev_mj.viewer.shadows import SlowFrames
 
-__all__ = ["require_display", "show"]
-
 _FRAME = 1.0 / 60.0
 _NAP = 0.001
 _PATIENCE = 10.0

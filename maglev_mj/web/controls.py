@@ -13,8 +13,6 @@ from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 from maglev_mj.web.handles import put
 
-__all__ = ["Ask", "Choice", "Control", "Slider", "Switch", "control"]
-
 Ask = Callable[[str, Any], object]
 """Takes "act" and an action, or "change" and parameters."""
 

@@ -12,8 +12,6 @@ from maglev_mj.display.glide import SILENCE
 from maglev_mj.frames import Array
 from maglev_mj.shapes import GRIP
 
-__all__ = ["Grab"]
-
 Aim = Callable[[list[float] | None], object]
 """Takes a target pose [m, rad], (6,); None on release."""
 

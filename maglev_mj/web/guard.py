@@ -26,8 +26,6 @@ from websockets.http11 import Request, Response
 from maglev_mj.errors import MaglevError
 from maglev_mj.net.addresses import LOOPBACK, is_loopback
 
-__all__ = ["Door", "guarded"]
-
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
 """Pages that may frame this one: notebooks on this machine.
 

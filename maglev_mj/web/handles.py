@@ -6,8 +6,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["put"]
-
 
 def put(handle: Any, **properties: Any) -> None:
     """Set the properties that differ.

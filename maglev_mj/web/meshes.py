@@ -13,8 +13,6 @@ from trimesh.visual.material import PBRMaterial
 from maglev_mj.frames import Array
 from maglev_mj.shapes import Shape
 
-__all__ = ["glb", "triangles"]
-
 _Faces: TypeAlias = NDArray[np.int64]
 _Mesh: TypeAlias = tuple[Array, Array, _Faces]
 

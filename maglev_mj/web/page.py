@@ -28,8 +28,6 @@ from maglev_mj.web.panel import Panel
 from maglev_mj.web.plots import Plots
 from maglev_mj.web.stage import VIEWS, Stage, look
 
-__all__ = ["Page", "PageServer", "page"]
-
 _FRAME, _PLOT = 1.0 / 30.0, 1.0 / 8.0
 _NAP = 0.005
 

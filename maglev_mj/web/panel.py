@@ -18,8 +18,6 @@ from maglev_mj.web.controls import Ask, Choice, Control, Slider, control
 from maglev_mj.web.handles import put
 from maglev_mj.web.stage import VIEWS, look
 
-__all__ = ["Panel"]
-
 _ROWS = {
     "handle": ("centre", "drop", "record"),
     "time": ("pause", "step", "slower", "faster"),

@@ -18,8 +18,6 @@ from maglev_mj.session import Snapshot
 from maglev_mj.web.handles import put
 from maglev_mj.web.svg import Line, Range, chart
 
-__all__ = ["Plots"]
-
 _POINTS, _MARGIN = 200, 1.1
 _LEAST = 1e-3
 

@@ -15,8 +15,6 @@ from maglev_mj.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, arrow_s
 from maglev_mj.web.handles import put
 from maglev_mj.web.meshes import glb
 
-__all__ = ["FIELD", "VIEWS", "Stage", "look", "placed"]
-
 VIEWS = {
     "home": ((0.17, -0.27, 0.21), (0.0, 0.0, 0.028)),
     "front": ((0.0, -0.36, 0.05), (0.0, 0.0, 0.02)),

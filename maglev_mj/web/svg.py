@@ -14,8 +14,6 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.colours import BOUNDARY, Colour, hex_of
 
-__all__ = ["Line", "Range", "chart", "ticks"]
-
 _WIDTH, _HEIGHT = 320, 156
 _LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 22
 _TICKS = 4
