@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, drive
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import Hand
+from maglev_mj.hand import Hand, get_hand
 from maglev_mj.hand.impedance import exponential
 from maglev_mj.laws import AdaptiveWindow, FiniteDifference, LowPass, VelocityEstimator, Window
 from maglev_mj.plants import MuJoCoBatchPlant
@@ -313,3 +313,25 @@ def test_critical_delays_up_to_three_periods(delay: float) -> None:
     found = float(critical_delay(*gains, period=T))
     assert delay < found < 1.01 * delay
     assert largest_modulus(*gains, period=T, delay=found) == pytest.approx(1.0, abs=1e-8)
+
+
+def test_critical_delays_of_more_than_three_periods() -> None:
+    stiffness, damping = [3000.0, 5000.0, 6000.0, 30000.0], [60.0, 100.0, 80.0, 80.0]
+    found = critical_delay(stiffness, damping, period=1e-3)
+    np.testing.assert_allclose(found, [math.inf, 7.23914e-3, 7.02080e-3, 1.74846e-3], rtol=1e-5)
+    stable = is_stable(largest_modulus(6000.0, 80.0, period=1e-3, delay=np.linspace(0.0, 0.01, 500)))
+    assert np.argmin(stable) == np.searchsorted(np.linspace(0.0, 0.01, 500), found[2])
+    assert is_stable(largest_modulus(3000.0, 60.0, period=1e-3, delay=np.linspace(0.0, 0.01, 500))).all()
+    rates = critical_delay(6000.0, 80.0, period=[[1e-3], [T]], mass=[0.7, 0.7])
+    np.testing.assert_allclose(rates, [[7.02080e-3] * 2, [3.25722e-3] * 2], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("hand", "least", "most"), [("arm", 1.2, 1.6), ("fingertip", 1.01, 1.04), ("stylus", 0.90, 0.96)]
+)
+def test_a_published_hand_shifts_the_critical_delay(hand: str, least: float, most: float) -> None:
+    stiffness, damping = np.meshgrid([1000.0, 2000.0, 4000.0, 6000.0, 8000.0], [20.0, 40.0, 60.0, 80.0, 100.0])
+    for period in (1e-3, 2e-3, T):
+        alone, held = (critical_delay(stiffness, damping, period=period, hand=one) for one in (None, get_hand(hand)))
+        known = np.isfinite(alone) & np.isfinite(held) & (alone > 0.0)
+        assert least < (held / np.where(known, alone, 1.0))[known].min() < most

@@ -287,7 +287,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         loop: Keywords of `SampledLoop` but the delay; they broadcast with the gains.
 
     Returns:
-        The delay (...,): 0 if the wall is unstable without delay, infinity if it is stable up to 3 periods.
+        The delay (...,): 0 if the wall is unstable without delay, infinity if it is stable up to 10 periods.
 
     Raises:
         ParameterError: If a value is outside its bounds, or a delay is given.
@@ -305,16 +305,25 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     shape = common_shape("stiffness, damping and loop", k.shape, b.shape, around.shape)
     k, b = np.broadcast_to(k, shape)[..., None], np.broadcast_to(b, shape)[..., None]
     wide = around.widened()
-    grid = np.broadcast_to(np.asarray(wide.period), (*shape, 1)) * np.linspace(0.0, 3.0, 121)
-    unstable = ~is_stable(replace(wide, delay=grid).modulus(k, b))
-    first = np.argmax(unstable, axis=-1)
-    pick = np.stack([np.maximum(first - 1, 0), first], axis=-1)
-    low, high = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
+    period = np.broadcast_to(np.asarray(wide.period), (*shape, 1))
+    low, high = np.zeros(shape), np.full(shape, np.inf)
+    for whole in range(MOST_PERIODS):
+        grid = period * np.linspace(whole, whole + 1, 41)
+        unstable = ~is_stable(replace(wide, delay=grid).modulus(k, b))
+        first = np.argmax(unstable, axis=-1)
+        pick = np.stack([np.maximum(first - 1, 0), first], axis=-1)
+        found = unstable.any(axis=-1) & np.isinf(high)
+        below, above = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
+        low, high = np.where(found, below, low), np.where(found, above, high)
+        if np.isfinite(high).all():
+            break
+    unstable = np.isfinite(high)
+    high = np.where(unstable, high, 0.0)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
         good = is_stable(replace(wide, delay=middle[..., None]).modulus(k, b)[..., 0])
         low, high = np.where(good, middle, low), np.where(good, high, middle)
-    return np.where(unstable.any(axis=-1), high, np.inf)
+    return np.where(unstable, high, np.inf)
 
 
 def least_dynamic_stiffness(
