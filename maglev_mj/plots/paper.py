@@ -36,7 +36,6 @@ class _Drop:
     band: tuple[Array, Array, Array]
     less_deep: float
     """Share of the phases with less penetration than the line."""
-    phases: int
 
 
 def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
@@ -198,7 +197,7 @@ def _columns(results: Mapping[str, Result], sweeps: Mapping[str, Phases], time: 
         phases = sweeps[label].phases if label in sweeps else _PHASES
         band = run(scene.replace(duration=float(time[-1])), plant="exact", phase=phases)
         less_deep = scene.less_deep(result.figures["penetration"], band.figures["penetration"])
-        drop = _Drop(result, styles[label], _shown(result, time), _shown(band, time), less_deep, phases.size)
+        drop = _Drop(result, styles[label], _shown(result, time), _shown(band, time), less_deep)
         (pulsed if styles[label]["linestyle"] == "-" else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
 
@@ -235,7 +234,7 @@ def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]
         f"{p.height * 1e3:g} mm drop, {gains}{1.0 / p.period:g} Hz, "
         f"delay {p.delay * 1e3:g} ms{limit} ({result.plant})\n"
         f"lines: phase {result.phase:g}, deeper than {100.0 * drop.less_deep:.0f} % of the phases; "
-        f"shaded: all of {drop.phases} phases",
+        f"shaded: all of {drop.band[0].shape[1]} phases",
         x=0.01,
         ha="left",
         fontsize=10,

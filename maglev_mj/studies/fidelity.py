@@ -5,6 +5,7 @@ The least level and the cheapest step that keep it are measured over many cases.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -237,7 +238,12 @@ def measure_fidelity(
     kept = preset.tolerance if tolerance is None else number("tolerance", tolerance, above=0.0)
     cases = choice_cases(scene, over.phases, over.around, checked_phase(phase))
     dear = (len(LEVELS) - DEAR) * min(DEAR_CASES, len(cases))
-    done = _Count(progress, len(cases) * DEAR + dear + len(STEPPINGS))
+    total, counted = len(cases) * DEAR + dear + len(STEPPINGS), itertools.count(1)
+
+    def done() -> None:
+        if progress is not None:
+            progress(next(counted), total)
+
     motions = run_levels(scene, cases, done=done)
     unscreened = ""
     try:
@@ -268,18 +274,6 @@ def measure_fidelity(
         )
     jump = largest_jump(screen)
     return FidelityResult(preset, kept, over, cases, screened, jump, met, levels, level, steps, cheapest, unscreened)
-
-
-class _Count:
-    """Counter of motions for a progress bar."""
-
-    def __init__(self, progress: Callable[[int, int], None] | None, total: int) -> None:
-        self._progress, self._count, self._total = progress, 0, total
-
-    def __call__(self) -> None:
-        self._count += 1
-        if self._progress is not None:
-            self._progress(self._count, self._total)
 
 
 def measure_steps(
