@@ -174,6 +174,19 @@ def test_so_do_a_recording_a_viewer_and_an_interrupt(
         flown.check(first)
 
 
+@pytest.mark.parametrize("address", ["udp://127.0.0.1:1", "serial:///dev/ttyUSB0?baud=921600"])
+def test_a_silent_serial_line_is_told_what_it_needs(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin, line = Twin(TwinParameters(), draw=lambda: 7), Impairment(blackouts=((1.0, 1.1),))
+    monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(twin, line), folder=tmp_path))
+    assert cli.main(["bridge", address, "--seconds", "1"]) == 1
+    (fault,) = capsys.readouterr().err.splitlines()
+    assert fault.startswith("maglev-mj bridge: WATCHDOG: said by the device; the last cycles are in ")
+    assert ("a busy machine hands over a serial line's bytes late" in fault) == address.startswith("serial")
+    assert f"the currents are cut; maglev-mj bridge {shlex.quote(address)} --reset clears the fault" in fault
+
+
 SCENE = '''
 from maglev_mj import Hold
 from maglev_mj.scenes.joystick import Joystick

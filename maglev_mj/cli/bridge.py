@@ -19,6 +19,7 @@ from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.realtime import interrupt, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
+from maglev_mj.bridge.wire import Fault
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, add_parameters, add_recording, chosen, chosen_key, number_option
 from maglev_mj.cli.progress import Progress
@@ -208,7 +209,9 @@ def _faults_told(options: argparse.Namespace) -> Iterator[None]:
     except DeviceFault as error:
         ends = [f"--{name}={value}" for name in ("key", "calibration") if (value := getattr(options, name)) is not None]
         again = shlex.join(["maglev-mj", "bridge", options.address, *ends, "--reset"])
-        raise PlantError(f"{error}; the currents are cut; {again} clears the fault") from error
+        late = options.address.startswith("serial:") and Fault.WATCHDOG in error.faults
+        hint = "; a busy machine hands over a serial line's bytes late: keep a processor free" if late else ""
+        raise PlantError(f"{error}{hint}; the currents are cut; {again} clears the fault") from error
 
 
 @contextmanager

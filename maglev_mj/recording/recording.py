@@ -89,7 +89,7 @@ class Stretch:
 
     @property
     def known_hand(self) -> Array:
-        """Wrench of the hand [N, N m], (N, 6); zero if it is not known."""
+        """Hand's wrench [N, N m], (N, 6); zero if unknown."""
         return np.nan_to_num(self.hand)
 
     def part(self, first: int, last: int) -> Stretch:

@@ -81,13 +81,7 @@ FIELDS: Sequence[Field] = (
     Field("pulse", _WRENCH, "what it answered, for as long as a pulse", "command.extra or ZERO", "command"),
     Field("applied", _WRENCH, "the command after the plant's limits", "applied.force", "applied"),
     Field("applied_pulse", _WRENCH, "the pulse after the plant's limits", "applied.extra or ZERO", "applied"),
-    Field(
-        "hand",
-        _WRENCH,
-        "what the hand exerts from the sample on; not known of a device",
-        "plant.hand_wrench",
-        unknown=True,
-    ),
+    Field("hand", _WRENCH, "what the hand exerts from the sample on, if known", "plant.hand_wrench", unknown=True),
     Field(
         "pulse_width",
         "s",
@@ -124,7 +118,7 @@ TOTALS: Sequence[Field] = (
         "energy that the rendered world has taken in, in the stretch; below 0 it has made some",
         at_most=1e15,
     ),
-    Field("hand_work", "J", "work of the hand in the stretch; not known of a device", at_most=1e15, unknown=True),
+    Field("hand_work", "J", "work of the hand in the stretch, if known", at_most=1e15, unknown=True),
     Field("missed", "", "samples that did not arrive, or that were not kept up with, in the stretch so far"),
 )
 """Running totals, stored in MCAP files with each sample."""

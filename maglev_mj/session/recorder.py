@@ -32,7 +32,7 @@ class SessionRecorder:
         self._folder, self._beside, self._failed, self._missed = folder, beside, "", 0
         self._said = Note()
         self._closing: list[threading.Thread] = []
-        self._unwritten: list[RecordingFile] = []
+        self._unwritten: dict[RecordingFile, str] = {}
         self._broken: list[str] = []
         self._named: set[Path] = set()
 
@@ -65,7 +65,7 @@ class SessionRecorder:
             return
         file, self.file = self.file, None
         self._said.say("writing the recording")
-        self._closing.append(threading.Thread(target=self._finish, args=(file,)))
+        self._closing.append(threading.Thread(target=self._keep, args=(file,)))
         self._closing[-1].start()
 
     def close(self) -> None:
@@ -77,20 +77,11 @@ class SessionRecorder:
         self.stop()
         for thread in self._closing:
             thread.join()
-        for file in self._unwritten:
-            try:
-                self._keep(file)
-            except OSError as error:
-                self._broken.append(str(error))
-        if self._broken:
-            raise RecordingError("; ".join(self._broken))
-
-    def _finish(self, file: RecordingFile) -> None:
-        try:
+        again, self._unwritten = self._unwritten, {}
+        for file in again:
             self._keep(file)
-        except OSError as error:
-            self._unwritten.append(file)
-            self._failed = f"RECORDING: {error}; it is tried again at the end"
+        if broken := [*self._broken, *self._unwritten.values()]:
+            raise RecordingError("; ".join(broken))
 
     def _keep(self, file: RecordingFile) -> None:
         """Close a file and report the outcome."""
@@ -99,6 +90,10 @@ class SessionRecorder:
         except RecordingError as error:  # the part before the error is on disk
             self._broken.append(str(error))
             self._failed = f"RECORDING: {error}"
+            return
+        except OSError as error:
+            self._unwritten[file] = str(error)
+            self._failed = f"RECORDING: {error}; it is tried again at the end"
             return
         self._said.say(f"wrote {path}" if path is not None else "nothing was recorded")
         if path is not None:

@@ -65,7 +65,7 @@ def _time(snapshot: Snapshot) -> str:
 
 
 def _energy(snapshot: Snapshot) -> str:
-    """Return the hand's work and the environment's absorbed energy, if known."""
+    """Return the hand's and the environment's energy, if known."""
     made = "MADE" if snapshot.taken < -_NOTHING else "took"
     parts = {"hand gave": snapshot.work, f"world {made}": abs(snapshot.taken)}
     return ", ".join(f"{name} {value * 1e3:.1f} mJ" for name, value in parts.items() if not math.isnan(value))
