@@ -16,7 +16,7 @@ import numpy as np
 
 from maglev_mj import laws as _laws
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError, check_instance
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.hand import GuidedHand, Hand, HandForce, SpringHand, Trajectory
 from maglev_mj.laws.base import FunctionLaw
 from maglev_mj.model import model_files, model_names
@@ -214,7 +214,8 @@ def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | N
         if isinstance(told, dict) and (hand is not None or not scripted(setup)):
             told = {name: value for name, value in told.items() if name != "hand_force"}
         plant = _made("plant", told, None, {} if hand is None else {"hand_force": hand})
-        check_instance("plant", plant, SampledPlant, "an object")
+        if not isinstance(plant, SampledPlant):
+            raise ParameterError(f"plant must be an object, not {plant!r}")
         if plant.batch or np.ndim(plant.timing.delay):
             raise ParameterError("a plant must be one device")
         return plant
