@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import shlex
 import sys
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 from importlib.util import find_spec
 from pathlib import Path
@@ -26,6 +26,7 @@ __all__ = [
     "PlantError",
     "SensingError",
     "check_instance",
+    "check_one_of",
     "file_path",
     "install_command",
     "meant",
@@ -147,6 +148,16 @@ def check_instance(name: str, value: object, kind: Any, allowed: str) -> None:
     """
     if not isinstance(value, kind):
         raise ParameterError(f"{name} must be {allowed}, not {one_line(value)}")
+
+
+def check_one_of(name: str, allowed: Collection[str], given: object, also: str = "") -> None:
+    """Check that a value is one of the allowed texts; see `not_one_of`.
+
+    Raises:
+        ParameterError: If it is not.
+    """
+    if given not in allowed:
+        raise ParameterError(not_one_of(name, allowed, given, also))
 
 
 def file_path(value: Path | str) -> Path:

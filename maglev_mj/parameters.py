@@ -17,7 +17,7 @@ from typing import Any, Literal, Self, Union, dataclass_transform, get_args, get
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.errors import ParameterError, check_one_of, not_one_of
 from maglev_mj.frames import AXES, Array, Component
 
 __all__ = [
@@ -163,8 +163,7 @@ def axis_indices(axes: str | Sequence[str]) -> tuple[int, ...]:
     """
     names = (axes,) if isinstance(axes, str) else tuple(axes)
     for name in names:
-        if name not in AXES:
-            raise ParameterError(not_one_of("axis", AXES, name))
+        check_one_of("axis", AXES, name)
     if not names or len(set(names)) != len(names):
         raise ParameterError(f"axes must be one or more different names of {', '.join(AXES)}, not {names!r}")
     return tuple(AXES.index(name) for name in names)

@@ -18,7 +18,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
+from maglev_mj.errors import MaglevError, ParameterError, require
 from maglev_mj.interrupts import interrupts_held
 from maglev_mj.versions import Versions, differences, versions
 
@@ -122,7 +122,8 @@ def chosen_workers(workers: Workers | int | None) -> Workers:
     """
     if isinstance(workers, int | Integral):
         return local_workers(int(workers))
-    check_instance("workers", workers, Workers | None, "a number of processes or dask_workers(...)")
+    if not isinstance(workers, Workers | None):
+        raise ParameterError(f"workers must be a number of processes or dask_workers(...), not {workers!r}")
     return workers or inline()
 
 

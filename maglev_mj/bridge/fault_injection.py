@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 
 from maglev_mj.bridge.firmware import Reading
 from maglev_mj.bridge.wire import StateReport
-from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.parameters import number
 
 _MS = 1_000_000
@@ -107,8 +107,7 @@ class InjectedFault:
     at: float  # in simulated time [s]
 
     def __post_init__(self) -> None:
-        if self.kind not in INJECTED_FAULTS:
-            raise ParameterError(not_one_of("fault", INJECTED_FAULTS, self.kind))
+        check_one_of("fault", INJECTED_FAULTS, self.kind)
         most = INJECTED_FAULTS[self.kind].largest
         if not 0 <= self.which <= most:
             raise ParameterError(f"{self.kind} must be of 0 to {most}, not {self.which}")

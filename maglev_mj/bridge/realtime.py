@@ -17,7 +17,7 @@ from typing import Any, Literal, NoReturn, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import MaglevError, ParameterError, not_one_of
+from maglev_mj.errors import MaglevError, check_one_of
 from maglev_mj.parameters import number
 
 
@@ -99,8 +99,7 @@ def realtime(mode: Realtime, priority: int = 80, cpu: int | None = None) -> Iter
         ParameterError: If an argument is outside its bounds.
         RealtimeError: If something is refused and the mode is "enforce".
     """
-    if mode not in get_args(Realtime):
-        raise ParameterError(not_one_of("realtime", get_args(Realtime), mode))
+    check_one_of("realtime", get_args(Realtime), mode)
     number("priority", priority, at_least=1, at_most=99)
     steps: list[tuple[str, Callable[[], Callable[[], object]]]] = [
         ("timer slack of 1 ns", _timer_slack),

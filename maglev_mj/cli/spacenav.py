@@ -9,7 +9,7 @@ from typing import Any
 
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_parameters, chosen
-from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.parameters import flag
 from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavMapping, SpacenavServer, Taps
 
@@ -68,8 +68,7 @@ def chosen_spacenav(options: argparse.Namespace, say: Callable[[str], object] = 
             raise ParameterError(f"{_PREFIX}gain and the like are for --spacenav")
         return []
     axes = "pose" if options.axes is None else options.axes
-    if axes not in _AXES_TOLD:
-        raise ParameterError(not_one_of("axes", _AXES_TOLD, axes))
+    check_one_of("axes", _AXES_TOLD, axes)
     buttons = None if mapping.press is None else Taps(mapping.press)
     server = SpacenavServer(options.socket, axes=_AXES_TOLD[axes](mapping=mapping), buttons=buttons)
     say("  a 3D mouse; for the programs that are to have it:")

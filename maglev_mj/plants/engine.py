@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ModelError, ParameterError, not_one_of
+from maglev_mj.errors import ModelError, ParameterError, check_one_of
 from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.hand import Hand
 from maglev_mj.lazy import mujoco
@@ -100,8 +100,7 @@ def prepared(
         ParameterError: If a value is outside its bounds.
         ModelError: If the model cannot be used, or lacks the stops that are needed.
     """
-    if integrator not in INTEGRATORS:
-        raise ParameterError(not_one_of("integrator", INTEGRATORS, integrator))
+    check_one_of("integrator", INTEGRATORS, integrator)
     made = load_model(model, **device)
     options = made.model.opt
     options.integrator = mujoco.mjtIntegrator.__members__[INTEGRATORS[integrator]]

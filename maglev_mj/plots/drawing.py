@@ -12,7 +12,7 @@ import numpy as np
 
 from maglev_mj import errors
 from maglev_mj.colours import GRID, REFERENCE, SERIES, WALL
-from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.errors import check_one_of
 from maglev_mj.parameters import flag
 
 FIRST, SECOND = SERIES[:2]
@@ -55,8 +55,7 @@ class PictureFolder:
     format: str = FORMATS[0]
 
     def __post_init__(self) -> None:
-        if self.format not in FORMATS:
-            raise ParameterError(not_one_of("format", FORMATS, self.format))
+        check_one_of("format", FORMATS, self.format)
 
     def path(self, name: str, ending: str | None = None) -> Path:
         """Return the path of a file, its folder made.

@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from maglev_mj.errors import ParameterError, check_instance, file_path, not_one_of, require
+from maglev_mj.errors import check_instance, check_one_of, file_path, require
 from maglev_mj.recording.recording import READ, Recording, aside
 from maglev_mj.recording.row import FIELDS, TOTALS, told, units
 from maglev_mj.recording.samples import samples_of
@@ -45,8 +45,7 @@ def export(recording: Recording, kind: str, path: Path | str) -> None:
         >>> [line.split(",")[:2] for line in lines if not line.startswith("#")][:2]
         [['stretch', 'tick'], ['0', '0']]
     """
-    if kind not in EXPORTS:
-        raise ParameterError(not_one_of("to", EXPORTS, kind))
+    check_one_of("to", EXPORTS, kind)
     check_instance("recording", recording, Recording, READ)
     path = file_path(path)
     with aside(path) as partial:

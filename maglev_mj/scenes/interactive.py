@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar, TypeAlias
 
-from maglev_mj.errors import ParameterError, named, not_one_of
+from maglev_mj.errors import ParameterError, check_one_of, named
 from maglev_mj.frames import AXES, ZERO
 from maglev_mj.hand import SpringHand, Trajectory
 from maglev_mj.laws import Law
@@ -33,8 +33,7 @@ def _faces(walls: Any) -> tuple[Face, ...]:
         if isinstance(wall, str) or not isinstance(wall, Sequence) or len(wall) != 3:
             raise ParameterError(f"a wall must be an axis, a normal and an edge, not {wall!r}")
         axis, normal, edge = wall
-        if axis not in AXES:
-            raise ParameterError(not_one_of("a wall's axis", AXES, axis))
+        check_one_of("a wall's axis", AXES, axis)
         if isinstance(normal, bool) or normal not in (1, -1):
             raise ParameterError(f"a wall's normal must be 1 or -1, not {normal!r}")
         if (axis, normal) in faces:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import DivergenceError, ParameterError, not_one_of
+from maglev_mj.errors import DivergenceError, ParameterError, check_one_of, not_one_of
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
 from maglev_mj.loop import drive
 from maglev_mj.parameters import number, numbers
@@ -269,8 +269,7 @@ def run(
     """
     scene = get_scene(scene)
     plant = checked_plant(scene, plant)
-    if plant not in PLANTS:
-        raise ParameterError(not_one_of("plant", PLANTS, plant, f" to run {scene.name}"))
+    check_one_of("plant", PLANTS, plant, f" to run {scene.name}")
     single = np.ndim(phase) == 0
     if not single and plant != "exact":
         raise ParameterError(f"phase must be one number on {plant}, whose runs differ in length: see run_phases")

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.errors import check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import HANDS, Hand, get_hand
 from maglev_mj.laws import Law, Wall
@@ -194,8 +194,7 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
     Raises:
         ParameterError: If there is no such plant, or a value is outside its bounds.
     """
-    if plant not in _BATCHES:
-        raise ParameterError(not_one_of("plant", _BATCHES, plant))
+    check_one_of("plant", _BATCHES, plant)
     count = len(walls)
     stable, rate, spent = np.zeros(count, dtype=bool), np.full(count, np.nan), np.zeros(count)
     undecided = np.arange(count)

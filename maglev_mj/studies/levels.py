@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import ParameterError, not_one_of
+from maglev_mj.errors import check_one_of
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.loop import drive
@@ -107,8 +107,7 @@ def level_index(level: str) -> int:
         ParameterError: If there is no such level.
     """
     names = [each.name for each in LEVELS]
-    if level not in names:
-        raise ParameterError(not_one_of("level", names, level))
+    check_one_of("level", names, level)
     return names.index(level)
 
 

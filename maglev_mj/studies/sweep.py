@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import maglev_mj
-from maglev_mj.errors import MaglevError, ParameterError, check_instance, not_one_of
+from maglev_mj.errors import MaglevError, ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.parameters import parsed_number
 from maglev_mj.scenes.find import SceneLike, get_scene, hash_of, made_again, reference_of, scene_of_text, text_of
@@ -110,8 +110,7 @@ class Sweep(Tabular):
         Raises:
             ParameterError: If the scene has no such figure.
         """
-        if name not in self.names:
-            raise ParameterError(not_one_of("figure", self.names, name))
+        check_one_of("figure", self.names, name)
         found = [result.get(name) for result in self.results]
         values = np.array([math.nan if value is None else value for value in found], dtype=np.float64)
         return values.reshape([len(given) for given in self.varied.values()])
@@ -334,5 +333,4 @@ def value_of(cls: type[Scene], name: str, text: str) -> Any:
 
 def _check_name(cls: type[Scene], name: str) -> None:
     names = ["plant", *(["phase"] if cls.takes_phase else []), *(one.name for one in cls.parameters())]
-    if name not in names:
-        raise ParameterError(not_one_of(f"parameter of {cls.name}", names, name))
+    check_one_of(f"parameter of {cls.name}", names, name)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError, check_instance, not_one_of
+from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array
 from maglev_mj.hand import get_hand
 from maglev_mj.laws import Law, ObserverWall
@@ -274,10 +274,8 @@ def design_wall(
         (7725, 74)
     """
     check_instance("requirements", requirements, WallRequirements, "WallRequirements(...)")
-    if law not in LAWS:
-        raise ParameterError(not_one_of("law", LAWS, law))
-    if goal not in GOALS:
-        raise ParameterError(not_one_of("goal", GOALS, goal))
+    check_one_of("law", LAWS, law)
+    check_one_of("goal", GOALS, goal)
     poles: Sequence[float | None] = (None,) if law == "pd" else _POLES if pole is None else (pole,)
     best: tuple[_Gains, float | None] | None = None
     cases = _first_cases(requirements)
