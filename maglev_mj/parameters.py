@@ -377,6 +377,7 @@ def param(
         1.0
     """
     flag("optional", optional)
+    flag("along", along)
     bounds = {"above": above, "at_least": at_least, "below": below, "at_most": at_most}
     declared = {
         "help": help,

@@ -18,7 +18,7 @@ from maglev_mj.parameters import flag, number, numbers, parsed_number
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.base import PlantKeywords
 
-RESULTS = {"Check", "Comparison", "FlotorGuard", "Stick", "Verdict"}
+RESULTS = {"Check", "Comparison", "FlotorGuard", "Parameter", "Stick", "Sweep", "Verdict", "unit_of"}
 """Objects that the package makes or calls itself."""
 
 NEEDED: dict[str, Any] = {
@@ -55,7 +55,7 @@ def calls() -> Iterator[tuple[str, Callable[..., Any]]]:
     """Yield every public class, function and method of the package."""
     for module in pkgutil.walk_packages(maglev_mj.__path__, "maglev_mj."):
         made = importlib.import_module(module.name)
-        for name in getattr(made, "__all__", ()):
+        for name in getattr(made, "__all__", [one for one in vars(made) if not one.startswith("_")]):
             found = getattr(made, name)
             if getattr(found, "__module__", None) != module.name or name in RESULTS:
                 continue
