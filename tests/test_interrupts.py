@@ -156,3 +156,10 @@ def test_a_process_whose_start_is_interrupted_ends_with_it(monkeypatch: pytest.M
         monkeypatch.setattr("maglev_mj.process.atexit.register", lambda _: os.kill(os.getpid(), signal.SIGINT))
         SideProcess(time.sleep, 30.0)
     assert closed == [0.0]
+
+
+def test_looking_at_the_program_s_module_leaves_signals_alone() -> None:
+    import maglev_mj.__main__
+
+    assert callable(maglev_mj.__main__.main)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
