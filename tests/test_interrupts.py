@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 import time
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -159,7 +160,5 @@ def test_a_process_whose_start_is_interrupted_ends_with_it(monkeypatch: pytest.M
 
 
 def test_looking_at_the_program_s_module_leaves_signals_alone() -> None:
-    import maglev_mj.__main__
-
-    assert callable(maglev_mj.__main__.main)
+    assert callable(import_module("maglev_mj.__main__").main)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
