@@ -152,10 +152,24 @@ def _names(module: str) -> list[Name]:
     For a package without names of its own those of its modules.
     """
     loaded = import_module(module)
-    if not hasattr(loaded, "__all__"):
+    if not hasattr(loaded, "__all__") and hasattr(loaded, "__path__"):
         return [name for inner in _modules(module) for name in _names(inner)]
-    names = [Name(module, name, getattr(loaded, name)) for name in loaded.__all__]
+    public = getattr(loaded, "__all__", None) or _described(module)
+    names = [Name(module, name, getattr(loaded, name)) for name in public]
     return [one._replace(module=_source(module, one.name)) if one.is_data else one for one in names]
+
+
+def _described(module: str) -> list[str]:
+    """Return the classes, functions and described values of a module without an underscore."""
+    nodes, found = ast.parse(getsource(import_module(module))).body, []
+    for node, after in zip(nodes, [*nodes[1:], None]):
+        described = isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant)
+        if isinstance(node, ast.ClassDef | ast.FunctionDef):
+            found.append(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign) and described:
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            found += [target.id for target in targets if isinstance(target, ast.Name)]
+    return sorted(name for name in found if not name.startswith("_"))
 
 
 def _source(module: str, name: str) -> str:
