@@ -350,7 +350,7 @@ BAD: list[tuple[list[str], int, str]] = [
     (["twin", "--fault", "dead-coil:6@2"], 2, "dead-coil must be of 0 to 5, not 6"),
     (["twin", "--realtime", "maybe"], 2, "--realtime must be one of enforce, ignore, not 'maybe'"),
     (["twin", "--key", "nowhere"], 2, "key must be a file of 32 to 64 hexadecimal digits"),
-    (["twin", "--truth", "nowhere"], 1, "nowhere"),
+    (["twin", "--truth", "nowhere"], 2, "nowhere"),
 ]
 
 

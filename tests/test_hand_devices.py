@@ -381,7 +381,7 @@ def test_a_button_that_is_held_while_a_gamepad_comes_back_is_not_pressed() -> No
     pressed = []
     for state in states:
         pad._process = SimpleNamespace(received=lambda state=state: [state], ended=False)  # type: ignore[assignment]
-        pressed.append(pad.read().pressed)
+        pressed.append([*pad.read().pressed])
     assert pressed == [[0], [], [], [], [0]]
 
 

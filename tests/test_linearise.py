@@ -502,7 +502,7 @@ def test_a_state_space_needs_python_control(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def loop_response(loop: ClosedLoop, push: NDArray[Any]) -> NDArray[Any]:
-    """Return the positions of a loop under a wrench, (n, K), from the recurrence that its docstring states."""
+    """Return the positions of a loop under a wrench, (n, K), by its recurrence."""
     state, rows = np.zeros(len(loop.matrix)), []
     for wrench in push.T:
         rows.append(loop.seen @ state)

@@ -342,4 +342,4 @@ def test_without_a_display_one_line_says_what_to_use_instead() -> None:
         assert done.returncode == 1
         assert len(done.stderr.splitlines()) == 1
         assert "render" in done.stderr
-        assert "drop --out" in done.stderr
+        assert "--web" in done.stderr

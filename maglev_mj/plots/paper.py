@@ -157,7 +157,7 @@ _LIMIT: dict[str, Any] = {
 
 
 def _published(scene: Drop) -> tuple[float, float, float] | None:
-    """Return stiffness, damping and pulse of the published wall; None for a drop on a law of one's own."""
+    """Return stiffness, damping and pulse of the published wall; None for another law."""
     for law in scene.laws():
         if isinstance(law, Wall) and not any(map(np.ndim, gains := (law.stiffness, law.damping, law.pulse))):
             stiffness, damping, pulse = np.array(gains, dtype=np.float64).tolist()
