@@ -99,9 +99,9 @@ def names(results: dict[str, CheckResult], passed: bool | None) -> set[str]:
     ("language", "key"),
     [
         pytest.param("python", None, id="python-keyless"),
-        pytest.param("c", KEY, id="c-keyed"),
+        pytest.param("c", KEY, id="c-keyed", marks=pytest.mark.needs("compiler")),
         pytest.param("python", KEY, id="python-keyed", marks=pytest.mark.study),
-        pytest.param("c", None, id="c-keyless", marks=pytest.mark.study),
+        pytest.param("c", None, id="c-keyless", marks=[pytest.mark.study, pytest.mark.needs("compiler")]),
     ],
 )
 def test_devices_pass(language: str, key: bytes | None, monkeypatch: pytest.MonkeyPatch) -> None:
