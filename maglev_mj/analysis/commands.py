@@ -16,6 +16,8 @@ from maglev_mj.recording import RunMetadata, Stretch
 from maglev_mj.recording.metadata import Face
 
 _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
+_NOTHING = 1e-9
+"""Part of the largest command below which a remainder is that of rounding: it must not become a force of its own."""
 
 
 class CommandedLaw(NamedTuple):
@@ -84,7 +86,7 @@ def fit_law(
         names += [("stuck", 0), ("sliding", 0)]
         parts += [np.where(stuck, anchors - place, 0.0), ~stuck * np.sign(last - place)]
     largest = float(np.abs(command).max())
-    if anchors is not None or (outside.any() and np.ptp(command[outside]) > 1e-9 * largest):
+    if anchors is not None or (outside.any() and np.ptp(command[outside]) > _NOTHING * largest):
         names += [("spring", 0), ("damper", 0)]
         parts += [-place, -speed]
     columns = np.column_stack([*parts, np.ones(len(place))][: len(parts) + bool(outside.sum() > 1)])
@@ -97,6 +99,7 @@ def fit_law(
     errors = np.where(told, residual * np.sqrt(np.maximum(np.diag(gram), 0.0)), np.inf)
     count = len(parts)
     made = columns[:, :count] @ gains[:count]
+    rest = applied - made
     return CommandedLaw(
         names=names,
         parts=columns[:, :count],
@@ -105,5 +108,5 @@ def fit_law(
         residual=residual,
         degrees=degrees,
         scale=float(np.sqrt(np.square(made[known]).mean())),
-        rest=applied - made,
+        rest=np.where(np.abs(rest) > _NOTHING * largest, rest, 0.0),
     )
