@@ -25,6 +25,8 @@ os.environ["LANGUAGE"] = "C"  # else each option of a command line is looked for
 # a shell lets what it runs in the background ignore Ctrl-C, and so would the programs that tests start
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+gc.disable()  # until all tests are collected: a third of the time that takes
+
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 
 
@@ -70,7 +72,7 @@ NEEDS = {
     "cross": Need("a compiler for boards", lambda: bool(shutil.which("arm-none-eabi-gcc")), "gcc-arm-none-eabi"),
     "spnav": Need("libspnav", lambda: _has_header("spnav.h"), "libspnav-dev"),
     "linux": Need("Linux", lambda: sys.platform == "linux"),
-    "workers": Need("tests on several workers", lambda: "PYTEST_XDIST_WORKER" in os.environ),
+    "workers": Need("several workers, -n", lambda: "PYTEST_XDIST_WORKER" in os.environ),
 }
 PEERS = {"bdsim", "control", "drake", "mujoco", "pinocchio", "pybullet", "rerun", "scipy"}
 """Others' programs, which `make test` does not install."""
@@ -127,9 +129,11 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         count = sum(bool(_needs(item) & lacked) for item in session.items)
         packages = " ".join(dict.fromkeys(" ".join(NEEDS[name].packages for name in NEEDS if name in lacked).split()))
         names = ", ".join(NEEDS[name].name for name in NEEDS if name in lacked)
-        file.write_text(f"missing here: {names}; {count} tests are left out\nto run them too: apt install {packages}\n")
+        brought = f"to run them too: apt install {packages}\n" if packages else ""
+        file.write_text(f"missing here: {names}; {count} tests are left out\n{brought}")
     if not hasattr(session.config, "workerinput"):
         _say(session.config)
+    gc.enable()
     gc.freeze()
 
 

@@ -17,7 +17,7 @@ from maglev_mj.recording.metadata import Face
 
 _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 _NOTHING = 1e-9
-"""Part of the largest command below which a remainder is rounding, and no force of its own."""
+"""Part of the largest command below which a remainder is rounding, not a force."""
 
 
 class CommandedLaw(NamedTuple):
