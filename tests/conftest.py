@@ -121,6 +121,7 @@ def _needs(item: pytest.Item) -> set[str]:
     return {name for mark in item.iter_markers("needs") for name in mark.args}
 
 
+@pytest.hookimpl(tryfirst=True)  # before a worker says that it has collected
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Say what is missing, and exclude tests and modules from garbage collection."""
     lacked = {name for item in session.items for name in _needs(item) - PEERS if _lacks(name)}
