@@ -198,7 +198,7 @@ def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say
             assert figures["ripple"] > 2e-4
             assert figures["transitions"] > 4
     swing = run(StickSlipScene(delay=0.005, duration=3.0), plant="exact").series()["position"][-500:]
-    assert np.ptp(swing) == pytest.approx(1e-3, rel=0.35)  # the paper's notes say about 1 mm
+    assert np.ptp(swing) == pytest.approx(1e-3, rel=0.15)  # about 1 mm, says the paper; 1.12 mm at four phases
 
 
 @pytest.mark.parametrize("axis", AXES)
