@@ -325,8 +325,11 @@ def test_samples_that_are_laid_out_otherwise_are_refused(change: Any, words: str
         load(with_messages(made("drop", ".mcap"), change), tmp_path, ".mcap")
 
 
+@pytest.mark.parametrize("beside", [True, False], ids=["with frames", "samples in a row"])
 @pytest.mark.parametrize(("topic", "place"), [(SAMPLE, 10), ("/tf", 3), ("/maglev/scene", 3), (SAMPLE, 16)])
-def test_a_message_that_is_missing_is_noticed_on_any_topic(topic: str, place: int, tmp_path: Path) -> None:
+def test_a_message_that_is_missing_is_noticed_on_any_topic(
+    topic: str, place: int, beside: bool, tmp_path: Path
+) -> None:
     """By its number, or at the end by their count."""
     from mcap.writer import Writer
 
@@ -343,7 +346,8 @@ def test_a_message_that_is_missing_is_noticed_on_any_topic(topic: str, place: in
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Writer, "add_message", adding)
-        data = with_messages(made("drop", ".mcap"), lambda topic, place, message: message)
+        kept = {SAMPLE, "/maglev/stretch", topic}
+        data = with_messages(made("drop", ".mcap"), lambda on, _, message: message if beside or on in kept else None)
     recording = load(data, tmp_path, ".mcap")
     assert skipped and "messages are missing" in recording.damage
     if place < 16:  # by its number alone: the count at the end is not there
