@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from identified_recordings import Case, draw, estimates, holds, record, truth
-from maglev_mj import ExactPlant, Timing, Wall
+from maglev_mj import ExactPlant, Hold, Timing, Wall
 from maglev_mj.analysis import Estimate, Identification, identification, identify, reconstruct
 from maglev_mj.analysis.estimates import find_quantum
 from maglev_mj.analysis.output_error import Forces, inverse, student
@@ -123,6 +123,21 @@ def test_an_ideal_sensor_tells_the_truth_to_rounding_or_as_well_as_an_arm_is_kno
     for one, true in zip(told, (inertia, scene.delay, scene.stiffness, scene.damping, share), strict=True):
         assert one.value == pytest.approx(true, rel=near)
         assert holds(one, true)
+
+
+@pytest.mark.parametrize("spring", [0.0, 1500.0])
+def test_a_walls_share_is_that_of_all_springs_and_dampers_on_its_axis(spring: float) -> None:
+    class Suspended(Drop):
+        def laws(self) -> list[Any]:
+            damping = 20.0 if spring else 0.0
+            return [*super().laws(), Hold(axes="z", stiffness=spring, damping=damping)]
+
+    stretch = recorded(scene := Suspended(stiffness=4000.0, pulse=0.0), 0.3)
+    (wall,), mass = found_in(scene, 0.3).walls, metadata_of(stretch, None).inertia[2]
+    damping = scene.damping + (20.0 if spring else 0.0)
+    true = (4000.0 + spring) / float(largest_stable_stiffness(damping, delay=scene.delay, mass=mass))
+    assert wall.stiffness.value == pytest.approx(4000.0, rel=1e-9)
+    assert wall.share.value == pytest.approx(true, rel=1e-9) and holds(wall.share, true)
 
 
 def test_a_delay_and_a_mass_other_than_stated_are_found() -> None:
