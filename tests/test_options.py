@@ -137,6 +137,17 @@ def test_a_rate_is_understood_where_a_period_is(command: str, capsys: pytest.Cap
     assert found == (2 * [{"rate": 500.0} if command == "twin" else {"parameter period": 0.002}]) * (command in TIMED)
 
 
+@pytest.mark.parametrize(
+    "words", ["drop --rate 100 --period 0.01", "view --period 0.01 --rate 100", "twin --period 1 --rate 1"]
+)
+def test_a_rate_beside_a_period_is_refused(words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        program.parser().parse_args(words.split())
+    first, last = words.split()[1::2]
+    told = f"maglev-mj {words.split()[0]}: argument {last}: not allowed with argument {first}"
+    assert capsys.readouterr().err.splitlines()[-1] == told
+
+
 def test_a_map_takes_a_rate_too(capsys: pytest.CaptureFixture[str]) -> None:
     words = "stability --grid 2 --damping 10:90 --stiffness 500:9000 --json -".split()
     assert cli.main([*words, "--rate", "1000"]) == cli.main([*words, "--period", "0.001"]) == 0

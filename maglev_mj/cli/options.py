@@ -52,14 +52,16 @@ def add_parameters(
 def add_inverse(parser: Container, option: str, dest: str) -> None:
     """Add an unlisted option that gives another's inverse.
 
-    A rate [Hz] is understood wherever a period [s] is, and a period wherever a rate is.
+    A rate [Hz] is understood wherever a period [s] is, and a period wherever a rate is; not both at once.
 
     Args:
         parser: Parser of the command.
         option: Name of the option.
         dest: Attribute of the other option.
     """
-    parser.add_argument(option, type=_inverse, dest=dest, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+    either = parser.add_mutually_exclusive_group()
+    either._group_actions += [action for action in parser._actions if action.dest == dest]
+    either.add_argument(option, type=_inverse, dest=dest, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
 
 
 def _inverse(text: str) -> float:
