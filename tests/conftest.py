@@ -161,8 +161,8 @@ def _skipped(config: pytest.Config) -> Counter[str]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Name the skipped tests by reason."""
-    for reason, count in _skipped(config).most_common():
+    """Name the skipped tests by reason, the most frequent first."""
+    for reason, count in sorted(_skipped(config).items(), key=lambda one: (-one[1], one[0])):
         terminalreporter.write_line(f"{count:4} skipped: {reason}")
 
 
