@@ -183,6 +183,8 @@ if TYPE_CHECKING:
     from maglev_mj.session import Session as Session
     from maglev_mj.session import real_time as real_time
     from maglev_mj.spacenav import AxisMapping as AxisMapping
+    from maglev_mj.studies.cells import dask_workers as dask_workers
+    from maglev_mj.studies.cells import local_workers as local_workers
     from maglev_mj.studies.cells import run_cells as run_cells
     from maglev_mj.studies.fidelity import Range as Range
     from maglev_mj.studies.fidelity import measure_fidelity as measure_fidelity
@@ -194,8 +196,6 @@ if TYPE_CHECKING:
     from maglev_mj.theory.linearise import linearise as linearise
     from maglev_mj.theory.verdict import judge as judge
     from maglev_mj.theory.verdict import stability as stability
-    from maglev_mj.workers import dask_workers as dask_workers
-    from maglev_mj.workers import local_workers as local_workers
 else:
     _HOMES = {
         "analysis": "analyse identify",
@@ -225,11 +225,10 @@ else:
         "scenes.scene": "Scene Start",
         "session": "Session real_time",
         "spacenav": "AxisMapping",
-        "studies.cells": "run_cells",
+        "studies.cells": "dask_workers local_workers run_cells",
         "studies.fidelity": "Range measure_fidelity",
         "studies.sweep": "sweep",
         "theory": "WallRequirements critical_delay design_wall judge largest_stable_stiffness linearise stability",
-        "workers": "dask_workers local_workers",
     }
     __getattr__, __dir__, __all__ = attach(__name__, _HOMES)
 

@@ -26,9 +26,8 @@ from maglev_mj.scenes.find import SceneLike, get_scene, hash_of, made_again, ref
 from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.studies.cells import Cell, Record, run_cells
+from maglev_mj.studies.cells import Cell, Record, Workers, chosen_workers, run_cells
 from maglev_mj.tabular import Table, Tabular
-from maglev_mj.workers import Workers, chosen_workers
 
 MOST_CELLS = 1_000_000
 """Largest number of cells in a sweep."""
