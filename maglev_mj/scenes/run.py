@@ -323,7 +323,8 @@ def run_phases(
         some = chosen[start : start + size]
         if plant == "exact":
             result = run(scene, plant=plant, phase=some)
-            rows.append((_figures(result, some.size), result.trace.furthest()))
+            figures = {name: np.asarray(values) for name, values in figures_of_each(result).items()}
+            rows.append((figures, result.trace.furthest()))
         else:
             result = run(scene, plant=plant, phase=float(some[0]))
             rows.append(
@@ -388,15 +389,16 @@ def _phases(phases: Any) -> Array:
     return chosen
 
 
-def _figures(result: Result, count: int) -> dict[str, Array]:
-    """Return the figures of N devices, (N, ...).
+def figures_of_each(result: Result) -> dict[str, Array | list[Any]]:
+    """Return the figures of N devices by name, N of each.
 
     Figures that accept a batch are computed at once, the others device by device.
     """
-    each = [] if all(one.batched for one in result.scene.figures.values()) else [result[k] for k in range(count)]
+    named: Mapping[str, Figure] = result.scene.figures
+    devices = [] if all(one.batched for one in named.values()) else [result[k] for k in range(np.size(result.phase))]
     return {
-        name: np.asarray(one(result)) if one.batched else np.array([one(device) for device in each])
-        for name, one in result.scene.figures.items()
+        name: np.asarray(one(result)) if one.batched else [one(device) for device in devices]
+        for name, one in named.items()
     }
 
 

@@ -8,23 +8,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array
-from maglev_mj.laws import Law
-from maglev_mj.laws.stack import law_kind, stacked
 from maglev_mj.loop import drive
 from maglev_mj.parameters import number
-from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import get_scene
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.scene import Scene, SideBySide
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.together import stacked_scenes
 from maglev_mj.studies.levels import LEVELS, Level, apart, exact_options, level_index, timing_of
 
 _MOST_PHASES = 1000
@@ -242,46 +238,13 @@ def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -
     Raises:
         ParameterError: If their laws differ in more than declared gains, or do not accept many devices at once.
     """
-    timings, starts = zip(*(_parts(scene, phase) for scene, phase in points), strict=True)
-    timing, common = timings[0], starts[0]
-    phases = np.array([one.phase for one in timings])
-    if (phases != phases[0]).any():
-        timing = replace(timing, phase=phases)
-    for name in ("pose", "twist", "wrench"):
-        if name in common:
-            common[name] = np.array([own[name] for own in starts])
-    if common.get("hand_force") is not None:
-        common["hand_force"] = SideBySide([own["hand_force"] for own in starts])
-    common.pop("longest_step", None)
-    near = exact_options(level)
-    if common.get("wrench_limit") is not None:  # the scene's own
+    stack = stacked_scenes(points)
+    near = exact_options(level) | {"longest_step": None, "escape": _FAR, "record": False}
+    if stack.plant_options().get("wrench_limit") is not None:  # the scene's own
         near.pop("wrench_limit", None)
-    options = common | near | {"escape": _FAR, "record": False}
-    made = {id(scene): scene.controller() for scene, _ in points}
-    controllers = [made[id(scene)] for scene, _ in points]
-    laws = [_stacked_law(alike) for alike in zip(*(controller.laws for controller in controllers), strict=True)]
-    controller = Controller(laws, period=controllers[0].period, velocity=controllers[0].velocity)
     ticks = min(scene.ticks(scene.timing(phase)) for scene, phase in points)
-    timing = timing_of(LEVELS[level_index(level)], timing, seed)
-    with np.errstate(all="ignore"), ExactPlant(timing, **options) as plant:
+    timing = timing_of(LEVELS[level_index(level)], stack.timing(), seed)
+    with np.errstate(all="ignore"), stack.plant("exact", timing=timing, **near) as plant:
         poses: list[Array] = []
-        drive(plant, controller, ticks, observe=lambda *_: poses.append(plant.state()[0]))
+        drive(plant, stack.controller(), ticks, observe=lambda *_: poses.append(plant.state()[0]))
         return np.array(poses)
-
-
-def _parts(scene: Scene, phase: float) -> tuple[Timing, dict[str, Any]]:
-    """Return the timing and plant keywords of a scene."""
-    made: list[tuple[Timing, dict[str, Any]]] = []
-    scene.plant(lambda timing, **own: made.append((timing, own)), phase=phase)  # type: ignore[arg-type]
-    return made[0]
-
-
-def _stacked_law(laws: Sequence[Law]) -> Law:
-    first, kind = laws[0], law_kind(laws[0])
-    if any(law is not first and (kind is None or law_kind(law) != kind) for law in laws):
-        name = getattr(first, "name", type(first).__name__)
-        raise ParameterError(
-            f"law {name} must be an AxisLaw, or name its gains in per_device, and differ in them alone"
-        )
-    law: Law = stacked(laws)
-    return law
