@@ -34,7 +34,7 @@ FLOORS = {
     "colours": 0,
     "parameters": 1,
     "workers": 1,
-    "tabular": 1,
+    "result": 1,
     "timeline": 1.5,
     "process": 1.5,
     "laws": 2,
@@ -86,7 +86,7 @@ ALLOWED = {
     "argcomplete": {"cli"},
     "mcap": {"recording"},
     "foxglove": {"live", "recording"},
-    "pandas": {"tabular"},
+    "pandas": {"result"},
     "pyarrow": {"recording"},
     "control": {"theory"},
 }

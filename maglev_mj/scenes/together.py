@@ -17,7 +17,7 @@ from maglev_mj.hand import HandForce
 from maglev_mj.laws.stack import content, law_kind, stacked
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.scenes.figures import Figure
-from maglev_mj.scenes.run import Result, run
+from maglev_mj.scenes.run import RunResult, run
 from maglev_mj.scenes.scene import Scene, SideBySide
 
 _LEAST = 8  # fewer do not pay for a batch
@@ -197,7 +197,7 @@ def _figures_of(members: Sequence[_Member]) -> list[tuple[_Member, Mapping[str, 
         return [*_figures_of(members[:half]), *_figures_of(members[half:])]
 
 
-def _rows(result: Result) -> list[Mapping[str, Any]]:
+def _rows(result: RunResult) -> list[Mapping[str, Any]]:
     """Return the figures of each device of a batch.
 
     Figures that accept a batch are computed at once.
