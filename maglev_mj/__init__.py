@@ -52,7 +52,7 @@ Scenes:
     find_scene               class of a scene, by name or file
     run                      runs a scene to its end
     run_phases               runs a scene at many sampling phases
-    Result                   motion and figures of one run
+    RunResult                motion and figures of one run
     Phases                   figures over the phases
     Session                  a scene in real time
     real_time                paces a session
@@ -175,7 +175,7 @@ if TYPE_CHECKING:
     from maglev_mj.scenes.figures import figure as figure
     from maglev_mj.scenes.find import find_scene as find_scene
     from maglev_mj.scenes.run import Phases as Phases
-    from maglev_mj.scenes.run import Result as Result
+    from maglev_mj.scenes.run import RunResult as RunResult
     from maglev_mj.scenes.run import run as run
     from maglev_mj.scenes.run import run_phases as run_phases
     from maglev_mj.scenes.scene import Scene as Scene
@@ -221,7 +221,7 @@ else:
         "scenes.bench": "hold",
         "scenes.figures": "figure",
         "scenes.find": "find_scene",
-        "scenes.run": "Phases Result run run_phases",
+        "scenes.run": "Phases RunResult run run_phases",
         "scenes.scene": "Scene Start",
         "session": "Session real_time",
         "spacenav": "AxisMapping",

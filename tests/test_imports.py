@@ -33,7 +33,7 @@ FLOORS = {
     "terminal": 0,
     "colours": 0,
     "parameters": 1,
-    "tabular": 1,
+    "result": 1,
     "timeline": 1.5,
     "process": 1.5,
     "laws": 2,
@@ -85,7 +85,7 @@ ALLOWED = {
     "argcomplete": {"cli"},
     "mcap": {"recording"},
     "foxglove": {"live", "recording"},
-    "pandas": {"tabular"},
+    "pandas": {"result"},
     "pyarrow": {"recording"},
     "control": {"theory"},
 }

@@ -9,6 +9,7 @@ from maglev_mj.cli.options import add_json, chosen, count, number_option
 from maglev_mj.cli.output import write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
+from maglev_mj.result import plain
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.fidelity import MARGIN, Range, measure_fidelity
 from maglev_mj.studies.fidelity_cases import COMPARED, preset_of
@@ -110,6 +111,6 @@ def _all(options: argparse.Namespace) -> int:
         for place, name in enumerate(COMPARED):
             found[name] = measure_levels(name)
             progress(place + 1, len(COMPARED))
-    data = {name: [row.as_json() for row in rows] for name, rows in found.items()}
+    data = {name: plain(rows) for name, rows in found.items()}
     write_results(options, lambda: data, lambda: levels_table(found))
     return 0

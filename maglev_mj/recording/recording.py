@@ -30,7 +30,7 @@ from maglev_mj.recording.checks import (
 )
 from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, told, units
-from maglev_mj.tabular import Table, Tabular
+from maglev_mj.result import Result, Table
 
 if TYPE_CHECKING:
     from maglev_mj.recording.mcap import Found
@@ -111,7 +111,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording(Tabular):
+class Recording(Result):
     """Recording of one run.
 
     Attributes:

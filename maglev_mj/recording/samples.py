@@ -16,13 +16,13 @@ from maglev_mj.recording.mcap import Found, Part
 from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.recording import Recording, Stretch, read_file
 from maglev_mj.recording.row import FIELDS, TOTALS, Field
-from maglev_mj.tabular import Tabular
+from maglev_mj.result import Result
 
 _FIELDS: Mapping[str, Field] = {field.name: field for field in (*FIELDS, *TOTALS)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Samples(Tabular):
+class Samples(Result):
     """All N samples of a recording, fields as attributes.
 
     For example `samples.position`.

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.parameters import number
+from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.run import checked_phase, parameters_json
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
@@ -26,7 +27,6 @@ from maglev_mj.studies.fidelity_levels import (
     LevelResult,
     Motions,
     distance,
-    finite,
     largest_jump,
     level_results,
     measure_costs,
@@ -36,7 +36,6 @@ from maglev_mj.studies.fidelity_levels import (
 )
 from maglev_mj.studies.integrators import boundary_shift
 from maglev_mj.studies.levels import LEVELS, level_index, level_parts, loop_of, step_of
-from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import SampledLoop
 
 MARGIN = 1.25
@@ -103,7 +102,7 @@ class StepResult(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FidelityResult(Tabular):
+class FidelityResult(Result):
     """Model level and step needed by a scene.
 
     A data frame has a row for each level; see `LevelResult`.
@@ -175,24 +174,25 @@ class FidelityResult(Tabular):
 
         Null for infinite or missing values.
         """
-        values = {
+        values: dict[str, Any] = {
             "scene": self.preset.name,
             "parameters": parameters_json(self.preset.scene, self.preset.scene.plants[0], self.cases[0].phase),
             "tolerance": self.tolerance,
             "margin": MARGIN,
             **self.over._asdict(),
-            "cases": [case._asdict() for case in self.cases],
+            "cases": plain(self.cases),
             "screened": self.screened,
             "unscreened": self.unscreened or None,
             "jump": self.jump,
             "furthest": self.furthest,
             "met_stops": self.met_stops,
-            "levels": [row.as_json() for row in self.levels],
+            "levels": plain(self.levels),
             "level": None if self.level is None else self.level.level,
-            "steps": [finite(row._asdict()) for row in self.steps],
-            "cheapest": None if self.cheapest is None else finite(self.cheapest._asdict()),
+            "steps": plain(self.steps),
+            "cheapest": plain(self.cheapest),
         }
-        return finite(values)
+        found: dict[str, Any] = plain(values)
+        return found
 
 
 def measure_fidelity(

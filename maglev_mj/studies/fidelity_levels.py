@@ -121,23 +121,6 @@ class LevelResult(NamedTuple):
     force: float
     cost: float
 
-    def as_json(self) -> dict[str, Any]:
-        """Return its figures, ready for JSON.
-
-        Null for values that are not finite.
-        """
-        return finite(self._asdict())
-
-
-def finite(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values ready for JSON.
-
-    None for numbers that are not finite.
-    """
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value for name, value in values.items()
-    }
-
 
 def run_case(scene: Scene, level: str, case: Case, **options: Any) -> Motion | None:
     """Run one case on a level; None if diverging."""
