@@ -26,41 +26,45 @@ from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.spec import Spec
-from maglev_mj.studies import fidelity_cases
+from maglev_mj.studies import fidelity
 from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.fidelity import (
+    COMPARED,
     MARGIN,
     FidelityResult,
+    LevelResult,
+    Preset,
     Range,
     StepResult,
+    largest_jump,
+    level_results,
     measure_fidelity,
+    measure_levels,
     measure_steps,
+    preset_of,
+    run_levels,
+    screen_levels,
     stepping_name,
 )
-from maglev_mj.studies.fidelity_cases import (
-    COMPARED,
-    Preset,
+from maglev_mj.studies.levels import (
+    LEVELS,
+    SteppedLoop,
+    apart,
+    boundary_shift,
     choice_cases,
+    distance,
     has_gains,
     itself,
-    preset_of,
+    level_index,
+    level_parts,
+    loop_of,
+    measure_costs,
+    motion_of,
+    run_case,
     run_together,
     scattered_cases,
     scene_at,
-    screen_levels,
 )
-from maglev_mj.studies.fidelity_levels import (
-    LevelResult,
-    distance,
-    largest_jump,
-    level_results,
-    measure_costs,
-    measure_levels,
-    run_case,
-    run_levels,
-)
-from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
-from maglev_mj.studies.levels import LEVELS, apart, level_index, level_parts, loop_of, motion_of
 from maglev_mj.tables import fidelity_table
 from maglev_mj.theory.closed_loop import SampledLoop
 
@@ -101,7 +105,7 @@ class Pocket(Scene):
         return [Bias(WEIGHT), walls, Hold.critically_damped(("y", "rx", "ry", "rz"), period=0.005, delay=0.0015)]
 
 
-POINTS, SEEDS = fidelity_cases._POINTS, fidelity_cases._SEEDS
+POINTS, SEEDS = fidelity._POINTS, fidelity._SEEDS
 
 
 @pytest.fixture(autouse=True)
@@ -110,11 +114,11 @@ def briefly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
     No test of the gate is about the costs themselves. Studies time each loop and screen all cases.
     """
-    monkeypatch.setattr("maglev_mj.studies.fidelity_levels._SHORT", 1e-9)
+    monkeypatch.setattr("maglev_mj.studies.levels._SHORT", 1e-9)
     if request.node.get_closest_marker("study") is None:
-        monkeypatch.setattr("maglev_mj.studies.fidelity_levels._LONG", 0.0)
-        monkeypatch.setattr(fidelity_cases, "_POINTS", 16)
-        monkeypatch.setattr(fidelity_cases, "_SEEDS", 2)
+        monkeypatch.setattr("maglev_mj.studies.levels._LONG", 0.0)
+        monkeypatch.setattr(fidelity, "_POINTS", 16)
+        monkeypatch.setattr(fidelity, "_SEEDS", 2)
 
 
 def test_4096_cases_are_screened() -> None:
@@ -478,7 +482,7 @@ def test_all_cases_keep_a_tolerance_only_if_each_does() -> None:
 
 
 def test_a_step_that_diverges_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.studies.fidelity_levels._LONG", 1.0)  # and each step is timed
+    monkeypatch.setattr("maglev_mj.studies.levels._LONG", 1.0)  # and each step is timed
     scene = SixAxes(duration=0.05)
     rows = measure_steps(scene, "filter", repeats=1)
     diverged = [row for row in rows if not math.isfinite(row.error)]

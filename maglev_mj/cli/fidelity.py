@@ -11,9 +11,7 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.result import plain
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.studies.fidelity import MARGIN, Range, measure_fidelity
-from maglev_mj.studies.fidelity_cases import COMPARED, preset_of
-from maglev_mj.studies.fidelity_levels import measure_levels
+from maglev_mj.studies.fidelity import COMPARED, MARGIN, Range, measure_fidelity, measure_levels, preset_of
 from maglev_mj.tables import fidelity_table, levels_table
 
 _RANGE = "what the answer is to hold for"
