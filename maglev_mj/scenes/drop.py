@@ -18,7 +18,7 @@ from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import WallScene, hold, others
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
-from maglev_mj.theory.analog_wall import analog_wall
+from maglev_mj.theory.ideal import analog_wall
 
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import RunResult

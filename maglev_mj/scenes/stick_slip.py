@@ -33,7 +33,7 @@ from maglev_mj.scenes.bench import hold, others, stepped
 from maglev_mj.scenes.figures import changes
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.spec import INERTIA, Spec
-from maglev_mj.theory.karnopp import FrictionEvent, KarnoppMotion, karnopp
+from maglev_mj.theory.ideal import FrictionEvent, KarnoppMotion, karnopp
 
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import RunResult
