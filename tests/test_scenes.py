@@ -421,7 +421,7 @@ def test_missing_values_count_as_late_or_not_at_all() -> None:
     assert both[0] == 2.0 and math.isnan(both[1])
     for name in ("batched", "late"):
         with pytest.raises(ParameterError, match=f"{name} must be True or False, not 1"):
-            figure("", "", **{name: 1})  # type: ignore[arg-type]
+            figure("", "", **{name: 1})(low.function)  # type: ignore[arg-type]
 
 
 def test_what_several_figures_share_is_made_once() -> None:

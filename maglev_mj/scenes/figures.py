@@ -135,9 +135,6 @@ def figure(
         >>> round(float(lowest.function(run(find_scene("drop")(duration=0.1), plant="exact"))), 4)  # [m]
         -0.0025
     """
-    flag("batched", batched)
-    flag("late", late)
-    flag("along", along)
 
     def make(function: Callable[[RunResult], Any]) -> Figure:
         return Figure(function.__name__, function, unit, help, scale, batched, late, along)

@@ -24,7 +24,7 @@ from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.loop import drive
 from maglev_mj.model import load_model
-from maglev_mj.parameters import flag, number
+from maglev_mj.parameters import number
 from maglev_mj.plants import (
     ExactPlant,
     MuJoCoPlant,
@@ -307,10 +307,6 @@ class SteppedLoop(SampledLoop):
     step: float = 1e-3
     aligned: bool = True
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        flag("aligned", self.aligned)
-
     def flotor(self) -> tuple[Array, Array, Array, Array, int]:
         """See `SampledLoop`."""
         period, delay = float(np.asarray(self.period)), float(np.asarray(self.delay))
@@ -372,7 +368,6 @@ def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    flag("aligned", aligned)
     if integrator in ("exact", "closed form"):
         return 0.0
     stepped = SteppedLoop(
