@@ -44,6 +44,7 @@ from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.spec import GRAVITY
 from maglev_mj.tables.analysis import analysis_table
+from maglev_mj.terminal import cell
 from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.web import panel
@@ -147,6 +148,19 @@ def test_a_coarse_sensor_costs_no_more_than_its_steps() -> None:
         assert face.peak_force == float(summary.peak_force)
         assert abs(face.settling_time - summary.settling_time) < 1e-3
         assert float(face.hardness.extended) == pytest.approx(perceived_hardness(exact, 0.005).extended, rel=0.01)
+
+
+def test_the_table_has_the_figures_of_a_wall_and_its_contacts_in_order() -> None:
+    found = analysed(recorded(Press(hits=2)), simulated=False)
+    (face,) = found.recorded.figures.faces
+    rows = [line.split() for line in analysis_table(found, 1, 1).splitlines() if line.startswith(f"  {face.name} ")]
+    small = face.penetration * 1e3, face.rebound * 1e3, face.peak_force, face.settling_time * 1e3
+    figures = (*small, float(face.hardness.rate) / 1e3, float(face.hardness.extended) / 1e3)
+    assert abs(figures[4] - figures[5]) > 1.0
+    assert rows[0][4:] == [*(cell(figure, 1.0) for figure in figures), str(len(face.contacts))]
+    for row, one in zip(rows[1:9], face.contacts):
+        times = one.duration, one.approach_speed, one.penetration
+        assert row[4:] == [f"{one.start:.4f}", *(cell(part, 1e3) for part in times), cell(one.peak_force, 1.0)]
 
 
 def test_where_a_drop_rests_is_found_in_its_samples() -> None:
@@ -255,6 +269,8 @@ def test_sticks_and_slips_are_those_of_the_experiment(scene: StickSlip, plant: s
     assert [stick.position for stick in sticks[1:]] == [event.position for event in stuck]
     assert [place for place in range(6) if figures.sticks[place] is not None] == [axis]
     assert found.axis() == axis
+    longest = next(line for line in analysis_table(found, 1, 1).splitlines() if line.startswith("  longest stuck"))
+    assert longest.split()[2:] == [cell(max(stick.duration for stick in sticks), 1e3), "ms"]
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004, 0.007])
