@@ -19,6 +19,7 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, Hold, Law, Wall
 from maglev_mj.analysis import Analysed, analyse, face_figures, identify, reconstruct
+from maglev_mj.analysis.figures import _sticks
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
@@ -163,6 +164,18 @@ def test_the_table_has_the_figures_of_a_wall_and_its_contacts_in_order() -> None
         assert row[4:] == [f"{one.start:.4f}", *(cell(part, 1e3) for part in times), cell(one.peak_force, 1.0)]
 
 
+def test_the_hardness_is_that_of_the_fastest_contact_alone() -> None:
+    stretch = recorded(Press(hits=2))
+    (whole,) = analysed(stretch, simulated=False).recorded.figures.faces
+    fastest = int(np.nanargmax([contact.approach_speed for contact in whole.contacts]))
+    assert fastest > 0
+    before, this = whole.contacts[fastest - 1 : fastest + 1]
+    between = 0.5 * (before.start + before.duration + this.start)
+    (alone,) = analysed(stretch, begin=between, simulated=False).recorded.figures.faces
+    assert float(whole.hardness.rate) == pytest.approx(float(alone.hardness.rate), rel=1e-9)
+    assert float(whole.hardness.extended) == pytest.approx(float(alone.hardness.extended), rel=1e-3)  # from a sample on
+
+
 def test_where_a_drop_rests_is_found_in_its_samples() -> None:
     drop = Drop()
     stretch = recorded(drop, phase=0.3)
@@ -271,6 +284,17 @@ def test_sticks_and_slips_are_those_of_the_experiment(scene: StickSlip, plant: s
     assert found.axis() == axis
     longest = next(line for line in analysis_table(found, 1, 1).splitlines() if line.startswith("  longest stuck"))
     assert longest.split()[2:] == [cell(max(stick.duration for stick in sticks), 1e3), "ms"]
+
+
+def test_a_stick_lasts_to_the_next_sample_and_ends_where_its_spring_did() -> None:
+    none = math.nan
+    anchors = np.array([0.1, 0.2, none, none, 0.5, none, 0.7, 0.8])
+    times = 0.01 * np.arange(len(anchors))
+    expected = [(0.0, 0.02, 0.2, True), (0.04, 0.01, 0.5, True), (0.06, 0.01, 0.8, False)]
+    found = _sticks(times, anchors) or ()
+    for stick, told in zip(found, expected, strict=True):
+        assert stick == pytest.approx(told)
+    assert _sticks(times, np.full(len(times), none)) is None
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004, 0.007])
