@@ -8,6 +8,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -23,6 +24,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict, verify
+from maglev_mj.recording.columns import Columns
+from maglev_mj.recording.row import FIELDS, TOTALS
 from maglev_mj.replay import expected, rebuild
 from maglev_mj.terminal import printable
 from tests.golden.outputs import HERE
@@ -770,3 +773,32 @@ def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
     part = stretch.part(2, 5)
     assert part.totals is None and part.metadata is stretch.metadata and len(part) == 4
     assert stretch.replace(hand=stretch.hand).totals is not None
+
+
+def block(first: int, count: int, **changes: float) -> dict[str, Any]:
+    """Return samples from a tick on, with some values that differ from zero."""
+    rows = {field.name: np.zeros((count, 6) if field.six else count) for field in (*FIELDS, *TOTALS)}
+    rows["tick"] = np.arange(first, first + count, dtype=np.float64)
+    rows["time"] = 0.005 * rows["tick"]
+    return rows | {name: np.full_like(rows[name], value) for name, value in changes.items()}
+
+
+def test_a_field_that_is_another_one_for_some_blocks_is_itself_in_all() -> None:
+    columns = Columns((*FIELDS, *TOTALS), None)
+    for first, command, applied in ((0, 2.0, 2.0), (4, 3.0, 3.0), (8, 5.0, 4.0), (12, 6.0, 6.0)):
+        columns.add(block(first, 4, command=command, applied=applied))
+        columns.sort()
+    assert len(columns) == 16
+    assert columns.array("command")[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [5.0] * 4 + [6.0] * 4
+    assert columns.array("applied")[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [4.0] * 4 + [6.0] * 4
+    assert columns.array("tick").tolist() == [*range(16)] and not columns.array("position").any()
+
+
+@pytest.mark.parametrize(("first", "says"), [(4, ""), (3, "tick must go up, not from 3 to 3"), (1, "from 3 to 1")])
+def test_ticks_go_up_from_block_to_block(first: int, says: str) -> None:
+    columns = Columns((*FIELDS, *TOTALS), None)
+    columns.add(block(0, 4))
+    columns.sort()
+    columns.add(block(first, 4))
+    with pytest.raises(ParameterError, match=says) if says else nullcontext():
+        columns.sort()
