@@ -289,7 +289,7 @@ def test_sticks_and_slips_are_those_of_the_experiment(scene: StickSlip, plant: s
 def test_a_stick_lasts_to_the_next_sample_and_ends_where_its_spring_did() -> None:
     none = math.nan
     anchors = np.array([0.1, 0.2, none, none, 0.5, none, 0.7, 0.8])
-    times = 0.01 * np.arange(len(anchors))
+    times = np.arange(len(anchors)) / 100.0
     expected = [(0.0, 0.02, 0.2, True), (0.04, 0.01, 0.5, True), (0.06, 0.01, 0.8, False)]
     found = _sticks(times, anchors) or ()
     for stick, told in zip(found, expected, strict=True):
