@@ -238,7 +238,7 @@ class Session:
 
     def _stop(self, reason: str) -> None:
         """Stop until a change or a restart at the centre."""
-        if not self._stopped:
+        if self._stopped != reason:
             self._stopped = reason
             self._recorder.failed(reason)
 
