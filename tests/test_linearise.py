@@ -532,6 +532,10 @@ def test_state_spaces_of_controller_and_loop_answer_as_they_do() -> None:
     assert moved[0, -1] == pytest.approx(1.0 / near.stiffness[0, 0], rel=1e-3)
     answer = control.forced_response(law, inputs=moved).outputs
     assert answer[0, -1] == pytest.approx(-1.0, rel=1e-3)
+    # each answer is the sum over the positions so far, the newest first
+    past = np.convolve(moved[0], near.response[:, 0, 0])[: len(times)]
+    assert len(near.response) > 3
+    np.testing.assert_allclose(answer[0], past, atol=1e-12)
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "ry"])

@@ -18,7 +18,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.versions import Versions, differences, versions, versions_read
 from maglev_mj.workers import Workers, WorkersError, chosen_workers
 
@@ -158,6 +158,7 @@ def run_cells(
     """
     if not callable(function):
         raise ParameterError(f"function must be one from cells to results, not {function!r}")
+    check_instance("cells", cells, Sequence, "a list of cells")
     study = _Study(function, record or Record(), chosen_workers(workers), progress)
     keys, found = [_key(cell) for cell in cells], study.record._results
     missing = list({key: cell for key, cell in zip(keys, cells, strict=True) if key not in found}.values())
