@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from maglev_mj import AXES, Controller, ExactPlant, Timing, Wall, drive
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.laws import (
     AdaptiveWindow,
     AxisLaw,
@@ -497,7 +497,7 @@ def test_bad_values_are_refused_in_one_line() -> None:
 def test_a_state_space_needs_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
     (near,) = linearise(Controller([silent], period=T), np.zeros((1, 6)))
-    with pytest.raises(ParameterError, match="python-control"):
+    with pytest.raises(MissingPackageError, match=r"python-control: .* -m pip install '?(control>=|\.\[control)"):
         near.to_statespace()
 
 
