@@ -64,6 +64,15 @@ class _Processes(ProcessPoolExecutor):
         with interrupts_held():  # the processes start here
             return super().submit(function, *args, **keywords)
 
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        given_up = {} if wait else dict(self._processes or {})
+        manager: Any = self._executor_manager_thread
+        super().shutdown(wait, cancel_futures=cancel_futures)  # first: of a cancelled job no death may be told
+        for process in given_up.values():  # the end of the program would wait for their jobs
+            process.kill()
+        if manager is not None:  # which tells of deaths if this is gone before
+            manager.join()
+
 
 @dataclass(frozen=True)
 class Workers:

@@ -25,7 +25,7 @@ from maglev_mj.workers import Workers, WorkersError, chosen_workers
 Cell: TypeAlias = dict[str, Any]
 """Values of a cell by the parameter's name."""
 
-_ATTEMPTS = 2
+_ATTEMPTS, _PATIENCE = 2, 1.0
 _BEGINNING = '{"cell": {'
 
 
@@ -147,7 +147,7 @@ def run_cells(
 
     Raises:
         ParameterError: If a cell is not JSON, or `function` is not a function that returns a result for each cell.
-        StudyInterrupted: On Ctrl-C, after the running jobs have finished. They also finish if a job fails.
+        StudyInterrupted: On Ctrl-C; running jobs have a second to finish. If a job fails, they all finish.
         WorkersError: If a cluster is gone, or one of its workers has other code.
 
     Example:
@@ -168,7 +168,8 @@ def run_cells(
     try:
         study.run()
     except KeyboardInterrupt:
-        study.stop()
+        study.stop(_PATIENCE)
+        study.close(wait=False)  # a job that was just handed out is in no hand yet
         raise StudyInterrupted(study.landed(cells)) from None
     except Exception as error:
         study.stop()
@@ -214,13 +215,16 @@ class _Study:
             if broken:
                 self._after_death(broken, alone)
 
-    def stop(self) -> None:
-        """Cancel waiting jobs, and wait for the running ones."""
+    def stop(self, patience: float | None = None) -> None:
+        """Cancel waiting jobs, and wait for the running ones.
+
+        Args:
+            patience: Longest time to wait [s]; None for their end.
+        """
         for future in list(self._hand):
             if future.cancel():
                 del self._hand[future]
-        wait(self._hand)
-        for future in list(self._hand):
+        for future in wait(self._hand, patience).done:
             with suppress(Exception):  # the first failure is raised already
                 self._land(future)
 
@@ -284,9 +288,9 @@ class _Study:
                 self.dead[_key(cell)] = {"error": f"its worker died {deaths} times"}
                 self._count(1)
 
-    def close(self) -> None:
+    def close(self, wait: bool = True) -> None:
         """Release the workers."""
         if self._pool is not None:
             # idle workers end at once; otherwise they could disturb a program that ends meanwhile
-            self._pool.shutdown(wait=not self._hand, cancel_futures=True)
+            self._pool.shutdown(wait=wait and not self._hand, cancel_futures=True)
             self._pool = None
