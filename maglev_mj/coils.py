@@ -56,6 +56,8 @@ class CoilMap:
     _spread: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        for name in ("points", "directions", "force_constants"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
         if self.points.shape != (6, 3) or self.directions.shape != (6, 3):
             raise ModelError(f"six coils are needed for six axes, not {len(self.points)}")
         forces = self.directions * self.force_constants[:, None]

@@ -187,7 +187,7 @@ def meant(given: object, allowed: Iterable[str]) -> str:
 
     It is empty if no allowed text is near.
     """
-    near = get_close_matches(str(given), allowed, n=1)
+    near = get_close_matches(str(given).lower(), allowed, n=1, cutoff=0.7)
     return f"; did you mean {near[0]}?" if near else ""
 
 

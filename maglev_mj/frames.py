@@ -40,7 +40,7 @@ Translations along stator axes, then rotations about them.
 
 _TURNING = {
     **{"m": "rad", "mm": "mrad", "µm": "µrad", "m/s": "rad/s", "mm/s": "mrad/s"},
-    **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N/mm": "N m/rad", "kN/m": "N m/rad", "N s/m": "N m s/rad"},
+    **{"N": "N m", "mN": "mN m", "N/m": "N m/rad", "N/mm": "N m/mrad", "kN/m": "kN m/rad", "N s/m": "N m s/rad"},
 }
 
 ZERO = (0.0,) * 6

@@ -16,13 +16,15 @@ from typing import Any, Self
 __all__ = ["Interrupts", "interrupts_held"]
 
 _LATER, _LONG = 0.01, 0.5
+_OPENS = "_Window.__init__"
 
 
 class Interrupts:
-    """Context in which Ctrl-C raises KeyboardInterrupt, once no module is being loaded.
+    """Context in which Ctrl-C raises KeyboardInterrupt, once no module is being loaded and no window opened.
 
-    A library that loads takes it for an error of its own, or swallows it. What loads for long is ended as before the
-    context. Where the exception could not be raised, it is again.
+    A library that loads takes it for an error of its own, or swallows it; a window half open cannot be closed, and its
+    drawing thread crashes a program that ends. What takes long is ended as before the context. Where the exception
+    could not be raised, it is again.
 
     Attributes:
         seen: True if there was one.
@@ -75,9 +77,9 @@ class Interrupts:
 
 
 def _loads(frame: FrameType | None) -> bool:
-    """Return True in a module's import."""
+    """Return True in a module's import, and while a window opens."""
     while frame is not None:
-        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>" or frame.f_code.co_qualname == _OPENS:
             return True
         frame = frame.f_back
     return False

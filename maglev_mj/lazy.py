@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from types import ModuleType
 
@@ -20,9 +21,21 @@ class _LazyModule(ModuleType):
         from maglev_mj.interrupts import interrupts_held
 
         with interrupts_held():  # its libraries start a program
-            value = getattr(import_module(self.__name__), name)
+            value = getattr(_engine(self.__name__), name)
         setattr(self, name, value)  # found at once from then on
         return value
+
+
+def _engine(name: str) -> ModuleType:
+    try:
+        return import_module(name)
+    except (AttributeError, OSError):  # what MUJOCO_GL names cannot be loaded: that is said where something is drawn
+        chosen = os.environ.get("MUJOCO_GL", "")
+        os.environ["MUJOCO_GL"] = "off"
+        try:
+            return import_module(name)
+        finally:
+            os.environ["MUJOCO_GL"] = chosen
 
 
 if TYPE_CHECKING:

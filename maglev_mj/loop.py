@@ -58,8 +58,11 @@ class ControlLoop:
         record: Record | None = None,
     ) -> None:
         for name, part, method in (("plant", plant, "read"), ("controller", controller, "step")):
-            if not hasattr(part, method):
+            if isinstance(part, type) or not hasattr(part, method):
                 raise ParameterError(f"{name} must have {method}(), not be {one_line(part)}")
+        for name, function in (("observe", observe), ("record", record)):
+            if not (function is None or callable(function)):
+                raise ParameterError(f"{name} must be a function, as open_recording(FILE).begin(plant, controller) is")
         if controller.period != plant.period:
             raise ParameterError(
                 f"period must be the plant's {plant.period:g} in the controller, not {controller.period:g}"

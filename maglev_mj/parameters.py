@@ -161,7 +161,7 @@ def axis_indices(axes: str | Sequence[str]) -> tuple[int, ...]:
     Raises:
         ParameterError: If a name is unknown or given twice, or there is no name.
     """
-    names = (axes,) if isinstance(axes, str) else tuple(axes)
+    names = (axes,) if isinstance(axes, str) or not isinstance(axes, Iterable) else tuple(axes)
     for name in names:
         check_one_of("axis", AXES, name)
     if not names or len(set(names)) != len(names):

@@ -19,6 +19,7 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, Hold, Law, Wall
 from maglev_mj.analysis import Analysed, analyse, face_figures, identify, reconstruct
+from maglev_mj.analysis.figures import _sticks
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
@@ -44,6 +45,7 @@ from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.spec import GRAVITY
 from maglev_mj.tables.analysis import analysis_table
+from maglev_mj.terminal import cell
 from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.web import panel
@@ -147,6 +149,31 @@ def test_a_coarse_sensor_costs_no_more_than_its_steps() -> None:
         assert face.peak_force == float(summary.peak_force)
         assert abs(face.settling_time - summary.settling_time) < 1e-3
         assert float(face.hardness.extended) == pytest.approx(perceived_hardness(exact, 0.005).extended, rel=0.01)
+
+
+def test_the_table_has_the_figures_of_a_wall_and_its_contacts_in_order() -> None:
+    found = analysed(recorded(Press(hits=2)), simulated=False)
+    (face,) = found.recorded.figures.faces
+    rows = [line.split() for line in analysis_table(found, 1, 1).splitlines() if line.startswith(f"  {face.name} ")]
+    small = face.penetration * 1e3, face.rebound * 1e3, face.peak_force, face.settling_time * 1e3
+    figures = (*small, float(face.hardness.rate) / 1e3, float(face.hardness.extended) / 1e3)
+    assert abs(figures[4] - figures[5]) > 1.0
+    assert rows[0][4:] == [*(cell(figure, 1.0) for figure in figures), str(len(face.contacts))]
+    for row, one in zip(rows[1:9], face.contacts):
+        times = one.duration, one.approach_speed, one.penetration
+        assert row[4:] == [f"{one.start:.4f}", *(cell(part, 1e3) for part in times), cell(one.peak_force, 1.0)]
+
+
+def test_the_hardness_is_that_of_the_fastest_contact_alone() -> None:
+    stretch = recorded(Press(hits=2))
+    (whole,) = analysed(stretch, simulated=False).recorded.figures.faces
+    fastest = int(np.nanargmax([contact.approach_speed for contact in whole.contacts]))
+    assert fastest > 0
+    before, this = whole.contacts[fastest - 1 : fastest + 1]
+    between = 0.5 * (before.start + before.duration + this.start)
+    (alone,) = analysed(stretch, begin=between, simulated=False).recorded.figures.faces
+    assert float(whole.hardness.rate) == pytest.approx(float(alone.hardness.rate), rel=1e-9)
+    assert float(whole.hardness.extended) == pytest.approx(float(alone.hardness.extended), rel=1e-3)  # from a sample on
 
 
 def test_where_a_drop_rests_is_found_in_its_samples() -> None:
@@ -255,6 +282,19 @@ def test_sticks_and_slips_are_those_of_the_experiment(scene: StickSlip, plant: s
     assert [stick.position for stick in sticks[1:]] == [event.position for event in stuck]
     assert [place for place in range(6) if figures.sticks[place] is not None] == [axis]
     assert found.axis() == axis
+    longest = next(line for line in analysis_table(found, 1, 1).splitlines() if line.startswith("  longest stuck"))
+    assert longest.split()[2:] == [cell(max(stick.duration for stick in sticks), 1e3), "ms"]
+
+
+def test_a_stick_lasts_to_the_next_sample_and_ends_where_its_spring_did() -> None:
+    none = math.nan
+    anchors = np.array([0.1, 0.2, none, none, 0.5, none, 0.7, 0.8])
+    times = np.arange(len(anchors)) / 100.0
+    expected = [(0.0, 0.02, 0.2, True), (0.04, 0.01, 0.5, True), (0.06, 0.01, 0.8, False)]
+    found = _sticks(times, anchors) or ()
+    for stick, told in zip(found, expected, strict=True):
+        assert stick == pytest.approx(told)
+    assert _sticks(times, np.full(len(times), none)) is None
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004, 0.007])

@@ -35,7 +35,7 @@ from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import GRAVITY
-from maglev_mj.tables.identification import identified_lines
+from maglev_mj.tables.identification import _rounded, identified_lines
 from maglev_mj.theory import largest_stable_stiffness
 
 HERE = Path(__file__).parent
@@ -392,3 +392,19 @@ def test_what_lies_outside_the_tested_ranges_is_named() -> None:
     assert any("outside the ranges in which errors were tested" in line for line in identified_lines(stiff))
     soft = found_in(Drop(stiffness=800.0, quantize=2e-5), 0.3, "exact")
     assert soft.outside == ["z below 0 mm at 8% of the limit", "noise or steps above 5 µm on z"]
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (1234.5678, 123.4, ("1235", "123")),
+        (1234.5678, 12.3, ("1235", "12")),
+        (1234.5678, 1.23, ("1234.6", "1.2")),
+        (1234.5678, 0.0123, ("1234.568", "0.012")),
+        (-0.00001, 0.05, ("0.000", "0.05")),
+        (1234.56789, 1e-9, ("1234.5679", "1e-09")),
+        (0.5, 0.0, ("0.5000", "0")),
+    ],
+)
+def test_a_value_is_rounded_to_the_second_digit_of_its_error(value: float, error: float, text: tuple[str, str]) -> None:
+    assert _rounded(value, error) == text

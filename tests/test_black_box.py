@@ -6,6 +6,7 @@ import errno
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -159,6 +160,15 @@ def test_the_table_says_what_when_and_the_last_cycles(tmp_path: Path) -> None:
     assert [line.split()[0] for line in (lines[-3], lines[-1])] == ["-5.0", "0.0"]
     picture = last_cycles(record, tmp_path / "fault.png")
     assert picture.stat().st_size > 20_000
+
+
+def test_a_pulse_is_commanded_too_while_it_has_a_width(tmp_path: Path) -> None:
+    record = load_black_box(flown(tmp_path)[1].path or "")
+    columns = {name: values.copy() for name, values in record.columns.items()}
+    columns["pulsed3"][-3:], columns["width"][-3:] = [-7.5, 0.25, -7.5], [0.003, 0.003, 0.0]
+    shown = [line.split()[7] for line in fault_table(replace(record, columns=columns)).splitlines() if " -" in line]
+    held = [f"{value:.2f}" for value in np.abs(record.six("held")).max(axis=-1)[-3:]]
+    assert shown[-3:] == ["7.50", *held[1:]]
 
 
 class Full:

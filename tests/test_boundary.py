@@ -228,6 +228,27 @@ def test_the_higher_of_two_maxima_may_look_lower_on_the_first_grid() -> None:
     assert float(stiffest_of(loop).stiffness) >= first
 
 
+def test_a_maximum_that_is_a_narrow_point_is_found() -> None:
+    hand = Hand(
+        mass=0.09110459,
+        damping=0.1696513,
+        stiffness=1801.002,
+        grip_damping=0.004873455,
+        grip_stiffness=80.54509,
+    )
+    loop = SampledLoop(period=0.007477498, delay=0.0009048618, mass=0.9563588, hand=hand)
+    broad, narrow = (boundary_of(loop, np.linspace(*ends, 1000)).max() for ends in ((80.0, 105.0), (108.6, 108.8)))
+    assert 1.001 < narrow / broad < 1.0011
+    assert float(stiffest_of(loop).stiffness) >= narrow * (1.0 - 1e-6)
+
+
+def test_a_resonance_without_damping_does_not_hide_the_best_wall() -> None:
+    hand = Hand(mass=55.62104, damping=16.34912, grip_stiffness=204436.6)
+    loop = SampledLoop(period=0.008123026, delay=0.00231816, mass=0.08802093, hand=hand)
+    found = stiffest_of(loop)
+    assert float(found.stiffness) >= boundary_of(loop, np.linspace(0.0, 1e-3, 11)).max() * (1.0 - 1e-6)
+
+
 def test_the_search_keeps_the_best_damping_that_it_has_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[float] = []
 

@@ -22,7 +22,7 @@ from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.coils import CoilMap
 from maglev_mj.energy import EnergyAccount, HandWork, PassivityObserver, actuator_work, hand_work
 from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
-from maglev_mj.frames import Array, quaternion
+from maglev_mj.frames import Array, Sample, quaternion
 from maglev_mj.model import load_model, model_path
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
 from maglev_mj.plants.currents import CoilDrive
@@ -120,6 +120,21 @@ def test_a_hand_that_uses_its_list_again_is_counted_as_it_was() -> None:
     work.add(np.array([1e-3, 0, 0, 0, 0, 0]), effort)
     assert work.total == pytest.approx(2e-3)
     assert hand_work(np.array([[0.0] * 6, [1e-3] * 6]), np.array([[2.0] * 6, [5.0] * 6])).tolist() == [[2e-3] * 6]
+
+
+def test_the_least_energy_is_that_of_all_samples_one_by_one_or_many_at_once() -> None:
+    random, count = np.random.default_rng(0), 60
+    poses, forces = random.normal(size=(2, count, 6))
+    alone, together = (PassivityObserver(TIMING, INERTIA) for _ in range(2))
+    energies = []
+    for tick, (pose, force) in enumerate(zip(poses.tolist(), forces.tolist(), strict=True)):
+        alone(Sample(tick, tick * TIMING.period, pose), Command(force))
+        energies.append(alone.energy)
+    for part in np.split(np.arange(count), [1, 2, 40]):
+        together.take(poses[part], forces[part], np.zeros((len(part), 6)), np.zeros(len(part)))
+        np.testing.assert_array_equal(together.least, np.min([np.zeros(6), *energies[: part[-1] + 1]], axis=0))
+    np.testing.assert_array_equal(alone.least, together.least)
+    assert (alone.least < alone.energy).any() and (alone.least < 0.0).any()
 
 
 def test_what_an_environment_gave_back_beyond_its_tank_counts() -> None:

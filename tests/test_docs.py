@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import io
+import math
 import re
 import shlex
 import subprocess
@@ -10,7 +12,15 @@ import sys
 import threading
 import tomllib
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import (
+    AbstractContextManager,
+    ExitStack,
+    closing,
+    contextmanager,
+    nullcontext,
+    redirect_stderr,
+    redirect_stdout,
+)
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +32,7 @@ from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.connection import estop
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import TwinServer
-from maglev_mj.cli import parser
+from maglev_mj.cli import main, parser
 from maglev_mj.cli.arguments import joined
 from maglev_mj.live import LiveServer
 from maglev_mj.net.udp import UdpServer
@@ -246,3 +256,92 @@ def test_the_emergency_stop_says_what_the_drill_waits_for() -> None:
     assert [(re.sub(r"[\d.]+", "0", stopped), failed) for stopped, failed in quoted] == [
         (re.sub(r"[\d.]+", "0", str(report)), str(report._replace(confirmed=False)).partition(" (")[0])
     ]
+
+
+PRESS = "press --plant exact --hits 1 --quantize 5e-6 --record run.npz", "analyse run.npz"
+"""A press over a sensor of 5 µm, as two pages say in words."""
+
+BEFORE = {("docs/howto/record.md", 0): PRESS, ("docs/explanation/analysis.md", 1): PRESS}
+NOT_TYPED = {
+    ("docs/howto/law.md", 0): "errors of laws that the page does not show",
+    ("docs/explanation/analysis.md", 0): "a recording of another flotor",
+    ("docs/explanation/bridge.md", 1): "a slow line",
+    ("docs/explanation/bridge.md", 2): "checks of three devices",
+    ("docs/howto/fly.md", 0): "a flight of a minute",
+    ("docs/explanation/bridge.md", 0): "a flight of a minute",
+}
+"""Quotes that no line above them gives."""
+
+SHOWN = re.compile(r"view|tour|twin|.*--(?:web|help)")
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+
+
+def quotes(page: str) -> Iterator[tuple[int, list[str], str]]:
+    """Yield place, commands since the one before, and text of each quote."""
+    lines: list[str] = []
+    for place, (before, quoted) in enumerate(blocks(page, "text")):
+        between = text_of(page).splitlines()[len(lines) : before]
+        lines += [*between, *quoted.splitlines()]
+        typed_in = [match[1] for line in between if (match := re.match(r"    maglev-mj (.*?)(?: *#.*)?$", line))]
+        yield place, [line for line in typed_in if not SHOWN.match(line)], quoted
+
+
+QUOTED = [
+    pytest.param(page, [*BEFORE.get((page, place), commands)], quoted, id=f"{page} {place}")
+    for page in PAGES
+    if page != "docs/gallery.md"  # scripts, see test_examples
+    for place, commands, quoted in quotes(page)
+    if (page, place) not in NOT_TYPED
+]
+
+
+def said_by(commands: list[str]) -> str:
+    """Return all that commands print.
+
+    A device is one in lockstep, with the delay of a line.
+    """
+    out = io.StringIO()
+    with ExitStack() as flight, redirect_stdout(out), redirect_stderr(out):
+        for command in commands:
+            if command.startswith("bridge"):
+                server = flight.enter_context(closing(UdpServer("127.0.0.1", 0)))
+                twin = TwinServer(Twin(TwinParameters(delay=0.0025, lockstep=True)), server)
+                thread = threading.Thread(target=twin.run)
+                thread.start()
+                flight.callback(thread.join)
+                flight.callback(twin.stop)
+                command = re.sub(r"udp://\S+", "udp://{}:{}".format(*server.address), command)
+            main(re.sub(r"(?<=--workers )\d+", "0", re.sub(r" --out \S+", "", command)).split())
+    return out.getvalue()
+
+
+def alike(quoted: str, said: str, numbers: bool) -> bool:
+    """Tell whether two words are the same, numbers within rounding."""
+    if _NUMBER.sub("0", quoted) != _NUMBER.sub("0", said):
+        return quoted == "..."
+    pairs = zip(map(float, _NUMBER.findall(quoted)), map(float, _NUMBER.findall(said)), strict=True)
+    return not numbers or all(math.isclose(one, other, rel_tol=1e-3, abs_tol=1e-12) for one, other in pairs)
+
+
+@pytest.mark.parametrize(("page", "commands", "quoted"), QUOTED)
+def test_what_a_page_quotes_is_what_its_commands_print(
+    page: str, commands: list[str], quoted: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_files(page, tmp_path)
+    words = (said_by(commands) if commands else "\n".join(run_page(page))).split()
+    numbers, start = "milliseconds" not in quoted, 0  # of a flight, times
+    for line in quoted.splitlines():
+        wanted = line.split()
+        if line.startswith("  age of the sample"):  # has none in lockstep
+            continue
+        places = range(start, len(words) - len(wanted) + 1)
+        found = [place for place in places if all(map(alike, wanted, words[place:], [numbers] * len(wanted)))]
+        assert found, f"{page}: {line!r} is not in {' '.join(words)}"
+        start = found[0] + len(wanted)
+
+
+def test_the_roots_of_the_first_steps_are_those_of_the_commands_beside_them() -> None:
+    beside = re.findall(r"`maglev-mj ([^`]*)` \| ([\d.]+) \|", text_of("docs/tutorials/first_steps.md"))
+    roots = [re.findall(r"\(contact\): largest root ([\d.]+)", said_by([command])) for command, _ in beside]
+    assert roots == [[written] for _, written in beside] and len(beside) == 3

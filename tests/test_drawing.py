@@ -16,11 +16,11 @@ from maglev_mj.viewer.backend import DisplayError, drawing_library
 RENDER = "render drop --out a.png --size 160x160 --seconds 0.02"
 
 
-def say(command: str, folder: Any, word: str) -> tuple[int, str]:
+def say(command: str, folder: Any, word: str, **more: str) -> tuple[int, str]:
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run(
         [sys.executable, "-m", "maglev_mj", *command.split()],
-        env={**environment, "MUJOCO_GL": word},
+        env={**environment, "MUJOCO_GL": word, **more},
         cwd=folder,
         capture_output=True,
         text=True,
@@ -46,6 +46,18 @@ def test_a_window_library_without_a_display_is_one_line(word: str, tmp_path: Any
     status, told = say(RENDER, tmp_path, word)
     assert status == 1 and "Traceback" not in told and "Warning" not in told
     assert told.startswith("maglev-mj render: pictures by glfw need a display with OpenGL"), told
+
+
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("word", ["osmesa", "egl"])
+def test_a_chosen_library_that_is_not_here_stops_what_draws_alone(word: str, tmp_path: Any) -> None:
+    """The engine loads it by itself, and would not be loaded then."""
+    (tmp_path / "OpenGL.py").write_text("raise AttributeError('no library')\n")
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    assert say("drop --phases 2", tmp_path, word, PYTHONPATH=paths) == (0, "")
+    status, told = say(RENDER, tmp_path, word, PYTHONPATH=paths)
+    assert (status, told.count("\n")) == (1, 1), told
+    assert told.startswith(f"maglev-mj render: pictures by {word} need on Debian `apt install lib"), told
 
 
 def test_drawing_that_is_turned_off_is_said(tmp_path: Any) -> None:

@@ -21,6 +21,7 @@ m: Any = maglev_mj
 """Wrong arguments are of wrong types."""
 
 DROP = m.find_scene("drop")(duration=0.05)
+COILS = m.load_model("maglev").coils
 NO_LAWS = "from maglev_mj import Scene\n\n\nclass Empty(Scene):\n    pass\n"
 NO_START = """
 from maglev_mj import Scene
@@ -76,6 +77,15 @@ UNDERSTOOD: Mapping[str, tuple[Callable[[], Any], Callable[[], Any]]] = {
     "a sweep by name": (
         lambda: m.sweep("drop", {"height": [0.001]}, plant="exact").figure("penetration"),
         lambda: m.sweep(m.find_scene("drop")(), {"height": [0.001]}, plant="exact").figure("penetration"),
+    ),
+    "one hand of a design": (lambda: m.WallRequirements(hands="arm").hands, lambda: ("arm",)),
+    "a run by path": (
+        lambda: m.run(Path(__file__).parents[1] / "scripts" / "examples" / "detents.py", plant="exact").trace.pose,
+        lambda: m.run(str(Path(__file__).parents[1] / "scripts" / "examples" / "detents.py"), plant="exact").trace.pose,
+    ),
+    "coils by lists": (
+        lambda: m.CoilMap(COILS.points.tolist(), COILS.directions.tolist(), [2.0] * 6).wrench_per_current,
+        lambda: m.CoilMap(COILS.points, COILS.directions, np.full(6, 2.0)).wrench_per_current,
     ),
     "a recording by name": (
         lambda: m.record_run("drop", plant="exact").samples().position,
@@ -136,6 +146,17 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "phases first": (lambda: m.run_phases(8, DROP), "scene must be a Scene, .* not 8"),
     "values first": (lambda: m.sweep({"height": [0.001]}, "drop"), "scene must be a Scene, .*height"),
     "values, a name": (lambda: m.sweep(DROP, "height"), "vary must be lists of values .* not 'height'"),
+    "no values": (lambda: m.sweep(DROP, {"height": []}), r"vary must give a list of values for height, not \[\]"),
+    "case of a name": (lambda: m.run("DROP"), "'DROP'; did you mean drop?"),
+    "range of a fidelity": (lambda: m.measure_fidelity(DROP, over=4), "over must be a Range, .* not 4"),
+    "cells": (lambda: m.run_cells(list, 3), "cells must be a list of cells, not 3"),
+    "number of an axis": (lambda: m.Wall(axes=2, lower=0.0, stiffness=1.0, damping=1.0), "axis must be .* not 2"),
+    "class of a plant": (lambda: m.drive(m.ExactPlant, controller(), 5), r"plant must have read\(\), .*ExactPlant"),
+    "file as record": (
+        lambda: m.drive(m.ExactPlant(), controller(), 5, record="x.npz"),
+        r"record must be a function, as open_recording",
+    ),
+    "time of a session": (lambda: m.Session("box").tick("1"), "elapsed must be a finite number, not '1'"),
     "fidelity": (lambda: m.measure_fidelity(3), "scene must be a Scene, .* not 3"),
     "session, misspelt": (lambda: m.Session("joystic"), "scene must be one of .*'joystic'; did you mean joystick?"),
     "session, nothing like it": (lambda: m.Session(0), "scene must be a Scene, .* not 0"),

@@ -78,3 +78,19 @@ def test_one_change_is_seen(where: str, new: Any, near: bool) -> None:
     found = changed(old, where, new)
     assert bool(differences("drop", old, found)) != near
     assert not differences("drop", old, deepcopy(old))
+
+
+@pytest.mark.parametrize(
+    ("name", "new", "near"),
+    [
+        ("value", lambda value: value * (1.0 + 1e-6), True),
+        ("value", lambda value: value * (1.0 + 1e-4), False),
+        ("value", None, False),
+        ("standard_error", 1.0, True),
+        ("cannot_be_told", "it never moves", False),
+    ],
+)
+def test_an_identified_value_that_changes_is_seen(name: str, new: Any, near: bool) -> None:
+    old = kept_once("analyse")["analyse/f7cb6d2-drop-exact.mcap"]
+    found = changed(old, f"files.out_json.stretches.0.identified.walls.0.stiffness.{name}", new)
+    assert bool(differences("analyse", old, found)) != near

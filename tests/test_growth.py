@@ -18,7 +18,7 @@ from maglev_mj.laws import LowPass, VelocityEstimator, Window
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import MuJoCoBatchPlant, Timing
 from maglev_mj.studies import growth as growing
-from maglev_mj.studies.growth import RestingWall, measure_growth
+from maglev_mj.studies.growth import Growth, RestingWall, grow_together, measure_growth
 from maglev_mj.studies.levels import SteppedLoop, boundary_shift
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
@@ -343,3 +343,17 @@ def test_a_loop_that_no_block_decides_is_judged_by_its_trend(rate: float) -> Non
     assert found.rate[0] == pytest.approx(rate, rel=1e-12)
     _, decided = growing._judge(sizes, last=False)
     assert decided.tolist() == [False, True, True]
+
+
+def test_walls_of_several_loops_have_their_own_growth_in_their_own_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    def measured(walls: Any, plant: str) -> Growth:
+        assert plant == "exact" and len({wall.period for wall in walls}) == 1
+        values = np.array([wall.stiffness for wall in walls])
+        return Growth(values > 3000.0, values, values)
+
+    monkeypatch.setattr(growing, "measure_growth", measured)
+    periods = (0.005, 0.004, 0.003, 0.005, 0.004)
+    walls = [RestingWall(stiffness=1000.0 * (1 + place), period=period) for place, period in enumerate(periods)]
+    found = grow_together(walls, "exact")
+    assert found.rate.tolist() == [1000.0, 2000.0, 3000.0, 4000.0, 5000.0]
+    assert found.stable.tolist() == [False, False, False, True, True]

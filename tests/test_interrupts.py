@@ -86,6 +86,26 @@ def test_a_module_that_loads_for_long_is_interrupted(tmp_path: Path, monkeypatch
     assert time.monotonic() - before < 30.0
 
 
+def test_a_window_that_opens_is_whole_before_it_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    # half open it cannot be closed, and the end of the program crashes in the engine's drawing thread
+    window = import_module("maglev_mj.viewer.window")
+    opened = list[str]()
+
+    def scale() -> float:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.05)
+        opened.append("whole")
+        raise LookupError
+
+    monkeypatch.setattr(window, "_font_scale", scale)
+    with pytest.raises(KeyboardInterrupt), Interrupts():
+        try:
+            window._Window(None, Path(), None)
+        except LookupError:
+            time.sleep(PATIENCE)
+    assert opened == ["whole"]
+
+
 def test_it_is_raised_again_where_it_was_only_reported(capfd: pytest.CaptureFixture[str]) -> None:
     class Deaf:
         def __del__(self) -> None:

@@ -22,7 +22,7 @@ from maglev_mj.laws import AxisLaw, Bias, Hold, Law, Wall, gain
 from maglev_mj.parameters import param
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.free import SixAxes, Twist
+from maglev_mj.scenes.free import LetGo, SixAxes, Twist
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.spec import Spec
@@ -30,12 +30,14 @@ from maglev_mj.studies import fidelity
 from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.fidelity import (
     COMPARED,
+    DEAR,
     MARGIN,
     FidelityResult,
     LevelResult,
     Preset,
     Range,
     StepResult,
+    _choose,
     largest_jump,
     level_results,
     measure_fidelity,
@@ -45,9 +47,11 @@ from maglev_mj.studies.fidelity import (
     run_levels,
     screen_levels,
     stepping_name,
+    worst_of,
 )
 from maglev_mj.studies.levels import (
     LEVELS,
+    Motion,
     SteppedLoop,
     apart,
     boundary_shift,
@@ -479,6 +483,56 @@ def test_all_cases_keep_a_tolerance_only_if_each_does() -> None:
         result = FidelityResult(preset_of("drop"), 1e-3, Range(), (itself(),), 4096, 0.0, 0, rows, None, (), None)
         line = next(line for line in fidelity_table(result).splitlines() if line.startswith("    body"))
         assert line.split()[-3] == text
+
+
+def moved(place: float, force: float = 0.0) -> Motion:
+    """Return a motion that is nothing but a displacement [m]."""
+    return Motion(np.array([[place, 0.0, 0.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6)), force, False, 1.0)
+
+
+def test_the_dear_levels_run_in_the_cases_that_are_worst_without_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    lacking = [5e-6, 1e-6, 9e-6, 3e-6, 7e-6, 2e-6, 8e-6]
+
+    def run_alone(scene: Any, level: str, case: Any, **_: Any) -> Motion:
+        return moved(lacking[case.seed] if level_index(level) > level_index("falloff") else 0.0)
+
+    monkeypatch.setattr("maglev_mj.studies.fidelity.run_case", run_alone)
+    cases = [itself()._replace(seed=seed) for seed in range(len(lacking))]
+    motions = run_levels(Drop(), cases)
+    assert all(set(motions[index]) == {*range(len(cases))} for index in range(DEAR))
+    assert all(set(motions[index]) == {0, 2, 6, 4} for index in range(DEAR, len(LEVELS)))
+
+
+def test_a_level_changes_what_the_level_below_it_did() -> None:
+    places = np.cumsum([1e-6 * (place + 1) for place in range(len(LEVELS))])
+    motions: list[dict[int, Motion | None]] = [{0: moved(place, 1e6 * place)} for place in places.tolist()]
+    rows = level_results(Drop(duration=0.01), motions, np.zeros((len(LEVELS), 1)), 1e-3, repeats=1)
+    changes = np.diff(places, prepend=places[0])
+    assert [row.changes for row in rows] == pytest.approx(changes.tolist(), abs=1e-15)
+    assert [row.force for row in rows] == pytest.approx((1e6 * changes).tolist(), abs=1e-9)
+    assert [row.worst for row in rows] == pytest.approx((places[-1] - places).tolist(), abs=1e-15)
+
+
+@pytest.mark.parametrize(("share", "worst"), [(1.0, 4.0), (0.99, 4.0), (0.7, 4.0), (0.5, 3.0), (0.01, 2.0)])
+def test_a_share_of_cases_is_rounded_up_to_a_whole_case(share: float, worst: float) -> None:
+    assert worst_of([2.0, 4.0, 1.0, 3.0], share) == worst
+
+
+def test_a_step_is_as_far_off_as_its_level_is_on_the_exact_plant(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.studies.fidelity.screen_levels", lambda *_: np.full((len(LEVELS), 4), 3e-5))
+    result = measure_fidelity(LetGo(duration=0.005), 1e-3, Range(phases=1))
+    assert result.level is not None and result.cheapest is not None
+    assert result.cheapest.missing == 3e-5 and result.furthest == MARGIN * 3e-5
+
+
+@pytest.mark.parametrize("shift", [-0.3, 0.3])
+def test_a_boundary_that_moves_either_way_forbids_a_step(shift: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    shifts = {"euler": shift, "rk4": 0.5 * shift}
+    monkeypatch.setattr("maglev_mj.studies.fidelity.boundary_shift", lambda kind, *_: shifts[kind])
+    rows = [StepResult("rk4", 1e-3, 0.0, cost=2.0), StepResult("euler", 1e-3, 0.0, cost=1.0)]
+    ordered, best = _choose(rows, loop_of(Drop(), "body"), 1e-3, lambda _: True, 0.2, lambda _: 0.0)
+    assert [row.shift for row in ordered] == [shift, 0.5 * shift]
+    assert best is not None and best.integrator == "rk4"
 
 
 def test_a_step_that_diverges_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> None:

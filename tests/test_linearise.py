@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from maglev_mj import AXES, Controller, ExactPlant, Timing, Wall, drive
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.laws import (
     AdaptiveWindow,
     AxisLaw,
@@ -497,7 +497,7 @@ def test_bad_values_are_refused_in_one_line() -> None:
 def test_a_state_space_needs_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "control", None)
     (near,) = linearise(Controller([silent], period=T), np.zeros((1, 6)))
-    with pytest.raises(ParameterError, match="python-control"):
+    with pytest.raises(MissingPackageError, match=r"python-control: .* -m pip install '?(control>=|\.\[control)"):
         near.to_statespace()
 
 
@@ -532,6 +532,10 @@ def test_state_spaces_of_controller_and_loop_answer_as_they_do() -> None:
     assert moved[0, -1] == pytest.approx(1.0 / near.stiffness[0, 0], rel=1e-3)
     answer = control.forced_response(law, inputs=moved).outputs
     assert answer[0, -1] == pytest.approx(-1.0, rel=1e-3)
+    # each answer is the sum over the positions so far, the newest first
+    past = np.convolve(moved[0], near.response[:, 0, 0])[: len(times)]
+    assert len(near.response) > 3
+    np.testing.assert_allclose(answer[0], past, atol=1e-12)
 
 
 @pytest.mark.parametrize("axis", ["x", "y", "ry"])

@@ -696,7 +696,9 @@ def test_one_that_floods_takes_nothing_from_others() -> None:
         flooding = threading.Thread(target=flood)
         flooding.start()
         try:
-            heard = list(client.messages(2.0))
+            heard, end = list(client.messages(2.0)), time.monotonic() + 30.0
+            while len(heard) <= 100 and time.monotonic() < end:  # a busy machine takes fewer samples
+                heard += client.messages(0.5)
         finally:
             over.set()
             flooding.join()

@@ -13,8 +13,9 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
+from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.studies.cells import Record, local_workers
-from maglev_mj.studies.nonlinear import DropMapParameters, Ending, judge_drops, run_drop_map
+from maglev_mj.studies.nonlinear import SAMPLES, DropMapParameters, Ending, _Quarters, judge_drops, run_drop_map
 from maglev_mj.theory import is_stable, largest_modulus
 
 ALL: dict[str, Any] = {"pulse": 220.0, "force_limit": 60.0, "quantize": 5e-6}
@@ -155,3 +156,17 @@ def test_ctrl_c_keeps_the_parts_that_are_done(here: Path) -> None:
     assert process.returncode == 130, said
     assert "maglev-mj stability: stopped; " in said and "Traceback" not in said
     assert 1 <= len(record.read_text().splitlines()) < 36
+
+
+def test_an_ending_is_that_of_the_last_quarter() -> None:
+    # From one quarter to the next: dying in the wall, dying but leaving it, lower than before, higher than released.
+    ranges = [[(-2e-3, -1e-3), (-1e-3, 2e-3), (-1e-3, 5e-3), (-1e-3, 4e-3)]]
+    ranges += [[(-1.6e-3, -1.5e-3), (-1e-3, 1e-4), (-1e-3, 4e-3), (-1e-3, 5e-3)]]
+    quarters = _Quarters(4)
+    for tick in range(SAMPLES):
+        late = tick - SAMPLES // 2
+        heights = np.array(ranges[late // (SAMPLES // 4)]).T[tick % 2] if late >= 0 else np.full(4, 9e-3)
+        quarters(Sample(tick, 0.005 * tick, [0.0, 0.0, heights, 0.0, 0.0, 0.0]), Command(ZERO))
+    swing, ending = quarters.judge(DropMapParameters(height=4.5e-3))
+    assert swing == pytest.approx([1e-4, 1.1e-3, 5e-3, 6e-3])
+    assert ending.tolist() == [Ending.SETTLES, Ending.GOES_ON, Ending.GOES_ON, Ending.GAINS]

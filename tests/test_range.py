@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run, run_phases
 from maglev_mj.scenes.stick_slip import StickSlip
-from maglev_mj.spec import RANGE
+from maglev_mj.spec import RANGE, Spec
 from maglev_mj.tables import run_table
 from maglev_mj.trace import Trace
 from tests.sweeps import sweep
@@ -119,6 +120,16 @@ def test_stick_slip_says_when_it_leaves_the_range_on_any_axis(axis: str) -> None
             assert float(value) == pytest.approx(most, rel=1e-3)
             assert unit == ("mm" if axis in AXES[:3] else "deg")
     assert any(kind) and not all(kind)
+
+
+@pytest.mark.parametrize(("knot", "told"), [(0, True), (-2, True), (-1, False)])
+def test_a_force_beyond_the_devices_is_told_if_it_acted(knot: int, told: bool) -> None:
+    ran, most = run(Drop(stiffness=2000.0, pulse=0.0), plant="exact"), Spec.largest_vertical_force.value
+    forces = ran.trace.wrench.copy()
+    assert np.abs(forces[:, 2]).max() < most
+    forces[knot, 2] = -1.5 * most
+    text = run_table({"drop": replace(ran, trace=replace(ran.trace, wrench=forces))}, {}, None)
+    assert (f"Above the device's {most:g} N (z): drop {1.5 * most:.3g}" in text) is told
 
 
 def test_commands_say_it_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:

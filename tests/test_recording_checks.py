@@ -8,6 +8,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -23,6 +24,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict, verify
+from maglev_mj.recording.columns import Columns
+from maglev_mj.recording.row import FIELDS, TOTALS
 from maglev_mj.replay import expected, rebuild
 from maglev_mj.terminal import printable
 from tests.golden.outputs import HERE
@@ -354,6 +357,26 @@ def test_a_message_that_is_missing_is_noticed_on_any_topic(
         (summary,) = struct.unpack_from("<Q", data, len(data) - 28)
         assert "messages are missing" in load(data[:summary], tmp_path, ".mcap").damage
     assert recording.ticks == (place if topic == SAMPLE else recording.ticks)
+
+
+def test_a_count_that_is_of_another_topic_is_noticed(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    add: Any = Writer.add_message
+    moved: list[int] = []
+
+    def adding(self: Any, channel_id: int, *given: Any) -> None:
+        add(self, channel_id, *given)
+        counts, channels = self._Writer__statistics.channel_message_counts, self._Writer__channels
+        others = [other for other in counts if channels[other].topic == "/tf"]
+        if channels[channel_id].topic == SAMPLE and others and not moved:
+            counts[channel_id], counts[others[0]] = counts[channel_id] + 1, counts[others[0]] - 1
+            moved.append(channel_id)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Writer, "add_message", adding)
+        data = with_messages(made("drop", ".mcap"), lambda on, _, message: message)
+    assert moved and "messages are missing" in load(data, tmp_path, ".mcap").damage
 
 
 @ALL_OF_THEM
@@ -770,3 +793,32 @@ def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
     part = stretch.part(2, 5)
     assert part.totals is None and part.metadata is stretch.metadata and len(part) == 4
     assert stretch.replace(hand=stretch.hand).totals is not None
+
+
+def block(first: int, count: int, **changes: float) -> dict[str, Any]:
+    """Return samples from a tick on, with some values that differ from zero."""
+    rows = {field.name: np.zeros((count, 6) if field.six else count) for field in (*FIELDS, *TOTALS)}
+    rows["tick"] = np.arange(first, first + count, dtype=np.float64)
+    rows["time"] = 0.005 * rows["tick"]
+    return rows | {name: np.full_like(rows[name], value) for name, value in changes.items()}
+
+
+def test_a_field_that_is_another_one_for_some_blocks_is_itself_in_all() -> None:
+    columns = Columns((*FIELDS, *TOTALS), None)
+    for first, command, applied in ((0, 2.0, 2.0), (4, 3.0, 3.0), (8, 5.0, 4.0), (12, 6.0, 6.0)):
+        columns.add(block(first, 4, command=command, applied=applied))
+        columns.sort()
+    assert len(columns) == 16
+    assert columns.array("command")[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [5.0] * 4 + [6.0] * 4
+    assert columns.array("applied")[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [4.0] * 4 + [6.0] * 4
+    assert columns.array("tick").tolist() == [*range(16)] and not columns.array("position").any()
+
+
+@pytest.mark.parametrize(("first", "says"), [(4, ""), (3, "tick must go up, not from 3 to 3"), (1, "from 3 to 1")])
+def test_ticks_go_up_from_block_to_block(first: int, says: str) -> None:
+    columns = Columns((*FIELDS, *TOTALS), None)
+    columns.add(block(0, 4))
+    columns.sort()
+    columns.add(block(first, 4))
+    with pytest.raises(ParameterError, match=says) if says else nullcontext():
+        columns.sort()

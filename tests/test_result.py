@@ -81,7 +81,16 @@ def test_the_units_of_each_kind_of_result_are_these() -> None:
     assert units["drop map"] == {**gains, "swing": "m"} and units["phases"]["peak_force"] == "N"
     assert units["verdict"] == {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
     assert units["linearised"]["z.z"] == "N/m" and units["linearised"]["time"] == "s"
-    assert units["closed loop"] == {"frequency": "Hz"} and units["trace"]["pose.rx"] == "rad"
+    assert units["closed loop"] == {"frequency": "Hz"} and units["design"] == {"mass": "kg", "delay": "s"}
+    assert units["sweep"]["penetration"] == "m" and units["sweep"]["settling_time"] == "s"
+    # those of six components, of a translation and a rotation
+    trace = {"pose": ("m", "rad"), "twist": ("m/s", "rad/s"), "wrench": ("N", "N m")}
+    sample = {"position": ("m", "rad"), "command": ("N", "N m"), "applied": ("N", "N m"), "hand": ("N", "N m")}
+    analysed = {"recorded": ("m", "rad"), "simulated": ("m", "rad")}
+    sides = {"trace": trace, "samples": sample, "recording": sample, "analysed": analysed}
+    for name, parts in sides.items():
+        assert {part: (units[name][f"{part}.z"], units[name][f"{part}.ry"]) for part in parts} == parts
+        assert units[name]["time"] == "s"
 
 
 def lines(figure: Any, panel: int = 0) -> Any:

@@ -1,5 +1,6 @@
 """Sessions without a window: pacing, actions, energy, recording."""
 
+import math
 import re
 from pathlib import Path
 from threading import Event
@@ -37,6 +38,7 @@ from maglev_mj.session import (
     real_time,
     settable,
 )
+from maglev_mj.session.pacing import Due
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.viewer.keys import help_rows, keys_of
@@ -44,6 +46,14 @@ from maglev_mj.viewer.overlay import status_rows
 
 ROOT = Path(__file__).parents[1]
 FRAME = 1.0 / 60.0
+
+
+def test_a_frame_is_due_once_on_a_grid_that_a_late_call_does_not_shift() -> None:
+    clock = Clock()
+    due, asked = Due(1.0, clock), []
+    for clock.now in (0.0, 0.5, 1.2, 1.9, 2.0, 7.3, 7.4, 8.2, 8.3):
+        asked.append(due())
+    assert asked == [True, False, True, False, True, True, False, False, True]
 
 
 class Clock:
@@ -569,11 +579,18 @@ def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
     assert late.answers == ["settings must be those of box, not of joystick", session.snapshot().since]
 
 
-def test_no_program_ends_an_emergency_stop() -> None:
-    program = Program()
-    session = Session(Joystick(), publishers=[program])
+@pytest.mark.parametrize("already", [False, True])
+def test_no_program_ends_an_emergency_stop(already: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    program, beside = Program(), ArrayFile()
+    session = Session(Joystick(), publishers=[program], file=beside)
     session.tick(0.05)
+    if already:  # the scene has stopped by itself before
+        monkeypatch.setattr("maglev_mj.session.session._MADE", math.inf)
+        session.tick(0.05)
+        assert session.snapshot().reason.startswith("the rendered world made")
     session.act(EMERGENCY_STOP)
+    session.act(EMERGENCY_STOP)
+    assert [event.endswith(EMERGENCY_STOP) for event in beside.recording.events] == [*[False] * already, True]
     program.wanted = Joystick(stiffness=3000.0)
     assert session.tick(0.05) == 0
     now = session.snapshot()

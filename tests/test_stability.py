@@ -148,6 +148,15 @@ def test_exponential_against_its_eigenvalues() -> None:
     np.testing.assert_array_equal(exponential(nilpotent), [[1.0, T], [0.0, 1.0]])
 
 
+def test_exponential_of_a_stiff_spring() -> None:
+    """In seconds, so that speeds are 1500 times the positions."""
+    frequency, turn = 1524.0, 12.3444
+    time = turn / frequency
+    found = exponential(np.array([[0.0, time], [-turn * frequency, 0.0]]))
+    expected = np.cos(turn), np.sin(turn) / frequency, -frequency * np.sin(turn), np.cos(turn)
+    np.testing.assert_allclose(found.ravel(), expected, rtol=1e-13)
+
+
 GRIP = Hand(mass=0.1, damping=5.0, stiffness=500.0, grip_damping=4.0, grip_stiffness=3000.0)
 RIGID = Hand(mass=0.1, damping=5.0, stiffness=500.0)
 

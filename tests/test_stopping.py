@@ -38,6 +38,14 @@ ZERO_CURRENT = 1e-9
 pytestmark = pytest.mark.xdist_group("realtime")
 
 
+@pytest.fixture(autouse=True)
+def hang_up_is_heard() -> Iterator[None]:
+    """Let programs hear SIGHUP, also where `nohup` runs the tests."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 class Moment(NamedTuple):
     """Sample of the twin for these tests.
 

@@ -238,6 +238,38 @@ def test_ctrl_c_on_the_command_line_ends_cleanly_and_goes_on(
     assert f"{8 * count} cells\n  {done} of them already in" in capsys.readouterr().out
 
 
+def first_soon(cells: list[Cell]) -> list[Any]:
+    """Square the first cell at once, and others in minutes."""
+    time.sleep(300.0 * bool(cells[0]["x"]))
+    return squares(cells)
+
+
+def test_ctrl_c_does_not_wait_for_long_jobs(tmp_path: Path) -> None:
+    # neither does the end of the program: it would wait for the workers' thread
+    program = (
+        "import sys; from pathlib import Path; from maglev_mj.studies.cells import *\n"
+        "from tests.test_study import first_soon\n"
+        "def progress(done, total): print(done, flush=True)\n"
+        "if __name__ == '__main__':\n"
+        "    cells = [{'x': x, 'long': 30000 * 'z'} for x in range(9)]\n"  # more than a pipe holds
+        "    try: run_cells(first_soon, cells, record=Record(Path(sys.argv[1])), workers=2, progress=progress)\n"
+        "    except StudyInterrupted as error: print([cell['x'] for cell, _ in error.landed])\n"
+    )
+    (script := tmp_path / "long.py").write_text(program)
+    process = subprocess.Popen(
+        [sys.executable, str(script), str(tmp_path / "cells.jsonl")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([".", *sys.path])},
+    )
+    assert process.stdout is not None and process.stdout.readline() == "1\n"
+    os.killpg(process.pid, signal.SIGINT)
+    said = process.communicate(timeout=60)
+    assert (*said, process.returncode) == ("[0]\n", "", 0)
+
+
 def test_workers_never_hear_ctrl_c() -> None:
     # Held from the first instruction of the process: while it imports, a handler would come too late.
     with local_workers(1).make() as workers:

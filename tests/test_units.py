@@ -10,21 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Hold, Scene, Session, figure, param, run, run_phases, sweep
+from maglev_mj import Hold, Scene, Session, figure, identify, param, record_run, run, run_phases, sweep
 from maglev_mj.cli.options import described
 from maglev_mj.frames import AXES, unit_of
 from maglev_mj.plots.paper import stick_slip
 from maglev_mj.plots.results import series, spread
 from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.tables.identification import identified_lines
 from maglev_mj.tables.run import run_table, sweep_table
 from maglev_mj.tables.stability import loop_table
 from maglev_mj.theory.verdict import stability
+from maglev_mj.viewer import plots as window_plots
 from maglev_mj.viewer.overlay import status_rows
+from maglev_mj.web import plots as page_plots
 from maglev_mj.web.controls import control
 
 SHORT: dict[str, Any] = {"duration": 0.02}
 ALONG = "quantize", "spring", "target", "stiffness", "damping", "breakaway", "v_min"
-UNIT = re.compile(r"(?<![\w/.])(N m s/rad|N m/rad|m?N m|[mµ]?rad(/s)?|N s/m|k?N/m+|[km]?N|[mµ]?m(/s)?)(?![\w/])")
+UNIT = re.compile(r"(?<![\w/.])(N m s/rad|k?N m/m?rad|m?N m|[mµ]?rad(/s)?|N s/m|k?N/m+|[km]?N|[mµ]?m(/s)?)(?![\w/])")
 
 
 def wrong(text: str, axis: str) -> list[str]:
@@ -34,7 +37,7 @@ def wrong(text: str, axis: str) -> list[str]:
 
 
 def test_the_two_kinds_are_told_apart() -> None:
-    for text in ("3 N m/rad", "0.07 N m", "5 mrad/s", "[rad]", "N m s/rad", "µrad"):
+    for text in ("3 N m/rad", "0.07 N m", "5 mrad/s", "[rad]", "N m s/rad", "µrad", "kN m/rad"):
         assert wrong(text, "x") and not wrong(text, "rz"), text
     for text in ("3 N/m", "0.07 N", "5 mm/s", "[m]", "N s/m", "3.0 µm", "kN/m", "m/s"):
         assert wrong(text, "rz") and not wrong(text, "x"), text
@@ -54,6 +57,36 @@ class Gui:
         return add
 
 
+class PlotGui:
+    """Widgets of a page's plots."""
+
+    def __init__(self) -> None:
+        self.plots: list[Any] = []
+
+    def add_dropdown(self, *_: Any, initial_value: str, **__: Any) -> Any:
+        return SimpleNamespace(value=initial_value)
+
+    def add_html(self, content: str) -> Any:
+        self.plots.append(SimpleNamespace(content=content))
+        return self.plots[-1]
+
+
+def page_curves(snapshot: Any) -> str:
+    """Return the texts of the page's plots."""
+    gui = PlotGui()
+    shown = page_plots.Plots(gui, snapshot.scene)
+    shown._stability.wait(snapshot.scene)
+    shown.show(snapshot)
+    return "\n".join(re.sub("<[^>]*>", " ", plot.content) for plot in gui.plots)
+
+
+def window_curves(snapshot: Any) -> str:
+    """Return the texts of the window's plots."""
+    shown = window_plots.Plots()
+    shown.wait(snapshot.scene)
+    return "\n".join(f"{one.title}\n{one.xlabel}" for one in shown.update(snapshot))
+
+
 def texts_of(drawn: Any) -> Iterator[str]:
     for panel in drawn.axes:
         yield from (panel.get_title("left"), panel.get_xlabel(), panel.get_ylabel())
@@ -64,7 +97,8 @@ def texts_of(drawn: Any) -> Iterator[str]:
 
 @pytest.mark.parametrize("axis", AXES)
 def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
-    scene = StickSlip(axis=axis, **SHORT)
+    whole = StickSlip(axis=axis)
+    scene = whole.replace(**SHORT)
     result, phases = run(scene, plant="exact"), run_phases(scene, 2, plant="exact")
     values = [0.9 * scene.stiffness, scene.stiffness]
     swept = sweep(scene, {"stiffness": values, "breakaway": [scene.breakaway, 1.1 * scene.breakaway]}, plant="exact")
@@ -77,6 +111,9 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
         "stability": loop_table(scene, stability(scene)),
         "page": "\n".join(gui.texts),
         "window": "\n".join(map(" ".join, [row for row in status_rows(session.snapshot()) if row[0] != "arrows"])),
+        "window's plots": window_curves(session.snapshot()),
+        "page's plots": page_curves(session.snapshot()),
+        "identified": "\n".join(identified_lines(identify(record_run(whole, plant="exact").stretches[0]))),
         "tables": "\n".join(str(found.table()) for found in (result, phases, swept)),
         "frames": "\n".join(f" {unit} " for found in (result, phases, swept) for unit in found.units.values()),
         "figure 8": "\n".join(texts_of(stick_slip({"a": result}, {"a": phases}))),
@@ -122,3 +159,8 @@ def test_what_is_not_along_the_axis_keeps_its_unit(axis: str) -> None:
     assert "place 0.002 m," in head and "force 1 N," in head
     units = {row[0]: row[2] for row in result.table().rows}
     assert units == {"final position": unit_of("mm", axis), "<lambda>": "N"} and unit_of("mm", axis) in table
+
+
+def test_a_larger_unit_is_as_much_larger_along_a_rotation() -> None:
+    larger = {"N/mm": "N m/mrad", "kN/m": "kN m/rad", "mm": "mrad", "µm": "µrad", "mN": "mN m"}
+    assert {unit: unit_of(unit, "rz") for unit in larger} == larger  # one factor serves both

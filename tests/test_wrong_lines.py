@@ -109,7 +109,9 @@ sweep drop --vary height=nan                        | nan
 sweep drop --set height=high                        | high
 sweep drop --vary height=0.001 --set height=0.002   | height
 sweep drop --vary height=0:1:100000000              | 100000000
-sweep drop --height 3                               | --height
+sweep drop --height 3                               | --height 3; parameters are given by --set and --vary
+sweep drop --rate 1000                              | 1000; parameters are given by --set and --vary
+sweep drop --set rate=1000                          | period
 sweep --vary height=0.001,0.002                     | SCENE
 fidelity drop --tolerance nan                       | nan
 fidelity drop --phases 0                            | 0

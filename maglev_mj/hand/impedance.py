@@ -218,15 +218,16 @@ def exponential(matrix: Array) -> Array:
 
     Taylor's series with scaling and squaring.
 
-    Exact to rounding for the small matrices here; numpy has none, and scipy's would be a dependency for this alone.
+    Exact to rounding for the small matrices here; numpy has none, and scipy's would be a dependency for this alone. The
+    identity is left out until the end: next to it, each squaring would double what rounding takes from a small part.
     """
     largest = float(np.abs(matrix).sum(axis=-1).max(initial=0.0))
     squarings = max(int(np.ceil(np.log2(largest / 0.25))), 0) if largest > 0.0 else 0
     scaled = matrix / 2.0**squarings
-    identity = np.broadcast_to(np.eye(matrix.shape[-1]), matrix.shape)
-    result = identity
+    identity = np.eye(matrix.shape[-1])
+    result = np.zeros(matrix.shape)
     for term in range(_TERMS, 0, -1):
-        result = identity + scaled @ result / term
+        result = scaled @ (identity + result) / term
     for _ in range(squarings):
-        result = result @ result
-    return np.asarray(result)
+        result = 2.0 * result + result @ result
+    return np.asarray(identity + result)

@@ -36,8 +36,8 @@ __all__ = [
 
 _OWN = "maglev_mj_scene_"
 
-SceneLike: TypeAlias = Scene | type[Scene] | str
-"""A scene, its class, or a text for `find_scene`."""
+SceneLike: TypeAlias = Scene | type[Scene] | str | Path
+"""A scene, its class, or a text or file for `find_scene`."""
 
 
 def find_scene(text: str) -> type[Scene]:
@@ -72,7 +72,7 @@ def get_scene(scene: SceneLike) -> Scene:
     Raises:
         ParameterError: If it is none of these, or there is no such scene.
     """
-    found = find_scene(scene) if isinstance(scene, str) else scene
+    found = find_scene(str(scene)) if isinstance(scene, str | Path) else scene
     made = found() if isinstance(found, type) and issubclass(found, Scene) else found
     if isinstance(made, type) or not hasattr(made, "plants"):  # a stack of scenes is as good as one
         raise ParameterError(f"scene must be a Scene, or the name of one such as 'drop', not {one_line(scene)}")

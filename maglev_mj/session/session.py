@@ -111,7 +111,7 @@ class Session:
             Number of control ticks; 0 while paused or stopped.
         """
         before = self._ticks
-        self._unchanged += elapsed
+        self._unchanged += number("elapsed", elapsed)
         try:
             held = not self._steps and self._unchanged < _RENEWED
             if self._changed and not (held or self._stopped):
@@ -238,7 +238,7 @@ class Session:
 
     def _stop(self, reason: str) -> None:
         """Stop until a change or a restart at the centre."""
-        if not self._stopped:
+        if self._stopped != reason:
             self._stopped = reason
             self._recorder.failed(reason)
 

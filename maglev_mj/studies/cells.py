@@ -27,14 +27,14 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from maglev_mj.errors import MaglevError, ParameterError, require
+from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.interrupts import interrupts_held
 from maglev_mj.versions import Versions, differences, versions, versions_read
 
 Cell: TypeAlias = dict[str, Any]
 """Values of a cell by the parameter's name."""
 
-_ATTEMPTS, _PATIENCE = 2, 5.0
+_ATTEMPTS, _STOPPING, _CONNECTING = 2, 1.0, 5.0  # times in [s]
 _BEGINNING = '{"cell": {'
 
 
@@ -165,6 +165,15 @@ class _Processes(ProcessPoolExecutor):
         resource_tracker.ensure_running()  # its start would let interrupts through
         with interrupts_held():  # the processes start here
             return super().submit(function, *args, **keywords)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        given_up = {} if wait else dict(self._processes or {})
+        manager: Any = self._executor_manager_thread
+        super().shutdown(wait, cancel_futures=cancel_futures)  # first: of a cancelled job no death may be told
+        for process in given_up.values():  # the end of the program would wait for their jobs
+            process.kill()
+        if manager is not None:  # which tells of deaths if this is gone before
+            manager.join()
 
 
 class _Cluster(Executor):
@@ -301,7 +310,7 @@ def run_cells(
 
     Raises:
         ParameterError: If a cell is not JSON, or `function` is not a function that returns a result for each cell.
-        StudyInterrupted: On Ctrl-C, after the running jobs have finished. They also finish if a job fails.
+        StudyInterrupted: On Ctrl-C; running jobs have a second to finish. If a job fails, they all finish.
         WorkersError: If a cluster is gone, or one of its workers has other code.
 
     Example:
@@ -312,6 +321,7 @@ def run_cells(
     """
     if not callable(function):
         raise ParameterError(f"function must be one from cells to results, not {function!r}")
+    check_instance("cells", cells, Sequence, "a list of cells")
     study = _Study(function, record or Record(), chosen_workers(workers), progress)
     keys, results = [_key(cell) for cell in cells], study.record._results
     missing = list({key: cell for key, cell in zip(keys, cells, strict=True) if key not in results}.values())
@@ -369,7 +379,7 @@ class _Study:
     def _run_in_pool(self, jobs: deque[list[Cell]], window: int) -> list[Cell]:
         """Run jobs in one pool until it breaks; return the cells lost with a worker."""
         pool, running = self.workers.make(), dict[Future[list[Any]], list[Cell]]()
-        lost, broken = list[Cell](), False
+        lost, broken, stopped = list[Cell](), False, False
         try:
             while running or (jobs and not broken):
                 while jobs and len(running) < window and not broken:
@@ -382,15 +392,17 @@ class _Study:
                     job = running.pop(future)
                     if not self._collect(future, job):
                         lost, broken = lost + job, True
-        except BaseException:
+        except BaseException as error:
+            stopped = isinstance(error, KeyboardInterrupt)
             running = {future: job for future, job in running.items() if not future.cancel()}
-            for future in wait(running).done:
+            for future in wait(running, _STOPPING if stopped else None).done:
                 with suppress(Exception):  # the first failure is raised already
                     self._collect(future, running.pop(future))
             raise
         finally:
-            # idle workers end at once; otherwise they could disturb a program that ends meanwhile
-            pool.shutdown(wait=not running, cancel_futures=True)
+            # idle workers end at once; otherwise they could disturb a program that ends meanwhile. After an interrupt a
+            # job may have been submitted that is not among the running ones
+            pool.shutdown(wait=not (running or stopped), cancel_futures=True)
         return lost
 
     def _collect(self, future: Future[list[Any]], job: list[Cell]) -> bool:
@@ -433,7 +445,7 @@ def _client(address: str) -> Any:
     from distributed.core import connect
 
     async def knock() -> None:  # a client without a scheduler would keep trying as the program ends
-        door = await connect(address, timeout=_PATIENCE)
+        door = await connect(address, timeout=_CONNECTING)
         await door.close()
 
     asyncio.run(knock())

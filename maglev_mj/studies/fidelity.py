@@ -16,7 +16,7 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import PlantError
+from maglev_mj.errors import PlantError, check_instance
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
 from maglev_mj.result import Result, Table, plain
@@ -338,6 +338,7 @@ def measure_fidelity(
     """
     preset, over = preset_of(scene), over or Range()
     scene = preset.scene
+    check_instance("over", over, Range, "a Range, such as Range(phases=1)")
     number("share", over.share, above=0.0, at_most=1.0)
     number("boundary", over.boundary, above=0.0)
     kept = preset.tolerance if tolerance is None else number("tolerance", tolerance, above=0.0)

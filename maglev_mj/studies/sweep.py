@@ -192,7 +192,7 @@ def swept_cells(
     """
     check_instance("vary", vary, Mapping, "lists of values by parameter")
     for name, values in vary.items():
-        if isinstance(values, str) or not isinstance(values, Collection):
+        if isinstance(values, str) or not isinstance(values, Collection) or not len(values):
             raise ParameterError(f"vary must give a list of values for {name}, not {values!r}")
     count = math.prod(len(values) for values in vary.values())
     if count > MOST_CELLS:

@@ -71,7 +71,7 @@ def _walls(
     faces: Sequence[FaceFigures], others: Mapping[tuple[int, float], FaceFigures] | None, *, turning: bool
 ) -> list[str]:
     """Return a row for each wall and for its simulation."""
-    small, force, hard = (unit_of(unit, 3 * turning) for unit in ("mm", "N", "N/mm"))
+    small, force, hard = (unit_of(unit, 3 * turning) for unit in ("mm", "N", "N/m" if turning else "N/mm"))
     lines = [
         _cells("wall", ("depth", "rebound", "peak", "settling", "rate", "extended", "contacts"), _WALL),
         _cells("", (small, small, force, "ms, 2 %", hard, hard), _WALL),

@@ -79,7 +79,8 @@ def _units(axis: int) -> tuple[str, str, tuple[float, str], tuple[float, str]]:
 
 
 def _rows(found: Identification) -> Iterator[_Row]:
-    yield _Row("", "effective delay", found.delay, 1e3, "ms", (1e6, "µm"))
+    told = next((axis for axis, one in found.axes.items() if one.delay is found.delay), 0)
+    yield _Row("", "effective delay", found.delay, 1e3, "ms", _units(told)[2])
     for wall in found.walls:
         stiff, damp, moved, said = _units(wall.face[0])
         yield _Row(wall.name, "stiffness", wall.stiffness, 1.0, stiff, moved)

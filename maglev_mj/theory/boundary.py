@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple, TypeAlias, Unpack, overload
 
 import numpy as np
@@ -24,15 +25,16 @@ from maglev_mj.parameters import common_shape, number, numbers
 from maglev_mj.theory.closed_loop import ROUNDING, LoopKeywords, SampledLoop, is_stable
 
 _HIGHEST = 8.0
-_NEAR = 1e-7
+_NEAR = np.array([-1e-4, -1e-7, 1e-7, 1e-4])
 _CLOSE = np.array([-1e-4, -2e-7, 2e-7, 1e-4])
+_ALIKE = 2e-15  # moduli that rounding does not tell apart
 _EVEN = np.array([0.0, 0.3, 0.7, 1.0])
-_LOWEST, _FINEST = 8e-5, 1e-8
-_GRID = np.array([0.0, *np.geomspace(_LOWEST, _HIGHEST, 240)])
-_PEAKS, _FINER = 3, 16
+_LOWEST, _ROUGH, _FINEST = 8e-5, 1e-5, 1e-7
+_GRID = np.array([0.0, *np.geomspace(_LOWEST, _HIGHEST, 720)])
+_FINER, _FLAT = 16, 1e-10
 _SOFTEST = 1e-9
 """Softest wall that rounding tells from none [m/T²]."""
-_BESIDE, _FALL = 1e-6 * np.linspace(-1.0, 1.0, 5), 1e-3
+_AROUND, _BESIDE, _FALL = 1e-2 * np.linspace(-1.0, 1.0, 9), 1e-6 * np.linspace(-1.0, 1.0, 5), 1e-3
 _LEAST, _TRIM = 1e-11, 1e-10
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
 _Series: TypeAlias = Array
@@ -167,29 +169,29 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     edges, good = spans(flat, b, 1.0)
     rough, first = first_end(edges, good)
     wide, b = flat.widened(), b[:, None]
-    # the crossing is exact to rounding except for a slow one; the eigenvalues decide
-    ends = rough[:, None] * [1.0 - _NEAR, 1.0 + _NEAR]
-    moduli = wide.modulus(ends, b)
-    verdicts = is_stable(moduli)
     apart = 0.5 * (edges[:, :-1] + edges[:, 1:])
     rows = np.arange(len(edges))
     last = np.minimum(first, apart.shape[-1] - 1)
-    low = np.where(verdicts[:, 0], ends[:, 0], apart[rows, np.maximum(last - 1, 0)])
-    high = np.where(verdicts[:, 1], apart[rows, last], ends[:, 1])
+    low, high = apart[rows, np.maximum(last - 1, 0)], apart[rows, last]
     found = (first > 0) & (first < good.shape[-1])
-    while (found & (high - low > 1e-13 * high)).any():
-        # closely around the point of modulus 1 by linear interpolation; evenly, because the modulus is not linear
-        with np.errstate(divide="ignore", invalid="ignore"):
-            crossing = (1.0 - ROUNDING - moduli[:, 0]) / (moduli[:, -1] - moduli[:, 0])
-        shares = np.where(np.isfinite(crossing), crossing, 0.5)[:, None] + _CLOSE
-        shares = np.sort(np.concatenate([np.clip(shares, 0.0, 1.0), np.tile(_EVEN, (rows.size, 1))], axis=1))
-        middle = low[:, None] + (high - low)[:, None] * shares
+    # the crossing is exact to rounding except for a slow one; the eigenvalues decide
+    near = np.clip(rough[:, None] * (1.0 + _NEAR), low[:, None], high[:, None])
+    middle = np.concatenate([low[:, None], near, high[:, None]], axis=1)
+    while True:
         moduli = wide.modulus(middle, b)
         steady = is_stable(moduli[:, 1:-1])
         # the part that ends with the first unstable one; the upper end is always unstable
         part = np.where(steady.all(axis=-1), steady.shape[-1], np.argmin(steady, axis=-1))
         low, high = middle[rows, part], middle[rows, part + 1]
-        moduli = np.stack([moduli[rows, part], moduli[rows, part + 1]], axis=-1)
+        below, above = moduli[rows, part], moduli[rows, part + 1]
+        if not (found & (high - low > 1e-13 * high) & (above - below > _ALIKE)).any():
+            break
+        # closely around the point of modulus 1 by linear interpolation; evenly, because the modulus is not linear
+        with np.errstate(divide="ignore", invalid="ignore"):
+            crossing = (1.0 - ROUNDING - below) / (above - below)
+        shares = np.where(np.isfinite(crossing), crossing, 0.5)[:, None] + _CLOSE
+        shares = np.sort(np.concatenate([np.clip(shares, 0.0, 1.0), np.tile(_EVEN, (rows.size, 1))], axis=1))
+        middle = low[:, None] + (high - low)[:, None] * shares
     return np.where(found, low, rough).reshape(shape)
 
 
@@ -232,37 +234,44 @@ def _stiffest(loop: SampledLoop) -> tuple[float, float, bool]:
     """Return stiffness, damping and `on_jump` of one loop's stiffest wall."""
     stiff, damp = scales(loop)
     grid = _GRID * float(damp)
-    highest = maxima(lambda dampings: first_end(*spans(loop, dampings, 1.0))[0], grid, _FINEST)[:, None]
-    beside = np.maximum(highest + np.maximum(highest, grid[1]) * _BESIDE, 0.0)
-    exact = boundary_of(loop, beside)
-    row, column = np.unravel_index(int(np.argmax(exact)), exact.shape)
-    most = float(exact[row, column])
+
+    def beside(places: Array, shares: Array) -> Array:
+        return np.unique(np.maximum(places + np.maximum(places, grid[1]) * shares, 0.0))
+
+    # crossings of an almost undamped root are good to 1e-3 only: the last digits are searched by the eigenvalues
+    rough = maxima(lambda dampings: first_end(*spans(loop, dampings, 1.0))[0], grid, _ROUGH)
+    best = maxima(partial(boundary_of, loop), beside(rough[:, None], _AROUND), _FINEST, peaks=1)
+    near = beside(best, _BESIDE)
+    exact = boundary_of(loop, near)
+    most = float(exact.max())
     if not most > _SOFTEST * float(stiff):
         return 0.0, 0.0, False
-    return most, float(beside[row, column]), bool(exact[row].min() < most * (1.0 - _FALL))
+    return most, float(near[np.argmax(exact)]), bool(exact.min() < most * (1.0 - _FALL))
 
 
-def maxima(function: Callable[[Array], Array], grid: Array, finest: float) -> Array:
-    """Return the places of a function's highest maxima, (M,), M at most 3.
+def maxima(function: Callable[[Array], Array], grid: Array, finest: float, peaks: int = 3) -> Array:
+    """Return the places of a function's highest maxima, (M,), M at most `peaks`.
 
     Args:
         function: Function of an array, may jump.
         grid: First grid, ascending; finer ones close in on its maxima.
-        finest: Relative width of the last interval.
+        finest: Relative width of the last interval, unless the function is flat in a wider one.
+        peaks: Largest number of them.
     """
     values = function(grid)
     sides = np.pad(values, 1, constant_values=-1.0)
-    peaks = np.flatnonzero((values > sides[:-2]) & (values >= sides[2:]))
+    tops = np.flatnonzero((values > sides[:-2]) & (values >= sides[2:]))
     found = []
-    for best in peaks[np.argsort(-values[peaks], kind="stable")[:_PEAKS]]:
-        finer = grid
+    for best in tops[np.argsort(-values[tops], kind="stable")[:peaks]]:
+        finer, heights = grid, values
         while True:
             low, high = finer[max(best - 1, 0)], finer[min(best + 1, finer.size - 1)]
-            if high - low <= finest * max(high, grid[1]):
+            if high - low <= finest * max(high, grid[1]) or heights.min() >= (1.0 - _FLAT) * heights.max():
                 break
             # the best one so far is kept: at a jump all the others may be lower
             finer = np.unique([*np.linspace(low, high, _FINER), finer[best]])
-            best = int(np.argmax(function(finer)))
+            heights = function(finer)
+            best = int(np.argmax(heights))
         found.append(finer[best])
     return np.array(found)
 

@@ -74,7 +74,9 @@ class WallRequirements(Parameters):
         parse=partial(interval, "delay"),
     )
     hands: Sequence[str] = param(
-        'names or numbers of hands, see `get_hand`; "none" for a flotor without one', default=("none",), parse=tuple
+        'names or numbers of hands, see `get_hand`; "none" for a flotor without one',
+        default=("none",),
+        parse=lambda hands: (hands,) if isinstance(hands, str) else tuple(hands),
     )
     driver_lag: bool = param("the current drivers lag, as the device's do", default=False)
     modulus: float = param("largest modulus allowed; 1 for stability alone", default=0.97, above=0.0, at_most=1.0)

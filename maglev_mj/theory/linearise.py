@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import MaglevError, ParameterError, check_instance
+from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components
 from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.result import Result, Table
@@ -145,7 +145,7 @@ class Linearised(Result):
         Its states are the previous positions, newest first.
 
         Raises:
-            ParameterError: If python-control is not installed.
+            MissingPackageError: If python-control is not installed.
         """
         response = self.response if len(self.response) > 1 else np.concatenate([self.response, np.zeros((1, 6, 6))])
         size = 6 * (len(response) - 1)
@@ -204,7 +204,7 @@ class ClosedLoop(Result):
         """Return python-control's StateSpace: from a hand's wrench to the position.
 
         Raises:
-            ParameterError: If python-control is not installed.
+            MissingPackageError: If python-control is not installed.
         """
         return _statespace(
             self.matrix, self.enters, self.seen, np.zeros((len(self.seen), self.enters.shape[1])), self.period
@@ -377,8 +377,7 @@ def loop_matrices(response: Array, *, period: float, delay: float, inertia: Arra
 
 
 def _statespace(*system: Any) -> Any:
-    try:
-        import control
-    except ImportError:
-        raise ParameterError("to_statespace() needs python-control, as in pip install control") from None
+    require(("control",), "control", "to_statespace() needs python-control")
+    import control
+
     return control.ss(*system)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED, Colour
 from maglev_mj.display.curves import SHOWN, Ranges, curves, round_up
 from maglev_mj.display.stability_map import Margin, StabilityMap
-from maglev_mj.frames import Array, unit_of
+from maglev_mj.frames import Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
@@ -90,7 +90,7 @@ class Plots:
         if not found.axis:
             _draw(figure, found.words, [], (0.0, 1.0), (0.0, 1.0))
             return
-        factor, unit = 1.0 if found.axis.startswith("r") else 1e-3, unit_of("kN/m", found.axis)
+        factor, unit = (1.0, "N m/rad") if found.axis.startswith("r") else (1e-3, "kN/m")
         width = round_up(max(float(found.dampings.max(initial=0.0)), 1.1 * found.damping, _LEAST))
         height = round_up(factor * max(float(found.stiffnesses.max(initial=0.0)), 1.1 * found.stiffness, _LEAST))
         colour = GOOD if found.stable else BAD

@@ -12,7 +12,7 @@ from typing import Any
 from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED
 from maglev_mj.display.curves import SHOWN, Curves, Ranges, curves
 from maglev_mj.display.stability_map import StabilityMap
-from maglev_mj.frames import AXES, unit_of
+from maglev_mj.frames import AXES
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.web.handles import put
@@ -62,7 +62,7 @@ class Plots:
         colour = None if found.stable is None else GOOD if found.stable else BAD
         if not found.axis:
             return f'<p style="margin:.5em">{escape(textwrap.shorten(found.words, 300))}</p>'
-        factor, unit = 1.0 if found.axis.startswith("r") else 1e-3, unit_of("kN/m", found.axis)
+        factor, unit = (1.0, "N m/rad") if found.axis.startswith("r") else (1e-3, "kN/m")
         across = 0.0, _MARGIN * max(float(found.dampings.max(initial=0.0)), found.damping, _LEAST)
         up = 0.0, _MARGIN * factor * max(float(found.stiffnesses.max(initial=0.0)), found.stiffness, _LEAST)
         lines = [Line(BOUNDARY, found.dampings, factor * found.stiffnesses)]

@@ -41,11 +41,14 @@ They depend on revision, date or speed of the machine.
 """
 
 _CHOSEN_BY_COST = {"cheapest", "furthest", "steps"}
-_ROUNDING_NOISE = {"comparison", "growing", "digest", "identified"}
+_ROUNDING_NOISE = {"comparison", "growing", "digest", "standard_error", "low", "high", "residual"}
 """JSON names of differences at rounding level.
 
-Differences between equal runs, growing walls at the limit, digests, errors of fits.
+Differences between equal runs, growing walls at the limit, digests, errors of exact fits.
 """
+
+_FITTED = 1e-5, 1e-9
+"""Tolerances of identified values, whose normal equations are near singular while a flotor is stuck."""
 
 _EQUALITY = re.compile(r"  \d+ of \d+ the same|    ")
 """Lines of a check that depend on the last bit."""
@@ -201,23 +204,26 @@ def differences(group: str, old: Any, new: Any) -> list[str]:
 
     Numbers are equal within the bounds of their group, and texts with their numbers left out.
     """
-    before, now = ({name: one for name, one in _leaves(said) if _lasts(group, name)} for said in (old, new))
+    before, now = ({name: one for name, one in _leaves(said) if _lasts(name)} for said in (old, new))
     lines = [f"{name} is gone" for name in before if name not in now]
     lines += [f"{name} is new" for name in now if name not in before]
-    relative = _RELATIVE_THERE if group in _ILL_CONDITIONED else _RELATIVE
+    bounds = _RELATIVE_THERE if group in _ILL_CONDITIONED else _RELATIVE, _ABSOLUTE
     both = ((name, before[name], now[name]) for name in before if name in now)
-    return lines + [f"{name}: {one!r} -> {other!r}" for name, one, other in both if not _same(one, other, relative)]
+    return lines + [
+        f"{name}: {one!r} -> {other!r}"
+        for name, one, other in both
+        if not _same(one, other, *(_FITTED if ".identified." in name else bounds))
+    ]
 
 
-def _lasts(group: str, name: str) -> bool:
+def _lasts(name: str) -> bool:
     """Return True if a value does not depend on rounding."""
-    parts = name.split(".")
-    return not _ROUNDING_NOISE & set(parts)
+    return not _ROUNDING_NOISE & set(name.split("."))
 
 
-def _same(old: Any, new: Any, relative: float) -> bool:
+def _same(old: Any, new: Any, relative: float, absolute: float) -> bool:
     if isinstance(old, float) and isinstance(new, float):
-        return bool(abs(new - old) <= max(relative * abs(old), _ABSOLUTE)) or repr(old) == repr(new)
+        return bool(abs(new - old) <= max(relative * abs(old), absolute)) or repr(old) == repr(new)
     if isinstance(old, str) and isinstance(new, str):  # of a table: the files hold the numbers
         return _NUMBER.sub("#", old).split() == _NUMBER.sub("#", new).split()
     return repr(old) == repr(new)
