@@ -19,9 +19,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.find import find_scene, text_of
 from maglev_mj.scenes.names import GROUP
 from maglev_mj.studies import sweep as sweeping
-from maglev_mj.studies.cells import run_cells
+from maglev_mj.studies.cells import Workers, dask_workers, local_workers, run_cells
 from maglev_mj.studies.sweep import run_scene_cells, sweep, swept_cells
-from maglev_mj.workers import Workers, dask_workers, local_workers
 
 FILE = '''
 """A magnet that pulls back by the cube of the distance."""

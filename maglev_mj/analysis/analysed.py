@@ -18,8 +18,8 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import flag, number
 from maglev_mj.recording import InvalidRecordingError, Rebuild, RunMetadata, Stretch
 from maglev_mj.recording.recording import READ_STRETCH
+from maglev_mj.result import Result, Table
 from maglev_mj.scenes import Scene
-from maglev_mj.tabular import Table, Tabular
 
 _STILL = 1e-9
 
@@ -42,7 +42,7 @@ class Run:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Analysed(Tabular):
+class Analysed(Result):
     """Results of a stretch's analysis.
 
     Attributes:

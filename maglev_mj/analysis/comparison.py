@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.analysis.contacts import plain
 from maglev_mj.analysis.motion import Motion
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array
@@ -18,6 +17,7 @@ from maglev_mj.hand import RecordedHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
+from maglev_mj.result import plain
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import recorded_scene
 from maglev_mj.session import live_plant

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.analysis.contacts import FaceFigures, face_figures, plain
+from maglev_mj.analysis.contacts import FaceFigures, face_figures
 from maglev_mj.analysis.motion import Motion
 from maglev_mj.energy import actuator_work, hand_work
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording import RunMetadata
+from maglev_mj.result import plain
 
 
 class Energy(NamedTuple):

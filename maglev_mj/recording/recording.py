@@ -33,7 +33,7 @@ from maglev_mj.recording.sample import (
     units,
     value_in,
 )
-from maglev_mj.tabular import Table, Tabular
+from maglev_mj.result import Result, Table
 
 _ZIP = b"PK"
 _FORMAT = "maglev_mj recording 1"
@@ -105,7 +105,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording(Tabular):
+class Recording(Result):
     """Recording of one run.
 
     Attributes:

@@ -20,9 +20,9 @@ from maglev_mj.loop import drive
 from maglev_mj.metrics import summarise_bounce
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants import ExactPlant, Sensor, Timing
+from maglev_mj.result import Result, Table
 from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import along_z, around_wall, hum, wall_controller
-from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.design import Case, DesignedWall
 from maglev_mj.timeline import split_delay
 
@@ -76,7 +76,7 @@ class Contact(Parameters):
 
 
 @dataclass(frozen=True, eq=False)
-class DesignResult(Tabular):
+class DesignResult(Result):
     """Designed wall with its simulated figures.
 
     Attributes:

@@ -22,9 +22,8 @@ from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.scenes.bench import along, stepped
 from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import along_z, wall_controller
-from maglev_mj.studies.cells import Cell, Record, run_cells
+from maglev_mj.studies.cells import Cell, Record, Workers, run_cells
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, gain_axes
-from maglev_mj.workers import Workers
 
 PART = 10_000
 """Number of walls simulated at once; they fit the cache."""

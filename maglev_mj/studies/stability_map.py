@@ -19,12 +19,11 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.hand import get_hand
 from maglev_mj.parameters import Parameters, interval, param
+from maglev_mj.result import Result, Table
 from maglev_mj.spec import Spec
-from maglev_mj.studies.cells import Cell, Record, run_cells
+from maglev_mj.studies.cells import Cell, Record, Workers, run_cells
 from maglev_mj.studies.growth import HAND_HELP, RestingWall, grow_together, stiffest_in
-from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
-from maglev_mj.workers import Workers
 
 _NEAR = 0.005
 _TOGETHER = 240
@@ -78,7 +77,7 @@ class StabilityParameters(Parameters):
         return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": get_hand(self.hand)}
 
 
-class GainMap(Tabular):
+class GainMap(Result):
     """Map over a grid of gains.
 
     Attributes:

@@ -22,13 +22,12 @@ import maglev_mj
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.parameters import parsed_number
+from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.find import SceneLike, get_scene, hash_of, made_again, reference_of, scene_of_text, text_of
 from maglev_mj.scenes.names import installed_scenes
-from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
+from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.studies.cells import Cell, Record, run_cells
-from maglev_mj.tabular import Table, Tabular
-from maglev_mj.workers import Workers, chosen_workers
+from maglev_mj.studies.cells import Cell, Record, Workers, chosen_workers, run_cells
 
 MOST_CELLS = 1_000_000
 """Largest number of cells in a sweep."""
@@ -41,7 +40,7 @@ _Run: TypeAlias = tuple[Scene, str, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep(Tabular):
+class Sweep(Result):
     """Results of a scene over a grid.
 
     Attributes:
@@ -279,7 +278,8 @@ def _alone(one: _Run, catches: bool) -> dict[str, Any]:
     """
     scene, plant, phase = one
     try:
-        return plain(scene.run_figures(plant, phase))
+        figures: dict[str, Any] = plain(scene.run_figures(plant, phase))
+        return figures
     except MaglevError as error:
         return {"error": str(error)}
     except Exception as error:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.frames import Array, Mask, unit_of
-from maglev_mj.scenes.run import Phases, Result
+from maglev_mj.scenes.run import Phases, RunResult
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.terminal import WIDTH, printable, wrapped
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _NAME, _LEAST = 13, 12
 
 
-def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: float | None) -> str:
+def run_table(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], gap: float | None) -> str:
     """Return the figures of runs and their phases as text.
 
     Args:
@@ -82,7 +82,7 @@ def _head(scene: Scene, plant: str) -> list[str]:
     return [*wrapped(f"{Scene.describe(scene)}, plant {plant}", ""), *lines]
 
 
-def _rank(first: Result, sweeps: Mapping[str, Phases]) -> str:
+def _rank(first: RunResult, sweeps: Mapping[str, Phases]) -> str:
     """Return the rank of a run among its phases.
 
     A single phase has little meaning.
@@ -152,7 +152,7 @@ def _missing(sweeps: Mapping[str, Phases]) -> list[str]:
 _ROUNDING = 1.0 + 1e-9
 
 
-def _beyond_force(results: Mapping[str, Result]) -> list[str]:
+def _beyond_force(results: Mapping[str, RunResult]) -> list[str]:
     """Return any line on vertical forces beyond the device's."""
     device = Spec.largest_vertical_force.value
     # the last knot's force has not acted yet
