@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _MOST_ROWS, _MOST_COLUMNS = 8, 9
 _LONGEST = 2000  # of a representation [bytes]
-_IN, _GAP, _NARROWEST = "  ", "  ", 16
+_IN, _GAP, _NARROWEST = "  ", "  ", 24
 _IN_NUMBERS = re.compile(r"\bto\b|(?<=\d)e(?=[-+]?\d)")
 
 
@@ -62,19 +62,21 @@ class Table(NamedTuple):
 
         Texts are to the left and numbers to the right; columns that do not fit go on below, the last text is wrapped.
         """
-        lines = wrapped(printable(self.title), "", _IN) if self.title else []
+        title = wrapped(printable(self.title), "", _IN) if self.title else []
         columns = [list(map(_text, column)) for column in zip(self.head, *self.rows)] if self.rows else []
         left = [any(map(_has_words, column[1:])) for column in columns]
         first = next((index for index, words in enumerate(left) if not words), len(columns))
         last = next((index for index in range(len(columns), first, -1) if not left[index - 1]), first)
         widths = [max(map(len, column)) for column in columns]
+        widths[-1:] = [min(widths[-1], _NARROWEST) if left[-1] else widths[-1]] if columns else []  # it is wrapped
         around = [index for index in range(len(columns)) if not max(first, 1) <= index < last]
+        block: list[str] = []
         for some in _fitting(range(max(first, 1), last), widths, sum(widths[index] + len(_GAP) for index in around)):
             shown = [*around[: max(first, 1)], *some, *around[max(first, 1) :]]
-            lines += _block([columns[index] for index in shown], [left[index] for index in shown])
-        for remark in self.note.splitlines():
-            lines += wrapped(printable(remark), further=2 * _IN)
-        return "\n\n".join(["\n".join(lines), *map(str, self.below)])
+            block += _block([columns[index] for index in shown], [left[index] for index in shown])
+        notes = [line for remark in self.note.splitlines() for line in wrapped(printable(remark), further=2 * _IN)]
+        parts = ["\n".join(lines) for lines in (title, block, notes) if lines]
+        return "\n\n".join([*parts, *map(str, self.below)])
 
     def _repr_html_(self) -> str:
         rows = "".join(f"<tr>{_cells('td', row)}</tr>" for row in self.rows)
@@ -171,7 +173,7 @@ def plain(value: Any) -> Any:
     if hasattr(value, "tolist"):
         return plain(value.tolist())
     if isinstance(value, type):
-        return value.__name__
+        return getattr(value, "name", value.__name__)
     if hasattr(value, "as_json"):
         return value.as_json()
     if hasattr(value, "_asdict"):
@@ -197,7 +199,7 @@ def _text(value: Any) -> str:
 
 
 def _has_words(text: str) -> bool:
-    """Return True for a cell of words, to stand to the left; numbers are to the right."""
+    """Return True for a cell of words, which stands to the left."""
     return any(map(str.isalpha, _IN_NUMBERS.sub("", text)))
 
 

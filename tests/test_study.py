@@ -235,7 +235,8 @@ def test_ctrl_c_on_the_command_line_ends_cleanly_and_goes_on(
     done = len(record.read_text().splitlines())
     assert 64 <= done < 512
     assert main([*command, "0"]) == 0
-    assert f"{8 * count} cells\n  {done} of them already in" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"{8 * count} cells\n" in said and f"\n  {done} of them already in" in said
 
 
 def first_soon(cells: list[Cell]) -> list[Any]:

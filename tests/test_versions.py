@@ -157,7 +157,7 @@ def test_cells_of_other_code_are_kept_and_named(theirs: Any, words: str, tmp_pat
     assert main(arguments) == 0
     said = capsys.readouterr()
     assert len(said.err.splitlines()) == 1 and words in said.err
-    assert "6 cells\n  5 of them already in" in said.out
+    assert "6 cells\n" in said.out and "\n  5 of them already in" in said.out
     assert record.read_text().startswith(text) and len(record.read_text().splitlines()) == 6
     known = {} if "no versions" in words else made
     assert json.loads(out.read_text())["other_versions"] == [{"cells": 4, "versions": known}]

@@ -14,7 +14,6 @@ from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import unit_of
 from maglev_mj.plots.drawing import TITLE, name_curves, new_figure, save
-from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.run import Phases, RunResult
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
@@ -85,8 +84,7 @@ def sweep(found: Sweep) -> Any:
     """
     first, *others = found.varied
     lines = list(itertools.product(*(found.varied[name] for name in others)))
-    bare = Figure("", lambda result: None)
-    named = {name: found.scene.figures.get(name, bare) for name in found.names if found.is_number(name)}
+    named = {name: found.shown(name) for name in found.names if found.is_number(name)}
     rows = max(-(-len(named) // _COLUMNS), 1)
     figure, panels = new_figure(rows, min(max(len(named), 1), _COLUMNS), 0.9 + 2.8 * rows)
     for panel, (name, one) in zip(panels, named.items()):

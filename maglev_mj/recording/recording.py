@@ -333,7 +333,7 @@ def _read_stretch(stored: Any, index: int, setup: Any, gaps: Any) -> Stretch:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Samples(Tabular):
+class Samples(Result):
     """All N samples of a recording, fields as attributes.
 
     For example `samples.position`.
