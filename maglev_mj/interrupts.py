@@ -13,18 +13,17 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Self
 
-__all__ = ["Interrupts", "interrupts_held"]
+__all__ = ["Interrupts", "interrupts_delayed", "interrupts_held"]
 
 _LATER, _LONG = 0.01, 0.5
-_OPENS = "_Window.__init__"
+_delayed = list[None]()
 
 
 class Interrupts:
-    """Context in which Ctrl-C raises KeyboardInterrupt, once no module is being loaded and no window opened.
+    """Context in which Ctrl-C raises KeyboardInterrupt, once no module is being loaded and nothing delays it.
 
-    A library that loads takes it for an error of its own, or swallows it; a window half open cannot be closed, and its
-    drawing thread crashes a program that ends. What takes long is ended as before the context. Where the exception
-    could not be raised, it is again.
+    A library that loads takes it for an error of its own, or swallows it. What takes long is ended as before the
+    context. Where the exception could not be raised, it is again.
 
     Attributes:
         seen: True if there was one.
@@ -50,7 +49,7 @@ class Interrupts:
     def _raise(self, number: int, frame: FrameType | None) -> None:
         now = time.monotonic()
         self.seen, self._asked = True, min(self._asked, now)
-        if not _loads(frame):
+        if not (_delayed or _loads(frame)):
             signal.default_int_handler(number, frame)
         elif now - self._asked < _LONG:
             self._wait()
@@ -77,12 +76,22 @@ class Interrupts:
 
 
 def _loads(frame: FrameType | None) -> bool:
-    """Return True in a module's import, and while a window opens."""
+    """Return True in a module's import."""
     while frame is not None:
-        if frame.f_code.co_filename == "<frozen importlib._bootstrap>" or frame.f_code.co_qualname == _OPENS:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
             return True
         frame = frame.f_back
     return False
+
+
+@contextmanager
+def interrupts_delayed() -> Iterator[None]:
+    """Delay Ctrl-C to the end of the context, for half a second at most."""
+    _delayed.append(None)
+    try:
+        yield
+    finally:
+        _delayed.pop()
 
 
 @contextmanager

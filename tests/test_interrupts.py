@@ -98,9 +98,10 @@ def test_a_window_that_opens_is_whole_before_it_is_raised(monkeypatch: pytest.Mo
         raise LookupError
 
     monkeypatch.setattr(window, "_font_scale", scale)
+    monkeypatch.setattr(window, "require_display", lambda: None)
     with pytest.raises(KeyboardInterrupt), Interrupts():
         try:
-            window._Window(None, Path(), None)
+            window.show(None, Path())
         except LookupError:
             time.sleep(PATIENCE)
     assert opened == ["whole"]

@@ -44,13 +44,13 @@ def add_parameters(
     for one in made.parameters():
         option = f"--{prefix}{one.name.replace('_', '-')}"
         if one.kind is not object and one.name not in without and option not in parser._option_string_actions:
-            _add_parameter(parser, option, one, getattr(made, one.name), prefix)
-            if one.name == "period" and "rate" not in names:
-                add_inverse(parser, f"--{prefix}rate", _APART + prefix + one.name)
+            inverse = one.name == "period" and "rate" not in names
+            into = beside_inverse(parser, f"--{prefix}rate", _APART + prefix + one.name) if inverse else parser
+            _add_parameter(into, option, one, getattr(made, one.name), prefix)
 
 
-def add_inverse(parser: Container, option: str, dest: str) -> None:
-    """Add an unlisted option that gives another's inverse.
+def beside_inverse(parser: Container, option: str, dest: str) -> Container:
+    """Add an unlisted option that gives another's inverse, and return where to add the other.
 
     A rate [Hz] is understood wherever a period [s] is, and a period wherever a rate is; not both at once.
 
@@ -60,8 +60,8 @@ def add_inverse(parser: Container, option: str, dest: str) -> None:
         dest: Attribute of the other option.
     """
     either = parser.add_mutually_exclusive_group()
-    either._group_actions += [action for action in parser._actions if action.dest == dest]
     either.add_argument(option, type=_inverse, dest=dest, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+    return either
 
 
 def _inverse(text: str) -> float:

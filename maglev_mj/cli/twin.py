@@ -20,7 +20,7 @@ from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.options import add_bridge, add_inverse, chosen_key, count, number_option
+from maglev_mj.cli.options import add_bridge, beside_inverse, chosen_key, count, number_option
 from maglev_mj.cli.publishers import add_foxglove, chosen_foxglove
 from maglev_mj.cli.web import add_web, chosen_front
 from maglev_mj.controller import Controller
@@ -55,10 +55,10 @@ def add_options(parser: Parser) -> None:
         "noise": ("standard deviation of a spot's noise [m]", TwinParameters.noise),
     }
     for name, (text, default) in numbers.items():
-        device.add_argument(
+        into = beside_inverse(device, "--period", "rate") if name == "rate" else device
+        into.add_argument(
             f"--{name}", type=number_option, default=default, metavar="X", help=f"{text} (default {default:g})"
         )
-    add_inverse(device, "--period", "rate")
     device.add_argument("--seed", type=count, default=0, metavar="N", help="of the noise (default 0)")
     device.add_argument("--lockstep", action="store_true", help="wait for each answer instead of keeping real time")
     faults = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())

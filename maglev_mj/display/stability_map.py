@@ -41,6 +41,11 @@ class Margin(NamedTuple):
     dampings: Array = _NOTHING
     stiffnesses: Array = _NOTHING
 
+    @property
+    def shown(self) -> tuple[float, str]:
+        """Factor and unit of stiffness in a plot."""
+        return (1.0, "N m/rad") if self.axis.startswith("r") else (1e-3, "kN/m")
+
 
 def margin(scene: Scene) -> Margin:
     """Return a scene's gains and their stability boundary.

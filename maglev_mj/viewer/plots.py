@@ -90,7 +90,7 @@ class Plots:
         if not found.axis:
             _draw(figure, found.words, [], (0.0, 1.0), (0.0, 1.0))
             return
-        factor, unit = (1.0, "N m/rad") if found.axis.startswith("r") else (1e-3, "kN/m")
+        factor, unit = found.shown
         width = round_up(max(float(found.dampings.max(initial=0.0)), 1.1 * found.damping, _LEAST))
         height = round_up(factor * max(float(found.stiffnesses.max(initial=0.0)), 1.1 * found.stiffness, _LEAST))
         colour = GOOD if found.stable else BAD

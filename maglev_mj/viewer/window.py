@@ -21,6 +21,7 @@ import glfw
 from maglev_mj.display.remote import ShowReport
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
+from maglev_mj.interrupts import interrupts_delayed
 from maglev_mj.lazy import mujoco
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes import Scene
@@ -95,7 +96,8 @@ def show(
         DisplayError: If a window cannot be opened.
     """
     require_display()
-    window = _Window(session, folder, shadows)
+    with interrupts_delayed():  # half open it cannot be closed, and its drawing thread crashes a program that ends
+        window = _Window(session, folder, shadows)
     try:
         with engine_warnings_silenced():
             return window.run(duration)

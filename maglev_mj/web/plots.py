@@ -62,7 +62,7 @@ class Plots:
         colour = None if found.stable is None else GOOD if found.stable else BAD
         if not found.axis:
             return f'<p style="margin:.5em">{escape(textwrap.shorten(found.words, 300))}</p>'
-        factor, unit = (1.0, "N m/rad") if found.axis.startswith("r") else (1e-3, "kN/m")
+        factor, unit = found.shown
         across = 0.0, _MARGIN * max(float(found.dampings.max(initial=0.0)), found.damping, _LEAST)
         up = 0.0, _MARGIN * factor * max(float(found.stiffnesses.max(initial=0.0)), found.stiffness, _LEAST)
         lines = [Line(BOUNDARY, found.dampings, factor * found.stiffnesses)]
