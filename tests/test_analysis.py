@@ -35,6 +35,7 @@ from maglev_mj.plants import Timing
 from maglev_mj.playback import Replay
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, open_recording
 from maglev_mj.replay import rebuild, record_run, stick_positions_of
+from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
@@ -45,7 +46,6 @@ from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.spec import GRAVITY
 from maglev_mj.tables.analysis import analysis_table
-from maglev_mj.terminal import cell
 from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.web import panel
@@ -158,10 +158,14 @@ def test_the_table_has_the_figures_of_a_wall_and_its_contacts_in_order() -> None
     small = face.penetration * 1e3, face.rebound * 1e3, face.peak_force, face.settling_time * 1e3
     figures = (*small, float(face.hardness.rate) / 1e3, float(face.hardness.extended) / 1e3)
     assert abs(figures[4] - figures[5]) > 1.0
-    assert rows[0][4:] == [*(cell(figure, 1.0) for figure in figures), str(len(face.contacts))]
+    assert rows[0][4:] == [*(number_text(figure, 3, 2) for figure in figures), str(len(face.contacts))]
     for row, one in zip(rows[1:9], face.contacts):
         times = one.duration, one.approach_speed, one.penetration
-        assert row[4:] == [f"{one.start:.4f}", *(cell(part, 1e3) for part in times), cell(one.peak_force, 1.0)]
+        assert row[4:] == [
+            f"{one.start:.4f}",
+            *(number_text(1e3 * part, 3, 2) for part in times),
+            number_text(one.peak_force, 3, 2),
+        ]
 
 
 def test_the_hardness_is_that_of_the_fastest_contact_alone() -> None:
@@ -283,7 +287,7 @@ def test_sticks_and_slips_are_those_of_the_experiment(scene: StickSlip, plant: s
     assert [place for place in range(6) if figures.sticks[place] is not None] == [axis]
     assert found.axis() == axis
     longest = next(line for line in analysis_table(found, 1, 1).splitlines() if line.startswith("  longest stuck"))
-    assert longest.split()[2:] == [cell(max(stick.duration for stick in sticks), 1e3), "ms"]
+    assert longest.split()[2:] == [number_text(1e3 * max(stick.duration for stick in sticks), 3, 2), "ms"]
 
 
 def test_a_stick_lasts_to_the_next_sample_and_ends_where_its_spring_did() -> None:
