@@ -91,6 +91,6 @@ def test_one_change_is_seen(where: str, new: Any, near: bool) -> None:
     ],
 )
 def test_an_identified_value_that_changes_is_seen(name: str, new: Any, near: bool) -> None:
-    old = kept_once("analyse")["analyse/f7cb6d2-drop-exact.mcap"]
+    old = kept_once("analyse")["analyse/kept drop-exact.mcap"]
     found = changed(old, f"files.out_json.stretches.0.identified.walls.0.stiffness.{name}", new)
     assert bool(differences("analyse", old, found)) != near
