@@ -48,7 +48,7 @@ FLOORS := build/floors
 LOWEST := import re, tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
   lines = sum(project["optional-dependencies"].values(), project["dependencies"]); \
   print(*sorted({f"{found[1]}=={found[2]}" for found in map(re.compile(r"([\w-]+)[^;]*>=([\d.]+)").match, lines) if found}), sep="\n")
-TRIED := $(addprefix tests/test_,$(addsuffix .py,plants laws loop drop scenes recording recording_messages tabular charts cli live web study design))
+TRIED := $(addprefix tests/test_,$(addsuffix .py,plants laws loop drop scenes recording recording_messages result charts cli live web study design))
 # old packages stand on new ones of theirs, which warn of what is deprecated
 floors:  ## install the lowest versions that pyproject.toml allows; run the README's commands and a dozen test files
 	rm -rf $(FLOORS)

@@ -52,7 +52,7 @@ Scenes:
     find_scene               class of a scene, by name or file
     run                      runs a scene to its end
     run_phases               runs a scene at many sampling phases
-    Result                   motion and figures of one run
+    RunResult                motion and figures of one run
     Phases                   figures over the phases
     Session                  a scene in real time
     real_time                paces a session
@@ -175,7 +175,7 @@ if TYPE_CHECKING:
     from maglev_mj.scenes.figures import figure as figure
     from maglev_mj.scenes.find import find_scene as find_scene
     from maglev_mj.scenes.run import Phases as Phases
-    from maglev_mj.scenes.run import Result as Result
+    from maglev_mj.scenes.run import RunResult as RunResult
     from maglev_mj.scenes.run import run as run
     from maglev_mj.scenes.run import run_phases as run_phases
     from maglev_mj.scenes.scene import Scene as Scene
@@ -183,6 +183,8 @@ if TYPE_CHECKING:
     from maglev_mj.session import Session as Session
     from maglev_mj.session import real_time as real_time
     from maglev_mj.spacenav import AxisMapping as AxisMapping
+    from maglev_mj.studies.cells import dask_workers as dask_workers
+    from maglev_mj.studies.cells import local_workers as local_workers
     from maglev_mj.studies.cells import run_cells as run_cells
     from maglev_mj.studies.fidelity import Range as Range
     from maglev_mj.studies.fidelity import measure_fidelity as measure_fidelity
@@ -194,8 +196,6 @@ if TYPE_CHECKING:
     from maglev_mj.theory.linearise import linearise as linearise
     from maglev_mj.theory.verdict import judge as judge
     from maglev_mj.theory.verdict import stability as stability
-    from maglev_mj.workers import dask_workers as dask_workers
-    from maglev_mj.workers import local_workers as local_workers
 else:
     _HOMES = {
         "analysis": "analyse identify",
@@ -221,15 +221,14 @@ else:
         "scenes.bench": "hold",
         "scenes.figures": "figure",
         "scenes.find": "find_scene",
-        "scenes.run": "Phases Result run run_phases",
+        "scenes.run": "Phases RunResult run run_phases",
         "scenes.scene": "Scene Start",
         "session": "Session real_time",
         "spacenav": "AxisMapping",
-        "studies.cells": "run_cells",
+        "studies.cells": "dask_workers local_workers run_cells",
         "studies.fidelity": "Range measure_fidelity",
         "studies.sweep": "sweep",
         "theory": "WallRequirements critical_delay design_wall judge largest_stable_stiffness linearise stability",
-        "workers": "dask_workers local_workers",
     }
     __getattr__, __dir__, __all__ = attach(__name__, _HOMES)
 

@@ -107,7 +107,7 @@ class DivergenceError(PlantError):
     Its state may also be no number any more.
 
     Attributes:
-        partial: `Result` of the scene up to the error; None outside a run of a scene.
+        partial: `RunResult` of the scene up to the error; None outside a run of a scene.
 
     Example:
         >>> from maglev_mj import DivergenceError, find_scene, run

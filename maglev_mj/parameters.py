@@ -134,7 +134,7 @@ def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite:
         raise ParameterError(f"{name} must be a number or an array of numbers, not {value!r}")
     array = np.asarray(given, dtype=np.float64)
     good = array >= at_least
-    if flag("finite", finite):
+    if finite:
         good &= np.isfinite(array)
     if not good.all():
         kind = "finite and " if finite else ""
@@ -289,10 +289,6 @@ class Parameter:
     parse: Callable[[Any], Any] | None
     live: Literal[False] | Turn
     along: bool
-
-    def __post_init__(self) -> None:
-        flag("optional", self.optional)
-        flag("along", self.along)
 
     def checked(self, value: Any) -> Any:
         """Return a checked value.

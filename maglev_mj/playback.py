@@ -15,7 +15,7 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.model import load_model
 from maglev_mj.parameters import number
-from maglev_mj.recording import InvalidRecordingError, Recording, Stretch, metadata_of
+from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
 from maglev_mj.replay import OwnCode, rebuild_for, shown_scene, stick_positions
 from maglev_mj.session import SHOWN, TIME_SCALES, Snapshot, next_scale
 
@@ -143,7 +143,7 @@ class Replay:
     def snapshot(self) -> Snapshot:
         """Return the present snapshot."""
         now, row = self._now, self._row - self._firsts[self._place]
-        rows, totals, time = now.stretch.rows[row], now.stretch.totals, float(self._times[self._row])
+        samples, time = now.stretch.arrays, float(self._times[self._row])
         since = SHOWN * max(self._scale, 1.0)
         passed = [event for event, mark in zip(self._events, self._marks) if 0.0 <= time - mark < since]
         return Snapshot(
@@ -152,16 +152,16 @@ class Replay:
             delay=now.scene.delay,
             tick=self._row,
             time=time,
-            pose=np.array(rows["position"]),
-            force=rows["applied"] - now.carried,
-            hand=np.array(rows["hand"]),
-            currents=_current_per_wrench() @ rows["applied"],
+            pose=np.array(samples["position"][row]),
+            force=samples["applied"][row] - now.carried,
+            hand=np.array(samples["hand"][row]),
+            currents=_current_per_wrench() @ samples["applied"][row],
             faces=now.faces,
             anchors=now.anchors(row),
             history=self._history(),
             work=float(now.work[row]),
-            missed=0 if totals is None else int(totals["missed"][row]),
-            taken=float("nan") if totals is None else float(totals["taken"][row]),
+            missed=int(samples["missed"][row]) if "missed" in samples else 0,
+            taken=float(samples["taken"][row]) if "taken" in samples else float("nan"),
             time_scale=self._scale,
             duration=self._duration,
             marks=self._marks,
@@ -205,16 +205,16 @@ class _Shown:
 
     def __init__(self, stretch: Stretch, own: OwnCode | None) -> None:
         self._again = rebuild_for(stretch, own)
-        metadata = metadata_of(stretch, self._again)
+        metadata = stretch.metadata
         self.stretch, self.scene = stretch, shown_scene(stretch.setup, metadata, own)
         self.time: Array = stretch.time - stretch.time[0]
         self.duration = float(self.time[-1]) + metadata.period
-        self.carried, self.faces = metadata.carried, tuple(metadata.faces or ())
-        if stretch.totals is None:
-            work = hand_work(stretch.position, stretch.hand).sum(axis=1)
-            self.work: Array = np.concatenate([[0.0], np.cumsum(work)])
+        self.carried, self.faces = metadata.carried, tuple(metadata.faces)
+        if "hand_work" in stretch.arrays:
+            self.work: Array = stretch.hand_work
         else:
-            self.work = stretch.totals["hand_work"]
+            work = hand_work(stretch.position, stretch.hand).sum(axis=1)
+            self.work = np.concatenate([[0.0], np.cumsum(work)])
         self._sticking = stick_positions(stretch, self._again)
         self._anchors: list[Array] = []
 

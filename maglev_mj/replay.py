@@ -20,7 +20,7 @@ from maglev_mj.frames import AXES, Array, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.laws import Law
 from maglev_mj.loop import ControlLoop
-from maglev_mj.parameters import param
+from maglev_mj.parameters import param, whole
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import (
     ArrayFile,
@@ -36,14 +36,12 @@ from maglev_mj.recording import (
     Stretch,
     open_recording,
 )
-from maglev_mj.recording.checks import check_setup, start_in, whole
+from maglev_mj.recording.sample import check_setup
 from maglev_mj.recording.setup import ALLOW, controller_again, plant_again, scripted
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
-from maglev_mj.scenes.find import SceneLike, defined_in, get_scene, object_of_text, text_of
-from maglev_mj.scenes.legacy import parameters_in, recorded_scene
+from maglev_mj.scenes.find import SceneLike, defined_in, get_scene, object_of_text, recorded_scene, text_of
 from maglev_mj.scenes.run import checked_phase, checked_plant
-from maglev_mj.scenes.scene import PLANTS
-from maglev_mj.session import begin_scene, device_controller, live_plant
+from maglev_mj.session import begin_scene, device_controller
 from maglev_mj.versions import hash_of
 
 __all__ = [
@@ -69,14 +67,6 @@ It is given in place of a scene's name.
 _CHUNK = 1000
 """Number of samples processed at a time."""
 
-_KINDS = ("run", "device", "scene", "own")
-"""Kinds of setups besides the names of scenes.
-
-All but the first two are of old versions.
-"""
-
-_PLANTS = {f"{make.__module__}.{make.__qualname__}": name for name, make in PLANTS.items() if isinstance(make, type)}
-
 
 class _Unknown(Scene):
     """Recording with a scene that is not known here."""
@@ -91,8 +81,8 @@ class OwnCode:
     """User code that may be executed for a recording.
 
     Args:
-        text: NAME of a scene, FILE.py or FILE.py:CLASS, or `ATTACHED` for the code in the recording. From a file
-            without a scene, or from the recording, only the needed names are executed.
+        text: NAME of a scene, FILE.py or FILE.py:CLASS, or `ATTACHED` for the code in the recording. A file is
+            executed as a module.
         recording: The recording.
 
     Attributes:
@@ -176,32 +166,16 @@ def rebuild(
         ('ExactPlant', ['Wall', 'Hold'])
     """
     check_setup(setup)
-    return _plant(setup, hand, own), _controller(setup, own)
+    plant = None if setup["kind"] == "device" else plant_again(setup, hand)
+    return plant, _controller(setup, own)
 
 
 def _controller(setup: Setup, own: OwnCode | None) -> Controller:
-    if "controller" in setup and not (own is not None and own.scene and setup.get("scene")):
+    if own is None or own.scene is None or not setup.get("scene"):
         return controller_again(setup, own)
     with _one_line():
         scene = _scene(setup, own)
         return device_controller(scene) if setup["kind"] == "device" else scene.controller()
-
-
-def _plant(setup: Setup, hand: HandForce | None, own: OwnCode | None) -> SampledPlant | None:
-    if setup["kind"] == "device":
-        return None
-    if "controller" in setup:
-        return plant_again(setup, hand)
-    with _one_line():  # as in old versions, without a controller in the setup
-        scene = _scene(setup, own)
-        if setup["kind"] == "scene":
-            return live_plant(scene, hand, **start_in(setup))
-        values = setup if setup["kind"] == "own" else {"phase": 0.0, **setup["parameters"]}
-        plant = _PLANTS.get(values["plant"], values["plant"])
-        started: dict[str, Any] = start_in(setup["start"]) if setup.get("start") else {}
-        # in pieces as it was recorded: in one piece the exact plant rounds differently
-        options: dict[str, Any] = {"phase": checked_phase(values["phase"]), "hand": hand, "record": True}
-        return scene.plant(checked_plant(scene, plant), **options, **started)
 
 
 @contextmanager
@@ -222,19 +196,11 @@ def _scene(setup: Setup, own: OwnCode | None) -> Scene:
         OwnCodeError: If it is not of this package, and not allowed to run.
         ParameterError: If its parameters are outside their bounds.
     """
-    kind, values = setup["kind"], parameters_in(setup)
-    name = setup["scene"] if kind in _KINDS else kind
-    if kind not in _KINDS:
-        values = {key: value for key, value in values.items() if key not in ("plant", "phase")}
-    if name in BUILT_IN:
-        return recorded_scene(name, values)
-    if own is not None and own.scene is not None:
-        return own.scene.from_json(values)
-    if kind in _KINDS:
+    name = setup["scene"]
+    if name not in BUILT_IN and (own is None or own.scene is None):
         file = Path(str(name).rpartition(":")[0]).name or "NAME"
         raise OwnCodeError(f"scene {name!r} must be executed to run it again: {ALLOW.format(file)}")
-    known = ", ".join((*_KINDS, *BUILT_IN))
-    raise OwnCodeError(f"a recording of kind {kind!r} cannot be made here, which knows {known}")
+    return recorded_scene(name, setup["parameters"], None if own is None else own.scene)
 
 
 def rebuild_for(stretch: Stretch, own: OwnCode | None = None) -> Rebuild | None:
@@ -251,8 +217,7 @@ def rebuild_for(stretch: Stretch, own: OwnCode | None = None) -> Rebuild | None:
     try:
         _controller(stretch.setup, own)
     except OwnCodeError:
-        if stretch.metadata is not None:
-            return None
+        return None
     return partial(rebuild, own=own)
 
 
@@ -266,14 +231,11 @@ def expected(setup: Setup) -> Expected:
     """
     kind, metadata, known = setup["kind"], dict[str, Any](), scripted(setup)
     with _one_line():
-        samples = None if setup.get("samples") is None else whole(setup, "samples")
+        samples = None if setup.get("samples") is None else whole("samples", setup["samples"])
         if kind == "device":  # inertia and previous wrench are recorded with the flight, not in the setup
-            metadata = {"delay": parameters_in(setup)["delay"], "hand_recorded": False, "hand_acts_on_flotor": True}
-        elif kind == "scene" or (isinstance(setup.get("plant"), dict) and not known):
+            metadata = {"delay": setup["parameters"]["delay"], "hand_recorded": False, "hand_acts_on_flotor": True}
+        elif isinstance(setup.get("plant"), dict) and not known:
             metadata = {"hand_recorded": True}
-        elif kind not in _KINDS:
-            scene, known = _scene(setup, None), True
-            samples = scene.ticks(scene.timing(checked_phase(setup["parameters"].get("phase", 0.0))))
     return Expected(scripted=known, samples=samples, metadata=metadata)
 
 

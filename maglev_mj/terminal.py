@@ -5,12 +5,9 @@ Control characters in text of files and other programs are escaped.
 
 from __future__ import annotations
 
-import math
 import re
 from textwrap import wrap
-from typing import Any, TextIO
-
-__all__ = ["WIDTH", "cell", "printable", "say", "wrapped"]
+from typing import TextIO
 
 WIDTH = 80
 """Largest number of columns in a table."""
@@ -34,17 +31,6 @@ def say(line: str, file: TextIO | None = None) -> None:
         file: Output file; None for standard output.
     """
     print(printable(line), file=file, flush=True)
-
-
-def cell(value: Any, scale: float) -> str:
-    """Return a figure to four digits, or a dash.
-
-    The dash is for a missing figure.
-    """
-    number = float(value) * scale
-    if not math.isfinite(number):
-        return "-"
-    return f"{number:.0f}" if abs(number) >= 100.0 else f"{number:.1f}" if abs(number) >= 10.0 else f"{number:z.2f}"
 
 
 def wrapped(text: str, indent: str = "  ", further: str | None = None) -> list[str]:

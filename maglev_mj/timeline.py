@@ -14,7 +14,7 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.parameters import flag, number, numbers, whole
+from maglev_mj.parameters import number, numbers, whole
 from maglev_mj.spec import Spec
 
 __all__ = ["MOST_PERIODS", "Segment", "Timeline", "Timing", "recorded_switches", "split_delay"]
@@ -165,7 +165,7 @@ class Timeline:
     """
 
     def __init__(self, timing: Timing, acting: Any, *, compares: bool = False) -> None:
-        self.acting, self.compares, self.timing = acting, flag("compares", compares), timing
+        self.acting, self.compares, self.timing = acting, compares, timing
         # when, in ticks and seconds after one, to which drive, and that of a pulse ahead of it with its width
         self._switches: deque[tuple[int, Any, Any, Any, float]] = deque()
         self._pulse: tuple[Any, Any] | None = None

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import numbers
-from maglev_mj.tabular import Tabular
+from maglev_mj.result import Result
 
 __all__ = ["Trace", "TraceRecorder"]
 
@@ -56,7 +56,7 @@ class TraceRecorder:
 
 
 @dataclass(frozen=True, eq=False)
-class Trace(Tabular):
+class Trace(Result):
     """Motion as knots at the switches of the wrench.
 
     Each knot has the state, and the wrench that acts until the next knot.

@@ -16,9 +16,9 @@ import numpy as np
 from maglev_mj.frames import ZERO, Command
 from maglev_mj.hand import SpringHand
 from maglev_mj.recording import Recording
-from maglev_mj.recording.protobuf import STRETCH as NUMBER
-from maglev_mj.recording.protobuf import layout_of
-from maglev_mj.recording.row import FIELDS, TOTALS
+from maglev_mj.recording.mcap import STRETCH_NUMBER as NUMBER
+from maglev_mj.recording.mcap import layout_of, packed
+from maglev_mj.recording.sample import FIELDS, TOTALS
 from maglev_mj.replay import write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
@@ -178,7 +178,7 @@ def with_value(data: bytes, row: int, column: str, value: float) -> bytes:
 
 
 def mcap_of(messages: list[tuple[str, Message]], *, compressed: bool = True) -> bytes:
-    """Return a complete older file, all in JSON.
+    """Return a complete file of messages about a run.
 
     Numbers outside JSON are written as Python does.
     """
@@ -187,14 +187,27 @@ def mcap_of(messages: list[tuple[str, Message]], *, compressed: bool = True) -> 
     file = BytesIO()
     writer = Writer(file, compression=CompressionType.ZSTD if compressed else CompressionType.NONE)
     writer.start()
+    writer.add_metadata("maglev_mj", {"format": "2"})
     schema = writer.register_schema(name="any", encoding="jsonschema", data=b"{}")
     topics = dict.fromkeys(topic for topic, _ in messages)
     channels = {topic: writer.register_channel(topic, "json", schema) for topic in topics}
+    counts = dict.fromkeys(topics, 0)
     for number, (topic, message) in enumerate(messages):
-        data = json.dumps(message).encode()
-        writer.add_message(channels[topic], log_time=number, publish_time=number, data=data, sequence=number)
+        counts[topic] += 1
+        data = packed_sample(message) if topic == "/maglev/sample" else json.dumps(message).encode()
+        writer.add_message(channels[topic], log_time=number, publish_time=number, data=data, sequence=counts[topic])
     writer.finish()
     return file.getvalue()
+
+
+def packed_sample(message: Message) -> bytes:
+    """Return a sample, given by names and values, as a protobuf message; None stands for NaN."""
+    values = []
+    for fields in (FIELDS, TOTALS):
+        parts = [message.get(field.name) for field in fields]
+        flat = [one for part in parts for one in (part.values() if isinstance(part, dict) else [part])]
+        values.append([np.nan if one is None else one for one in flat])
+    return packed(message["stretch"], *values)
 
 
 def arrays_in(data: bytes) -> tuple[Message, dict[str, Any]]:

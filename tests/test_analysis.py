@@ -33,8 +33,9 @@ from maglev_mj.hand import SpringHand, Trajectory
 from maglev_mj.metrics import perceived_hardness, summarise_bounce
 from maglev_mj.plants import Timing
 from maglev_mj.playback import Replay
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, metadata_of, open_recording
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, open_recording
 from maglev_mj.replay import rebuild, record_run, stick_positions_of
+from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, MASS
@@ -45,7 +46,6 @@ from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.spec import GRAVITY
 from maglev_mj.tables.analysis import analysis_table
-from maglev_mj.terminal import cell
 from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.web import panel
@@ -158,10 +158,14 @@ def test_the_table_has_the_figures_of_a_wall_and_its_contacts_in_order() -> None
     small = face.penetration * 1e3, face.rebound * 1e3, face.peak_force, face.settling_time * 1e3
     figures = (*small, float(face.hardness.rate) / 1e3, float(face.hardness.extended) / 1e3)
     assert abs(figures[4] - figures[5]) > 1.0
-    assert rows[0][4:] == [*(cell(figure, 1.0) for figure in figures), str(len(face.contacts))]
+    assert rows[0][4:] == [*(number_text(figure, 3, 2) for figure in figures), str(len(face.contacts))]
     for row, one in zip(rows[1:9], face.contacts):
         times = one.duration, one.approach_speed, one.penetration
-        assert row[4:] == [f"{one.start:.4f}", *(cell(part, 1e3) for part in times), cell(one.peak_force, 1.0)]
+        assert row[4:] == [
+            f"{one.start:.4f}",
+            *(number_text(1e3 * part, 3, 2) for part in times),
+            number_text(one.peak_force, 3, 2),
+        ]
 
 
 def test_the_hardness_is_that_of_the_fastest_contact_alone() -> None:
@@ -224,7 +228,7 @@ def with_losses(hand: tuple[float, ...], law: Law, start: float) -> Stretch:
 def test_a_constant_force_is_found_over_samples_that_were_lost() -> None:
     push = (0.3, -0.2, 0.5, 1e-3, -2e-3, 1e-3)
     stretch = with_losses(push, Hold(stiffness=[200.0] * 3 + [0.2] * 3, damping=[10.0] * 3 + [0.01] * 3), 1e-3)
-    found = reconstruct(stretch, metadata_of(stretch, None))
+    found = reconstruct(stretch, stretch.metadata)
     assert len(found.unexplained) == 59 - len(LOST)
     np.testing.assert_allclose(found.unexplained, np.tile(push, (len(found.unexplained), 1)), rtol=1e-8)
 
@@ -283,7 +287,7 @@ def test_sticks_and_slips_are_those_of_the_experiment(scene: StickSlip, plant: s
     assert [place for place in range(6) if figures.sticks[place] is not None] == [axis]
     assert found.axis() == axis
     longest = next(line for line in analysis_table(found, 1, 1).splitlines() if line.startswith("  longest stuck"))
-    assert longest.split()[2:] == [cell(max(stick.duration for stick in sticks), 1e3), "ms"]
+    assert longest.split()[2:] == [number_text(1e3 * max(stick.duration for stick in sticks), 3, 2), "ms"]
 
 
 def test_a_stick_lasts_to_the_next_sample_and_ends_where_its_spring_did() -> None:
@@ -412,8 +416,10 @@ def test_a_recording_that_begins_inside_a_wall_has_a_contact_without_an_approach
 
 def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
     stretch = recorded(Press())
-    known = metadata_of(stretch, None)
-    turned = stretch.replace(**{name: -stretch.rows[name] for name in ("position", "hand", "applied", "applied_pulse")})
+    known = stretch.metadata
+    turned = stretch.replace(
+        **{name: -stretch.arrays[name] for name in ("position", "hand", "applied", "applied_pulse")}
+    )
     down = face_figures(reconstruct(stretch, known).trace, (2, 1.0, 0.0))
     up = face_figures(reconstruct(turned, known).trace, (2, -1.0, 0.0))
     assert down is not None and up is not None
@@ -425,7 +431,7 @@ def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
 
 def test_what_cannot_be_analysed_is_refused() -> None:
     stretch = recorded(Drop())
-    short = stretch.part(0, 0)
+    short = stretch[:1]
     with pytest.raises(RecordingError, match="at least 2 samples to be analysed, not 1"):
         analysed(short)
     with pytest.raises(RecordingError, match="in the order in which they were taken"):
@@ -524,7 +530,7 @@ def test_a_file_with_nothing_in_it_is_one_line_and_status_2(tmp_path: Path, caps
     for name, recording in (("none.npz", Recording([])), ("one.npz", None)):
         if recording is None:
             stretch = recorded(Drop())
-            recording = Recording([stretch.part(0, 0)])
+            recording = Recording([stretch[:1]])
         recording.save(tmp_path / name)
         assert main(["analyse", str(tmp_path / name)]) == 2
         said = capsys.readouterr().err
@@ -539,7 +545,6 @@ def test_a_flight_is_recorded_with_the_mass_of_its_calibration() -> None:
     with RemotePlant(VirtualLink(twin), calibration=weighed) as plant:
         Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(0.5)
     metadata = file.recording.stretches[0].metadata
-    assert metadata is not None
     assert metadata.inertia.tolist() == [0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3]
     assert metadata.load[2] == pytest.approx(-0.75 * GRAVITY)
 
@@ -554,10 +559,8 @@ def test_the_hand_on_a_device_is_not_known_and_taken_for_none(suffix: str, tmp_p
     (stretch,) = recording.stretches
     assert np.isnan(stretch.hand).all() and not stretch.known_hand.any() and len(stretch) == 100
     if suffix == ".mcap":
-        assert stretch.totals is not None
-        assert np.isnan(stretch.totals["hand_work"]).all() and np.isfinite(stretch.totals["taken"]).all()
-    former = stretch.replace(hand=0.0)  # as recorded by earlier versions
-    found, before = (analysed(one) for one in (stretch, former))
+        assert np.isnan(stretch.hand_work).all() and np.isfinite(stretch.taken).all()
+    found, before = (analysed(one) for one in (stretch, stretch.replace(hand=0.0)))
     assert analysis_table(found, 1, 1) == analysis_table(before, 1, 1)
     assert found.recorded.motion.trace.pose.tobytes() == before.recorded.motion.trace.pose.tobytes()
     for command in (["analyse", "--out", str(tmp_path)], ["replay", "--check"], ["export", "--to", "csv"]):

@@ -27,8 +27,8 @@ from maglev_mj.controller import Controller
 from maglev_mj.frames import Array, Mask
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants.sensor import Sensor
-from maglev_mj.recording import ArrayFile, Recording, Stretch, metadata_of
-from maglev_mj.replay import rebuild, record_run, stick_positions_of
+from maglev_mj.recording import ArrayFile, Stretch
+from maglev_mj.replay import record_run, stick_positions_of
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.press import Press
@@ -57,7 +57,7 @@ def found_in(scene: Scene, phase: float = 0.0, plant: str = "exact") -> Identifi
 
 
 def thinned(stretch: Stretch, kept: Mask) -> Stretch:
-    return replace(stretch, rows=stretch.rows[kept], totals=None)
+    return stretch[kept]
 
 
 def coverage(seeds: range) -> dict[str, list[bool]]:
@@ -117,7 +117,7 @@ def test_an_ideal_sensor_tells_the_truth_to_rounding_or_as_well_as_an_arm_is_kno
     scene: Drop | Press, near: float, plant: str
 ) -> None:
     found = found_in(scene, 0.3, plant)
-    (wall,), inertia = found.walls, metadata_of(recorded(scene, 0.3, plant), None).inertia[2]
+    (wall,), inertia = found.walls, recorded(scene, 0.3, plant).metadata.inertia[2]
     share = scene.stiffness / float(largest_stable_stiffness(scene.damping, delay=scene.delay, mass=inertia))
     told = found.axes[2].inertia, found.delay, wall.stiffness, wall.damping, wall.share
     for one, true in zip(told, (inertia, scene.delay, scene.stiffness, scene.damping, share), strict=True):
@@ -133,7 +133,7 @@ def test_a_walls_share_is_that_of_all_springs_and_dampers_on_its_axis(spring: fl
             return [*super().laws(), Hold(axes="z", stiffness=spring, damping=damping)]
 
     stretch = recorded(scene := Suspended(stiffness=4000.0, pulse=0.0), 0.3)
-    (wall,), mass = found_in(scene, 0.3).walls, metadata_of(stretch, None).inertia[2]
+    (wall,), mass = found_in(scene, 0.3).walls, stretch.metadata.inertia[2]
     damping = scene.damping + (20.0 if spring else 0.0)
     true = (4000.0 + spring) / float(largest_stable_stiffness(damping, delay=scene.delay, mass=mass))
     assert wall.stiffness.value == pytest.approx(4000.0, rel=1e-9)
@@ -142,7 +142,7 @@ def test_a_walls_share_is_that_of_all_springs_and_dampers_on_its_axis(spring: fl
 
 def test_a_delay_and_a_mass_other_than_stated_are_found() -> None:
     stretch = recorded(Drop(quantize=5e-6), 0.3)
-    known = metadata_of(stretch, None)
+    known = stretch.metadata
     for late in (0.0, 0.0005, 0.004, 0.02):
         stated = replace(known, delay=late, inertia=1.2 * known.inertia)
         found = identify(stretch, stated)
@@ -235,7 +235,7 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
     assert all(one.known for name, one in estimates(whole).items() if name != "quantum")
 
     fall, _ = sample_case(rate=1000.0)
-    early = fall.part(0, int(np.argmax(fall.position[:, 2] < 2e-4)) - 1)
+    early = fall[: int(np.argmax(fall.position[:, 2] < 2e-4))]
     free = identify(early)
     assert {why(one) for one in vars(free.walls[0]).values() if isinstance(one, Estimate)} == {"it was not touched"}
     assert not free.friction  # where nobody says where it stuck
@@ -246,7 +246,7 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
     still[:, 0] = 0.0
     stuck = identify(stretch.replace(position=still), anchors=anchors)
     assert 0 not in stuck.axes and why(stuck.friction[0].breakaway) == "the axis does not move"
-    assert why(identify(stretch.part(0, 8)).walls[0].stiffness) == "only 9 samples"
+    assert why(identify(stretch[:9]).walls[0].stiffness) == "only 9 samples"
 
     hand = stretch.hand.copy()
     hand[:, 0] = 0.0
@@ -258,11 +258,11 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
     gaps = thinned(stretch, np.arange(len(stretch)) % 3 > 0)
     assert why(identify(gaps).walls[0].stiffness) == "too few samples without a gap"
 
-    short = recorded(Drop(height=2e-4, quantize=5e-6), 0.3).part(0, 11)
+    short = recorded(Drop(height=2e-4, quantize=5e-6), 0.3)[:12]
     assert why(identify(short).walls[0].stiffness) == "too few samples for all that acts on the axis"
 
     first = int(np.argmax(np.isnan(anchors[:, 0])))
-    held = identify(stretch.part(0, first - 1), anchors=anchors[:first])
+    held = identify(stretch[:first], anchors=anchors[:first])
     assert why(held.friction[0].commanded_stiffness) == "nothing tells it from the other laws on the axis"
     random = np.random.default_rng(1).normal(size=stretch.command.shape)
     other = identify(stretch.replace(command=stretch.command + random), anchors=anchors).walls[0]
@@ -312,7 +312,7 @@ def test_a_long_recording_is_told_by_the_part_that_moves_least_straight(monkeypa
 def test_a_rotation_is_told_where_nothing_else_acts_on_it() -> None:
     alone = recorded(StickSlip(axis="ry"))
     found = identify(alone, anchors=stick_positions_of(alone))
-    assert holds(found.axes[4].inertia, metadata_of(alone, None).inertia[4])
+    assert holds(found.axes[4].inertia, alone.metadata.inertia[4])
     turned = alone.position.copy()
     turned[:, 5] = turned[:, 4]
     assert identify(alone.replace(position=turned)).axes[4].inertia.why == "the other coordinates act on it"
@@ -354,10 +354,10 @@ def test_intervals_are_those_of_student_and_singular_columns_are_not_told() -> N
 
 def test_the_same_recording_without_its_first_samples_says_the_same() -> None:
     stretch, anchors = sample_case()
-    part = identify(stretch.part(25, len(stretch) - 1), anchors=anchors[25:])
+    part = identify(stretch[25:], anchors=anchors[25:])
     assert part.samples == part.of - 2
     assert holds(part.axes[0].inertia, CASE.mass)
-    assert reconstruct(stretch, metadata_of(stretch, None)).time[-1] > 0.0
+    assert reconstruct(stretch, stretch.metadata).time[-1] > 0.0
 
 
 def test_a_case_of_the_study_is_the_same_for_its_seed() -> None:
@@ -378,10 +378,8 @@ def test_a_force_that_switches_at_a_sample_is_counted_once(delay: float) -> None
 
 
 def test_a_stop_that_nobody_recorded_does_not_pass_for_a_weight() -> None:
-    recording = Recording.load(HERE / "golden/recordings/f7cb6d2/session.mcap")
-    stretch = recording.stretches[6]  # falls on the stop with the currents off, in 16 samples
-    known = metadata_of(stretch, rebuild)
-    one = identify(stretch, known).axes[2].force_error
+    (stretch,) = record_run("let-go", plant="mujoco").stretches  # falls on the stop with the currents off
+    one = identify(stretch).axes[2].force_error
     assert not one.known or holds(one, 0.0)
 
 

@@ -21,8 +21,7 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import Hand, get_hand
 from maglev_mj.laws import LinearController, LowPass, ObserverWall, Window
 from maglev_mj.theory import boundary, is_stable, largest_stable_stiffness, stable_ranges
-from maglev_mj.theory.boundary import boundary_of, first_end, ranges_of, spans, stiffest_of
-from maglev_mj.theory.characteristic import scales
+from maglev_mj.theory.boundary import boundary_of, first_end, ranges_of, scales, spans, stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop, pd
 
 # a soft grip whose own resonance leaves walls stable again beyond ones that are not

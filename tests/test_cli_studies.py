@@ -20,7 +20,7 @@ def test_stability_json_is_the_map(tmp_path: Path) -> None:
     assert data["damping"] == pytest.approx(np.linspace(10.0, 110.0, 7).tolist())
     assert data["stiffness"] == pytest.approx(np.linspace(500.0, 12500.0, 7).tolist())
     rows = np.array(data["stiffness"])[:, None]
-    modulus, stable = np.array(data["modulus"]), np.array(data["simulated_stable"])
+    modulus, stable = np.array(data["modulus"]), np.array(data["simulated"])
     expected = theory.largest_modulus(np.array(data["stiffness"])[:, None], data["damping"], period=0.005, delay=0.0015)
     np.testing.assert_allclose(modulus, expected)
     np.testing.assert_array_equal(stable, modulus < 1.0)
@@ -32,7 +32,7 @@ def test_stability_json_is_the_map(tmp_path: Path) -> None:
 def test_stability_by_theory_alone_simulates_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stability", "--grid", "5", "--hand", "0.3,5,200", "--json", "-"]) == 0
     data = json.loads(capsys.readouterr().out)
-    assert data["simulated_stable"] is None and data["parameters"]["hand"] == "0.3,5,200"
+    assert data["simulated"] is None and data["parameters"]["hand"] == "0.3,5,200"
 
 
 def test_stability_goes_on_from_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -52,7 +52,10 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
     record = tmp_path / "cells.jsonl"
     arguments = ["sweep", "drop", "--vary", "height=0.001:0.003:3", "--vary", "plant=exact,mujoco", "--set", "pulse=0"]
     assert main([*arguments, "--record", str(record), "--workers", "0", "--json", str(tmp_path / "all.json")]) == 0
-    assert "Sweep of drop over height (3), plant (2): 6 cells\n  0 of them already in" in capsys.readouterr().out
+    assert (
+        "Sweep of drop over height (3), plant (2): 6 cells\n" in (said := capsys.readouterr().out)
+        and "\n  0 of them already in" in said
+    )
     cells = json.loads((tmp_path / "all.json").read_text())["cells"]
     assert [(cell["cell"]["height"], cell["cell"]["plant"]) for cell in cells] == [
         (height, plant) for height in (0.001, 0.002, 0.003) for plant in ("exact", "mujoco")

@@ -14,12 +14,11 @@ from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.hand import Hand
-from maglev_mj.plants import MuJoCoBatchPlant
+from maglev_mj.plants import INTEGRATORS, MuJoCoBatchPlant
 from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import INERTIA
 from maglev_mj.studies.batches import wall_controller
-from maglev_mj.studies.integrators import INTEGRATORS, SteppedLoop
-from maglev_mj.studies.levels import apart, level_parts, motion_of
+from maglev_mj.studies.levels import SteppedLoop, apart, level_parts, motion_of
 from maglev_mj.theory import stiffest_wall
 from maglev_mj.theory.boundary import stiffest_of
 

@@ -16,10 +16,9 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.studies.cells import Record, run_cells
+from maglev_mj.studies.cells import Record, WorkersError, dask_workers, run_cells
 from maglev_mj.studies.sweep import run_scene_cells, swept_cells
 from maglev_mj.versions import versions
-from maglev_mj.workers import WorkersError, dask_workers
 
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -165,6 +164,27 @@ def test_a_worker_of_other_code_that_joins_late_takes_no_cell(cluster: Cluster, 
     assert ended.value.landed == [(cell, kept[cell]) for cell in landed]
     some = landed[:: max(len(landed) // 10, 1)]
     assert [kept[cell] for cell in some] == run_scene_cells(some)
+
+
+def test_a_scheduler_without_workers_is_said_at_once_and_its_first_worker_does_the_study(
+    cluster: Cluster, tmp_path: Path
+) -> None:
+    command = [sys.executable, "-m", "maglev_mj", "sweep", "drop", "--vary", "phase=0:0.9:4", "--set", "plant=exact"]
+    process = subprocess.Popen(
+        [*command, "--scheduler", cluster.address],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+    )
+    assert process.stderr
+    said = process.stderr.readline()
+    assert (
+        f"maglev-mj sweep: the Dask scheduler at {cluster.address} has no workers yet: jobs wait for the first" in said
+    )
+    with cluster.worker():
+        out, more = process.communicate(timeout=_PATIENCE)
+    assert (process.returncode, more) == (0, "") and "4 cells" in out
 
 
 @pytest.mark.parametrize("command", ["sweep", pytest.param("stability", marks=pytest.mark.study)])

@@ -278,19 +278,19 @@ def test_bad_requirements_are_refused_with_the_value() -> None:
 def test_the_command_prints_and_writes_a_design(tmp_path: Any, capsys: Any) -> None:
     arguments = ["design", "--mass", "0.6:0.8", "--hand", "arm", "--pulse", "--out", str(tmp_path)]
     assert main([*arguments, "--json", str(tmp_path / "design.json")]) == 0
-    said = capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
     assert "mass 0.6 to 0.8 kg, delay 1.5 ms" in said and "hands none, arm" in said and "none grow" in said
     assert (tmp_path / "design.png").stat().st_size > 10_000
     data = json.loads((tmp_path / "design.json").read_text())
-    assert data["parameters"]["hands"] == ["none", "arm"] and data["wall"]["modulus"] <= 0.97 * (1.0 + 1e-9)
-    assert data["simulated"]["cases"] >= 200 and data["simulated"]["growing"] == []
-    assert np.max(data["map"]["modulus"]) <= data["wall"]["modulus"] * (1.0 + 1e-6)
+    assert data["wall"]["requirements"]["hands"] == ["none", "arm"] and data["wall"]["modulus"] <= 0.97 * (1.0 + 1e-9)
+    assert len(data["cases"]) >= 200 and not any(data["grows"])
+    assert np.max(data["map"]) <= data["wall"]["modulus"] * (1.0 + 1e-6)
 
 
 def test_a_wall_that_goes_on_ends_with_status_1(capsys: Any) -> None:
     assert main(["design", "--modulus", "1"]) == 1
     said = capsys.readouterr().out
-    assert "10173 N/m" in said and "grow or go on" in said and "hand none" in said
+    assert "10173" in said and "grow or go on" in said and "hand none" in said
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ def run_page(page: str) -> list[str]:
 @pytest.mark.parametrize("page", [page for page in PAGES if code_of(page)])
 def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("maglev_mj.studies.fidelity_levels._LONG", 1e-9)  # computing times are taken once
+    monkeypatch.setattr("maglev_mj.studies.levels._LONG", 1e-9)  # computing times are taken once
     write_files(page, tmp_path)
     lines = run_page(page)
     if page == "docs/explanation/drop.md":

@@ -13,7 +13,7 @@ from maglev_mj.laws import AxisLaw, Law, gain
 from maglev_mj.parameters import param
 from maglev_mj.plots import paper
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.run import Result, run, run_phases
+from maglev_mj.scenes.run import RunResult, run, run_phases
 from maglev_mj.scenes.scene import Scene
 
 DROP, PHASE = Drop(), 0.56
@@ -33,7 +33,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return drawn
 
 
-def runs(drop: Drop, phase: float = PHASE) -> dict[str, Result]:
+def runs(drop: Drop, phase: float = PHASE) -> dict[str, RunResult]:
     return {label: run(variant, plant="exact", phase=phase) for label, variant in drop.variants().items()}
 
 

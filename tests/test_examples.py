@@ -28,9 +28,8 @@ from maglev_mj import (
     stability,
     sweep,
 )
-from maglev_mj.studies.cells import run_cells
+from maglev_mj.studies.cells import chosen_workers, dask_workers, run_cells
 from maglev_mj.theory import judge
-from maglev_mj.workers import chosen_workers, dask_workers
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "scripts" / "examples"
 SHORT = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name != "live_client.py")

@@ -30,7 +30,7 @@ from maglev_mj.scenes.run import run
 from maglev_mj.scenes.stick_slip import LAWS
 from maglev_mj.scenes.stick_slip import StickSlip as StickSlipScene
 from maglev_mj.spec import INERTIA, RANGE
-from maglev_mj.theory.karnopp import karnopp
+from maglev_mj.theory.ideal import karnopp
 from six_axes import SixAxesResult, run_six_axes
 from tests.closed_loop import largest_modulus
 from tests.sweeps import sweep

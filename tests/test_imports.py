@@ -33,8 +33,7 @@ FLOORS = {
     "terminal": 0,
     "colours": 0,
     "parameters": 1,
-    "workers": 1,
-    "tabular": 1,
+    "result": 1,
     "timeline": 1.5,
     "process": 1.5,
     "laws": 2,
@@ -81,12 +80,12 @@ ALLOWED = {
     "websockets": {"web"},
     "matplotlib": {"plots"},
     "imageio": {"viewer"},
-    "distributed": {"workers"},
+    "distributed": {"studies"},
     "serial": {"net"},
     "argcomplete": {"cli"},
     "mcap": {"recording"},
     "foxglove": {"live", "recording"},
-    "pandas": {"tabular"},
+    "pandas": {"result"},
     "pyarrow": {"recording"},
     "control": {"theory"},
 }
@@ -180,7 +179,7 @@ def test_the_help_of_the_package_is_its_table_of_contents() -> None:
 
 LIGHT = "numpy", "mujoco", "importlib.metadata"
 OTHERS = "asyncio", "multiprocessing", "matplotlib", "mujoco.batch", "numpy.polynomial"
-UNUSED = [f"maglev_mj.{name}" for name in "recording session studies bridge analysis replay workers".split()]
+UNUSED = [f"maglev_mj.{name}" for name in "recording session studies bridge analysis replay".split()]
 
 
 @pytest.mark.parametrize(

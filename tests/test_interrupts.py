@@ -101,7 +101,7 @@ def test_a_window_that_opens_is_whole_before_it_is_raised(monkeypatch: pytest.Mo
     monkeypatch.setattr(window, "require_display", lambda: None)
     with pytest.raises(KeyboardInterrupt), Interrupts():
         try:
-            window.show(None, Path())
+            window.show(None, folder=Path())
         except LookupError:
             time.sleep(PATIENCE)
     assert opened == ["whole"]

@@ -26,44 +26,49 @@ from maglev_mj.scenes.free import LetGo, SixAxes, Twist
 from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.spec import Spec
-from maglev_mj.studies import fidelity_cases
+from maglev_mj.studies import fidelity
 from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.fidelity import (
+    COMPARED,
+    DEAR,
     MARGIN,
     FidelityResult,
+    LevelResult,
+    Preset,
     Range,
     StepResult,
     _choose,
+    largest_jump,
+    level_results,
     measure_fidelity,
+    measure_levels,
     measure_steps,
+    preset_of,
+    run_levels,
+    screen_levels,
     stepping_name,
+    worst_of,
 )
-from maglev_mj.studies.fidelity_cases import (
-    COMPARED,
-    Preset,
+from maglev_mj.studies.levels import (
+    LEVELS,
+    Motion,
+    SteppedLoop,
+    apart,
+    boundary_shift,
     choice_cases,
+    distance,
     has_gains,
     itself,
-    preset_of,
+    level_index,
+    level_parts,
+    loop_of,
+    measure_costs,
+    motion_of,
+    run_case,
     run_together,
     scattered_cases,
     scene_at,
-    screen_levels,
 )
-from maglev_mj.studies.fidelity_levels import (
-    DEAR,
-    LevelResult,
-    distance,
-    largest_jump,
-    level_results,
-    measure_costs,
-    measure_levels,
-    run_case,
-    run_levels,
-    worst_of,
-)
-from maglev_mj.studies.integrators import SteppedLoop, boundary_shift
-from maglev_mj.studies.levels import LEVELS, Motion, apart, level_index, level_parts, loop_of, motion_of
 from maglev_mj.tables import fidelity_table
 from maglev_mj.theory.closed_loop import SampledLoop
 
@@ -104,7 +109,7 @@ class Pocket(Scene):
         return [Bias(WEIGHT), walls, Hold.critically_damped(("y", "rx", "ry", "rz"), period=0.005, delay=0.0015)]
 
 
-POINTS, SEEDS = fidelity_cases._POINTS, fidelity_cases._SEEDS
+POINTS, SEEDS = fidelity._POINTS, fidelity._SEEDS
 
 
 @pytest.fixture(autouse=True)
@@ -113,11 +118,11 @@ def briefly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
 
     No test of the gate is about the costs themselves. Studies time each loop and screen all cases.
     """
-    monkeypatch.setattr("maglev_mj.studies.fidelity_levels._SHORT", 1e-9)
+    monkeypatch.setattr("maglev_mj.studies.levels._SHORT", 1e-9)
     if request.node.get_closest_marker("study") is None:
-        monkeypatch.setattr("maglev_mj.studies.fidelity_levels._LONG", 0.0)
-        monkeypatch.setattr(fidelity_cases, "_POINTS", 16)
-        monkeypatch.setattr(fidelity_cases, "_SEEDS", 2)
+        monkeypatch.setattr("maglev_mj.studies.levels._LONG", 0.0)
+        monkeypatch.setattr(fidelity, "_POINTS", 16)
+        monkeypatch.setattr(fidelity, "_SEEDS", 2)
 
 
 def test_4096_cases_are_screened() -> None:
@@ -491,7 +496,7 @@ def test_the_dear_levels_run_in_the_cases_that_are_worst_without_them(monkeypatc
     def run_alone(scene: Any, level: str, case: Any, **_: Any) -> Motion:
         return moved(lacking[case.seed] if level_index(level) > level_index("falloff") else 0.0)
 
-    monkeypatch.setattr("maglev_mj.studies.fidelity_levels.run_case", run_alone)
+    monkeypatch.setattr("maglev_mj.studies.fidelity.run_case", run_alone)
     cases = [itself()._replace(seed=seed) for seed in range(len(lacking))]
     motions = run_levels(Drop(), cases)
     assert all(set(motions[index]) == {*range(len(cases))} for index in range(DEAR))
@@ -531,7 +536,7 @@ def test_a_boundary_that_moves_either_way_forbids_a_step(shift: float, monkeypat
 
 
 def test_a_step_that_diverges_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.studies.fidelity_levels._LONG", 1.0)  # and each step is timed
+    monkeypatch.setattr("maglev_mj.studies.levels._LONG", 1.0)  # and each step is timed
     scene = SixAxes(duration=0.05)
     rows = measure_steps(scene, "filter", repeats=1)
     diverged = [row for row in rows if not math.isfinite(row.error)]

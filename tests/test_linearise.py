@@ -35,7 +35,7 @@ from maglev_mj.laws import (
     Window,
     gain,
 )
-from maglev_mj.scenes.legacy import recorded_scene
+from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory import Verdict, judge, largest_modulus, linearise, stability, stated_gains
 from maglev_mj.theory.closed_loop import SampledLoop
@@ -137,7 +137,7 @@ def exact(law: AxisLaw, start: Any, *, period: float, delay: float, mass: float)
 def compare(name: str, seed: int) -> None:
     """Compare both verdicts on a scene with random settings."""
     random = np.random.default_rng([NAMES.index(name), seed])
-    scene = recorded_scene(name, {"wall": True}).replace(
+    values = dict(
         stiffness=float(10.0 ** random.uniform(2.0, 4.7)),
         damping=float(10.0 ** random.uniform(0.0, 2.6)),
         friction=bool(random.integers(2)),
@@ -145,6 +145,8 @@ def compare(name: str, seed: int) -> None:
         period=float(random.choice([0.005, 0.002, 0.01])),
         delay=float(random.choice([0.0, 0.0015, 0.005, 0.0065])),
     )
+    scene = find_scene(name)()
+    scene = scene.replace(**{one: value for one, value in values.items() if one in scene.as_json()})
     laws = scene.laws()
     how: dict[str, Any] = {"delay": scene.delay, "pose": scene.start().pose}
     stated = Controller(laws, period=scene.period)

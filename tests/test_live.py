@@ -39,7 +39,7 @@ from maglev_mj.live.guard import forward, objection
 from maglev_mj.live.settings import NICE, Answer, Requests, State, checked, values_of
 from maglev_mj.process import SideProcess
 from maglev_mj.recording import ArrayFile, tee
-from maglev_mj.recording.live import Ring, RowReader
+from maglev_mj.recording.writer import Ring, RowReader
 from maglev_mj.scenes import Scene, find_scene
 from maglev_mj.scenes.box import Box
 from maglev_mj.scenes.corner import Corner

@@ -132,7 +132,7 @@ def test_its_stability_is_told_and_warned_of(folder: Path, say: Say) -> None:
 
 
 def test_its_model_levels_are_compared(folder: Path, say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.studies.fidelity_levels._LONG", 1e-9)  # computing times are taken once
+    monkeypatch.setattr("maglev_mj.studies.levels._LONG", 1e-9)  # computing times are taken once
     command = "fidelity detents.py --phases 1 --duration 0.02 --around 0 --json all.json".split()
     status, said, wrong = say(*command)
     assert status == 0, wrong

@@ -12,7 +12,7 @@ from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, W
 from maglev_mj.energy import actuator_work
 from maglev_mj.errors import ParameterError
 from maglev_mj.spec import INERTIA
-from maglev_mj.theory.analog_wall import analog_wall
+from maglev_mj.theory.ideal import analog_wall
 from maglev_mj.trace import Trace
 from tests.closed_loop import largest_modulus, pd_matrix
 

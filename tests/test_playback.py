@@ -94,7 +94,7 @@ def test_work_of_the_hand_is_that_of_the_samples(replay: Replay, recording: Reco
     replay.change({"time": 1.25})
     shown = replay.snapshot()
     assert shown.work == pytest.approx(work, rel=1e-9) and work > 1e-3
-    assert math.isnan(shown.taken) == (stretch.totals is None)
+    assert math.isnan(shown.taken) == ("taken" not in stretch.arrays)
 
 
 def test_speed(replay: Replay) -> None:
@@ -210,6 +210,6 @@ def test_an_action_that_a_recording_does_not_have(replay: Replay) -> None:
 
 
 def test_one_sample_is_shown(recording: Recording, tmp_path: Path) -> None:
-    replay = Replay(Recording([recording.stretches[0].part(0, 0)]))
+    replay = Replay(Recording([recording.stretches[0][:1]]))
     assert replay.tick(0.02) == 4 and replay.snapshot().duration == pytest.approx(0.005)
     assert replay.snapshot().history.shape == (1, 25)

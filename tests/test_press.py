@@ -17,14 +17,14 @@ from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.press_figures import HIT_FIGURES, PressSummary, summarise_press
-from maglev_mj.scenes.run import Phases, Result, run, run_phases
+from maglev_mj.scenes.run import Phases, RunResult, run, run_phases
 from maglev_mj.trace import Trace
 
 SHORT = Press(hits=2, duration=1.6)
 ARM_MASS, ARM_DAMPING, ARM_STIFFNESS = 0.554, 6.45, 135.0
 
 
-def exact(press: Press, phase: float = 0.0) -> Result:
+def exact(press: Press, phase: float = 0.0) -> RunResult:
     return run(press, plant="exact", phase=phase)
 
 
@@ -281,7 +281,7 @@ def test_a_diverging_run_keeps_what_it_recorded() -> None:
         with pytest.raises(DivergenceError, match="diverged") as caught:
             run(Press(hand="fingertip", delay=0.005), plant=plant)
         partial = caught.value.partial
-        assert isinstance(partial, Result)
+        assert isinstance(partial, RunResult)
         assert 0.5 < partial.series()["time"][-1] < partial.scene.end
         assert partial.figures["absorbed"] < 0.0  # a wall that throws the flotor out makes energy
         assert math.isnan(float(partial.figures["final_force"]))

@@ -78,7 +78,7 @@ def test_a_single_bit_that_differs_is_found(name: str, tmp_path: Path, capsys: A
 
 def test_a_number_that_is_none_is_not_the_finite_one_that_comes_out_again() -> None:
     (stretch,) = record_run(Drop(), plant="exact").stretches
-    values = stretch.rows["command"].copy()
+    values = stretch.command.copy()
     values[20, 2] = np.nan
     verdict = verify(Recording([stretch.replace(command=values)]), rebuild)
     assert not verdict.same
@@ -125,9 +125,9 @@ def test_a_file_that_is_no_recording_is_one_line(spoil: Callable[[Path], None], 
 def test_a_setup_that_is_not_known_is_refused() -> None:
     (stretch,) = record_run(Drop(), plant="exact").stretches
     with pytest.raises(RecordingError, match="cannot be made here"):
-        verify(Recording([replace(stretch, setup={"kind": "pinball"}, metadata=None)]), rebuild)
+        verify(Recording([replace(stretch, setup={"kind": "pinball", "run": stretch.setup["run"]})]), rebuild)
     with pytest.raises(RecordingError, match="cannot be made here"):
-        Replay(Recording([replace(stretch, setup={"kind": "pinball"}, metadata=None)]))
+        Replay(Recording([replace(stretch, setup={"kind": "pinball", "run": stretch.setup["run"]})]))
     with pytest.raises(RecordingError, match="nothing in the recording"):
         Replay(Recording([]))
 

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -17,18 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict, verify
-from maglev_mj.recording.columns import Columns
-from maglev_mj.recording.row import FIELDS, TOTALS
 from maglev_mj.replay import expected, rebuild
 from maglev_mj.terminal import printable
-from tests.golden.outputs import HERE
 from tests.recorded import (
     FIELD,
     KINDS,
@@ -60,16 +55,11 @@ def check(data: bytes, folder: Path, suffix: str) -> Verdict:
 
 
 def with_number(kind: str, suffix: str) -> Iterator[Case]:
-    """Yield files with one changed number.
-
-    Of a setup, a sample or an event; older files too.
-    """
+    """Yield files with one changed number of a setup, a sample or an event."""
     if suffix == ".mcap":
         yield from with_number_in_a_row(kind)
         messages = messages_in(made(kind, suffix))
-        rows = [0, len(messages) // 2, len(messages) - 1]
-        rows += [row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event"]
-        for row in rows:
+        for row in (row for row, (topic, _) in enumerate(messages) if topic != SAMPLE):
             for place in numbers_in(messages[row][1]):
                 for bad in BAD:
                     yield f"{row} {place} {str(bad)[:9]}", partial(with_message, messages, row, place, bad)
@@ -172,10 +162,11 @@ def test_every_number_that_is_none_is_refused_or_answered(kind: str, suffix: str
 @pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.study)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_no_finite_number_is_no_number_of_a_file(kind: str, every: int, tmp_path: Path) -> None:
-    # In turn for each n-th number of the first, a middle and the last message of each run.
+    # In turn for each n-th number of the messages in JSON: of each stretch, and of each event.
     messages, turn = messages_in(made(kind, ".mcap")), 0
-    for row in (0, len(messages) // 2, len(messages) - 1):
-        topic, message = messages[row]
+    for row, (topic, message) in enumerate(messages):
+        if topic == SAMPLE:
+            continue
         for place in numbers_in(message):
             shown = place[:2] == ("setup", "parameters")  # not what it is made from: only numbers are looked at
             bad, turn = NONE[turn % (4 if shown else len(NONE))], turn + 1
@@ -190,34 +181,28 @@ def test_what_is_no_finite_number_is_no_number_of_a_file(kind: str, every: int, 
 
 
 @pytest.mark.parametrize(
-    ("place", "bad", "words"),
+    ("row", "place", "bad", "words"),
     [
-        (("tick",), math.nan, "numbers must be finite, not NaN"),
-        (("tick",), -1, "tick must be a whole number from 0 to 9007199254740992, not -1"),
-        (("tick",), 2.0, "tick must be a whole number from 0 to 9007199254740992, not 2.0"),
-        (("tick",), 0, "tick must go up, not from"),
-        (("stretch",), -1, "stretch must be 0, not -1"),
-        (("stretch",), False, "stretch must be 0, not False"),
-        (("time",), 1e308, "time must be finite and at most 1e+09, not 1e+308"),
-        (("time",), -1.0, "time must go up from sample to sample"),
-        (("position", "z"), 1e4, "position must be finite and at most 1000, not 10000"),
-        (("position", "rx"), None, "a sample must be of numbers, not None"),
-        (("command", "z"), None, "command must be finite and at most 1e+12, not nan"),
-        (("applied", "z"), "60", "a sample must be of numbers, not '60'"),
-        (("hand", "rz"), False, "a sample must be of numbers, not False"),
-        (("pulse_width",), -0.003, "pulse_width must be at least 0 everywhere, not -0.003"),
-        (("applied_pulse_width",), [], "a sample must be of numbers, not a list"),
-        (("taken",), {}, "a sample must be of numbers, not an object"),
-        (("missed",), -1, "missed must be a whole number from 0"),
+        (0, ("stretch",), -1, "stretch must be a finite number at least 0 and at most 0, not -1"),
+        (0, ("stretch",), False, "stretch must be a finite number at least 0 and at most 0, not False"),
+        (0, ("period",), "1", "period must be a finite number above 0 and at most 1000, not '1'"),
+        (0, ("delay",), math.nan, "numbers must be finite, not NaN"),
+        (0, ("inertia", "rx"), None, "inertia.rx must be a finite number at least 1e-12 and at most 1e+12, not None"),
+        (0, ("hand_recorded",), 1, "hand_recorded must be true or false, not 1"),
+        (0, ("setup", "kind"), [], "kind must be a text, not a list"),
+        (0, ("setup", "plant", "mass"), 10**400, "setup plant.mass must be a finite number, not 1000"),
+        (-1, ("tick",), 0, "tick must be a finite number at least 19 and at most 19, not 0"),
+        (-1, ("missed",), -1, "missed must be a finite number at least 0"),
+        (-1, ("missed",), 1.5, "missed must be a whole number, not 1.5"),
+        (-1, ("kind",), {}, "kind must be a text, not an object"),
     ],
 )
 def test_a_refusal_names_the_number_and_what_is_allowed(
-    place: Place, bad: Any, words: str, tmp_path: Path, capsys: Any
+    row: int, place: Place, bad: Any, words: str, tmp_path: Path, capsys: Any
 ) -> None:
-    messages = messages_in(made("drop", ".mcap"))
-    messages[7] = messages[7][0], changed(messages[7][1], place, bad)
-    path = tmp_path / "run.mcap"
-    path.write_bytes(mcap_of(messages))
+    messages, path = messages_in(made("scene", ".mcap")), tmp_path / "run.mcap"
+    told = [index for index, (topic, _) in enumerate(messages) if topic != SAMPLE][row]
+    path.write_bytes(with_message(messages, told, place, bad))
     assert main(["replay", str(path), "--check"]) == 2
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1 and f"{str(path)!r} is not a whole recording: {words}" in said
@@ -276,8 +261,12 @@ def test_a_bit_that_differs_in_any_number_of_a_sample_is_found_and_named(
         ("tick", 0, "tick must go up, not from 5 to 0"),
         ("stretch", 3, "stretch must be 0, not 3"),
         ("time", math.nan, "time must be finite and at most 1e+09, not nan in row 6"),
+        ("time", 1e308, "time must be finite and at most 1e+09, not 1e+308 in row 6"),
+        ("time", -1.0, "time must go up from sample to sample"),
         ("position.z", 1e4, "position must be finite and at most 1000, not 10000 in row 6"),
         ("command.z", math.inf, "command must be finite and at most 1e+12, not inf in row 6"),
+        ("applied.z", math.nan, "applied must be finite and at most 1e+12, not nan in row 6"),
+        ("hand.rz", math.nan, "hand must be finite and at most 1e+12, not nan in row 6"),
         ("pulse_width", -0.003, "pulse_width must be at least 0 everywhere, not -0.003"),
         ("taken", math.nan, "taken must be finite and at most 1e+15, not nan in row 6"),
         ("missed", 2**53, "missed must be whole numbers of at least 0, not 9.0072e+15"),
@@ -572,36 +561,20 @@ def test_a_file_that_ends_anywhere_is_not_passed(step: int, tmp_path: Path, caps
         assert "there is more behind its end" in capsys.readouterr().out
 
 
-BEFORE = sorted((HERE / "recordings").rglob("*.*"))
-
-
-@pytest.mark.parametrize("path", BEFORE, ids=lambda path: f"{path.parent.name}-{path.name}")
-def test_a_file_of_before_without_metadata_is_analysed_by_its_setup_alone(path: Path) -> None:
-    """The figures themselves are in tests/golden."""
-    for stretch in Recording.load(path).stretches:
-        assert stretch.metadata is None or stretch.metadata.faces is None
-        with pytest.raises(InvalidRecordingError, match="must tell its metadata"):
-            analyse(stretch)
-        assert analyse(stretch, rebuild).metadata.faces is not None
-
-
-def test_missed_samples_of_a_file_of_the_first_version_are_in_its_text(tmp_path: Path) -> None:
+def test_missed_samples_of_an_event_are_counted(tmp_path: Path) -> None:
     messages = messages_in(made("scene", ".mcap"))
     (row,) = (row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event")
     told = messages[row][1]
     assert (told["kind"], told["text"], told["missed"]) == ("missed", "3 ticks were given up: too slow", 3)
     assert max(message["missed"] for topic, message in messages if topic == SAMPLE) == 3
-    old = {name: part for name, part in told.items() if name != "missed"}
-    assert check(mcap_of([*messages[:row], (messages[row][0], old), *messages[row + 1 :]]), tmp_path, ".mcap").same
-    false = {**told, "missed": 2}
-    verdict = check(mcap_of([*messages[:row], (messages[row][0], false), *messages[row + 1 :]]), tmp_path, ".mcap")
+    assert check(mcap_of(messages), tmp_path, ".mcap").same
+    verdict = check(with_message(messages, row, ("missed",), 2), tmp_path, ".mcap")
     assert verdict.fields["missed"].first is not None
 
 
 PEAK = """
 import json, sys, time
 from pathlib import Path
-from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 found = []
 for path in sys.argv[1:]:
@@ -625,18 +598,14 @@ def zeros(size: int) -> bytes:
     return packed
 
 
-def chunks(*parts: tuple[bytes, int], packed: str = "zstd", about: bool = False) -> bytes:
-    """Return a file of chunks with declared sizes.
-
-    Of today's format, or of an older one.
-    """
+def chunks(*parts: tuple[bytes, int], packed: str = "zstd") -> bytes:
+    """Return a file of chunks with declared sizes."""
     from mcap.data_stream import RecordBuilder
     from mcap.records import Chunk, Header, Metadata
 
     builder = RecordBuilder()
     Header("", "").write(builder)
-    if about:
-        Metadata("maglev_mj", {"format": "2"}).write(builder)
+    Metadata("maglev_mj", {"format": "2"}).write(builder)
     for data, size in parts:
         Chunk(packed, data, 0, 0, 0, size).write(builder)
     return b"".join((b"\x89MCAP0\r\n", builder.end()))
@@ -644,7 +613,8 @@ def chunks(*parts: tuple[bytes, int], packed: str = "zstd", about: bool = False)
 
 def array_file(shape: int, *, compressed: int) -> bytes:
     """Return a file with a long first array of zeros."""
-    header = {"format": "maglev_mj recording 1", "setups": [{"kind": "drop"}]}
+    empty: dict[str, Any] = {"events": [], "damage": "", "attachments": [], "about": {}}
+    header = {"format": "maglev_mj recording 1", "setups": [{"kind": "drop"}], "gaps": [[]], **empty}
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", compressed) as archive:
         text = io.BytesIO()
@@ -687,9 +657,7 @@ def large_files(slow: int) -> Mapping[str, tuple[str, bytes]]:
         "many large messages": (".mcap", chunks(*[(zstandard.compress(record), len(record))] * 16)),
         "lz4": (".mcap", chunks((compress(bytes(slow)), slow), packed="lz4")),
         "lz4 that says it is small": (".mcap", chunks((compress(bytes(slow)), 1000), packed="lz4")),
-        "a chunk of today": (".mcap", chunks((large, LARGE), about=True)),
-        "many chunks of today": (".mcap", chunks(*[(part, 64 * MIB)] * 16, about=True)),
-        "chunks in a chunk": (".mcap", chunks((zstandard.compress(inner), len(inner)), about=True)),
+        "chunks in a chunk": (".mcap", chunks((zstandard.compress(inner), len(inner)))),
         "large setups": (".mcap", setups_file()),
         "a large array": (".npz", array_file(slow // 8, compressed=zipfile.ZIP_DEFLATED)),
         "an array that is not there": (".npz", array_file(LARGE, compressed=zipfile.ZIP_STORED)),
@@ -740,19 +708,16 @@ def test_what_steers_a_terminal_is_escaped(tmp_path: Path, capsys: Any) -> None:
     (row,) = (row for row, (topic, _) in enumerate(messages) if topic == "/maglev/event")
     event: Message = {**messages[row][1], "kind": ESCAPES, "text": ESCAPES, "missed": 3}
     header, arrays = arrays_in(made("scene", ".npz"))
-    rest = {name: [0.0] * 6 for name in ("pose", "twist", "wrench")}
-    setup = {"kind": "scene", "scene": "joystick", "settings": messages[0][1]["setup"]["parameters"], **rest}
+    setup = messages[0][1]["setup"]
     wrong = [
-        {**setup, "kind": ESCAPES},
-        {**setup, "scene": ESCAPES},
-        {**setup, "settings": {**setup["settings"], ESCAPES: 1.0}},
-        {**setup, "settings": {**setup["settings"], "walls": [[ESCAPES, 1, 0.0]]}},
-        {"kind": "drop", "parameters": {ESCAPES: 1.0}},
-        {"kind": "drop", "parameters": {"plant": ESCAPES}},
+        {**setup, "controller": {**setup["controller"], ESCAPES: 1.0}},
+        {**setup, "controller": {**setup["controller"], "velocity": {"class": ESCAPES}}},
+        {**setup, "controller": {**setup["controller"], "laws": [{"class": ESCAPES}]}},
+        {**setup, "plant": {**setup["plant"], "class": ESCAPES}},
     ]
     files = [(".mcap", mcap_of([*messages[:row], (messages[row][0], event), *messages[row + 1 :]]))]
     files += [(".npz", npz_of({**header, "events": [ESCAPES]}, arrays))]
-    begun = {name: part for name, part in messages[0][1].items() if name != "faces"}  # else a kind does not matter
+    begun = messages[0][1]
     files += [(".mcap", mcap_of([(messages[0][0], {**begun, "setup": one}), *messages[1:]])) for one in wrong]
     files += [(".npz", npz_of({**header, "format": ESCAPES}, arrays))]
     for suffix, data in files:
@@ -790,35 +755,6 @@ def test_a_stretch_that_is_loaded_says_so_with_the_error_of_parameters(tmp_path:
 
 def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
     (stretch,) = load(made("drop", ".mcap"), tmp_path, ".mcap").stretches
-    part = stretch.part(2, 5)
-    assert part.totals is None and part.metadata is stretch.metadata and len(part) == 4
-    assert stretch.replace(hand=stretch.hand).totals is not None
-
-
-def block(first: int, count: int, **changes: float) -> dict[str, Any]:
-    """Return samples from a tick on, with some values that differ from zero."""
-    rows = {field.name: np.zeros((count, 6) if field.six else count) for field in (*FIELDS, *TOTALS)}
-    rows["tick"] = np.arange(first, first + count, dtype=np.float64)
-    rows["time"] = 0.005 * rows["tick"]
-    return rows | {name: np.full_like(rows[name], value) for name, value in changes.items()}
-
-
-def test_a_field_that_is_another_one_for_some_blocks_is_itself_in_all() -> None:
-    columns = Columns((*FIELDS, *TOTALS), None)
-    for first, command, applied in ((0, 2.0, 2.0), (4, 3.0, 3.0), (8, 5.0, 4.0), (12, 6.0, 6.0)):
-        columns.add(block(first, 4, command=command, applied=applied))
-        columns.sort()
-    assert len(columns) == 16
-    assert columns.array("command")[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [5.0] * 4 + [6.0] * 4
-    assert columns.array("applied")[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [4.0] * 4 + [6.0] * 4
-    assert columns.array("tick").tolist() == [*range(16)] and not columns.array("position").any()
-
-
-@pytest.mark.parametrize(("first", "says"), [(4, ""), (3, "tick must go up, not from 3 to 3"), (1, "from 3 to 1")])
-def test_ticks_go_up_from_block_to_block(first: int, says: str) -> None:
-    columns = Columns((*FIELDS, *TOTALS), None)
-    columns.add(block(0, 4))
-    columns.sort()
-    columns.add(block(first, 4))
-    with pytest.raises(ParameterError, match=says) if says else nullcontext():
-        columns.sort()
+    part = stretch[2:6]
+    assert "taken" not in part.arrays and part.setup is stretch.setup and len(part) == 4
+    assert "taken" in stretch.replace(hand=stretch.hand).arrays

@@ -17,6 +17,7 @@ from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import Recording, RecordingError, load_samples, open_recording, setup_of
 from maglev_mj.recording.files import row_of
+from maglev_mj.recording.sample import FIELDS, TOTALS
 from maglev_mj.recording.writer import McapWriter
 from maglev_mj.session import Pacer, Session
 
@@ -60,10 +61,10 @@ def read(data: bytes, folder: Path) -> Recording | None:
 def same_so_far(part: Recording, full: Recording) -> None:
     """Check that the readable part is unchanged, the rest reported."""
     for one, other in zip(part.stretches, full.stretches, strict=False):
-        assert one.rows.tobytes() == other.rows[: len(one)].tobytes()
-        assert one.totals is not None and other.totals is not None
-        assert one.totals.tobytes() == other.totals[: len(one)].tobytes()
-        assert one.whole_setup == other.whole_setup
+        assert one.arrays.keys() == other.arrays.keys() == {field.name for field in (*FIELDS, *TOTALS)}
+        for name, values in one.arrays.items():
+            assert values.tobytes() == other.arrays[name][: len(one)].tobytes()
+        assert one.setup == other.setup
     assert list(part.events) == list(full.events)[: len(part.events)]
     assert set(part.attachments.items()) <= set(full.attachments.items())
     if not part.damage:
@@ -130,6 +131,33 @@ def test_no_number_of_a_file_with_one_bit_changed_is_taken_for_true_anywhere(who
     found = flips(whole, tmp_path, 600)
     print("refused, damaged, the same:", found)
     assert found[1] > found[0] > 0 and found[2] < 30
+
+
+def test_one_bit_changed_in_an_attachment_loses_that_attachment_alone(tmp_path: Path, capsys: Any) -> None:
+    # In its times, its name, its content, or its checksum; not the size of its record.
+    from mcap.reader import make_reader
+
+    path = tmp_path / "run.mcap"
+    file = open_recording(path, wait=True)
+    file.attach("kept.xml", "text/xml", b"<mujoco/>" * 50)
+    file.attach("lost.py", "text/x-python", b"# mine\n" * 100)
+    plant, controller = parts()
+    drive(plant, controller, 300, record=file.begin(plant, controller))
+    file.close()
+    whole = path.read_bytes()
+    full, summary = read(whole, tmp_path), make_reader(io.BytesIO(whole)).get_summary()
+    assert full is not None and summary is not None
+    (index,) = (one for one in summary.attachment_indexes if one.name == "lost.py")
+    for place in range(index.offset + 9, index.offset + index.length):
+        data = bytearray(whole)
+        data[place] ^= 1 << place % 8
+        part = read(bytes(data), tmp_path)
+        assert part is not None and list(part.attachments) == ["kept.xml"] and part.ticks == 300
+        assert part.damage.startswith("an attachment is damaged, and left out")
+        same_so_far(part, full)
+    assert main(["replay", str(path), "--check"]) == 1
+    said = capsys.readouterr().out
+    assert "an attachment is damaged" in said and "300 of 300 the same: tick, time, position" in said
 
 
 class FullDisk(io.BytesIO):

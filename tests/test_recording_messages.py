@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from maglev_mj.frames import ZERO, quaternion
-from maglev_mj.recording import Recording, open_recording, protobuf
-from maglev_mj.recording.metadata import RunMetadata, Totals
-from maglev_mj.recording.row import FIELDS, ROW, TOTALS, as_table, named
+from maglev_mj.recording import Recording, mcap, open_recording
+from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, RunMetadata, Totals, as_table, named
 from maglev_mj.replay import write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
@@ -39,7 +38,7 @@ def test_the_schema_is_that_of_the_package_of_protobuf() -> None:
     # Built once more by its own means, and compared as a whole.
     from google.protobuf import descriptor_pb2
 
-    found = descriptor_pb2.FileDescriptorSet.FromString(protobuf.descriptor())
+    found = descriptor_pb2.FileDescriptorSet.FromString(mcap.descriptor())
     (file,) = found.file
     assert (file.package, file.syntax) == ("maglev_mj", "proto3")
     six, sample = file.message_type
@@ -54,7 +53,7 @@ def test_the_schema_is_that_of_the_package_of_protobuf() -> None:
     for field in (*FIELDS, *TOTALS):
         kind = ("TYPE_MESSAGE" if field.six else "TYPE_DOUBLE") if field.unit else "TYPE_FIXED64"
         assert named[field.name].type == descriptor_pb2.FieldDescriptorProto.Type.Value(kind)
-    assert found.SerializeToString(deterministic=True) == protobuf.descriptor()
+    assert found.SerializeToString(deterministic=True) == mcap.descriptor()
 
 
 def test_a_sample_is_packed_as_the_package_of_protobuf_packs_it() -> None:
@@ -62,8 +61,8 @@ def test_a_sample_is_packed_as_the_package_of_protobuf_packs_it() -> None:
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     random, pool = np.random.default_rng(3), descriptor_pool.DescriptorPool()
-    pool.Add(descriptor_pb2.FileDescriptorSet.FromString(protobuf.descriptor()).file[0])
-    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(protobuf.NAME))
+    pool.Add(descriptor_pb2.FileDescriptorSet.FromString(mcap.descriptor()).file[0])
+    kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(mcap.NAME))
     for _ in range(20):
         row: list[float] = []
         for field in (*FIELDS, *TOTALS):
@@ -73,12 +72,12 @@ def test_a_sample_is_packed_as_the_package_of_protobuf_packs_it() -> None:
                 else random.normal(size=len(field.units)).tolist()
             )
         count = sum(len(field.units) for field in FIELDS)
-        data = protobuf.packed(7, row[:count], row[count:])
+        data = mcap.packed(7, row[:count], row[count:])
         message = kind.FromString(data)
         assert message.stretch == 7
         again = kind.FromString(message.SerializeToString(deterministic=True))
         assert again == message and sorted(message.SerializeToString(deterministic=True)) == sorted(data)
-        layout, place = protobuf.layout_of(data), 0
+        layout, place = mcap.layout_of(data), 0
         for field in (*FIELDS, *TOTALS):
             values = layout.values(np.frombuffer(data, np.uint8)[None], field)
             assert values.ravel().tolist() == row[place : place + len(field.units)]
@@ -86,15 +85,15 @@ def test_a_sample_is_packed_as_the_package_of_protobuf_packs_it() -> None:
 
 
 def test_a_layout_is_read_from_its_first_message_or_refused() -> None:
-    data = protobuf.packed(0, [0.0] * sum(len(field.units) for field in FIELDS), [0.0] * len(TOTALS))
+    data = mcap.packed(0, [0.0] * sum(len(field.units) for field in FIELDS), [0.0] * len(TOTALS))
     later = data + bytes([0xF9, 0x01]) + bytes(8) + bytes([0x82, 0x02, 3]) + b"abc"  # fields 31 and 32
-    assert protobuf.layout_of(later).size == len(later)
+    assert mcap.layout_of(later).size == len(later)
     arrival = data[: -len(TOTALS) * 9 - 9] + data[-len(TOTALS) * 9 :]  # of a version without it
-    values = protobuf.layout_of(arrival).values(np.frombuffer(arrival, np.uint8)[None], FIELDS[-1])
+    values = mcap.layout_of(arrival).values(np.frombuffer(arrival, np.uint8)[None], FIELDS[-1])
     assert FIELDS[-1].optional and np.isnan(values).all()
     for wrong in (data[:-1], data[9:], data + data[:9], b"", b"\x08\x01", b"\xff" * 20, data + b"\x0d" + bytes(4)):
         with pytest.raises(ValueError, match="a sample must have"):
-            protobuf.layout_of(wrong)
+            mcap.layout_of(wrong)
 
 
 @pytest.mark.parametrize("scene", [Drop(), Press(hits=1), StickSlip(), StickSlip(axis="ry")])

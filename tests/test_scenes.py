@@ -15,13 +15,14 @@ from maglev_mj.hand import GuidedHand, Hand, HandForce, Trajectory
 from maglev_mj.laws import Bias, Hold, Law
 from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
+from maglev_mj.result import plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import STOCK, Figure, figure, figures_named
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.free import LetGo, SixAxes, Twist
 from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.run import Result, plain, run, run_phases
+from maglev_mj.scenes.run import RunResult, run, run_phases
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import GRAVITY, Spec
@@ -33,18 +34,18 @@ SHORT = Press(hits=1, interval=0.1, duration=0.4)
 
 
 @figure("mm", "half the way fallen", scale=1e3, batched=True)
-def half_fallen(result: Result) -> Any:
+def half_fallen(result: RunResult) -> Any:
     return 0.5 * (result.line.pose[0, ..., 0] - result.line.pose[-1, ..., 0])
 
 
 @figure("", "knots of one device alone")
-def knots(result: Result) -> int:
+def knots(result: RunResult) -> int:
     assert result.trace.time.ndim == 1
     return len(result.trace.time)
 
 
 @figure("s", "when it is below 4 mm", late=True)
-def low(result: Result) -> float:
+def low(result: RunResult) -> float:
     time = result.times(1e-3)
     below = np.flatnonzero(result.motion(time)[0] < 0.004)
     return float(time[below[0]]) if below.size else math.nan
@@ -292,7 +293,7 @@ def test_a_diverging_run_keeps_what_it_was_up_to_there(plant: str) -> None:
     with pytest.raises(DivergenceError, match="diverged") as caught:
         run(drop, plant=plant, phase=0.3)
     partial = caught.value.partial
-    assert isinstance(partial, Result) and (partial.scene, partial.plant, partial.phase) == (drop, plant, 0.3)
+    assert isinstance(partial, RunResult) and (partial.scene, partial.plant, partial.phase) == (drop, plant, 0.3)
     assert 0.3 < partial.trace.time[-1] < 3.0
     assert abs(partial.figures["final_z"]) > 0.02 and math.isnan(partial.figures["settling_time"])
     assert partial.as_json()["summary"]["settling_time"] is None
@@ -347,7 +348,7 @@ SWITCHED: Mapping[str, Any] = {
 }
 
 
-def equal(one: Result, other: Result) -> bool:
+def equal(one: RunResult, other: RunResult) -> bool:
     """Return whether two runs have the same bits."""
     parts = ("time", "pose", "twist", "wrench")
     return all(np.array_equal(getattr(one.trace, name), getattr(other.trace, name)) for name in parts) and all(
@@ -420,13 +421,13 @@ def test_missing_values_count_as_late_or_not_at_all() -> None:
     assert both[0] == 2.0 and math.isnan(both[1])
     for name in ("batched", "late"):
         with pytest.raises(ParameterError, match=f"{name} must be True or False, not 1"):
-            figure("", "", **{name: 1})  # type: ignore[arg-type]
+            figure("", "", **{name: 1})(low.function)  # type: ignore[arg-type]
 
 
 def test_what_several_figures_share_is_made_once() -> None:
-    made: list[Result] = []
+    made: list[RunResult] = []
 
-    def deep(result: Result) -> float:
+    def deep(result: RunResult) -> float:
         made.append(result)
         return 2.0
 

@@ -23,7 +23,6 @@ from maglev_mj.replay import rebuild
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
-from maglev_mj.scenes.legacy import recorded_scene
 from maglev_mj.scenes.parts import INERTIA, WEIGHT, wall
 from maglev_mj.scenes.press import Press
 from maglev_mj.session import (
@@ -518,14 +517,6 @@ def test_the_arm_of_a_press_is_there_only_with_its_own_hand() -> None:
 def test_a_scene_without_gravity_is_carried_on_a_device() -> None:
     for scene, carried in ((Drop(), 0.0), (Press(), WEIGHT[2]), (Joystick(), WEIGHT[2])):
         assert device_controller(scene).carried[2] == carried
-
-
-def test_recordings_of_the_old_drop_and_press_are_made_as_they_were() -> None:
-    values = {"wall": True, "pulse": True, "friction": False, "weightless": True, "stiffness": 6000.0}
-    for name, height in (("drop", 0.0045), ("press", 0.003)):
-        old = recorded_scene(name, values)
-        assert old.name == name and old.start().pose[2] == height and len(old.laws()) == 3
-        assert type(recorded_scene(name, {"stiffness": 6000.0})) is find_scene(name)
 
 
 def test_keys_stop_at_the_bounds_and_leave_what_is_not_theirs() -> None:

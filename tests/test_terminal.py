@@ -30,8 +30,7 @@ from maglev_mj.cli.commands import COMMANDS, GROUPS
 from maglev_mj.cli.commission import _coil_row
 from maglev_mj.cli.progress import Progress
 from maglev_mj.scenes.names import BUILT_IN
-from maglev_mj.studies.fidelity_cases import COMPARED
-from maglev_mj.studies.fidelity_levels import LevelResult
+from maglev_mj.studies.fidelity import COMPARED, LevelResult
 from maglev_mj.studies.levels import LEVELS
 from maglev_mj.tables import fault_table, levels_table
 from maglev_mj.terminal import wrapped

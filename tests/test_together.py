@@ -14,9 +14,9 @@ import pytest
 from maglev_mj import find_scene
 from maglev_mj.errors import ParameterError
 from maglev_mj.laws import Bias, Hold, Law, StickSlip, Wall
-from maglev_mj.laws.stack import law_kind, stacked
 from maglev_mj.scenes import together
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.together import law_kind, stacked
 from maglev_mj.studies import sweep as sweeping
 from maglev_mj.studies.growth import RestingWall
 from maglev_mj.studies.sweep import run_scene_cells, swept_cells

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import versions as module
 from maglev_mj.bridge.fault import BlackBox
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.cli import main
@@ -26,69 +25,7 @@ from maglev_mj.studies.cells import Record
 from maglev_mj.versions import differences, versions
 
 ROOT = Path(__file__).resolve().parent.parent
-NAMES = ["maglev_mj", "revision", "changed", "sources", "python", "mujoco", "numpy"]
-
-
-def git(folder: Path, *arguments: str) -> str:
-    named = ["-c", "user.name=A", "-c", "user.email=a@b.c", "-c", "init.defaultBranch=main"]
-    return subprocess.run(["git", *named, *arguments], cwd=folder, check=True, capture_output=True, text=True).stdout
-
-
-@pytest.fixture
-def checkout(tmp_path: Path) -> Path:
-    """Return a checkout of a project of this name.
-
-    With one commit.
-    """
-    folder = tmp_path / "checkout"
-    for name in ("maglev_mj", "model", "scripts", "docs"):
-        (folder / name).mkdir(parents=True)
-        (folder / name / "a.py").write_text("a = 1\n")
-    (folder / "pyproject.toml").write_text('[project]\nname = "maglev-mj"\n')
-    git(folder, "init")
-    git(folder, "add", ".")
-    git(folder, "commit", "-m", "one")
-    return folder
-
-
-def test_a_checkout_tells_its_revision_and_whether_its_code_was_changed(checkout: Path) -> None:
-    revision = git(checkout, "rev-parse", "HEAD").strip()
-    assert module._revision(checkout) == (revision, False)
-    (checkout / "docs" / "a.py").write_text("a = 2\n")
-    (checkout / "drop-sweep.jsonl").write_text("a result\n")
-    assert module._revision(checkout) == (revision, False)
-    for change in ("maglev_mj/a.py", "maglev_mj/new.py", "model/a.py", "scripts/a.py"):
-        (checkout / change).write_text("a = 2\n")
-        assert module._revision(checkout) == (revision, True), change
-        git(checkout, "stash", "--include-untracked")
-    git(checkout, "worktree", "add", "../other")
-    assert module._revision(checkout.parent / "other") == (revision, False)
-
-
-def test_the_revision_of_another_repository_is_never_taken(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    revision, _ = module._revision(checkout)
-    installed = checkout / ".venv" / "lib" / "site-packages"
-    installed.mkdir(parents=True)
-    assert module._revision(installed) == (None, None)  # a wheel, in this very project
-    another = checkout.parent / "another"
-    shutil.copytree(checkout, another)
-    (another / "pyproject.toml").write_text('[project]\nname = "another"\n')
-    assert module._revision(another) == (None, None)  # the package copied into a project
-    (another / "pyproject.toml").unlink()
-    assert module._revision(another) == (None, None)
-    git(another, "commit", "--all", "-m", "two")
-    monkeypatch.setenv("GIT_DIR", str(another / ".git"))  # as in a hook of it
-    assert module._revision(checkout) == (revision, False)
-
-
-def test_without_git_or_a_commit_the_revision_is_unknown(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shutil.rmtree(checkout / ".git")
-    git(checkout, "init")
-    assert module._revision(checkout)[0] is None
-    (checkout / ".git" / "HEAD").write_text("nonsense")
-    assert module._revision(checkout) == (None, None)
-    monkeypatch.setenv("PATH", "")
-    assert module._revision(checkout) == (None, None)
+NAMES = ["maglev_mj", "sources", "python", "mujoco", "numpy"]
 
 
 def test_this_process_has_its_versions() -> None:
@@ -96,14 +33,12 @@ def test_this_process_has_its_versions() -> None:
     assert list(found) == NAMES
     assert found["python"] == ".".join(map(str, sys.version_info[:3]))
     assert found["numpy"] == np.__version__
-    if (ROOT / ".git").exists():
-        assert found["revision"] == git(ROOT, "rev-parse", "HEAD").strip()
-    found["revision"] = "another"
-    assert versions()["revision"] != "another"
+    found["sources"] = "others"
+    assert versions()["sources"] != "others"
 
 
 def test_a_copy_has_the_same_sources_and_one_changed_byte_gives_others(tmp_path: Path) -> None:
-    # As a wheel has them: the models inside the package, no git.
+    # As a wheel has them: the models inside the package.
     shutil.copytree(ROOT / "maglev_mj", tmp_path / "maglev_mj")
     shutil.copytree(ROOT / "model", tmp_path / "maglev_mj" / "model")
 
@@ -119,7 +54,7 @@ def test_a_copy_has_the_same_sources_and_one_changed_byte_gives_others(tmp_path:
         found: dict[str, Any] = json.loads(done.stdout)
         return found
 
-    assert told() == {**versions(), "revision": None, "changed": None}
+    assert told() == versions()
     drop = tmp_path / "maglev_mj" / "model" / "drop.xml"
     drop.write_bytes(drop.read_bytes().replace(b"\n", b"\r\n"))
     assert told()["sources"] == versions()["sources"]
@@ -127,19 +62,13 @@ def test_a_copy_has_the_same_sources_and_one_changed_byte_gives_others(tmp_path:
     assert told()["sources"] != versions()["sources"]
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if name != "changed"])
+@pytest.mark.parametrize("name", NAMES)
 def test_any_difference_is_named_with_both_values(name: str) -> None:
-    ours = {**versions(), "revision": "a" * 40}
+    ours = versions()
     assert differences(ours, dict(ours)) == ""
     assert differences({**ours, name: "theirs"}, ours) == f"{name} theirs (here {ours[name]})"
     assert differences({}, ours) == "no versions"
     assert differences({"numpy": "1"}, ours).count("unknown (here") == 4
-
-
-def test_a_revision_that_one_side_does_not_know_is_left_to_the_sources() -> None:
-    checkout = {**versions(), "revision": "a" * 40, "changed": True}
-    wheel = {**checkout, "revision": None, "changed": None}
-    assert differences(wheel, checkout) == differences(checkout, wheel) == ""
 
 
 COMMANDS = [
@@ -228,7 +157,7 @@ def test_cells_of_other_code_are_kept_and_named(theirs: Any, words: str, tmp_pat
     assert main(arguments) == 0
     said = capsys.readouterr()
     assert len(said.err.splitlines()) == 1 and words in said.err
-    assert "6 cells\n  5 of them already in" in said.out
+    assert "6 cells\n" in said.out and "\n  5 of them already in" in said.out
     assert record.read_text().startswith(text) and len(record.read_text().splitlines()) == 6
     known = {} if "no versions" in words else made
     assert json.loads(out.read_text())["other_versions"] == [{"cells": 4, "versions": known}]

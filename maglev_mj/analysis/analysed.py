@@ -13,12 +13,13 @@ from maglev_mj.analysis.estimates import Estimate, Identification
 from maglev_mj.analysis.figures import StretchFigures, stretch_figures
 from maglev_mj.analysis.identification import identify
 from maglev_mj.analysis.motion import Motion, reconstruct
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import flag, number
-from maglev_mj.recording import InvalidRecordingError, Rebuild, RunMetadata, Stretch, metadata_of
+from maglev_mj.recording import InvalidRecordingError, Rebuild, RunMetadata, Stretch
+from maglev_mj.recording.recording import READ_STRETCH
+from maglev_mj.result import Result, Table
 from maglev_mj.scenes import Scene
-from maglev_mj.tabular import Table, Tabular
 
 _STILL = 1e-9
 
@@ -41,7 +42,7 @@ class Run:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Analysed(Tabular):
+class Analysed(Result):
     """Results of a stretch's analysis.
 
     Attributes:
@@ -164,7 +165,7 @@ def analyse(
         scene: Scene class of a user's own recording.
 
     Raises:
-        InvalidRecordingError: If it has less than two samples, or has no metadata and cannot be rebuilt.
+        InvalidRecordingError: If it has less than two samples.
         ParameterError: If there are less than two samples from `begin` to `end`.
 
     Example:
@@ -175,7 +176,8 @@ def analyse(
         (6000, 80)
     """
     flag("simulated", simulated)
-    metadata = metadata_of(stretch, rebuild)
+    check_instance("stretch", stretch, Stretch, READ_STRETCH)
+    metadata = stretch.metadata
     if len(stretch.tick) < 2:
         raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
     whole = reconstruct(stretch, metadata)
@@ -183,7 +185,7 @@ def analyse(
     comparison = other = None
     if simulated and rebuild is not None:
         twin = simulate(stretch, whole, metadata, rebuild, scene)
-        comparison = compare(stretch.part(first, last), twin.part(first, last), whole.between(first, last))
+        comparison = compare(stretch[first : last + 1], twin[first : last + 1], whole.between(first, last))
         until = min(last, len(twin.tick) - 1)
         if until - first >= 1:
             other = _run(twin, reconstruct(twin, metadata), metadata, None, (first, until), rest)
@@ -194,7 +196,7 @@ def analyse(
         recorded=run,
         simulated=other,
         comparison=comparison,
-        identified=identify(stretch.part(first, last), metadata, anchors=run.anchors),
+        identified=identify(stretch[first : last + 1], metadata, anchors=run.anchors),
     )
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from maglev_mj.analysis.output_error import inverse
 from maglev_mj.frames import Array, Mask
 from maglev_mj.recording import RunMetadata, Stretch
-from maglev_mj.recording.metadata import Face
+from maglev_mj.recording.sample import Face
 
 _ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 _NOTHING = 1e-9

@@ -5,12 +5,11 @@ The simulation has the same parameters; distances are overall and from one sampl
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from maglev_mj.analysis.contacts import plain
 from maglev_mj.analysis.motion import Motion
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array
@@ -18,8 +17,9 @@ from maglev_mj.hand import RecordedHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
+from maglev_mj.result import plain
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.legacy import parameters_in, recorded_scene
+from maglev_mj.scenes.find import recorded_scene
 from maglev_mj.session import live_plant
 
 
@@ -116,15 +116,13 @@ def simulate(
             raise
         except MaglevError:
             pass  # the comparison reports the number of samples
-    made = recorder.stretch().rows
-    kept = rows[rows < len(made)]
-    simulated = replace(stretch, rows=made[kept])
-    return simulated.replace(tick=stretch.tick[: len(kept)], time=stretch.time[: len(kept)])
+    kept = rows[rows < len(recorder)]
+    return recorder.stretch()[kept].replace(tick=stretch.tick[: len(kept)], time=stretch.time[: len(kept)])
 
 
 def _twin(stretch: Stretch, motion: Motion, metadata: RunMetadata, scene: type[Scene] | None) -> SampledPlant:
     """Return the simulated device in place of a real one."""
-    flown, first = recorded_scene(stretch.setup["scene"], parameters_in(stretch.setup), scene), motion.starts[0]
+    flown, first = recorded_scene(stretch.setup["scene"], stretch.setup["parameters"], scene), motion.starts[0]
     return live_plant(flown, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=metadata.before)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.metrics import Hardness, perceived_hardness, summarise_bounce
+from maglev_mj.result import plain
 from maglev_mj.trace import Trace
 
 HARDNESS_WINDOW = 0.005
@@ -83,11 +84,6 @@ class FaceFigures:
         hardness = {f"{name}_hardness": plain(float(value)) for name, value in self.hardness._asdict().items()}
         contacts = [{name: plain(value) for name, value in one._asdict().items()} for one in self.contacts]
         return {"axis": AXES[self.axis], **figures, **hardness, "contacts": contacts}
-
-
-def plain(value: float) -> float | None:
-    """Return a number for JSON, None if not finite."""
-    return float(value) if math.isfinite(value) else None
 
 
 def face_figures(

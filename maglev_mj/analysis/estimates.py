@@ -12,10 +12,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from maglev_mj.analysis.contacts import plain
 from maglev_mj.analysis.output_error import Fit, student
 from maglev_mj.frames import AXES, Array, Mask, unit_of
-from maglev_mj.recording.metadata import Face
+from maglev_mj.recording.sample import Face
+from maglev_mj.result import plain
 
 _DITHERED = 1.0 / 12.0 + 0.25
 """Least mean square of a dithered sensor's error, in steps².

@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.analysis.contacts import FaceFigures, face_figures, plain
+from maglev_mj.analysis.contacts import FaceFigures, face_figures
 from maglev_mj.analysis.motion import Motion
 from maglev_mj.energy import actuator_work, hand_work
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording import RunMetadata
+from maglev_mj.result import plain
 
 
 class Energy(NamedTuple):
@@ -131,7 +132,7 @@ def stretch_figures(
         rest: Rest position at a wall [m, rad]; found from the samples by default.
     """
     trace = motion.trace
-    faces = [found for face in metadata.faces or () if (found := face_figures(trace, face, rest=rest)) is not None]
+    faces = [found for face in metadata.faces if (found := face_figures(trace, face, rest=rest)) is not None]
     return StretchFigures(
         samples=len(ticks),
         missed=round(float(ticks[-1] - ticks[0])) + 1 - len(ticks),
@@ -140,7 +141,7 @@ def stretch_figures(
         travel=np.ptp(trace.pose, axis=0),
         peak_force=np.abs(trace.wrench[:-1]).max(axis=0),
         faces=faces,
-        untouched=len(metadata.faces or ()) - len(faces),
+        untouched=len(metadata.faces) - len(faces),
         energy=_energy(motion, metadata, hand),
         unexplained=np.sqrt((motion.unexplained**2).mean(axis=0)),
         sticks=[None] * len(AXES) if anchors is None else [_sticks(motion.time, line) for line in anchors.T],

@@ -25,9 +25,11 @@ from maglev_mj.analysis.estimates import (
 )
 from maglev_mj.analysis.motion import reconstruct
 from maglev_mj.analysis.output_error import SLOW, Fit, Forces, Windows, fit
+from maglev_mj.errors import check_instance
 from maglev_mj.frames import Array, Mask
-from maglev_mj.recording import RunMetadata, Stretch, metadata_of
-from maglev_mj.recording.metadata import Face
+from maglev_mj.recording import RunMetadata, Stretch
+from maglev_mj.recording.recording import READ_STRETCH
+from maglev_mj.recording.sample import Face
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.closed_loop import MOST_PERIODS
 from maglev_mj.timeline import recorded_switches, split_delay
@@ -64,9 +66,6 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
         metadata: Metadata of the run; the stretch's own by default.
         anchors: Stick positions at each sample [m, rad], (N, 6); None without friction.
 
-    Raises:
-        InvalidRecordingError: If it has no metadata, and none is given.
-
     Example:
         >>> from maglev_mj import record_run
         >>> from maglev_mj.scenes.drop import Drop
@@ -75,14 +74,15 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
         >>> bool(wall.stiffness.low < 5000.0 < wall.stiffness.high), bool(0.49 < wall.share.value < 0.5)
         (True, True)
     """
-    known = metadata_of(stretch, None) if metadata is None else metadata
+    check_instance("stretch", stretch, Stretch, READ_STRETCH)
+    known = stretch.metadata if metadata is None else metadata
     axes: dict[int, OfAxis] = {}
     walls: list[OfWall] = []
     friction: dict[int, Friction] = {}
     used = 0
     for axis in range(6):
         stuck = None if anchors is None or not np.isfinite(anchors[:, axis]).any() else anchors[:, axis]
-        faces = [face for face in known.faces or () if face[0] == axis]
+        faces = [face for face in known.faces if face[0] == axis]
         one = None
         if len(stretch) < _LEAST_SAMPLES:
             why = f"only {len(stretch)} samples"
@@ -140,10 +140,9 @@ class _Axis:
         if windows.there.sum() < _LEAST_SAMPLES:
             return None
         needed = np.unique(np.maximum(windows.rows[windows.there][:, None] - np.arange(ahead + 1), 0))
-        part = Stretch(setup=stretch.setup, rows=stretch.rows[needed], metadata=metadata)
         windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.there)
         stuck = None if anchors is None else anchors[needed]
-        free = cls(stretch=part, metadata=metadata, axis=axis, anchors=stuck, windows=windows)
+        free = cls(stretch=stretch[needed], metadata=metadata, axis=axis, anchors=stuck, windows=windows)
         if free.disturbed:
             held = replace(free, held=True)
             return free if held.disturbed else held
@@ -313,7 +312,7 @@ class _Axis:
     @cached_property
     def faces(self) -> list[Face]:
         """Touched walls of the axis."""
-        faces = [face for face in self.metadata.faces or () if face[0] == self.axis]
+        faces = [face for face in self.metadata.faces if face[0] == self.axis]
         return [face for face in faces if (is_inside(self.place, face) & self.used).sum() >= _LEAST_INSIDE]
 
     @cached_property

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.frames import Array, Mask
-from maglev_mj.parameters import flag
 
 _SINGULAR, _ROUNDS = 1e-10, 40
 _LEAST_SAMPLES, _WINDOW_TIME = 40, 0.05
@@ -239,11 +238,7 @@ def fit(
         search: True to find the delay.
         floor: Least error of a position, such as that of rounding [m].
         fixed: Known values, (P,); NaN for values to be found.
-
-    Raises:
-        ParameterError: If `search` is neither True nor False.
     """
-    flag("search", search)
     seen = windows.project(place[windows.rows][:, :, None])[:, :, 0]
     free = np.isnan(fixed)
     given = np.where(free, 0.0, fixed)

@@ -20,7 +20,7 @@ from maglev_mj.parameters import axis_indices, number
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
 from maglev_mj.replay import OwnCode, rebuild_for, stick_positions_of, unmade_plant
 from maglev_mj.tables import analysis_table
-from maglev_mj.terminal import say
+from maglev_mj.terminal import printable, wrapped
 from maglev_mj.versions import versions_read
 
 
@@ -82,7 +82,7 @@ def _analyse(options: argparse.Namespace) -> int:
         print("\n\n".join(analysis_table(one, place, len(stretches)) for place, one in found))
         damage = [f"{options.file}: {recording.damage}"] if recording.damage else []
         for line in [*damage, *recording.events, *drawn]:
-            say(f"  {line}")
+            print("\n".join(wrapped(printable(line), further="    ")))
     return 0
 
 

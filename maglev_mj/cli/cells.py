@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,9 +13,8 @@ from typing import Any
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import count
 from maglev_mj.errors import ParameterError
-from maglev_mj.studies.cells import Record, StudyInterrupted
+from maglev_mj.studies.cells import Record, StudyInterrupted, Workers, WorkersError, dask_workers, local_workers
 from maglev_mj.versions import differences, versions
-from maglev_mj.workers import Workers, WorkersError, dask_workers, local_workers
 
 
 def add_workers(parser: Parser, record: str) -> None:
@@ -38,7 +38,11 @@ def chosen_workers(options: argparse.Namespace, default: int | None) -> Workers:
     if options.scheduler is not None:
         if options.workers is not None:
             raise ParameterError(f"workers must be left to the scheduler where there is one, not {options.workers}")
-        return dask_workers(options.scheduler)
+        with warnings.catch_warnings(record=True) as said:
+            workers = dask_workers(options.scheduler)
+        for one in said:
+            print(f"maglev-mj {options.command}: {one.message}", file=sys.stderr)
+        return workers
     return local_workers(default if options.workers is None else options.workers)
 
 

@@ -20,7 +20,7 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.net.udp import open_link
 from maglev_mj.parameters import number
-from maglev_mj.terminal import cell
+from maglev_mj.result import number_text
 
 _SHOWN = 0.25  # [s] between two lines of spots
 _BLOCKED = "  the flotor must be blocked by something soft; nothing is checked for a hand"
@@ -109,7 +109,7 @@ def _check_coils(plant: RemotePlant, options: argparse.Namespace) -> int:
 
 def _coil_row(check: CoilCheck) -> str:
     currents = " ".join(f"{part:6.2f}" for part in (check.current, check.measured, check.others))
-    moved = " ".join(f"{cell(part, 1e6):>5}" for part in check.displacement[:3])
+    moved = " ".join(f"{number_text(part * 1e6, 3, 2):>5}" for part in check.displacement[:3])
     force = " ".join(f"{part:6.2f}" for part in check.expected[:3])
     return f"  {check.coil} {currents}  {moved} {force}  {check.verdict}"
 

@@ -6,10 +6,9 @@ import argparse
 from collections.abc import Sequence
 from contextlib import suppress
 
-from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_outputs, add_parameters, chosen, range_of
-from maglev_mj.cli.output import write_results
+from maglev_mj.cli.output import write_result
 from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
@@ -17,7 +16,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.hand import HANDS
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
-from maglev_mj.tables import design_table
 from maglev_mj.theory import GOALS, LAWS, WallRequirements, design_wall
 
 _RANGES = "mass", "delay"
@@ -84,12 +82,7 @@ def _design(options: argparse.Namespace) -> int:
             with suppress(ParameterError):  # no PD wall bears them
                 reference = design_wall(requirements, goal=options.goal)
         result = evaluate_wall(wall, contact, reference)
-    write_results(
-        options,
-        result.as_json,
-        lambda: design_table(result),
-        lambda pictures: [plots.design_map(result, pictures.path("design"))],
-    )
+    write_result(options, result, "design")
     return int(result.grows.any())
 
 

@@ -9,10 +9,9 @@ from maglev_mj.cli.options import add_json, chosen, count, number_option
 from maglev_mj.cli.output import write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
+from maglev_mj.result import plain
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.studies.fidelity import MARGIN, Range, measure_fidelity
-from maglev_mj.studies.fidelity_cases import COMPARED, preset_of
-from maglev_mj.studies.fidelity_levels import measure_levels
+from maglev_mj.studies.fidelity import COMPARED, MARGIN, Range, measure_fidelity, measure_levels, preset_of
 from maglev_mj.tables import fidelity_table, levels_table
 
 _RANGE = "what the answer is to hold for"
@@ -110,6 +109,6 @@ def _all(options: argparse.Namespace) -> int:
         for place, name in enumerate(COMPARED):
             found[name] = measure_levels(name)
             progress(place + 1, len(COMPARED))
-    data = {name: [row.as_json() for row in rows] for name, rows in found.items()}
+    data = {name: plain(rows) for name, rows in found.items()}
     write_results(options, lambda: data, lambda: levels_table(found))
     return 0

@@ -11,6 +11,7 @@ from typing import Any
 from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.errors import DivergenceError
 from maglev_mj.plots import PictureFolder
+from maglev_mj.result import Result
 from maglev_mj.versions import versions
 
 
@@ -59,3 +60,18 @@ def write_results(
         print(text())
         for path in files:
             print(f"  wrote {path}")
+
+
+def write_result(options: argparse.Namespace, result: Result, picture: str = "") -> None:
+    """Write a result as JSON and picture if chosen, and print its table.
+
+    Args:
+        options: Parsed options.
+        result: The result.
+        picture: Name of the picture's file, without an ending.
+    """
+
+    def draw(pictures: PictureFolder) -> Sequence[Path]:
+        return [result.plot(path=pictures.path(picture))]
+
+    write_results(options, result.as_json, lambda: str(result.table()), draw)

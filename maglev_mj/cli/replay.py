@@ -21,7 +21,7 @@ from maglev_mj.recording import (
 from maglev_mj.recording.verify import first_other_answer
 from maglev_mj.replay import OwnCode, expected, rebuild, unmade_plant
 from maglev_mj.tables import verdict_table
-from maglev_mj.terminal import say, wrapped
+from maglev_mj.terminal import printable, say, wrapped
 from maglev_mj.versions import differences, versions, versions_read
 
 _COMPARED, _LEAST_COMPARED = 10_000, 10
@@ -79,7 +79,7 @@ def _replay(options: argparse.Namespace) -> int:
     if recording.damage:
         say(f"  {options.file}: {recording.damage}; {recording.ticks} samples are there")
     for event in recording.events:
-        say(f"  {event}")
+        print("\n".join(wrapped(printable(event), further="    ")))
     own = own_code(options.scene, recording)
     if options.check:
         with Progress("replay"):

@@ -17,7 +17,7 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
 from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.run import Phases, Result, run, run_phases
+from maglev_mj.scenes.run import Phases, RunResult, run, run_phases
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.tables import run_table
 
@@ -88,8 +88,8 @@ def _run(options: argparse.Namespace) -> int:
 
 def _results(
     scene: Scene, variants: Mapping[str, Scene], options: argparse.Namespace
-) -> tuple[dict[str, Result], dict[str, Phases]]:
-    results: dict[str, Result] = {}
+) -> tuple[dict[str, RunResult], dict[str, Phases]]:
+    results: dict[str, RunResult] = {}
     sweeps: dict[str, Phases] = {}
     with Progress(scene.name) as progress:
         try:
@@ -105,7 +105,7 @@ def _results(
     return results, sweeps
 
 
-def _gap(result: Result) -> float | None:
+def _gap(result: RunResult) -> float | None:
     """Return the largest distance between two plants' motions.
 
     In [m, rad]; None if the scene has one plant.

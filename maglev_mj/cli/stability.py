@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
-from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.cells import add_workers, cells_kept, chosen_workers, tell_of_others
 from maglev_mj.cli.options import add_json, add_parameters, chosen, given, range_of
-from maglev_mj.cli.output import write_results
+from maglev_mj.cli.output import write_result, write_results
 from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
@@ -20,16 +18,13 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Record
 from maglev_mj.studies.nonlinear import PART, DropMapParameters, run_drop_map
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
-from maglev_mj.tables import drop_table, loop_table, stability_table
+from maglev_mj.tables import loop_table
 from maglev_mj.theory import stability
 
 _RANGES = "damping", "stiffness"
 _WALL = "parameters of a wall"
 _DROP = "a map of drops instead, where one of these is given"
 _FALLBACK = Path("stability-cells.jsonl")
-_Kind: TypeAlias = tuple[Callable[..., Any], Callable[[Any], str], Callable[[Any, Path], Path], str]
-_GROWTH: _Kind = run_stability, stability_table, plots.stability_map, "stability"
-_DROPS: _Kind = run_drop_map, drop_table, plots.drop_map, "stability_drops"
 
 
 def add_options(parser: Parser) -> None:
@@ -78,9 +73,9 @@ def _map(options: argparse.Namespace) -> int:
                 raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
     # a map of drops is simulated on every core where it has more than one part
     workers = chosen_workers(options, default=None if drops and parameters.grid**2 > PART else 0)
-    run, table, draw, name = _DROPS if drops else _GROWTH
+    run: Any = run_drop_map if drops else run_stability
     with cells_kept(options.record, _FALLBACK), Progress("stability") as progress:
         result = run(parameters, record=Record(options.record), workers=workers, progress=progress)
-    tell_of_others("stability", result.others)
-    write_results(options, result.as_json, lambda: table(result), lambda pictures: [draw(result, pictures.path(name))])
+    tell_of_others("stability", result.other_versions)
+    write_result(options, result, "stability_drops" if drops else "stability")
     return 0

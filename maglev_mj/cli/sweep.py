@@ -15,7 +15,7 @@ import numpy as np
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.cells import add_workers, cells_kept, chosen_workers, tell_of_others
 from maglev_mj.cli.options import add_json, described
-from maglev_mj.cli.output import write_results
+from maglev_mj.cli.output import write_result
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.cli.writable import check_outputs
@@ -23,7 +23,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import parsed_number
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.sweep import MOST_CELLS, sweep, value_of
-from maglev_mj.tables import sweep_table
 from maglev_mj.terminal import wrapped
 
 
@@ -70,8 +69,8 @@ def _sweep(options: argparse.Namespace) -> int:
     with cells_kept(path, path), Progress(f"sweep {cls.name}") as progress:
         found = sweep(cls, fixed | varied, workers=workers, record=path, progress=progress)
     found = replace(found, varied=varied)  # a set parameter is no dimension of the grid
-    tell_of_others("sweep", found.others)
-    write_results(options, found.as_json, lambda: sweep_table(found, str(path)))
+    tell_of_others("sweep", found.other_versions)
+    write_result(options, found)
     return 0
 
 

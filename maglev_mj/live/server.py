@@ -14,9 +14,9 @@ from maglev_mj.loop import Record
 from maglev_mj.net.addresses import ListenError, check_port, listen
 from maglev_mj.process import SideProcess
 from maglev_mj.recording import Setup
-from maglev_mj.recording.live import Ring, RowReader
-from maglev_mj.recording.row import RecordedPlant
+from maglev_mj.recording.sample import RecordedPlant
 from maglev_mj.recording.setup import whole_setup
+from maglev_mj.recording.writer import Ring, RowReader
 from maglev_mj.session import Snapshot, Wish
 from maglev_mj.versions import versions
 

@@ -22,8 +22,8 @@ from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 from maglev_mj.live.guard import forward
 from maglev_mj.live.settings import Answer, Requests, State, Verdict, check_requests, values_of
 from maglev_mj.process import SideProcess
-from maglev_mj.recording.live import ROWS, RowReader
 from maglev_mj.recording.messages import Messages
+from maglev_mj.recording.writer import ROWS, RowReader
 from maglev_mj.scenes import Scene
 from maglev_mj.session import UnstableLoop
 

@@ -11,7 +11,6 @@ import numpy as np
 
 from maglev_mj.frames import Component
 from maglev_mj.hand import Hand, motion, transition
-from maglev_mj.parameters import flag
 
 _MOST_KEPT = 64
 
@@ -197,7 +196,7 @@ class DryFriction:
         *,
         single: bool,
     ) -> None:
-        self._single = flag("single", single)
+        self._single = single
         self._axes = [(index, rub, 1.0 / inertia[index], weight[index]) for index, rub in friction.items()]
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:

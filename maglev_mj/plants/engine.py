@@ -194,11 +194,11 @@ def longest_step(
         flexible: True if the handle swings.
     """
     needed = (
-        (flag("driver_lag", driver_lag), 0.25 * device.driver_time_constant),
+        (driver_lag, 0.25 * device.driver_time_constant),
         (hand is not None, _HAND_STEP),
-        (flag("stops", stops), _STOP_STEP),
+        (stops, _STOP_STEP),
         (force_falloff > 0.0, _FALLOFF_STEP),
-        (flag("flexible", flexible), _BEND_STEP),
+        (flexible, _BEND_STEP),
     )
     return min((step for asked, step in needed if asked), default=None)
 
@@ -244,7 +244,7 @@ class Steps:
     """
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
-        damped, model = flag("stop_damping", stop_damping), device.model
+        damped, model = stop_damping, device.model
         self._options = model.opt
         controls = data.xfrc_applied[device.flotor] if device.coils is None else data.ctrl[: len(COILS)]
         # as `controls[:] = values`, in half the time

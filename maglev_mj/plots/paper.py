@@ -15,7 +15,7 @@ from maglev_mj.frames import Array, unit_of
 from maglev_mj.laws import Wall
 from maglev_mj.plots.drawing import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.run import Phases, Result, run, run_phases
+from maglev_mj.scenes.run import Phases, RunResult, run, run_phases
 from maglev_mj.spec import Spec
 
 _PHASES = np.arange(100) / 100
@@ -30,7 +30,7 @@ class _Drop:
     Over times (M,): z [mm], velocity [m/s] and force [N].
     """
 
-    result: Result
+    result: RunResult
     style: dict[str, Any]
     line: tuple[Array, Array, Array]
     band: tuple[Array, Array, Array]
@@ -38,7 +38,7 @@ class _Drop:
     """Share of the phases with less penetration than the line."""
 
 
-def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def time_series(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw position and force over time, as figure 3 does.
 
     One column for each drop with a pulse; a drop without one and the analog wall stand in all of them. A band
@@ -78,7 +78,7 @@ def time_series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
     return save(figure, path)
 
 
-def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def phase_plane(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw velocity over position beside the analog wall (figure 4).
 
     One panel for each drop with a pulse; a drop without one and the analog wall stand in all of them. Thin lines
@@ -114,7 +114,7 @@ def phase_plane(results: Mapping[str, Result], sweeps: Mapping[str, Phases], pat
     return save(figure, path)
 
 
-def phases(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def phases(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw penetration, rebound and peak force over the phase.
 
     Args:
@@ -177,7 +177,7 @@ def _styles(scenes: Mapping[str, Drop]) -> dict[str, dict[str, Any]]:
     return styles
 
 
-def _times(results: Mapping[str, Result]) -> Array:
+def _times(results: Mapping[str, RunResult]) -> Array:
     """Return the times to draw [s].
 
     Until all drops have settled, and half as long again.
@@ -187,7 +187,7 @@ def _times(results: Mapping[str, Result]) -> Array:
     return np.linspace(0.0, settled if settled < end else end, _POINTS)
 
 
-def _columns(results: Mapping[str, Result], sweeps: Mapping[str, Phases], time: Array) -> list[list[_Drop]]:
+def _columns(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], time: Array) -> list[list[_Drop]]:
     """Return the drops of each column, pulsed ones first."""
     pulsed: list[_Drop] = []
     plain: list[_Drop] = []
@@ -202,7 +202,7 @@ def _columns(results: Mapping[str, Result], sweeps: Mapping[str, Phases], time: 
     return [[drop, *plain] for drop in pulsed] or [plain]
 
 
-def _shown(result: Result, time: Array) -> tuple[Array, Array, Array]:
+def _shown(result: RunResult, time: Array) -> tuple[Array, Array, Array]:
     z, velocity, force = result.motion(time)
     return z * 1e3, velocity, force
 
@@ -241,7 +241,7 @@ def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]
     )
 
 
-def _describe(result: Result) -> str:
+def _describe(result: RunResult) -> str:
     p = result.scene
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
     return (
@@ -250,7 +250,7 @@ def _describe(result: Result) -> str:
     )
 
 
-def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def figure_6(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw position and control force over time (figure 6).
 
     The hand's target is drawn too.
@@ -292,7 +292,7 @@ def figure_6(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: 
     return save(figure, path)
 
 
-def stick_slip(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def stick_slip(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw position and velocity against exact friction (figure 8).
 
     Args:

@@ -15,8 +15,7 @@ from maglev_mj.analysis import Analysed, Run
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.plots.drawing import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
-from maglev_mj.recording import Recording
-from maglev_mj.recording.samples import Samples
+from maglev_mj.recording import Recording, Samples
 from maglev_mj.trace import Trace
 
 _STILL = 1e-6
@@ -253,7 +252,7 @@ def _walls(panel: Any, analysed: Analysed, axis: int) -> None:
     """Shade the walls of an axis near the range shown."""
     bottom, top = panel.get_ylim()
     room = 0.08 * (top - bottom)
-    for _, normal, edge in (face for face in analysed.metadata.faces or () if face[0] == axis):
+    for _, normal, edge in (face for face in analysed.metadata.faces if face[0] == axis):
         place = edge * 1e3
         if normal > 0.0 and place > bottom - room:
             bottom = min(bottom, place - room)

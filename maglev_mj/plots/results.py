@@ -14,13 +14,12 @@ from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import unit_of
 from maglev_mj.plots.drawing import TITLE, name_curves, new_figure, save
-from maglev_mj.scenes.figures import Figure
-from maglev_mj.scenes.run import Phases, Result
+from maglev_mj.scenes.run import Phases, RunResult
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
 from maglev_mj.studies.sweep import Sweep
 
-Picture: TypeAlias = Callable[[Mapping[str, Result], Mapping[str, Phases], Path | None], Any]
+Picture: TypeAlias = Callable[[Mapping[str, RunResult], Mapping[str, Phases], Path | None], Any]
 """Draws results and phases by label; see `series`."""
 
 _FINE = 1e-4
@@ -47,7 +46,7 @@ def _found(place: str) -> Picture:
     return found
 
 
-def result(one: Result, picture: str | None = None) -> Any:
+def result(one: RunResult, picture: str | None = None) -> Any:
     """Draw one run.
 
     Args:
@@ -85,8 +84,7 @@ def sweep(found: Sweep) -> Any:
     """
     first, *others = found.varied
     lines = list(itertools.product(*(found.varied[name] for name in others)))
-    bare = Figure("", lambda result: None)
-    named = {name: found.scene.figures.get(name, bare) for name in found.names if found.is_number(name)}
+    named = {name: found.shown(name) for name in found.names if found.is_number(name)}
     rows = max(-(-len(named) // _COLUMNS), 1)
     figure, panels = new_figure(rows, min(max(len(named), 1), _COLUMNS), 0.9 + 2.8 * rows)
     for panel, (name, one) in zip(panels, named.items()):
@@ -131,7 +129,7 @@ def _label(name: str, unit: str | None) -> str:
     return f"{name.replace('_', ' ')} ({unit})" if unit else name.replace("_", " ")
 
 
-def series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def series(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw each series over time, one line a run.
 
     Args:
@@ -164,7 +162,7 @@ def series(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Pa
     return save(figure, path)
 
 
-def spread(results: Mapping[str, Result], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def spread(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
     """Draw each figure over the sampling phase.
 
     Args:

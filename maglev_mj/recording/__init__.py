@@ -1,13 +1,17 @@
 """Recordings of runs: samples to view, check and replay bitwise."""
 
 from maglev_mj.recording.export import EXPORTS, export
-from maglev_mj.recording.files import ArrayFile, Recorder, RecordingFile, best_suffix, check_name, open_recording
-from maglev_mj.recording.legacy import metadata_of
-from maglev_mj.recording.metadata import Mechanics, RunMetadata, Setup
-from maglev_mj.recording.recording import InvalidRecordingError, Recording, RecordingError, Stretch
-from maglev_mj.recording.samples import Samples, load_samples
+from maglev_mj.recording.files import ArrayFile, Recorder, RecordingFile, best_suffix, check_name, open_recording, tee
+from maglev_mj.recording.recording import (
+    InvalidRecordingError,
+    Recording,
+    RecordingError,
+    Samples,
+    Stretch,
+    load_samples,
+)
+from maglev_mj.recording.sample import Mechanics, RunMetadata, Setup
 from maglev_mj.recording.setup import OwnCodeError, setup_of
-from maglev_mj.recording.tee import tee
 from maglev_mj.recording.verify import Expected, Rebuild, Verdict, verify
 
 __all__ = [
@@ -31,7 +35,6 @@ __all__ = [
     "check_name",
     "export",
     "load_samples",
-    "metadata_of",
     "open_recording",
     "setup_of",
     "tee",

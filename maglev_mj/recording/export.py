@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from maglev_mj.errors import check_instance, check_one_of, file_path, require
 from maglev_mj.recording.recording import READ, Recording, aside
-from maglev_mj.recording.row import FIELDS, TOTALS, told, units
-from maglev_mj.recording.samples import samples_of
+from maglev_mj.recording.sample import FIELDS, TOTALS, is_recorded, units
 
 _BLOCK = 1 << 14
 
@@ -54,10 +53,10 @@ def export(recording: Recording, kind: str, path: Path | str) -> None:
 
 def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
     """Return each known column of all samples, (N,)."""
-    partial = any(stretch.totals is None for stretch in recording.stretches)
-    fields = (*FIELDS, *(() if partial or not recording.stretches else TOTALS))
-    samples = samples_of(recording, [field.name for field in fields])
-    known = {field.name: values for field in fields if told(field, values := samples.arrays[field.name])}
+    stretches = recording.stretches
+    fields = [*FIELDS, *(one for one in TOTALS if stretches and all(one.name in part.arrays for part in stretches))]
+    samples = recording.samples([field.name for field in fields])
+    known = {one.name: values for one in fields if is_recorded(one, values := samples.arrays[one.name])}
     return replace(samples, arrays=known).columns()
 
 
@@ -69,7 +68,7 @@ def _about(recording: Recording) -> dict[str, Any]:
     attached = {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()}
     return {
         "units": units(),
-        "setups": [stretch.whole_setup for stretch in recording.stretches],
+        "setups": [stretch.setup for stretch in recording.stretches],
         "events": list(recording.events),
         "about": dict(recording.about),
         "damage": recording.damage,

@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Protocol, TypeAlias
+
+import numpy as np
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError, file_path
 from maglev_mj.frames import Command, Sample
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
-from maglev_mj.recording.live import LiveFile
 from maglev_mj.recording.mcap import require_mcap
-from maglev_mj.recording.metadata import Setup
-from maglev_mj.recording.recording import Recording, RecordingError, Stretch, split_setup
-from maglev_mj.recording.row import RecordedPlant, Row, as_rows, compiled
+from maglev_mj.recording.recording import Recording, RecordingError, Stretch
+from maglev_mj.recording.sample import ROW, RecordedPlant, Row, Setup, as_rows, compiled
 from maglev_mj.recording.setup import attach_parts, whole_setup
+from maglev_mj.recording.writer import LiveFile
 from maglev_mj.versions import versions
 
 _SUFFIXES = (".mcap", ".npz")
@@ -81,11 +83,11 @@ class Recorder:
 
     Args:
         plant: The controlled plant.
-        setup: Setup of plant and controller.
+        setup: Setup of plant and controller, with the metadata as `run`.
     """
 
     def __init__(self, plant: RecordedPlant, setup: Setup) -> None:
-        self._plant, (self._setup, self._metadata) = plant, split_setup(dict(setup))
+        self._plant, self._setup = plant, setup
         self._rows: list[Row] = []
         self._gaps: list[tuple[int, int]] = []
 
@@ -103,7 +105,8 @@ class Recorder:
     def stretch(self) -> Stretch:
         """Return the recorded samples."""
         rows = as_rows(self._rows)
-        return Stretch(setup=self._setup, rows=rows, metadata=self._metadata, gaps=tuple(self._gaps))
+        arrays = {name: np.ascontiguousarray(rows[name]) for name in ROW.names or ()}
+        return Stretch(setup=self._setup, arrays=arrays, gaps=tuple(self._gaps))
 
 
 row_of: _RowOf = compiled("sample, command, applied, plant", "return ({values},)")
@@ -228,3 +231,60 @@ def open_recording(path: Path | str, *, wait: bool = False) -> RecordingFile:
     path = file_path(path)
     check_name(path)
     return LiveFile(path, wait=wait) if path.suffix == ".mcap" else ArrayFile(path)
+
+
+def tee(*files: RecordingFile | None) -> RecordingFile | None:
+    """Return one file that writes to all given, or None."""
+    given = [file for file in files if file is not None]
+    return _Tee(given) if len(given) > 1 else given[0] if given else None
+
+
+class _Tee:
+    """Group of files that record the same run.
+
+    See `RecordingFile`.
+    """
+
+    def __init__(self, files: Sequence[RecordingFile]) -> None:
+        self._files = files
+
+    def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
+        """Begin a stretch in each; return one recording function."""
+        whole = whole_setup(plant, controller, setup)
+        records = [file.begin(plant, controller, whole) for file in self._files]
+
+        def record(sample: Sample, command: Command, applied: Command) -> None:
+            for one in records:
+                one(sample, command, applied)
+
+        return record
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """See `RecordingFile`."""
+        for file in self._files:
+            file.attach(name, media_type, data)
+
+    def event(self, kind: str, text: str, missed: int = 0) -> None:
+        """See `RecordingFile`."""
+        for file in self._files:
+            file.event(kind, text, missed)
+
+    def check(self) -> None:
+        """See `RecordingFile`."""
+        for file in self._files:
+            file.check()
+
+    def close(self) -> Path | None:
+        """Close all files; return the first one written.
+
+        An error of one file does not keep the others open.
+        """
+        paths: list[Path | None] = []
+
+        def close(file: RecordingFile) -> None:
+            paths.append(file.close())
+
+        with ExitStack() as closing:
+            for file in reversed(self._files):
+                closing.callback(close, file)
+        return next((path for path in paths if path is not None), None)

@@ -1,41 +1,40 @@
-"""Reading of MCAP recordings, incomplete ones included.
+"""MCAP recordings: the message of a sample, and reading, of incomplete files too.
 
-The format is at https://mcap.dev.
-
-Samples are protobuf messages of equal length, read in thousands at once; in older files they are JSON.
+The format is at https://mcap.dev. A sample is a protobuf message in which every value has its full width, so that all
+messages of a file have the same layout: a writer packs them at once, and a reader takes thousands of them as one
+array. Any decoder of protobuf reads them by name.
 """
 
 from __future__ import annotations
 
 import json
-import re
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import BytesIO
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 
 from maglev_mj.errors import ParameterError, require
-from maglev_mj.frames import Array
-from maglev_mj.recording.before import sample_row
-from maglev_mj.recording.checks import (
-    LARGEST_PART,
-    Allowance,
-    UnpackingError,
+from maglev_mj.frames import AXES, Array
+from maglev_mj.parameters import whole
+from maglev_mj.recording.sample import (
+    FIELDS,
+    TOTALS,
+    Field,
+    Row,
+    RunMetadata,
+    Setup,
+    check_rows,
     check_setup,
-    object_in,
     parsed,
-    text_in,
-    unpacked,
-    whole,
+    value_in,
 )
-from maglev_mj.recording.columns import BLOCK, Columns
-from maglev_mj.recording.metadata import RunMetadata, Setup
-from maglev_mj.recording.protobuf import STRETCH as NUMBER
-from maglev_mj.recording.protobuf import Layout, layout_of
-from maglev_mj.recording.row import FIELDS, TOTALS
+
+if TYPE_CHECKING:
+    from mcap.records import Chunk
 
 MAGIC = b"\x89MCAP0\r\n"
 """First and last bytes of a file."""
@@ -45,16 +44,228 @@ METADATA, FORMAT = "maglev_mj", "2"
 
 STRETCH, SAMPLE, EVENT = "/maglev/stretch", "/maglev/sample", "/maglev/event"
 
+LARGEST_PART = 64 << 20
+"""Largest unpacked size of a compressed part [bytes].
+
+A part is a chunk or an array.
+"""
+
+_TIMES = 1000
+_KEPT_TIMES = 100
+_KEPT = 1 << 20
 _MOST_MESSAGE = 1 << 20
 _MOST_RECORD = LARGEST_PART + (1 << 20)
+_BLOCK = 1 << 13  # samples that are checked and stored together
 _RECORD, _MESSAGE = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _NUMBERED, _COUNT = struct.Struct("<HI"), struct.Struct("<I")
 _FRONT, _SAME = _RECORD.size + _MESSAGE.size, _RECORD.size + 2  # bytes before a message; those alike in each of a topic
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _SAID, _CHUNK = 1, 2, 3, 4, 5, 6
-_ATTACHED, _STATISTICS, _ABOUT, _DATA_END = 9, 11, 12, 15
+_FOOTER, _SCHEMA, _CHANNEL, _SAID, _CHUNK = 2, 3, 4, 5, 6
+_ATTACHMENT, _STATISTICS, _METADATA, _DATA_END = 9, 11, 12, 15
 _OURS = frozenset((STRETCH, SAMPLE, EVENT))
-
 _NEEDED = "record", "recordings as MCAP need mcap and foxglove-sdk"
+_TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
+"""Fields that equal another bitwise unless a limit acts."""
+
+NAME = "maglev_mj.Sample"
+"""Full name of the message type."""
+
+STRETCH_NUMBER = Field("stretch", "", "number of the stretch, from 0")
+"""Number of the stretch, first field of a sample's message."""
+
+_ORDERED: Sequence[Field] = (
+    STRETCH_NUMBER,
+    *(field for field in FIELDS if not field.optional),
+    *TOTALS,
+    *(field for field in FIELDS if field.optional),
+)
+"""Fields in the order of their numbers, from 1.
+
+New fields are optional and come last.
+"""
+
+_SIX = "SixAxes"
+_VARINT, _FIXED64, _BYTES = 0, 1, 2
+_DOUBLE_TYPE, _MESSAGE_TYPE, _FIXED64_TYPE, _OPTIONAL = 1, 11, 6, 1
+_NUMBER_SIZE, _SIX_SIZE = 8, 6 * 9
+
+
+def _varint(value: int) -> bytes:
+    found = b""
+    while value > 0x7F:
+        found, value = found + bytes([value & 0x7F | 0x80]), value >> 7
+    return found + bytes([value])
+
+
+def _part(number: int, value: int | str | bytes) -> bytes:
+    """Return one field of a descriptor."""
+    if isinstance(value, int):
+        return _varint(number << 3 | _VARINT) + _varint(value)
+    data = value.encode() if isinstance(value, str) else value
+    return _varint(number << 3 | _BYTES) + _varint(len(data)) + data
+
+
+def _message(name: str, fields: Sequence[tuple[str, int, str]]) -> bytes:
+    """Return the descriptor of a message.
+
+    Each field has a name, a type and the type's name.
+    """
+    parts = [_part(1, name)]
+    for number, (field, kind, of) in enumerate(fields, 1):
+        about = _part(1, field) + _part(3, number) + _part(4, _OPTIONAL) + _part(5, kind)
+        parts.append(_part(2, about + (_part(6, of) if of else b"")))
+    return b"".join(parts)
+
+
+def descriptor() -> bytes:
+    """Return the schema of a sample, a FileDescriptorSet."""
+    package, name = NAME.split(".")
+    fields = [
+        (field.name, _MESSAGE_TYPE, f".{package}.{_SIX}")
+        if field.six
+        else (field.name, _DOUBLE_TYPE if field.unit else _FIXED64_TYPE, "")
+        for field in _ORDERED
+    ]
+    six = _message(_SIX, [(axis, _DOUBLE_TYPE, "") for axis in AXES])
+    messages = _part(4, six) + _part(4, _message(name, fields))
+    return _part(1, _part(1, f"{package}.proto") + _part(2, package) + messages + _part(12, "proto3"))
+
+
+def _head(field: Field) -> bytes:
+    """Return the bytes in front of a field's value."""
+    number = _ORDERED.index(field) + 1
+    if field.six:
+        return _varint(number << 3 | _BYTES) + bytes([_SIX_SIZE])
+    return _varint(number << 3 | _FIXED64)
+
+
+class _Value(NamedTuple):
+    """Number in a message: preceding bytes and type code."""
+
+    head: bytes
+    code: str
+
+
+def _values(fields: Sequence[Field]) -> list[_Value]:
+    found = []
+    for field in fields:
+        head, code = _head(field), "d" if field.unit else "Q"
+        for place in range(len(field.units)):
+            inner = bytes([place + 1 << 3 | _FIXED64]) if field.six else b""
+            found.append(_Value(head + inner if not place else inner, code))
+    return found
+
+
+_WRITTEN = _values((STRETCH_NUMBER, *FIELDS, *TOTALS))
+_STRUCT = struct.Struct("<" + "".join(f"{len(value.head)}s{value.code}" for value in _WRITTEN))
+_PARTS = [part for value in _WRITTEN for part in (value.head, None)]
+_WHOLE = [place for place, value in enumerate(_WRITTEN) if value.code == "Q"]
+
+
+def packed(stretch: int, row: Row, totals: Row) -> bytes:
+    """Return a sample as a message.
+
+    Args:
+        stretch: Number of the stretch.
+        row: Values in the order of FIELDS.
+        totals: Running totals in the order of TOTALS.
+    """
+    values: list[float] = [stretch, *row, *totals]
+    for place in _WHOLE:
+        values[place] = int(values[place])
+    parts = _PARTS.copy()
+    parts[1::2] = values  # type: ignore[assignment]
+    return _STRUCT.pack(*parts)
+
+
+MessageArray: TypeAlias = "np.ndarray[tuple[int, int], np.dtype[np.uint8]]"
+"""Messages of one layout, (N, size) bytes."""
+
+
+class Layout:
+    """Layout of a sample's message: byte position of each number.
+
+    Args:
+        fields: Fields in their order; a number stands for that many unknown bytes.
+
+    Attributes:
+        size: Size of a message [bytes].
+    """
+
+    def __init__(self, fields: Sequence[Field | int]) -> None:
+        heads: list[int] = []
+        expected, at = b"", 0
+        self._places: dict[str, int] = {}
+        for field in fields:
+            if isinstance(field, int):
+                at += field
+                continue
+            for value in _values([field]):
+                heads += range(at, at + len(value.head))
+                at, expected = at + len(value.head), expected + value.head
+                self._places.setdefault(field.name, at)
+                at += _NUMBER_SIZE
+        self.size = at
+        self._heads, self._expected = np.array(heads), np.frombuffer(expected, np.uint8)
+
+    def check(self, messages: MessageArray) -> None:
+        """Check that messages have this layout.
+
+        Raises:
+            ParameterError: If one has another layout.
+        """
+        if not (messages[:, self._heads] == self._expected).all():
+            raise ParameterError("the samples of a file must all have the same fields")
+
+    def values(self, messages: MessageArray, field: Field) -> Array:
+        """Return a field of messages, NaN if missing.
+
+        The shape is (N,) or (N, 6).
+        """
+        at = self._places.get(field.name)
+        count = len(messages)
+        if at is None:
+            return np.full((count, 6) if field.six else count, np.nan)
+        kind = np.dtype("<f8" if field.unit else "<u8")
+        values = messages[:, at : at + _NUMBER_SIZE].view(kind)
+        if field.six:
+            values = as_strided(values, (count, 6), (values.strides[0], _SIX_SIZE // 6))
+        found = values.astype(np.float64)
+        return found if field.six else found[:, 0]
+
+
+def layout_of(message: bytes) -> Layout:
+    """Return the layout of a message; unknown fields are skipped.
+
+    Raises:
+        ParameterError: If it is no message of a sample.
+    """
+    heads = {_head(field): field for field in _ORDERED}
+    fields: list[Field | int] = []
+    at, stop = 0, len(message)
+    while at < stop:
+        start, (tag, at) = at, _number_at(message, at)
+        size, after = _number_at(message, at) if tag & 7 == _BYTES else (_NUMBER_SIZE, at)
+        field, at = heads.pop(message[start:after], None), after + size
+        if tag & 7 not in (_BYTES, _FIXED64) or (field is None and tag >> 3 <= len(_ORDERED)):
+            raise ParameterError("a sample must have the fields that its schema says, each once")
+        fields.append(at - start if field is None else field)
+    missing = [field.name for field in _ORDERED if field not in fields and not field.optional]
+    if missing or at != stop:
+        raise ParameterError(f"a sample must have {', '.join(missing) or 'all its bytes'}")
+    layout = Layout(fields)
+    layout.check(np.frombuffer(message, np.uint8)[None])
+    return layout
+
+
+def _number_at(message: bytes, at: int) -> tuple[int, int]:
+    """Return a variable-length number and the offset behind it."""
+    found = shift = 0
+    while at < len(message) and shift < 63:
+        found |= (message[at] & 0x7F) << shift
+        at, shift = at + 1, shift + 7
+        if message[at - 1] < 0x80:
+            return found, at
+    raise ParameterError("a sample must have all its bytes")
 
 
 def require_mcap() -> None:
@@ -66,14 +277,51 @@ def require_mcap() -> None:
     require(("mcap", "foxglove"), *_NEEDED)
 
 
-class _Ended(Exception):
-    """Unexpected end of the file."""
+class UnpackingError(ValueError):
+    """Unpacked part of a file is too large, or invalid."""
 
 
-def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -> Found:
-    """Read a recording up to its last complete chunk.
+class Allowance:
+    """Memory budget for unpacking a file.
 
-    The writer may have been killed.
+    It exceeds the needs of any recording, and is too small to exhaust the memory.
+
+    Args:
+        size: Size of the file [bytes].
+    """
+
+    def __init__(self, size: int) -> None:
+        self._left, self._kept = LARGEST_PART + _TIMES * size, _KEPT + _KEPT_TIMES * size
+
+    def part(self, size: int) -> None:
+        """Count a part's size [bytes] before it is unpacked.
+
+        Raises:
+            UnpackingError: If the part or the sum of all parts is too large.
+        """
+        if size > LARGEST_PART:
+            raise UnpackingError(f"a part of it must unpack to at most {LARGEST_PART} bytes, not {size}")
+        self._left -= size
+        if self._left < 0:
+            raise UnpackingError(f"it must unpack to at most {_TIMES} times its size")
+
+    def text(self, size: int) -> None:
+        """Count the size of a text [bytes], which takes many times that memory as objects.
+
+        Raises:
+            UnpackingError: If the sum of all texts is too large.
+        """
+        self._kept -= size
+        if self._kept < 0:
+            raise UnpackingError(f"its texts must be at most {_KEPT_TIMES} times its size")
+
+
+class _EndMissingError(Exception):
+    """The file ends within a record."""
+
+
+def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -> McapContent:
+    """Read a recording up to its last complete chunk, as its writer may have been killed.
 
     Args:
         file: File to read.
@@ -85,65 +333,94 @@ def read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None = None) -
         ParameterError: If it holds no recording or an invalid one.
     """
     require(("mcap",), *_NEEDED)
-    found = Found(Allowance(size), names)
+    content = McapContent(Allowance(size), names)
     try:
         try:
             for kind, data in _records(file):
-                found.take(kind, data)
+                content.take(kind, data)
         finally:
-            found.join()
-        if not found.counted:
-            found.damage = "its count of messages is missing"
+            content.store_samples()
+        if not content.counted:
+            content.damage.append("its count of messages is missing")
         elif file.read(1):
-            found.damage = "there is more behind its end"
+            content.damage.append("there is more behind its end")
     except ParameterError:
         raise
-    except _Ended:
-        found.damage = "its end is missing"
+    except _EndMissingError:
+        content.damage.append("its end is missing")
     except Exception as error:  # errors of unpacking and of the content: data before them is good
-        found.damage = f"it is damaged: {error or type(error).__name__}"
-    if not found.parts:
-        raise ParameterError(found.damage or "nothing of a recording is in it")
-    for part in found.parts:
-        part.columns.sort()
-    return found
+        content.damage.append(f"it is damaged: {error or type(error).__name__}")
+    if not content.stretches:
+        raise ParameterError("; ".join(content.damage) or "nothing of a recording is in it")
+    return content
 
 
 def _records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
     """Yield kind and content of each record outside chunks.
 
-    Checksums are checked on the way.
+    A wrong checksum is an error at the end. mcap's own reader unpacks the index of every chunk, checks no attachment,
+    and does not tell a file that was cut off from a damaged one.
     """
     if file.read(len(MAGIC)) != MAGIC:
         raise ParameterError("it is no MCAP file")
-    checksum = zlib.crc32(MAGIC)
-    while True:
+    checksum, right, kind = zlib.crc32(MAGIC), True, 0
+    while kind != _FOOTER:
         head = file.read(_RECORD.size)
         if len(head) < _RECORD.size:
-            raise _Ended
+            raise _EndMissingError
         kind, length = _RECORD.unpack(head)
         if length > _MOST_RECORD:
             raise UnpackingError(f"a record must have at most {_MOST_RECORD} bytes, not {length}")
         data = file.read(length)
         if len(data) < length:
-            raise _Ended
+            raise _EndMissingError
         if kind in (_DATA_END, _FOOTER):
-            (said,) = struct.unpack("<I", data[-4:])
+            (stated,) = _COUNT.unpack(data[-4:])
             checksum = zlib.crc32(head + data[:-4], checksum) if kind == _FOOTER else checksum
-            if said not in (0, checksum):
-                raise ValueError("its checksum must be the one that it says")
+            right &= stated in (0, checksum)
             checksum = 0
         else:
             checksum = zlib.crc32(data, zlib.crc32(head, checksum))
         yield kind, data
-        if kind == _FOOTER:
-            if (end := file.read(len(MAGIC))) != MAGIC:
-                raise _Ended if MAGIC.startswith(end) else ValueError("its last bytes must be those of MCAP")
-            return
+    if (end := file.read(len(MAGIC))) != MAGIC:
+        raise _EndMissingError if MAGIC.startswith(end) else ValueError("its last bytes must be those of MCAP")
+    if not right:
+        raise ValueError("its checksum must be the one that it says")
 
 
-class Part:
-    """Samples of a stretch read so far.
+def _unpacked(chunk: Chunk) -> bytes:
+    """Return the content of a chunk, never more than its stated size.
+
+    mcap's own function has no such bound.
+
+    Raises:
+        UnpackingError: If the size or the checksum is not as stated, or the compression is not known.
+        Exception: Error of the unpacking package, if the chunk is damaged.
+    """
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        import zstandard
+
+        data = zstandard.ZstdDecompressor(max_window_size=LARGEST_PART).stream_reader(chunk.data).read(size + 1)
+    elif chunk.compression == "lz4":
+        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
+
+        data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    elif chunk.compression == "":
+        data = chunk.data
+    else:
+        raise UnpackingError(f"a chunk must be packed by zstd or lz4, not {chunk.compression[:20]!r}")
+    if len(data) != size:
+        raise UnpackingError(f"a chunk must unpack to {size} bytes, as it says")
+    if chunk.uncompressed_crc and zlib.crc32(data) != chunk.uncompressed_crc:
+        raise UnpackingError("a chunk must have the checksum that it says")
+    return data
+
+
+class McapStretch:
+    """Samples of a stretch read so far, by column.
+
+    A constant column, and a copy of another, is stored once.
 
     Args:
         message: Message at the beginning of the stretch.
@@ -151,20 +428,68 @@ class Part:
     """
 
     def __init__(self, message: Any, names: frozenset[str] | None) -> None:
-        self.setup: Setup = check_setup(object_in(message, "setup"))
-        self.metadata = RunMetadata.from_json(message)
-        self.columns = Columns((*FIELDS, *TOTALS), names)
+        made_from = value_in(message, "setup", dict)
+        run = {name: value for name, value in message.items() if name not in ("stretch", "setup")}
+        RunMetadata.from_json(run)
+        self.setup: Setup = check_setup({**made_from, "run": run})
         self.gaps: list[tuple[int, int]] = []
+        self._blocks: dict[str, list[Array]] = {
+            field.name: [] for field in (*FIELDS, *TOTALS) if names is None or field.name in names
+        }
+        self._last: dict[str, Array] = {}
+        self._count = 0
 
     def __len__(self) -> int:
-        return len(self.columns)
+        return self._count
 
-    def array(self, name: str) -> Array:
-        """Return a field of its samples, (N,) or (N, 6)."""
-        return self.columns.array(name)
+    def add(self, values: Mapping[str, Array]) -> None:
+        """Check and store samples as arrays of all fields, (N,) or (N, 6) each.
+
+        Raises:
+            ParameterError: If a sample is invalid.
+        """
+        if self._last:  # with the row before, for checks between rows
+            joined = {name: np.concatenate([self._last[name], part]) for name, part in values.items()}
+            check_rows(joined, self._count - 1)
+        else:
+            check_rows(values)
+        self._count += len(values["tick"])
+        self._last = {name: part[-1:].copy() for name, part in values.items()}
+        kept = {name: _constant_once(part) for name, part in values.items()}
+        kept |= {name: kept[twin] for name, twin in _TWINS.items() if _same(values[name], values[twin])}
+        for name, blocks in self._blocks.items():
+            blocks.append(kept[name])
+
+    def arrays(self) -> dict[str, Array]:
+        """Return the fields of all samples, (N,) or (N, 6) each, not to be changed."""
+        twins = {name: twin for name, twin in _TWINS.items() if {name, twin} <= self._blocks.keys()}
+        copies = [name for name, twin in twins.items() if _identical(self._blocks[name], self._blocks[twin])]
+        found = {name: _joined(self._blocks.pop(name)) for name in list(self._blocks) if name not in copies}
+        return {name: found[twins.get(name, name) if name in copies else name] for name in (*found, *copies)}
 
 
-class Found:
+def _same(one: Array, other: Array) -> bool:
+    """Return True if two arrays are bitwise equal."""
+    return bool((one.view(np.int64) == other.view(np.int64)).all())
+
+
+def _identical(blocks: Sequence[Array], others: Sequence[Array]) -> bool:
+    return all(one is other for one, other in zip(blocks, others, strict=True))
+
+
+def _constant_once(block: Array) -> Array:
+    constant = np.broadcast_to(block[:1], block.shape)
+    return np.broadcast_to(block[:1].copy(), block.shape) if _same(block, constant) else block
+
+
+def _joined(blocks: Sequence[Array]) -> Array:
+    first, count = blocks[0][:1], sum(map(len, blocks))
+    if all(block.strides[0] == 0 and _same(block[:1], first) for block in blocks):
+        return np.broadcast_to(first, (count, *first.shape[1:]))
+    return np.concatenate(blocks)
+
+
+class McapContent:
     """Content of a recording read so far.
 
     Args:
@@ -172,22 +497,25 @@ class Found:
         names: Fields to keep; None for all.
 
     Attributes:
-        parts: Stretches in their order.
+        stretches: Stretches in their order.
         events: Texts of the events.
         event_samples: Number of samples before each event.
         attachments: Files in the file.
-        about: Metadata record at the beginning; empty in older files.
-        damage: Description of damage to the file; empty for none.
+        about: Metadata record at the beginning.
+        damage: Descriptions of damage to the file.
         counted: True if the file's message count was read and right.
     """
 
     def __init__(self, allowance: Allowance, names: frozenset[str] | None) -> None:
-        self.parts: list[Part] = []
+        from mcap import records
+
+        self.stretches: list[McapStretch] = []
         self.events: list[str] = []
         self.event_samples: list[int] = []
         self.attachments: dict[str, bytes] = {}
         self.about: Mapping[str, str] = {}
-        self.damage, self.counted = "", False
+        self.damage: list[str] = []
+        self.counted = False
         self._allowance, self._names = allowance, names
         self._topics: dict[int, str] = {}
         self._counts: dict[int, int] = {}
@@ -195,13 +523,12 @@ class Found:
         self._runs: list[bytes] = []
         self._waiting = 0
         self._tick = 0
-        self._takers: Mapping[int, Callable[[bytes], None]] = {
-            _CHUNK: self._chunk,
-            _CHANNEL: self._channel,
-            _SAID: lambda data: self._walk(_RECORD.pack(_SAID, len(data)) + data),
-            _ATTACHED: self._attachment,
-            _ABOUT: self._metadata,
-            _STATISTICS: self._statistics,
+        self._takers: Mapping[int, tuple[Any, Callable[[Any], None]]] = {
+            _CHUNK: (records.Chunk, self._chunk),
+            _CHANNEL: (records.Channel, self._channel),
+            _ATTACHMENT: (records.Attachment, self._attachment),
+            _METADATA: (records.Metadata, self._metadata),
+            _STATISTICS: (records.Statistics, self._statistics),
         }
 
     def take(self, kind: int, data: bytes) -> None:
@@ -211,71 +538,62 @@ class Found:
             ParameterError: If the record is invalid in a recording.
             Exception: Any error, if the record is damaged.
         """
-        taker = self._takers.get(kind)
-        if taker is not None:
-            taker(data)
-
-    def _chunk(self, data: bytes) -> None:
         from mcap.data_stream import ReadDataStream
-        from mcap.records import Chunk
 
-        chunk = Chunk.read(ReadDataStream(BytesIO(data)))
+        if kind == _ATTACHMENT and _COUNT.unpack(data[-4:])[0] not in (0, zlib.crc32(data[:-4])):
+            self.damage.append("an attachment is damaged, and left out")
+        elif kind == _SAID:
+            self._walk(_RECORD.pack(kind, len(data)) + data)
+        elif kind in self._takers:
+            record, taker = self._takers[kind]
+            taker(record.read(ReadDataStream(BytesIO(data))))
+
+    def _chunk(self, chunk: Chunk) -> None:
         self._allowance.part(chunk.uncompressed_size)
-        self._walk(unpacked(chunk))
+        self._walk(_unpacked(chunk))
 
     def _walk(self, data: bytes) -> None:
         """Take the records of a chunk."""
         at, end = 0, len(data)
         while at < end:
-            if end - at < _RECORD.size:
-                raise UnpackingError("a record must end where its chunk does")
-            kind, length = _RECORD.unpack_from(data, at)
+            kind, length = _RECORD.unpack_from(data, at) if end - at >= _RECORD.size else (0, end)
             after = at + _RECORD.size + length
             if after > end:
                 raise UnpackingError("a record must end where its chunk does")
             if kind == _SAID:
-                if not _MESSAGE.size <= length <= _MOST_MESSAGE:
-                    raise UnpackingError(f"a message must have at most {_MOST_MESSAGE} bytes, not {length}")
-                channel, number = _NUMBERED.unpack_from(data, at + _RECORD.size)
-                topic = self._topic(channel)
-                if topic == SAMPLE and self.about:
-                    after = self._run(data, at, after, channel)
-                else:
-                    self._count(channel, topic, number)
-                    if topic in _OURS:
-                        self._message(topic, data[at + _FRONT : after])
+                after = self._message(data, at, after)
             elif kind == _CHANNEL:
-                self._channel(data[at + _RECORD.size : after])
+                self.take(kind, data[at + _RECORD.size : after])
             elif kind != _SCHEMA:
-                raise UnpackingError(
-                    f"a chunk must hold schemas, channels and messages alone, not records of kind {kind}"
-                )
+                allowed = "schemas, channels and messages alone"
+                raise UnpackingError(f"a chunk must hold {allowed}, not records of kind {kind}")
             at = after
-        if self._waiting >= BLOCK:
-            self.join()
+        if self._waiting >= _BLOCK:
+            self.store_samples()
 
-    def _topic(self, channel: int) -> str:
-        if channel not in self._topics:
+    def _message(self, data: bytes, at: int, after: int) -> int:
+        """Take a message at an offset, or a run of samples; return its end."""
+        if not _MESSAGE.size <= (length := after - at - _RECORD.size) <= _MOST_MESSAGE:
+            raise UnpackingError(f"a message must have at most {_MOST_MESSAGE} bytes, not {length}")
+        channel, number = _NUMBERED.unpack_from(data, at + _RECORD.size)
+        topic = self._topics.get(channel)
+        if topic is None:
             raise ValueError("a message is on no channel")
-        return self._topics[channel]
+        if topic == SAMPLE:
+            return self._run(data, at, after, channel)
+        self._count(channel, number)
+        if topic in _OURS:
+            self.store_samples()
+            self._allowance.text(length)
+            (self._begin if topic == STRETCH else self._event)(parsed(data[at + _FRONT : after]))
+        return after
 
-    def _channel(self, data: bytes) -> None:
-        from mcap.data_stream import ReadDataStream
-        from mcap.records import Channel
-
-        channel = Channel.read(ReadDataStream(BytesIO(data)))
+    def _channel(self, channel: Any) -> None:
         if self._topics.setdefault(channel.id, channel.topic) != channel.topic:
             raise ParameterError(f"channel {channel.id} must be of one topic")
 
-    def _count(self, channel: int, topic: str, number: int, count: int = 1) -> None:
-        """Count messages of a channel; raise if some are missing.
-
-        In older files all messages of this package are numbered together, from 0.
-        """
-        if not self.about:
-            if topic not in _OURS:
-                return
-            channel, number = -1, number + 1
+    def _count(self, channel: int, number: int, count: int = 1) -> None:
+        """Count messages of a channel; raise if some are missing."""
         before = self._counts.get(channel, 0)
         if number != (before + 1) & 0xFFFFFFFF:
             raise ValueError("messages are missing")
@@ -292,13 +610,13 @@ class Found:
         while end <= last and data.startswith(head, end):
             end += size
         (first,), found = _COUNT.unpack_from(data, at + _SAME), (end - at) // size
-        self._count(channel, SAMPLE, first, found)
+        self._count(channel, first, found)
         self._runs.append(data[at:end])
         self._waiting += found
         return end
 
-    def join(self) -> None:
-        """Add the taken samples to their stretch.
+    def store_samples(self) -> None:
+        """Add the waiting samples to their stretch.
 
         Raises:
             ParameterError: If a sample is invalid.
@@ -307,7 +625,7 @@ class Found:
         if not self._runs:
             return
         assert self._layout is not None
-        if not self.parts:
+        if not self.stretches:
             raise ParameterError("a sample must be in a stretch")
         messages = b"".join(self._runs)
         self._runs, self._waiting = [], 0
@@ -316,74 +634,44 @@ class Found:
         good = 1 + int(np.argmin(np.append(np.diff(numbers) == 1, False)))
         rows = records[:good, _FRONT:]
         self._layout.check(rows)
-        stretch = self._layout.values(rows, NUMBER)
-        if (stretch != len(self.parts) - 1).any():
-            wrong = stretch[stretch != len(self.parts) - 1][0]
-            raise ParameterError(f"stretch must be {len(self.parts) - 1}, not {wrong:g}")
+        stretch, last = self._layout.values(rows, STRETCH_NUMBER), len(self.stretches) - 1
+        if (stretch != last).any():
+            raise ParameterError(f"stretch must be {last}, not {stretch[stretch != last][0]:g}")
         values = {field.name: self._layout.values(rows, field) for field in (*FIELDS, *TOTALS)}
-        self.parts[-1].columns.add(values)
+        self.stretches[-1].add(values)
         self._tick = int(values["tick"][-1])
         if good < len(records):
             raise ValueError("messages are missing")
 
-    def _message(self, topic: str, data: bytes) -> None:
-        self.join()
-        if topic != SAMPLE:
-            self._allowance.text(len(data))
-        message, last = parsed(data), len(self.parts) - 1
-        if topic == STRETCH:
-            whole(message, "stretch", at_least=last + 1, at_most=last + 1)
-            self.parts.append(Part(message, self._names))
-        elif topic == EVENT:
-            self._event(message, last)
-        else:
-            whole(message, "stretch", at_least=max(last, 0), at_most=last)
-            self.parts[last].columns.add_row(sample_row(message))
-            self._tick = message["tick"]
+    def _begin(self, message: Any) -> None:
+        if not self.about:
+            raise ParameterError(f"format must be {FORMAT}, not missing")
+        number = len(self.stretches)
+        whole("stretch", value_in(message, "stretch"), at_least=number, at_most=number)
+        self.stretches.append(McapStretch(message, self._names))
 
-    def _event(self, message: Any, last: int) -> None:
-        whole(message, "stretch", at_least=last, at_most=last)
-        whole(message, "tick", at_least=self._tick, at_most=self._tick)
-        kind, text = text_in(message, "kind"), text_in(message, "text")
-        self.events.append(f"{kind}: {text}")
-        self.event_samples.append(sum(map(len, self.parts)))
-        if "missed" in message:
-            missed = whole(message, "missed")
-        else:  # of version 0.1.0: how many is in the text alone
-            said = re.match(r"([0-9]{1,9}) ticks ", text) if kind == "missed" else None
-            missed = int(said[1]) if said else 0
-        if missed and last >= 0:
-            part = self.parts[last]
-            part.gaps.append((len(part), missed))
+    def _event(self, message: Any) -> None:
+        last = len(self.stretches) - 1
+        whole("stretch", value_in(message, "stretch"), at_least=last, at_most=last)
+        whole("tick", value_in(message, "tick"), at_least=self._tick, at_most=self._tick)
+        missed = whole("missed", value_in(message, "missed"))
+        self.events.append(f"{value_in(message, 'kind', str)}: {value_in(message, 'text', str)}")
+        self.event_samples.append(sum(map(len, self.stretches)))
+        if missed and self.stretches:
+            self.stretches[-1].gaps.append((len(self.stretches[-1]), missed))
 
-    def _attachment(self, data: bytes) -> None:
-        from mcap.data_stream import ReadDataStream
-        from mcap.records import Attachment
+    def _attachment(self, attachment: Any) -> None:
+        self.attachments[attachment.name] = attachment.data
 
-        (said,) = struct.unpack("<I", data[-4:])
-        if said not in (0, zlib.crc32(data[:-4])):
-            raise ValueError("an attachment must have the checksum that it says")
-        attached = Attachment.read(ReadDataStream(BytesIO(data)))
-        self.attachments[attached.name] = attached.data
-
-    def _metadata(self, data: bytes) -> None:
-        from mcap.data_stream import ReadDataStream
-        from mcap.records import Metadata
-
-        record = Metadata.read(ReadDataStream(BytesIO(data)))
-        if record.name == METADATA and not self.parts:
-            self.about = record.metadata
-            if text_in(self.about, "format") != FORMAT:
+    def _metadata(self, metadata: Any) -> None:
+        if metadata.name == METADATA and not self.stretches:
+            self.about = metadata.metadata
+            if value_in(self.about, "format") != FORMAT:
                 raise ParameterError(f"format must be {FORMAT}, not {json.dumps(self.about['format'])[:40]}")
 
-    def _statistics(self, data: bytes) -> None:
-        from mcap.data_stream import ReadDataStream
-        from mcap.records import Statistics
-
-        said: Mapping[int, int] = Statistics.read(ReadDataStream(BytesIO(data))).channel_message_counts
-        if not self.about:
-            said = {-1: sum(count for channel, count in said.items() if self._topic(channel) in _OURS)}
-        missing = sum(said.values()) - sum(self._counts.values())
-        if missing or any(self._counts.get(channel, 0) != count for channel, count in said.items()):
+    def _statistics(self, statistics: Any) -> None:
+        stated: Mapping[int, int] = statistics.channel_message_counts
+        missing = sum(stated.values()) - sum(self._counts.values())
+        if missing or any(self._counts.get(channel, 0) != count for channel, count in stated.items()):
             raise ValueError(f"{missing} messages are missing")
         self.counted = True

@@ -33,10 +33,8 @@ from foxglove.messages import (
 )
 
 from maglev_mj.frames import Array, quaternion, rotation_matrix
-from maglev_mj.recording import protobuf
-from maglev_mj.recording.mcap import EVENT, SAMPLE, STRETCH
-from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
-from maglev_mj.recording.row import FIELDS, Field, Row, as_rows, named, schema
+from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, STRETCH, STRETCH_NUMBER, descriptor, packed
+from maglev_mj.recording.sample import FIELDS, Field, Row, RunMetadata, Setup, Totals, as_rows, named, schema
 from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
 
 FRAMES, SCENE, LOG = "/tf", "/maglev/scene", "/log"
@@ -52,7 +50,7 @@ _LEVELS = {
     "refused": LogLevel.Warning,
 }
 _WRENCH = "N", "N m"
-_NUMBER = schema(Field("stretch", "", "number of the stretch, from 0"))
+_NUMBER = schema(STRETCH_NUMBER)
 _STRETCH_FIELDS = {
     "stretch": _NUMBER,
     "setup": {
@@ -105,7 +103,7 @@ class Messages:
         happens = "something that a person should know of"
         self._stretch_channel = Channel(STRETCH, schema=_schema("Stretch", _STRETCH_FIELDS, begins), context=context)
         self._event_channel = Channel(EVENT, schema=_schema("Event", _EVENT_FIELDS, happens), context=context)
-        sample = Schema(name=protobuf.NAME, encoding="protobuf", data=protobuf.descriptor())
+        sample = Schema(name=NAME, encoding="protobuf", data=descriptor())
         self._sample = Channel(SAMPLE, message_encoding="protobuf", schema=sample, context=context).base
         self._frames = FrameTransformsChannel(FRAMES, context=context)
         self._scene = SceneUpdateChannel(SCENE, context=context)
@@ -134,7 +132,7 @@ class Messages:
         run = setup["run"]
         metadata = RunMetadata.from_json(run)
         self._totals = Totals(metadata)
-        plates = [plate for plate in map(wall_plate, metadata.faces or ()) if plate]
+        plates = [plate for plate in map(wall_plate, metadata.faces) if plate]
         walls = [Shape(False, "box", half, place, _UPRIGHT, _WALL) for place, half in plates]
         self._drawn, self._stick = [*self._device, ("stator", "walls", _primitives(walls))], None
         whole = {name: part for name, part in setup.items() if name != "run"}
@@ -175,7 +173,7 @@ class Messages:
             self._first = time
         self._tick = int(tick)
         self._now = max(self._now, self._began + round((time - self._first) * 1e9))
-        self._sample.log(protobuf.packed(self._stretch, row, totals), self._now)
+        self._sample.log(packed(self._stretch, row, totals), self._now)
         turn = math.floor((time - self._first) * _SHOWN + 1e-6)
         if turn > self._shown:
             self._shown = turn

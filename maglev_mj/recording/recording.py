@@ -4,43 +4,44 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from dataclasses import replace as replaced
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, ClassVar
-from zipfile import ZIP_STORED, ZipFile
+from typing import IO, Any, ClassVar
+from zipfile import ZIP_STORED
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, file_path
 from maglev_mj.frames import AXES, Array
-from maglev_mj.recording.checks import (
-    Allowance,
-    UnpackingError,
+from maglev_mj.parameters import whole
+from maglev_mj.recording.mcap import MAGIC, Allowance, UnpackingError, read_mcap
+from maglev_mj.recording.sample import (
+    ARRAYS,
+    FIELDS,
+    TOTALS,
+    Field,
+    RunMetadata,
+    Setup,
     check_rows,
     check_setup,
-    list_in,
-    object_in,
+    is_recorded,
     parsed,
-    text_in,
-    whole,
+    units,
+    value_in,
 )
-from maglev_mj.recording.metadata import RunMetadata, Setup
-from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, told, units
-from maglev_mj.tabular import Table, Tabular
-
-if TYPE_CHECKING:
-    from maglev_mj.recording.mcap import Found
-    from maglev_mj.recording.samples import Samples
+from maglev_mj.result import Result, Table
 
 _ZIP = b"PK"
 _FORMAT = "maglev_mj recording 1"
+_RECORDED = [one.name for one in FIELDS]
 
 READ = "a Recording, as Recording.load(FILE) returns"
-"""Allowed values of a recording, for messages."""
+READ_STRETCH = "a Stretch, such as Recording.load(FILE).stretches[0]"
+"""Allowed values of a recording and a stretch, for messages."""
 
 
 class RecordingError(MaglevError):
@@ -55,63 +56,56 @@ class InvalidRecordingError(RecordingError, ParameterError):
 class Stretch:
     """N samples under one controller.
 
-    Each field of a sample is an attribute too: `stretch.position` is `stretch.rows["position"]`, (N, 6).
+    Each field of a sample is an attribute: `stretch.position` is `stretch.arrays["position"]`, (N, 6). An index gives
+    some of the samples, without totals and gaps: `stretch[100:200]`.
 
     Attributes:
-        setup: Setup of plant and controller, without the metadata.
-        rows: The samples, (N,), a structured array of `maglev_mj.recording.ROW`; a command is not finite if the plant
-            refused it for that reason.
-        totals: Energy absorbed by the rendered world [J], work of the hand [J] and missed samples, each from the
-            beginning on, (N,); None if not recorded.
-        metadata: Metadata; None in older files without them.
+        setup: Setup of plant and controller, with the metadata as `run`.
+        arrays: Fields by name, (N,) or (N, 6) each, not to be changed; a command is not finite if the plant refused
+            it for that reason. The totals, if recorded, are energy absorbed by the rendered world, `taken` [J], work
+            of the hand, `hand_work` [J], and samples `missed`, each from the beginning on.
         gaps: Samples missed without a gap in the ticks: row that follows, and number.
+        metadata: Metadata of the setup.
+
+    Raises:
+        ParameterError: If a value of the metadata is missing or out of range.
     """
 
     setup: Setup
-    rows: Rows
-    totals: Rows | None = None
-    metadata: RunMetadata | None = None
+    arrays: Mapping[str, Array]
     gaps: Sequence[tuple[int, int]] = ()
+    metadata: RunMetadata = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "metadata", RunMetadata.from_json(value_in(self.setup, "run", dict)))
 
     def __getattr__(self, name: str) -> Array:
-        rows = self.__dict__.get("rows")
-        if rows is None or name not in rows.dtype.names:
+        arrays = self.__dict__.get("arrays", {})
+        if name not in arrays:
             raise AttributeError(f"a stretch has no {name!r}")
-        return np.asarray(rows[name])
+        return np.asarray(arrays[name])
 
     def __len__(self) -> int:
-        return len(self.rows)
+        return len(next(iter(self.arrays.values())))
 
-    @property
-    def whole_setup(self) -> dict[str, Any]:
-        """Setup including the metadata, as stored in a file."""
-        return {**self.setup, **({} if self.metadata is None else {"run": self.metadata.as_json()})}
+    def __getitem__(self, rows: slice | NDArray[Any]) -> Stretch:
+        totals = {one.name for one in TOTALS}
+        arrays = {name: values[rows] for name, values in self.arrays.items() if name not in totals}
+        return replaced(self, arrays=arrays, gaps=())
 
     @property
     def known_hand(self) -> Array:
         """Hand's wrench [N, N m], (N, 6); zero if unknown."""
         return np.nan_to_num(self.hand)
 
-    def part(self, first: int, last: int) -> Stretch:
-        """Return the samples from one row to another, both included.
-
-        Totals and gaps are left out.
-        """
-        return replaced(self, rows=self.rows[first : last + 1], totals=None, gaps=())
-
-    def replace(self, **values: Any) -> Stretch:
-        """Return a copy with other values of some fields.
-
-        Arrays of the stretch's length by field name.
-        """
-        rows = self.rows.copy()
-        for name, value in values.items():
-            rows[name] = value
-        return replaced(self, rows=rows)
+    def replace(self, **values: ArrayLike) -> Stretch:
+        """Return a copy with other values of some fields, one for each sample or for all."""
+        new = {name: np.array(np.broadcast_to(one, self.arrays[name].shape), float) for name, one in values.items()}
+        return replaced(self, arrays={**self.arrays, **new})
 
 
 @dataclass(frozen=True, eq=False)
-class Recording(Tabular):
+class Recording(Result):
     """Recording of one run.
 
     Attributes:
@@ -120,7 +114,7 @@ class Recording(Tabular):
         event_samples: Number of samples before each event; empty in files without it.
         damage: Description of damage to the file, such as a missing end; empty for none.
         attachments: Attached files by name.
-        about: Format of the file and versions of the code that made it; empty in older files.
+        about: Format of the file and versions of the code that made it.
 
     Example:
         >>> from maglev_mj import find_scene, record_run
@@ -141,11 +135,18 @@ class Recording(Tabular):
     def __post_init__(self) -> None:
         check_instance("stretches", self.stretches, list | tuple, "a list of Stretch, as Recording.load(FILE) reads")
 
-    def samples(self) -> Samples:
-        """Return all samples of all stretches as arrays."""
-        from maglev_mj.recording.samples import samples_of  # which needs what is defined here
+    def samples(self, fields: Sequence[str] = _RECORDED) -> Samples:
+        """Return fields of all samples as arrays; NaN for totals that were not recorded."""
 
-        return samples_of(self, [one.name for one in FIELDS])
+        def joined(name: str) -> Array:
+            parts = [one.arrays.get(name, np.full(len(one), np.nan)) for one in self.stretches]
+            if len(parts) == 1:
+                return parts[0]
+            return np.concatenate(parts) if parts else np.empty((0, 6) if _FIELDS[name].six else 0)
+
+        sizes = [len(one) for one in self.stretches]
+        numbers = np.repeat(np.arange(len(sizes)), sizes)
+        return Samples(arrays={name: joined(name) for name in fields}, stretch=numbers, recording=self)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns of all samples, (N,) each; see `Samples.columns`."""
@@ -172,23 +173,19 @@ class Recording(Tabular):
         Raises:
             OSError: If it cannot be written.
         """
-        arrays: dict[str, Any] = {
-            f"{index}/{name}": _array_of(stretch.rows, name)
-            for index, stretch in enumerate(self.stretches)
-            for name, fields in ARRAYS.items()
-            if any(told(one, stretch.rows[one.name]) for one in fields)
-        }
+        attached = enumerate(self.attachments.values())
+        arrays: dict[str, Any] = {f"attachment/{place}": np.frombuffer(data, np.uint8) for place, data in attached}
         for index, stretch in enumerate(self.stretches):
-            if stretch.totals is not None:
-                arrays |= {f"{index}/{one.name}": stretch.totals[one.name] for one in TOTALS}
-        setups = [stretch.whole_setup for stretch in self.stretches]
-        arrays |= {f"attachment/{place}": _bytes(data) for place, data in enumerate(self.attachments.values())}
+            for name, fields in _STORED.items():
+                columns = [stretch.arrays[one.name] for one in fields if one.name in stretch.arrays]
+                if any(is_recorded(one, values) for one, values in zip(fields, columns)):
+                    arrays[f"{index}/{name}"] = columns[0] if len(columns) == 1 else np.column_stack(columns)
         header: dict[str, Any] = {
             "format": _FORMAT,
             "axes": AXES,
             "units": units(),
             "gaps": [list(stretch.gaps) for stretch in self.stretches],
-            "setups": setups,
+            "setups": [stretch.setup for stretch in self.stretches],
             "events": list(self.events),
             "damage": self.damage,
             "attachments": list(self.attachments),
@@ -212,8 +209,7 @@ class Recording(Tabular):
             InvalidRecordingError: If it is missing, no recording, or invalid, for example by a number that is
                 not finite, of another type or out of range.
         """
-        found = read_file(path)
-        return found if isinstance(found, Recording) else _recording(found)
+        return _read(path)
 
     @property
     def ticks(self) -> int:
@@ -221,54 +217,33 @@ class Recording(Tabular):
         return sum(len(stretch) for stretch in self.stretches)
 
 
-def read_file(path: Path | str, names: frozenset[str] | None = None) -> Recording | Found:
-    """Read a file of either format.
-
-    Args:
-        path: The file.
-        names: Fields of an MCAP file to keep; None for all.
-
-    Raises:
-        MissingPackageError: If an MCAP file needs a package that is not installed.
-        InvalidRecordingError: See `Recording.load`.
-    """
-    from maglev_mj.recording.mcap import MAGIC, read_mcap  # it imports this module
-
+def _read(path: Path | str, names: frozenset[str] | None = None) -> Recording:
+    """Read a file of either format, some fields of MCAP or all; see `Recording.load`."""
     path = file_path(path)
     try:
         with path.open("rb", buffering=1 << 20) as file:
             size, first = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
             file.seek(0)
+            if first == MAGIC:
+                return _read_mcap(file, size, names)
             if first[:2] not in (MAGIC[:2], _ZIP):
                 raise ParameterError("it is neither MCAP nor .npz")
-            return read_mcap(file, size, names) if first == MAGIC else _read_arrays(file, size)
+            return _read_arrays(file, size)
     except OSError as error:
         raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
     except ParameterError as error:
         raise InvalidRecordingError(f"{str(path)!r} is not a whole recording: {error}") from None
 
 
-def _recording(found: Found) -> Recording:
-    """Return the content of an MCAP file as a recording."""
-    stretches = []
-    for part in found.parts:
-        if not len(part):
-            continue
-        tables = []
-        for fields in (FIELDS, TOTALS):
-            rows = as_rows(np.empty((len(part), sum(len(one.units) for one in fields))), fields)
-            for one in fields:
-                rows[one.name] = part.array(one.name)
-            tables.append(rows)
-        rows, totals = tables
-        stretches.append(Stretch(setup=part.setup, rows=rows, totals=totals, metadata=part.metadata, gaps=part.gaps))
+def _read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None) -> Recording:
+    content = read_mcap(file, size, names)
     return Recording(
-        stretches,
-        events=found.events,
-        event_samples=found.event_samples,
-        damage=found.damage,
-        attachments=found.attachments,
-        about=found.about,
+        [Stretch(setup=one.setup, arrays=one.arrays(), gaps=one.gaps) for one in content.stretches if len(one)],
+        events=content.events,
+        event_samples=content.event_samples,
+        damage="; ".join(content.damage),
+        attachments=content.attachments,
+        about=content.about,
     )
 
 
@@ -286,25 +261,10 @@ def aside(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def split_setup(value: Any) -> tuple[Setup, RunMetadata | None]:
-    """Return setup and metadata of a file's setup entry.
+_FIELDS: Mapping[str, Field] = {one.name: one for one in (*FIELDS, *TOTALS)}
 
-    Raises:
-        ParameterError: If it is not a setup, or a value is missing or out of range.
-    """
-    setup = dict(check_setup(value))
-    run = setup.pop("run", None)
-    return setup, None if run is None else RunMetadata.from_json(object_in({"run": run}, "run"))
-
-
-def _bytes(data: bytes) -> NDArray[np.uint8]:
-    return np.frombuffer(data, np.uint8)
-
-
-def _array_of(rows: Rows, name: str) -> Array:
-    """Return one array of a file: one or several fields."""
-    values: list[Array] = [rows[field.name] for field in ARRAYS[name]]
-    return np.ascontiguousarray(values[0] if len(values) == 1 else np.column_stack(values))
+_STORED: Mapping[str, Sequence[Field]] = {**ARRAYS, **{one.name: [one] for one in TOTALS}}
+"""Fields in each array of a stretch."""
 
 
 def _read_arrays(file: IO[bytes], size: int) -> Recording:
@@ -316,90 +276,146 @@ def _read_arrays(file: IO[bytes], size: int) -> Recording:
     """
     allowance = Allowance(size)
     try:
-        with ZipFile(file) as archive:
-            header = _header(archive, allowance)
-            setups = header["setups"]
-            if not isinstance(setups, list):
-                raise ParameterError("setups must be a list")
-            gaps = list_in(header, "gaps") if "gaps" in header else [[] for _ in setups]
-            stretches = [
-                _stretch(archive, allowance, *one) for one in zip(range(len(setups)), setups, gaps, strict=True)
-            ]
-            attachments = {
-                text_in({"attachment": name}, "attachment"): bytes(_array(archive, allowance, f"attachment/{place}"))
-                for place, name in enumerate(header.get("attachments", ()))
-            }
-            about = {name: text_in(header["about"], name) for name in header.get("about", ())}
-            damage = text_in(header, "damage") if "damage" in header else ""
+        with np.load(file, allow_pickle=False) as arrays:
+            for member in arrays.zip.infolist():
+                if member.compress_type != ZIP_STORED:
+                    allowance.part(member.file_size)
+                elif member.file_size != member.compress_size:
+                    raise UnpackingError(f"{member.filename} must have one size")
+            text = str(arrays["header"])
+            allowance.text(len(text))
+            header = parsed(text)
+            if value_in(header, "format", str) != _FORMAT:
+                raise ParameterError(f"format must be {_FORMAT!r}, not {header['format']!r}")
+            setups, gaps = value_in(header, "setups", list), value_in(header, "gaps", list)
+            names = value_in(header, "attachments", list)
+            return Recording(
+                [_read_stretch(arrays, *one) for one in zip(range(len(setups)), setups, gaps, strict=True)],
+                events=_texts(value_in(header, "events", list)),
+                event_samples=[whole("event_samples", one) for one in header.get("event_samples", ())],
+                damage=value_in(header, "damage", str),
+                attachments={name: arrays[f"attachment/{place}"].tobytes() for place, name in enumerate(_texts(names))},
+                about=dict(zip(header["about"], _texts(header["about"].values()), strict=True)),
+            )
     except (OSError, ParameterError):
         raise
     except UnpackingError as error:
         raise ParameterError(str(error)) from None
     except Exception:  # errors of zip files, unpacking and headers: a damaged file fails in many ways
         raise ParameterError("it is damaged") from None
-    events = header.get("events", [])
-    if not isinstance(events, list):
-        raise ParameterError("events must be a list")
-    texts = tuple(text_in({"event": event}, "event") for event in events)
-    counts = list_in(header, "event_samples") if "event_samples" in header else ()
-    samples = tuple(whole({"event_samples": count}, "event_samples") for count in counts)
-    return Recording(
-        stretches, events=texts, event_samples=samples, damage=damage, attachments=attachments, about=about
-    )
 
 
-def _header(archive: ZipFile, allowance: Allowance) -> Mapping[str, Any]:
-    text = str(_array(archive, allowance, "header"))
-    allowance.text(len(text))
-    header = parsed(text)
-    if text_in(header, "format") != _FORMAT:
-        raise ParameterError(f"format must be {_FORMAT!r}, not {header['format']!r}")
-    return dict(header)
+def _texts(values: Iterable[Any]) -> list[str]:
+    return [value_in({"a text": value}, "a text", str) for value in values]
 
 
-def _stretch(archive: ZipFile, allowance: Allowance, index: int, setup: Any, gaps: Any) -> Stretch:
-    names = set(archive.namelist())
-    found = {
-        name: _column(_array(archive, allowance, f"{index}/{name}"), sum(len(field.units) for field in fields), name)
-        for name, fields in _STORED.items()
-        if f"{index}/{name}.npy" in names or not all(field.optional or field in TOTALS for field in fields)
-    }
-    lengths = {len(values) for values in found.values()}
-    if len(lengths) > 1:
-        raise ParameterError(f"the arrays of stretch {index} must be of one length")
-    size, whole_totals = lengths.pop(), all(field.name in found for field in TOTALS)
-    rows, totals = np.full(size, np.nan, dtype=ROW), as_rows(np.full((size, len(TOTALS)), np.nan), TOTALS)
-    for name, values in found.items():
-        start, columns = 0, values.reshape(size, -1)
-        for one in _STORED[name]:
-            part = columns[:, start : start + len(one.units)]
-            (totals if one in TOTALS else rows)[one.name] = part if one.six else part[:, 0]
-            start += len(one.units)
-    tables = (rows, totals) if whole_totals else (rows,)
-    check_rows({name: table[name] for table in tables for name in table.dtype.names or ()})
-    missed = [(whole({"a gap": row}, "a gap", at_most=size), whole({"a gap": count}, "a gap")) for row, count in gaps]
-    made_from, metadata = split_setup(setup)
-    known = totals if whole_totals else None
-    return Stretch(setup=made_from, rows=rows, totals=known, metadata=metadata, gaps=missed)
+def _read_stretch(stored: Any, index: int, setup: Any, gaps: Any) -> Stretch:
+    arrays: dict[str, Array] = {}
+    size = len(stored[f"{index}/tick"])
+    for name, fields in _STORED.items():
+        columns = np.cumsum([len(one.units) for one in fields])
+        shape = (size,) if columns[-1] == 1 else (size, columns[-1])
+        if f"{index}/{name}" in stored:
+            values = stored[f"{index}/{name}"]
+            if values.dtype != np.float64 or values.shape != shape:
+                raise ParameterError(f"{name} must be float64 {shape}, not {values.dtype} {values.shape}")
+        elif all(one.optional for one in fields):
+            values = np.full(shape, np.nan)
+        elif fields[0] in TOTALS:
+            continue
+        else:
+            raise ParameterError(f"a stretch must have {name}")
+        parts = np.split(values.reshape(size, -1), columns[:-1], axis=1)
+        arrays |= {one.name: part if one.six else part[:, 0] for one, part in zip(fields, parts, strict=True)}
+    check_rows(arrays)
+    missed = [(whole("a gap", row, at_most=size), whole("a gap", count)) for row, count in gaps]
+    return Stretch(setup=check_setup(setup), arrays=arrays, gaps=missed)
 
 
-_STORED = {**ARRAYS, **{field.name: [field] for field in TOTALS}}
-"""Fields in each array of a stretch."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Samples(Result):
+    """All N samples of a recording, fields as attributes.
+
+    For example `samples.position`.
+
+    Attributes:
+        arrays: Fields by name, (N,) or (N, 6), not to be changed; NaN for values missing in the file.
+        units: Unit of each column, such as `position.z`; empty for a whole number.
+        stretch: Number of the stretch of each sample, from 0, (N,).
+        recording: The recording, with setups, metadata, events, attachments and damage.
+    """
+
+    arrays: Mapping[str, Array]
+    stretch: NDArray[np.int64]
+    recording: Recording
+    drawn_by: ClassVar = "maglev_mj.plots.recorded:samples"
+
+    def __getattr__(self, name: str) -> Array:
+        arrays = self.__dict__.get("arrays", {})
+        if name not in arrays:
+            raise AttributeError(f"the samples have no {name!r}: it was not loaded, or is no field")
+        return np.asarray(arrays[name])
+
+    def __len__(self) -> int:
+        return len(self.stretch)
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """Unit of each column."""
+        return dict(unit for name in self.arrays for unit in _FIELDS[name].units)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the columns by name, (N,) each.
+
+        `stretch` comes first, then those of `units`. Columns without unit are whole numbers.
+        """
+        found: dict[str, NDArray[Any]] = {"stretch": self.stretch}
+        for name, values in self.arrays.items():
+            field = _FIELDS[name]
+            for place, (column, unit) in enumerate(field.units):
+                part = values[:, place] if field.six else values
+                found[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
+        return found
+
+    def to_pandas(self) -> Any:
+        """Return a data frame with one row per sample.
+
+        Its `attrs` hold units and events.
+
+        Raises:
+            MissingPackageError: If pandas is not installed.
+        """
+        frame = super().to_pandas()
+        frame.attrs["events"] = list(self.recording.events)
+        return frame
 
 
-def _array(archive: ZipFile, allowance: Allowance, name: str) -> Any:
-    """Return an array after checking its size."""
-    info = archive.getinfo(f"{name}.npy")
-    if info.compress_type != ZIP_STORED:
-        allowance.part(info.file_size)
-    elif info.file_size != info.compress_size:
-        raise UnpackingError(f"{name} must have one size, not {info.file_size} and {info.compress_size}")
-    with archive.open(info) as member:
-        return np.lib.format.read_array(member, allow_pickle=False)
+def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Samples:
+    """Read a recording as arrays.
 
+    An hour at 1 kHz takes some seconds and below 1 GB: a field that is constant or equals another is stored once.
 
-def _column(array: Any, count: int, name: str) -> Array:
-    if array.dtype != np.float64 or array.ndim != (1 if count == 1 else 2) or (count > 1 and array.shape[1] != count):
-        shape = "(N,)" if count == 1 else f"(N, {count})"
-        raise ParameterError(f"{name} must be numbers {shape}, not {array.dtype} {array.shape}")
-    return np.asarray(array)
+    Args:
+        path: A file of either format; an MCAP file that was not closed is read up to its last complete chunk.
+        fields: Names of the fields to keep, such as "time" and "position"; None for all.
+
+    Raises:
+        MissingPackageError: If an MCAP file needs a package that is not installed.
+        InvalidRecordingError: If it is missing, no recording, or invalid.
+        ParameterError: If a field is not known.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from maglev_mj import find_scene, load_samples, write_run
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = write_run(Path(folder, "run.npz"), find_scene("drop")(duration=0.1), plant="exact")[0]
+        ...     samples = load_samples(file, ["time", "position"])
+        >>> samples.position.shape
+        (21, 6)
+    """
+    names = list(_FIELDS) if fields is None else list(fields)
+    unknown = [name for name in names if name not in _FIELDS]
+    if unknown:
+        raise ParameterError(f"fields must be of {', '.join(_FIELDS)}, not {unknown[0]!r}")
+    return _read(path, frozenset({"tick", *names})).samples(names)

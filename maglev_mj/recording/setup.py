@@ -22,9 +22,8 @@ from maglev_mj.laws.base import FunctionLaw
 from maglev_mj.model import model_files, model_names
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing, engine_warnings_silenced
-from maglev_mj.recording.checks import check_setup, text_in
-from maglev_mj.recording.metadata import RunMetadata, Setup
 from maglev_mj.recording.recording import InvalidRecordingError
+from maglev_mj.recording.sample import RunMetadata, Setup, check_setup, value_in
 from maglev_mj.versions import file_of, hash_of
 
 Own: TypeAlias = Callable[[str], Any]
@@ -300,7 +299,7 @@ def _made(slot: str, told: Any, own: Own | None, more: Mapping[str, Any] | None 
             raise ParameterError(f"{slot} must be at most {most}, not {len(told)}")
         return [_made(slot, one, own) for one in told]
     if isinstance(told, dict):
-        name = text_in(told, "class")
+        name = value_in(told, "class", str)
         cls = {one.__name__: one for one in _SLOTS.get(slot, ())}.get(name)
         if cls is None:
             cls = _own(slot, name, own)

@@ -15,9 +15,21 @@ from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.hand import HandForce, RecordedHand
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.recording.files import row_of
-from maglev_mj.recording.metadata import RunMetadata, Setup, Totals
 from maglev_mj.recording.recording import READ, Recording, Stretch
-from maglev_mj.recording.row import ARRAYS, FIELDS, ROW, TOTALS, Rows, as_rows, as_table, compiled, named, told
+from maglev_mj.recording.sample import (
+    ARRAYS,
+    FIELDS,
+    ROW,
+    TOTALS,
+    Rows,
+    RunMetadata,
+    Setup,
+    Totals,
+    as_rows,
+    as_table,
+    compiled,
+    is_recorded,
+)
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
 """Function that rebuilds plant and controller.
@@ -124,9 +136,9 @@ def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tup
         ParameterError: If a setup cannot be rebuilt.
     """
     for place, stretch in enumerate(recording.stretches):
-        part = stretch.part(0, most - 1)
+        part = stretch[:most]
         answers = _answers(part, rebuild(part.setup, None)[1])
-        same = {field.name: _same(part.rows[field.name], answers[field.name]) for field in _COMMANDED}
+        same = {field.name: _same(part.arrays[field.name], answers[field.name]) for field in _COMMANDED}
         first = {name: int(np.argmin(one)) for name, one in same.items() if not one.all()}
         if first:
             name = min(first, key=lambda name: first[name])
@@ -172,27 +184,22 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[
         yield "samples", np.array([count]), np.array([count if failed else float(expected.samples)])
     answers = _answers(stretch, controller)
     for field in (field for array in ARRAYS.values() for field in array):
-        if not told(field, stretch.rows[field.name]):
+        recorded = stretch.arrays[field.name]
+        if not is_recorded(field, recorded):
             continue
         again = answers if field in _COMMANDED else seen if field.name != "hand" or expected.scripted else None
-        yield field.name, stretch.rows[field.name], None if again is None else again[field.name]
-    if stretch.totals is not None and stretch.metadata is not None:
-        totals = _totals(stretch, stretch.metadata)
-        for field in TOTALS:
-            yield field.name, stretch.totals[field.name], totals[field.name]
+        yield field.name, recorded, None if again is None else again[field.name]
+    if all(field.name in stretch.arrays for field in TOTALS):
+        for field, totals in zip(TOTALS, _totals(stretch).T, strict=True):
+            yield field.name, stretch.arrays[field.name], totals
     yield from metadata
 
 
 def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controller, expected: Expected) -> list[_Field]:
     """Return the metadata fields, one row each, names excluded."""
     recorded = stretch.metadata
-    if recorded is None:
-        return []
-    known: dict[str, Any] = {"period": controller.period, "carried": controller.carried}
-    names = ["period", "delay", "carried", "inertia", "load", "before"]
-    if recorded.faces is not None:
-        names += ["faces", "hand_recorded", "hand_acts_on_flotor"]
-        known["faces"] = controller.faces
+    known: dict[str, Any] = {name: getattr(controller, name) for name in ("period", "carried", "faces")}
+    names = "period", "delay", "carried", "inertia", "load", "before", "faces", "hand_recorded", "hand_acts_on_flotor"
     if plant is not None:
         made = RunMetadata.of(plant, controller)
         known |= {name: getattr(made, name) for name in names if name not in (*known, "hand_recorded")}
@@ -248,12 +255,12 @@ def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows
     return seen, False
 
 
-def _totals(stretch: Stretch, metadata: RunMetadata) -> Rows:
-    """Return the totals at each sample, (N,)."""
-    adding, gaps = Totals(metadata), list(stretch.gaps)
-    found = []
-    for index, row in enumerate(as_table(stretch.rows).tolist()):
-        while gaps and gaps[0][0] <= index:
-            adding.miss(gaps.pop(0)[1])
-        found.append(adding.add(named(row)))
-    return as_rows(found, TOTALS)
+def _totals(stretch: Stretch) -> Array:
+    """Return the totals at each sample, (N, 3)."""
+    adding, found, first = Totals(stretch.metadata), list[Array](), 0
+    for row, missed in (*stretch.gaps, (len(stretch), 0)):
+        if row > first:
+            found.append(adding.take(stretch[first:row].arrays))
+            first = row
+        adding.miss(missed)
+    return np.concatenate(found)

@@ -1,6 +1,9 @@
-"""Writer process: rows from a ring, events from a pipe.
+"""Recording written during the run by a separate process.
 
-It ends with the pipe: the recording was closed, or the recording process has ended.
+That process outlives the recording one, even if that is killed. Rows pass through shared memory. Each row stands
+between two copies of its number, from 1. A reader takes a row only if both are right: the first copy is written first
+and the second last. Events pass through a pipe; the writer ends with it: the recording was closed, or the recording
+process has ended.
 """
 
 from __future__ import annotations
@@ -8,8 +11,12 @@ from __future__ import annotations
 import base64
 import json
 import math
+import mmap
 import os
+import struct
+import subprocess
 import sys
+import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -18,19 +25,289 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
-from foxglove import Context, open_mcap, set_log_level
-from foxglove.mcap import MCAPWriteOptions
-
-from maglev_mj.recording.live import RowReader
-from maglev_mj.recording.mcap import FORMAT, METADATA
-from maglev_mj.recording.messages import Messages
-from maglev_mj.recording.row import units
+from maglev_mj.controller import Controller
+from maglev_mj.frames import Command, Sample
+from maglev_mj.interrupts import interrupts_held
+from maglev_mj.loop import Record
+from maglev_mj.parameters import flag
+from maglev_mj.recording.mcap import FORMAT, METADATA, require_mcap
+from maglev_mj.recording.recording import RecordingError
+from maglev_mj.recording.sample import ROW, RecordedPlant, Row, Setup, compiled, units
+from maglev_mj.recording.setup import attach_parts, whole_setup
 from maglev_mj.versions import versions
 
-_NAP = 0.02
+ROWS = 1 << 15
+"""Rows in the shared memory.
+
+1.6 s at 20 kHz: the longest time for the writer's start or pause.
+"""
+
+_SLOT = struct.Struct(f"{ROW.itemsize // 8 + 2}d")  # native, which packs faster
+_HEAD, _PLACE = 64, struct.Struct("=q")  # bytes in front of the rows, the first eight of them the reader's place
+
+_PATIENCE = 60.0
+# a window waits for the end, and the interpreter takes its time
+_WRITER = "import os; from maglev_mj.recording.writer import main; main(); os._exit(0)"
+_THERE = {"flags": mmap.MAP_SHARED | mmap.MAP_POPULATE} if hasattr(mmap, "MAP_POPULATE") else {}  # not in the tick
+_LOOKED_AFTER = 512
+_MASK = ROWS - 1
 _TOGETHER = 1 << 10  # samples that are added up at once
-_LOST = 0.1  # s that a SIGKILL to this process may cost
+_LOST = 0.1  # s that a SIGKILL to the writer may cost
 _CHUNK = 1 << 16  # before it is packed: some 150 samples, lost by damage to one of its bytes
+_NAP, _WRITER_NAP = 1e-3, 0.02
+
+_PUT = f"""count = ring.count
+number = count + 1
+pack(memory, {_HEAD} + (count & {_MASK}) * {_SLOT.size}, number, {{values}}, number)
+ring.count = number"""
+
+
+class Ring:
+    """Writing end of the ring buffer.
+
+    Args:
+        wait: Called repeatedly while the ring is full; None for no waiting, so that rows are lost.
+
+    Attributes:
+        descriptor: File descriptor of the memory, for the reader; the memory has no name that could outlive both.
+        count: Rows put in so far.
+
+    Raises:
+        OSError: If the memory cannot be allocated.
+    """
+
+    def __init__(self, *, wait: Callable[[], object] | None = None) -> None:
+        shared, size = Path("/dev/shm"), _HEAD + ROWS * _SLOT.size
+        self.count, self._wait = 0, wait
+        self._file = tempfile.TemporaryFile(dir=shared if shared.is_dir() else None)
+        try:
+            if hasattr(os, "posix_fallocate"):  # a page that is not to be had would end the process at its first use
+                os.posix_fallocate(self._file.fileno(), 0, size)
+            self._file.truncate(size)
+            self._memory = mmap.mmap(self._file.fileno(), size, **_THERE)
+        except BaseException:
+            self._file.close()
+            raise
+        self.descriptor = self._file.fileno()
+
+    def record(self, plant: RecordedPlant) -> Record:
+        """Return the function that writes one row per cycle.
+
+        A compiled function, because it is called in every tick and a method is slower.
+
+        Args:
+            plant: Plant with the hand's wrench.
+        """
+        names: dict[str, Any] = {"pack": _SLOT.pack_into, "memory": self._memory, "ring": self, "plant": plant}
+        put = compiled("sample, command, applied", _PUT, **names)
+        if self._wait is None:
+            return put
+
+        def put_and_wait(sample: Sample, command: Command, applied: Command) -> None:
+            put(sample, command, applied)
+            if not self.count % _LOOKED_AFTER:
+                self._let_catch_up()
+
+        return put_and_wait
+
+    def close(self) -> None:
+        """Release the memory; idempotent."""
+        self._memory.close()
+        self._file.close()
+
+    def _let_catch_up(self) -> None:
+        assert self._wait is not None
+        while self.count - _PLACE.unpack_from(self._memory, 0)[0] > ROWS - 2 * _LOOKED_AFTER:
+            self._wait()
+            time.sleep(_NAP)
+
+
+class RowReader:
+    """Reading end of the ring buffer.
+
+    Args:
+        descriptor: File descriptor of the memory; left open.
+
+    Attributes:
+        lost: Number of rows overwritten before they were read.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._memory = mmap.mmap(descriptor, 0)
+        self._place, self.lost = 0, 0
+
+    def rows(self) -> Iterator[tuple[int, Row]]:
+        """Yield available rows with their index from 0."""
+        while True:
+            start = _HEAD + (self._place & (ROWS - 1)) * _SLOT.size
+            data = self._memory[start : start + _SLOT.size]
+            first, *row, last = _SLOT.unpack(data)
+            number = int(first)
+            if number < self._place + 1 or last != first:
+                break
+            if number > self._place + 1:  # the row was overwritten; the next may still be there
+                self._place += 1
+                self.lost += 1
+                continue
+            if self._memory[start : start + _SLOT.size] != data:
+                continue  # it was overwritten meanwhile
+            self._place = number
+            _PLACE.pack_into(self._memory, 0, number)
+            yield number - 1, row
+
+    def close(self) -> None:
+        """Release the memory."""
+        self._memory.close()
+
+
+class LiveFile:
+    """MCAP file written during the run; see `RecordingFile`.
+
+    A tick writes one row to shared memory. The other process writes the file until this one closes it
+    or ends. An existing file of that name stays until the first sample.
+
+    Args:
+        path: Path of the file.
+        wait: True if a run faster than the writer waits for it; not for a run in real time.
+
+    Raises:
+        MissingPackageError: If the package is not installed.
+        RecordingError: If the system is not supported, or has no shared memory left.
+        OSError: If the file cannot be written.
+    """
+
+    def __init__(self, path: Path, *, wait: bool = False) -> None:
+        flag("wait", wait)
+        require_mcap()
+        if not hasattr(os, "fork"):
+            raise RecordingError("recordings as MCAP need a POSIX system; .npz needs none")
+        self._path, self._closed, self._waits, self._attached = path, False, wait, set[str]()
+        self._controller: Controller | None = None
+        self._stuck = repr(None)
+        self._versions = versions()  # here, for a stretch may begin in real time
+        self._aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
+        self._aside.open("wb").close()
+        try:
+            self._ring = _ring(self.check if wait else None)
+            try:
+                self._process = self._start()
+            except BaseException:
+                self._ring.close()
+                raise
+        except BaseException:
+            self._aside.unlink(missing_ok=True)
+            raise
+        self._result: Path | None = None
+
+    def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
+        """Begin a stretch; return the loop's recording function."""
+        whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
+        attach_parts(self, plant, controller)
+        self._say(begin=[whole, time.time_ns()])
+        self._controller, self._stuck = controller, repr(None)
+        put = self._ring.record(plant)
+        if not self._waits:
+            return put
+
+        def put_and_tell(sample: Sample, command: Command, applied: Command) -> None:
+            self._tell_stick_position()
+            put(sample, command, applied)
+
+        return put_and_tell
+
+    def event(self, kind: str, text: str, missed: int = 0) -> None:
+        """Record an event for the user.
+
+        `missed` is the number of samples missed with it.
+        """
+        self._say(event=[kind, text, missed])
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach a file; see `RecordingFile.attach`."""
+        if name in self._attached:
+            return
+        self._attached.add(name)
+        self._say(attach=[name, media_type, base64.b64encode(data).decode()])
+
+    def check(self) -> None:
+        """Check that the recording is being written.
+
+        Raises:
+            RecordingError: If the writing process has ended.
+        """
+        if self._closed:
+            return
+        if self._process.poll() is not None:
+            raise RecordingError(f"{self._path} is not written any more: its writer ended")
+        self._tell_stick_position()
+
+    def _tell_stick_position(self) -> None:
+        """Send a changed stick position to the writer.
+
+        Too slow for a tick in real time.
+        """
+        stuck = None if self._controller is None else self._controller.stick_positions
+        told = None if stuck is None else stuck.tolist()
+        if repr(told) != self._stuck:  # which NaN does not differ from itself in
+            self._stuck = repr(told)
+            self._say(stick=[told])
+
+    def close(self) -> Path | None:
+        """Finish writing; return the file, or None without samples.
+
+        A second call does nothing.
+
+        Raises:
+            RecordingError: If the file is incomplete.
+        """
+        if self._closed:
+            return self._result
+        self._closed = True
+        try:
+            said, _ = self._process.communicate(timeout=_PATIENCE)
+            status = json.loads(said)
+        except (ValueError, subprocess.TimeoutExpired):
+            self._process.kill()
+            self._process.communicate()
+            status = {"error": "its writer ended"}
+        kept = self._ring.count
+        self._ring.close()
+        if status["error"]:
+            raise RecordingError(f"{self._path} is not whole: {status['error']}")
+        if status["lost"]:
+            raise RecordingError(f"{self._path} is not whole: {status['lost']} of {kept} samples came too fast")
+        if kept:
+            self._result = self._path
+        return self._result
+
+    def _start(self) -> subprocess.Popen[str]:
+        ring = self._ring.descriptor
+        # modules come from where this process has them from, and not from the folder that it happens to be in
+        path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+        with interrupts_held():  # Ctrl-C ends the run, and the recording when the run says so
+            return subprocess.Popen(
+                [sys.executable, "-P", "-c", _WRITER, str(ring), str(self._aside), str(self._path)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                text=True,
+                start_new_session=True,
+                pass_fds=[ring],
+                env={**os.environ, "PYTHONPATH": path},
+            )
+
+    def _say(self, **what: Any) -> None:
+        """Send a message to the writer before the next row."""
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):  # it is gone: `check` and `close` say so
+            self._process.stdin.write(json.dumps({"at": self._ring.count, **what}) + "\n")
+            self._process.stdin.flush()
+
+
+def _ring(wait: Callable[[], object] | None) -> Ring:
+    try:
+        return Ring(wait=wait)
+    except OSError as error:
+        raise RecordingError(f"no memory to share with what writes a recording: {error.strerror}") from None
 
 
 class _File:
@@ -88,6 +365,11 @@ class McapWriter:
     """
 
     def __init__(self, file: IO[bytes]) -> None:
+        from foxglove import Context, open_mcap  # only where MCAP is written
+        from foxglove.mcap import MCAPWriteOptions
+
+        from maglev_mj.recording.messages import Messages
+
         self._file, self._context = _File(file), Context()  # without which its channels close
         options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0, disable_seeking=True)
         about = {"format": FORMAT, "units": units(), **versions()}
@@ -173,7 +455,7 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
         if over and not rows:
             return
         if not rows:
-            time.sleep(_NAP)
+            time.sleep(_WRITER_NAP)
 
 
 def main() -> None:
@@ -181,7 +463,9 @@ def main() -> None:
 
     Arguments: descriptor of the ring, temporary file, and the final name.
     """
-    set_log_level("CRITICAL")  # errors are reported once, when the recording is closed
+    import foxglove
+
+    foxglove.set_log_level("CRITICAL")  # errors are reported once, when the recording is closed
     ring, aside, path = RowReader(int(sys.argv[1])), Path(sys.argv[2]), Path(sys.argv[3])
     error = ""
     try:
@@ -196,8 +480,3 @@ def main() -> None:
     aside.unlink(missing_ok=True)  # where there was no row
     with suppress(BrokenPipeError):  # the recording process has ended, and the file is complete
         os.write(sys.stdout.fileno(), json.dumps({"error": error, "lost": ring.lost}).encode())
-
-
-if __name__ == "__main__":
-    main()
-    os._exit(0)  # a window waits for this, and the interpreter takes its time to end

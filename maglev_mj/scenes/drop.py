@@ -18,10 +18,10 @@ from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import WallScene, hold, others
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
-from maglev_mj.theory.analog_wall import analog_wall
+from maglev_mj.theory.ideal import analog_wall
 
 if TYPE_CHECKING:
-    from maglev_mj.scenes.run import Result
+    from maglev_mj.scenes.run import RunResult
 
 
 class Drop(WallScene):
@@ -94,7 +94,7 @@ class Drop(WallScene):
         """
         return analog_wall(time, height=self.height, stiffness=self.stiffness, damping=self.damping, mass=self.mass)
 
-    def series(self, result: Result, time: Array) -> dict[str, Array]:
+    def series(self, result: RunResult, time: Array) -> dict[str, Array]:
         """Return height [m] and force of the actuators [N]."""
         place, _, force = result.motion(time)
         return {"z": place, "force": force}

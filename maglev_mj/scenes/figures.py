@@ -14,11 +14,11 @@ import numpy as np
 from maglev_mj.frames import AXES, Array
 from maglev_mj.metrics import BounceSummary, summarise_bounce
 from maglev_mj.parameters import flag
+from maglev_mj.result import number_text
 from maglev_mj.scenes.press_figures import HIT_FIGURES, PressSummary, summarise_press
-from maglev_mj.terminal import cell
 
 if TYPE_CHECKING:
-    from maglev_mj.scenes.run import Result
+    from maglev_mj.scenes.run import RunResult
 
 _MOST_SHOWN = 4
 _SHARES = 50.0, 5.0, 95.0
@@ -31,7 +31,7 @@ class Figure:
 
     Attributes:
         name: Its name.
-        function: Function of a `Result` that returns a number, or a list of them; for a batch (..., N).
+        function: Function of a `RunResult` that returns a number, or a list of them; for a batch (..., N).
         unit: Unit in tables.
         help: Short description.
         scale: Factor from SI units to that unit.
@@ -48,7 +48,7 @@ class Figure:
     """
 
     name: str
-    function: Callable[[Result], Any]
+    function: Callable[[RunResult], Any]
     unit: str = ""
     help: str = ""
     scale: float = 1.0
@@ -61,7 +61,7 @@ class Figure:
         flag("late", self.late)
         flag("along", self.along)
 
-    def __call__(self, result: Result) -> Any:
+    def __call__(self, result: RunResult) -> Any:
         """Return the figure of a result."""
         return self.function(result)
 
@@ -92,7 +92,7 @@ class Figure:
         return self.text(*(self.percentile(pooled, share) for share in _SHARES))
 
     def _number(self, value: float) -> str:
-        return f"{value:zg}" if not self.unit and np.isfinite(value) else cell(value, self.scale)
+        return number_text(value * self.scale, 3, 2) if self.unit else number_text(value, 6)
 
     def percentile(self, values: Array, share: float) -> Array:
         """Return a percentile over the runs, the first dimension.
@@ -124,7 +124,7 @@ def figure(
     batched: bool = False,
     late: bool = False,
     along: bool = False,
-) -> Callable[[Callable[[Result], Any]], Figure]:
+) -> Callable[[Callable[[RunResult], Any]], Figure]:
     """Make a figure of a function; see `Figure`.
 
     Example:
@@ -135,11 +135,8 @@ def figure(
         >>> round(float(lowest.function(run(find_scene("drop")(duration=0.1), plant="exact"))), 4)  # [m]
         -0.0025
     """
-    flag("batched", batched)
-    flag("late", late)
-    flag("along", along)
 
-    def make(function: Callable[[Result], Any]) -> Figure:
+    def make(function: Callable[[RunResult], Any]) -> Figure:
         return Figure(function.__name__, function, unit, help, scale, batched, late, along)
 
     return make
@@ -161,23 +158,23 @@ def figures_named(chosen: Sequence[Figure | str] | Mapping[str, Figure | str]) -
     return found
 
 
-def _bounce(name: str) -> Callable[[Result], Any]:
+def _bounce(name: str) -> Callable[[RunResult], Any]:
     """Return the function of one bounce figure.
 
     The wall fills the shown axis below 0.
     """
 
-    def made(result: Result) -> BounceSummary:
+    def made(result: RunResult) -> BounceSummary:
         rest = getattr(result.scene, "rest", np.nan)
         return summarise_bounce(result.trace, rest, axis=AXES.index(result.scene.axis))
 
     return lambda result: getattr(result.once("bounce", made), name)
 
 
-def _press(name: str) -> Callable[[Result], Any]:
+def _press(name: str) -> Callable[[RunResult], Any]:
     """Return the function of one hit or press figure."""
 
-    def made(result: Result) -> PressSummary:
+    def made(result: RunResult) -> PressSummary:
         scene: Any = result.scene
         settled = scene.path(result.phase).end
         return summarise_press(result.trace, scene.strokes(result.phase), settled, scene.end)
@@ -185,24 +182,24 @@ def _press(name: str) -> Callable[[Result], Any]:
     return lambda result: getattr(result.once("press", made), name)
 
 
-def changes(result: Result) -> list[int]:
+def changes(result: RunResult) -> list[int]:
     """Return the samples of changes in the friction state."""
     stuck = result.samples["stuck"][:, 0]
     found: list[int] = (np.flatnonzero(stuck[1:] != stuck[:-1]) + 1).tolist()
     return found
 
 
-def _peak_speed(result: Result) -> Any:
+def _peak_speed(result: RunResult) -> Any:
     # greatest at a knot: the speed is linear between them
     return np.abs(result.line.twist[..., 0]).max(axis=0)
 
 
-def _stick_time(result: Result) -> float:
+def _stick_time(result: RunResult) -> float:
     sticks = [result.sample_time[k] for k in changes(result) if result.samples["stuck"][k, 0]]
     return float(sticks[-1]) if sticks else np.nan
 
 
-def _ripple(result: Result) -> Any:
+def _ripple(result: RunResult) -> Any:
     end = float(result.line.time[-1].min())
     return np.ptp(result.line.at(np.linspace(max(end - 0.05, 0.0), end, 501))[0][..., 0], axis=0)
 

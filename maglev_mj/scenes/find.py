@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import importlib
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from importlib.util import decode_source
 from pathlib import Path
@@ -28,6 +27,7 @@ __all__ = [
     "line_of",
     "made_again",
     "object_of_text",
+    "recorded_scene",
     "reference_of",
     "scene_of_text",
     "source_of",
@@ -128,34 +128,35 @@ def line_of(error: BaseException) -> str | None:
     return found
 
 
-@lru_cache(maxsize=16)
 def scene_of_text(text: str, name: str) -> type[Scene]:
-    """Return a scene class from a file's text.
-
-    The file need not be on this machine. The text is run once per process.
+    """Return a scene class from a file's text, which need not be on this machine.
 
     Raises:
         ParameterError: If the text fails.
     """
-    found: type[Scene] = getattr(_made(_OWN + hash_of(text), text, f"{name}.py"), name)
+    found: type[Scene] = object_of_text(text, name, f"{name}.py")
     return found
 
 
-@lru_cache(maxsize=64)
 def object_of_text(text: str, name: str, file: str) -> Any:
     """Return a class or function from a file's text.
 
-    Only the statements needed for it are executed.
+    The text is run as a module, once per process.
 
     Args:
-        text: The text, such as that of a script whose other lines drive a device.
+        text: The text.
         name: Name at its top level.
         file: Name of the file in messages.
 
     Raises:
         ParameterError: If there is no such name, or the text fails.
     """
-    return defined_in(_made(f"{_OWN}{hash_of(text)}_{name}", text, file, name), name, file)
+    return defined_in(_module_of_text(text, file), name, file)
+
+
+@lru_cache(maxsize=16)
+def _module_of_text(text: str, file: str) -> ModuleType:
+    return _made(_OWN + hash_of(text), text, file)
 
 
 def defined_in(module: ModuleType, name: str, file: str) -> Any:
@@ -225,54 +226,37 @@ def _run(path: Path, written: int) -> ModuleType:
         sys.path.remove(str(path.parent))
 
 
-def _made(name: str, text: str | bytes, file: str, only: str = "") -> ModuleType:
-    """Run a file's text as a module.
-
-    With `only`, run just the statements which that name needs.
-    """
+def _made(name: str, text: str | bytes, file: str) -> ModuleType:
+    """Run a file's text as a module."""
     module = ModuleType(name)
     module.__file__ = file
     sys.modules[name] = module
     try:
         text = text if isinstance(text, str) else decode_source(text)
         setattr(module, TEXT, text)
-        tree = ast.parse(text, file)
-        tree.body = list(_needed(tree, only)) if only else tree.body
-        exec(compile(tree, file, "exec"), module.__dict__)
+        exec(compile(text, file, "exec"), module.__dict__)
     except Exception as error:
         del sys.modules[name]
         raise ParameterError(f"scene {Path(file).name} cannot be read: {_said(error)}") from error
     return module
 
 
-def _needed(tree: ast.Module, name: str) -> Iterator[ast.stmt]:
-    """Yield the statements needed by a top-level name.
+def recorded_scene(name: Any, values: Mapping[str, Any], own: type[Scene] | None = None) -> Scene:
+    """Return the scene named by a recording; code of others is never run.
 
-    Statements such as `from __future__` imports are included.
+    Args:
+        name: Its name.
+        values: Its parameters.
+        own: Its class if it is not of this package.
+
+    Raises:
+        ParameterError: If there is no such scene here, or a value is outside its bounds.
     """
-    binds = [_bound(statement) for statement in tree.body]
-    wanted, kept = {"*", name}, set[int]()
-    while more := {place for place, names in enumerate(binds) if names & wanted} - kept:
-        kept |= more
-        used = [node for place in more for node in ast.walk(tree.body[place])]
-        wanted |= {node.id for node in used if isinstance(node, ast.Name)}
-    yield from (tree.body[place] for place in sorted(kept))
-
-
-def _bound(statement: ast.stmt) -> set[str]:
-    """Return the names bound by a statement.
-
-    It is * for a statement that affects all others.
-    """
-    if isinstance(statement, ast.FunctionDef | ast.ClassDef):
-        return {statement.name}
-    if isinstance(statement, ast.ImportFrom) and statement.module == "__future__":
-        return {"*"}
-    nodes = list(ast.walk(statement))
-    stored = {node.id for node in nodes if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
-    named = {node.name for node in nodes if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    aliases = [alias for node in nodes if isinstance(node, ast.Import | ast.ImportFrom) for alias in node.names]
-    return stored | named | {alias.asname or alias.name.partition(".")[0] for alias in aliases}
+    if isinstance(name, str) and name in BUILT_IN:  # of a file it may be anything
+        return find_scene(name).from_json(values)
+    if own is None:
+        raise ParameterError(not_one_of("scene", BUILT_IN, name))
+    return own.from_json(values)
 
 
 def _said(error: Exception) -> str:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from maglev_mj import spec
 from maglev_mj.frames import AXES, Array
 from maglev_mj.laws import Bias, Hold, Law, StickSlip, Wall
-from maglev_mj.parameters import axis_indices, flag
+from maglev_mj.parameters import axis_indices
 from maglev_mj.spec import GRAVITY, Spec
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupl
         axes: Names from AXES.
         coupled: See `StickSlip`.
     """
-    if flag("coupled", coupled):
+    if coupled:
         return StickSlip(
             axes=axes,
             stiffness=scene.stiffness,

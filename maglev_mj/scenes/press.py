@@ -22,7 +22,7 @@ from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import ESCAPE
 
 if TYPE_CHECKING:
-    from maglev_mj.scenes.run import Result
+    from maglev_mj.scenes.run import RunResult
 
 # as shares of an interval: wait before the first stroke, and duration of each way
 _WAIT, _WAY = 0.5, 0.25
@@ -168,7 +168,7 @@ class Press(WallScene):
             poses += [up, down, up]
         return Trajectory(times[:-1], poses[:-1])
 
-    def series(self, result: Result, time: Array) -> dict[str, Array]:
+    def series(self, result: RunResult, time: Array) -> dict[str, Array]:
         """Return height [m], actuator force [N], and target [m].
 
         The target is the rest point of the arm's spring.

@@ -18,11 +18,11 @@ from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
 from maglev_mj.loop import drive
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.spec import ESCAPE
-from maglev_mj.tabular import Table, Tabular
 from maglev_mj.trace import Trace
 
 _MOST_PHASES = 10_000
@@ -34,7 +34,7 @@ Observe = Callable[[Sample, Command], object]
 
 
 @dataclass(frozen=True, eq=False)
-class Result(Tabular):
+class RunResult(Result):
     """Result of one run or of a batch.
 
     Attributes:
@@ -72,7 +72,7 @@ class Result(Tabular):
         """The scene's figures by name."""
         return {name: one(self) for name, one in self.scene.figures.items()}
 
-    def once(self, name: str, make: Callable[[Result], Any]) -> Any:
+    def once(self, name: str, make: Callable[[RunResult], Any]) -> Any:
         """Return a cached intermediate result of several figures."""
         if name not in self._known:
             self._known[name] = make(self)
@@ -133,7 +133,7 @@ class Result(Tabular):
             "summary": plain(self.figures),
         }
 
-    def __getitem__(self, device: Any) -> Result:
+    def __getitem__(self, device: Any) -> RunResult:
         """Return one device's run from a batch.
 
         An array of indices returns the runs of several devices.
@@ -143,11 +143,11 @@ class Result(Tabular):
         parts = (part[:, device] for part in (self.trace.time, self.trace.pose, self.trace.twist, self.trace.wrench))
         kept = {name: values[..., device] for name, values in self.samples.items()}
         time = self.sample_time[..., device] if self.sample_time.ndim > 1 else self.sample_time
-        return Result(scene, self.plant, phase if np.ndim(phase) else float(phase), Trace(*parts), time, kept)
+        return RunResult(scene, self.plant, phase if np.ndim(phase) else float(phase), Trace(*parts), time, kept)
 
 
 @dataclass(frozen=True, eq=False)
-class Phases(Tabular):
+class Phases(Result):
     """Results of a scene at several phases.
 
     Attributes:
@@ -245,7 +245,7 @@ def run(
     plant: str | None = None,
     phase: ArrayLike = 0.0,
     observe: Observe | None = None,
-) -> Result:
+) -> RunResult:
     """Run a scene on one device or N devices.
 
     N phases give N devices.
@@ -258,7 +258,7 @@ def run(
 
     Raises:
         ParameterError: If there is no such plant, or a phase is outside its bounds.
-        DivergenceError: If a flotor leaves its range by a wide margin; its `partial` attribute is the `Result` up to
+        DivergenceError: If a flotor leaves its range by a wide margin; its `partial` attribute is the `RunResult` up to
             there, for one device.
 
     Example:
@@ -323,7 +323,8 @@ def run_phases(
         some = chosen[start : start + size]
         if plant == "exact":
             result = run(scene, plant=plant, phase=some)
-            rows.append((_figures(result, some.size), result.trace.furthest()))
+            figures = {name: np.asarray(values) for name, values in figures_of_each(result).items()}
+            rows.append((figures, result.trace.furthest()))
         else:
             result = run(scene, plant=plant, phase=float(some[0]))
             rows.append(
@@ -360,21 +361,6 @@ def parameters_json(scene: Scene, plant: str, phase: Any) -> dict[str, Any]:
     return {**head, **scene.as_json()}
 
 
-def plain(figures: Mapping[str, Any]) -> dict[str, Any]:
-    """Return plain numbers and lists, None for missing values."""
-    return {name: _plain(value) for name, value in figures.items()}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, bool | np.bool_ | str) or value is None:
-        return bool(value) if isinstance(value, np.bool_) else value
-    if isinstance(value, Integral):
-        return int(value)
-    shown = np.array(value, dtype=object)
-    shown[~np.isfinite(np.asarray(value, dtype=np.float64))] = None
-    return shown.tolist()
-
-
 def _phases(phases: Any) -> Array:
     if isinstance(phases, Integral):
         if not 1 <= int(phases) <= _MOST_PHASES:
@@ -388,15 +374,16 @@ def _phases(phases: Any) -> Array:
     return chosen
 
 
-def _figures(result: Result, count: int) -> dict[str, Array]:
-    """Return the figures of N devices, (N, ...).
+def figures_of_each(result: RunResult) -> dict[str, Array | list[Any]]:
+    """Return the figures of N devices by name, N of each.
 
     Figures that accept a batch are computed at once, the others device by device.
     """
-    each = [] if all(one.batched for one in result.scene.figures.values()) else [result[k] for k in range(count)]
+    named: Mapping[str, Figure] = result.scene.figures
+    devices = [] if all(one.batched for one in named.values()) else [result[k] for k in range(np.size(result.phase))]
     return {
-        name: np.asarray(one(result)) if one.batched else np.array([one(device) for device in each])
-        for name, one in result.scene.figures.items()
+        name: np.asarray(one(result)) if one.batched else [one(device) for device in devices]
+        for name, one in named.items()
     }
 
 
@@ -422,14 +409,14 @@ class _Told:
             return list(parts)
         return [np.broadcast_to(part, self._batch) for part in parts]
 
-    def result(self, scene: Scene, plant: str, phase: Any, trace: Trace) -> Result:
+    def result(self, scene: Scene, plant: str, phase: Any, trace: Trace) -> RunResult:
         """Return the result up to the end of a trace."""
         time = np.array(self._time)
         kept = time <= float(trace.time[-1]) if time.ndim == 1 and trace.time.ndim == 1 else slice(None)
         columns = (
             {name: np.array([row[name] for row in self._rows])[kept] for name in self._rows[0]} if self._rows else {}
         )
-        return Result(scene, plant, phase, trace, time[kept], columns)
+        return RunResult(scene, plant, phase, trace, time[kept], columns)
 
 
 def _escaped_later(trace: Trace, end: float) -> bool:

@@ -27,7 +27,7 @@ from maglev_mj.scenes.figures import figures_named
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 
 if TYPE_CHECKING:
-    from maglev_mj.scenes.run import Result
+    from maglev_mj.scenes.run import RunResult
 
 RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
 """Key settings of a sample period."""
@@ -214,7 +214,7 @@ class Scene(Parameters):
         """End of a run [s]: parameter `duration`, or 1 s."""
         return float(getattr(self, "duration", 1.0))
 
-    def series(self, result: Result, time: Array) -> dict[str, Array]:
+    def series(self, result: RunResult, time: Array) -> dict[str, Array]:
         """Return the JSON series on a time grid (M,).
 
         By name, (M,) each.
@@ -223,14 +223,14 @@ class Scene(Parameters):
         index = AXES.index(self.axis)
         return {"position": pose[:, index], "velocity": twist[:, index], "force": wrench[:, index]}
 
-    def extra_json(self, result: Result) -> dict[str, Any]:
+    def extra_json(self, result: RunResult) -> dict[str, Any]:
         """Return further JSON entries of a run.
 
         They are added to parameters, series and summary.
         """
         return {}
 
-    def compared(self, result: Result) -> Mapping[str, Mapping[str, float]]:
+    def compared(self, result: RunResult) -> Mapping[str, Mapping[str, float]]:
         """Return reference figures, by label and name.
 
         They are shown beside those of a run, such as those of a closed form.

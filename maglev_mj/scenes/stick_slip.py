@@ -33,10 +33,10 @@ from maglev_mj.scenes.bench import hold, others, stepped
 from maglev_mj.scenes.figures import changes
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.spec import INERTIA, Spec
-from maglev_mj.theory.karnopp import FrictionEvent, KarnoppMotion, karnopp
+from maglev_mj.theory.ideal import FrictionEvent, KarnoppMotion, karnopp
 
 if TYPE_CHECKING:
-    from maglev_mj.scenes.run import Result
+    from maglev_mj.scenes.run import RunResult
 
 LAWS: Mapping[str, Callable[..., Friction]] = {
     "stick-slip": lambda *, period, **common: StickSlipFriction(**common),
@@ -212,7 +212,7 @@ class StickSlip(Scene):
             mass=self.inertia,
         )
 
-    def series(self, result: Result, time: Array) -> dict[str, Array]:
+    def series(self, result: RunResult, time: Array) -> dict[str, Array]:
         """Return position, velocity, stick position, state and force."""
         held = np.clip(np.searchsorted(result.sample_time, time + 1e-12, side="right") - 1, 0, None)
         place, speed, force = result.motion(time)
@@ -224,7 +224,7 @@ class StickSlip(Scene):
             "force": force,
         }
 
-    def compared(self, result: Result) -> Mapping[str, Mapping[str, float]]:
+    def compared(self, result: RunResult) -> Mapping[str, Mapping[str, float]]:
         """Return the figures of the ideal friction."""
         motion = self.exact(result.times(1e-4))
         sticks = [event for event in motion.events if event.kind == "stick"]
@@ -244,7 +244,7 @@ class StickSlip(Scene):
         """Name of the ideal friction rendered."""
         return "Coulomb" if _SLIDES_AT.get(self.law, 1.0) else "Karnopp"
 
-    def events(self, result: Result) -> list[FrictionEvent]:
+    def events(self, result: RunResult) -> list[FrictionEvent]:
         """Return the law's state changes, at their samples."""
         index, told = AXES.index(self.axis), result.samples
         return [
@@ -256,6 +256,6 @@ class StickSlip(Scene):
             for k in changes(result)
         ]
 
-    def extra_json(self, result: Result) -> dict[str, Any]:
+    def extra_json(self, result: RunResult) -> dict[str, Any]:
         """Return the state changes for JSON."""
         return {"events": [event._asdict() for event in self.events(result)]}

@@ -1,23 +1,26 @@
-"""Batched runs of many scenes on the exact plant."""
+"""Many scenes as one batch on the exact plant, their laws stacked."""
 
 from __future__ import annotations
 
 import math
+import pickle
 from collections import defaultdict
 from collections.abc import Hashable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.frames import Array, Command, Mask, Sample, components
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array, Command, Mask, Sample, components
 from maglev_mj.hand import HandForce
-from maglev_mj.laws.stack import content, law_kind, stacked
+from maglev_mj.laws import Law, VelocityEstimator
+from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.scenes.figures import Figure
-from maglev_mj.scenes.run import Result, run
+from maglev_mj.scenes.run import figures_of_each, run
 from maglev_mj.scenes.scene import Scene, SideBySide
 
 _LEAST = 8  # fewer do not pay for a batch
@@ -32,19 +35,15 @@ _OWN_RUN = ("run_figures", "plant", "plant_keywords", "controller", "ticks")
 
 @dataclass(frozen=True)
 class _Member:
-    """One run before its batch.
+    """One run before its batch."""
 
-    Runs of one kind fit one batch.
-    """
-
-    index: int
     scene: Scene
     phase: float
     timing: Timing
     laws: Sequence[Any]
+    velocity: VelocityEstimator | None
     options: Mapping[str, Any]
     hand: HandForce | None
-    kind: Hashable
 
 
 class SceneStack:
@@ -81,30 +80,40 @@ class SceneStack:
 
     def controller(self) -> Controller:
         """Return one controller with the stacked laws."""
-        first = self.scenes[0]
         laws = [stacked(of_all) for of_all in zip(*(one.laws for one in self._members), strict=True)]
-        return Controller(laws, period=first.period, velocity=first.velocity_estimator())
+        return Controller(laws, period=self.scenes[0].period, velocity=self._members[0].velocity)
 
-    def plant(self, plant: str, *, phase: Array, **keywords: Any) -> ExactPlant:
+    def plant_options(self) -> Mapping[str, Any]:
+        """Return the plant's keywords of the first scene."""
+        return self._members[0].options
+
+    def plant(
+        self, plant: str, *, phase: Array | None = None, timing: Timing | None = None, **keywords: Any
+    ) -> ExactPlant:
         """Return the exact plant of N devices at release.
 
         No device ends the run by leaving its range.
+
+        Args:
+            plant: "exact".
+            phase: Without effect: each scene has its own timing.
+            timing: Timing in place of the scenes' own.
+            keywords: Further keywords of the plant; they override the scenes'.
         """
-        first = self._members[0]
-        options = dict(first.options)
+        options = dict(self.plant_options())
         for name in _STACKED:
             if options.get(name) is not None:
                 rows = np.array([one.options[name] for one in self._members], dtype=np.float64)
                 options[name] = rows if name == "pose" or (rows != rows[0]).any() else options[name]
         hands = [one.hand for one in self._members if one.hand is not None]
         options |= {"escape": _FAR, "hand_force": SideBySide(hands) if hands else None}
-        return ExactPlant(self.timing(phase), **options, **keywords)
+        return ExactPlant(timing or self.timing(), **options | keywords)
 
     def ticks(self, timing: Timing) -> int:
         """Return the number of samples until the end."""
         return self.scenes[0].ticks(timing)
 
-    def timing(self, _: Array) -> Timing:
+    def timing(self, _: Array | None = None) -> Timing:
         """Return the timing of samples and commands.
 
         The phase is ignored: each scene has its own timing already.
@@ -112,6 +121,30 @@ class SceneStack:
         phases = [one.timing.phase for one in self._members]
         alike = all(phase == phases[0] for phase in phases)  # a hand is moved by one clock
         return replace(self._members[0].timing, phase=phases[0] if alike else np.array(phases))
+
+
+def stacked_scenes(points: Sequence[tuple[Scene, float]]) -> SceneStack:
+    """Return scenes at their phases as one, with their own plants and controllers.
+
+    Raises:
+        ParameterError: If their laws differ in more than declared gains.
+    """
+    controllers = {id(scene): scene.controller() for scene, _ in points}
+    members = []
+    for scene, phase in points:
+        made: list[tuple[Timing, dict[str, Any]]] = []
+        scene.plant(lambda timing, made=made, **own: made.append((timing, own)), phase=phase)
+        timing, options = made[0]
+        controller, hand = controllers[id(scene)], options.pop("hand_force")
+        members.append(_Member(scene, phase, timing, controller.laws, controller.velocity, options, hand))
+    for laws in zip(*(one.laws for one in members), strict=True):
+        first, kind = laws[0], law_kind(laws[0])
+        if any(law is not first and (kind is None or law_kind(law) != kind) for law in laws):
+            name = getattr(first, "name", type(first).__name__)
+            raise ParameterError(
+                f"law {name} must be an AxisLaw, or name its gains in per_device, and differ in them alone"
+            )
+    return SceneStack(members)
 
 
 def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float]) -> list[Mapping[str, Any] | None]:
@@ -132,38 +165,38 @@ def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float
     cls = type(scenes[0])
     if plant != "exact" or any(getattr(cls, name) is not getattr(Scene, name) for name in _OWN_RUN):
         return found
-    kinds: dict[Hashable, list[_Member]] = defaultdict(list)
+    members: dict[int, _Member] = {}
+    kinds: dict[Hashable, list[int]] = defaultdict(list)
     for index, (scene, phase) in enumerate(zip(scenes, phases, strict=True)):
         with suppress(Exception):  # of a scene's own code: its own run reports the error
-            member = _member(index, scene, phase)
-            kinds[member.kind].append(member)
+            hand = scene.scripted_hand(phase)
+            parts = scene.timing(phase), scene.laws(), scene.velocity_estimator(), scene.plant_keywords("exact", hand)
+            members[index] = _Member(scene, phase, *parts, hand)
+            kinds[_kind(members[index])].append(index)
     kinds.pop(None, None)
-    for members in kinds.values():
-        size = _most_of(members[0])
-        for start in range(0, len(members), size):
-            for member, figures in _figures_of(members[start : start + size]):
-                found[member.index] = figures
+    for indices in kinds.values():
+        size = _most_of(members[indices[0]])
+        for start in range(0, len(indices), size):
+            some = indices[start : start + size]
+            for place, figures in _figures_of([(index, members[index]) for index in some]):
+                found[place] = figures
     return found
 
 
-def _member(index: int, scene: Scene, phase: float) -> _Member:
-    """Return a run with its kind; None for no batch."""
-    laws = scene.laws()
-    kinds = [law_kind(law) for law in laws]
-    hand = scene.scripted_hand(phase)
-    options = scene.plant_keywords("exact", hand)
-    timing = scene.timing(phase)
+def _kind(member: _Member) -> Hashable:
+    """Return the kind of a run, equal for those of one batch; None for no batch."""
+    scene, timing, options = member.scene, member.timing, member.options
+    kinds = [law_kind(law) for law in member.laws]
     fixed = content(
         (
-            (scene.axis, scene.end, scene.period, type(hand)),
+            (scene.axis, scene.end, scene.period, type(member.hand)),
             (timing.period, timing.delay, timing.jitter, timing.seed),
             {name: value for name, value in options.items() if name not in _STACKED},
             [name for name in _STACKED if options.get(name) is None],
-            scene.velocity_estimator(),
+            member.velocity,
         )
     )
-    fits = fixed is not None and None not in kinds
-    return _Member(index, scene, phase, timing, laws, options, hand, (*kinds, fixed) if fits else None)
+    return None if fixed is None or None in kinds else (*kinds, fixed)
 
 
 def _most_of(member: _Member) -> int:
@@ -176,52 +209,36 @@ def _most_of(member: _Member) -> int:
     return max(min(_MOST, int(_ROOM / (knots * _PER_KNOT))), 1)
 
 
-def _figures_of(members: Sequence[_Member]) -> list[tuple[_Member, Mapping[str, Any]]]:
-    """Return the figures of the successful runs of a batch.
+def _figures_of(members: Sequence[tuple[int, _Member]]) -> list[tuple[int, Mapping[str, Any]]]:
+    """Return the figures of the successful runs of a batch, by index.
 
     If one fails, the batch is split in halves.
     """
     if len(members) < _LEAST:
         return []
     try:
-        stays = _Stays(members)
-        stack: Any = SceneStack(members)
+        stays = _Stays(members[0][1].options["escape"], len(members))
+        stack: Any = SceneStack([member for _, member in members])
         result = run(stack, plant="exact", phase=stack.phases, observe=stays)
         stays.look(components(result.trace.pose[-1]))
         good = np.flatnonzero(stays.all_along)
-        parts = [good[start : start + _AT_ONCE] for start in range(0, good.size, _AT_ONCE)]
-        rows = [row for part in parts for row in _rows(result[part])]
-        return [(members[device], row) for device, row in zip(good.tolist(), rows, strict=True)]
+        rows: list[Mapping[str, Any]] = []
+        for start in range(0, good.size, _AT_ONCE):
+            figures = figures_of_each(result[good[start : start + _AT_ONCE]])
+            rows += [dict(zip(figures, row, strict=True)) for row in zip(*figures.values(), strict=True)]
+        return [(members[device][0], row) for device, row in zip(good.tolist(), rows, strict=True)]
     except Exception:  # of any of them: its own run reports the error
         half = len(members) // 2
         return [*_figures_of(members[:half]), *_figures_of(members[half:])]
 
 
-def _rows(result: Result) -> list[Mapping[str, Any]]:
-    """Return the figures of each device of a batch.
-
-    Figures that accept a batch are computed at once.
-    """
-    figures: Mapping[str, Figure] = result.scene.figures
-    at_once = {name: np.asarray(one(result)) for name, one in figures.items() if one.batched}
-    others = {name: one for name, one in figures.items() if not one.batched}
-    rows: list[Mapping[str, Any]] = []
-    for index in range(result.phase.size):
-        row = {name: values[..., index] for name, values in at_once.items()}
-        if others:
-            device = result[index]
-            row |= {name: one(device) for name, one in others.items()}
-        rows.append({name: row[name] for name in figures})
-    return rows
-
-
 class _Stays:
     """Observer of devices that stay well within range."""
 
-    def __init__(self, members: Sequence[_Member]) -> None:
-        distance, angle = members[0].options["escape"]
+    def __init__(self, escape: tuple[float, float], devices: int) -> None:
+        distance, angle = escape
         self._bounds = (_NEAR * distance) ** 2, (_NEAR * angle) ** 2
-        self.all_along: Mask = np.ones(len(members), dtype=bool)
+        self.all_along: Mask = np.ones(devices, dtype=bool)
 
     def __call__(self, sample: Sample, _: Command) -> None:
         """Look at one sample."""
@@ -235,3 +252,68 @@ class _Stays:
         x, y, z, rx, ry, rz = position
         distance, angle = self._bounds
         self.all_along &= (x * x + y * y + z * z < distance) & (rx * rx + ry * ry + rz * rz < angle)
+
+
+def law_kind(law: object) -> Hashable | None:
+    """Return the kind of a law, or None.
+
+    Laws of one kind can be stacked; None is for a law that cannot be stacked.
+
+    A law can be stacked if it is a dataclass that lists in `per_device` the fields that may differ.
+    """
+    if not (isinstance(law, Law) and is_dataclass(law) and law.per_device):
+        return None
+    fixed = [getattr(law, name) for name in _fixed(type(law))]
+    return None if (known := content(fixed)) is None else (type(law), known)
+
+
+@cache
+def _fixed(cls: Any) -> tuple[str, ...]:
+    """Return the field names common to all devices."""
+    return tuple(one.name for one in fields(cls) if one.init and one.name not in cls.per_device)
+
+
+def content(value: object) -> bytes | None:
+    """Return bytes that are equal for equal contents.
+
+    None for a local function, which has none.
+    """
+    try:
+        return pickle.dumps(value)
+    except Exception:  # a user's class may raise anything
+        return None
+
+
+def stacked(laws: Sequence[Any]) -> Any:
+    """Return one law for N devices.
+
+    Parameters that differ become (N, axes).
+
+    Raises:
+        ParameterError: If a law is itself for several devices, or does not accept per-device parameters.
+    """
+    first = laws[0]
+    if all(law is first for law in laws):
+        return first
+    width = len(axis_indices(getattr(first, "axes", AXES)))
+    changes = {}
+    for name in first.per_device:
+        values = [getattr(law, name) for law in laws]
+        if not all(value is values[0] for value in values):
+            rows = _rows(name, values, width)
+            if (rows != rows[0]).any():
+                changes[name] = rows
+    return replace(first, **changes) if changes else first
+
+
+def _rows(name: str, values: Sequence[Any], width: int) -> Array:
+    """Return a parameter of N laws as (N, axes).
+
+    In each law it is one number or one number per axis.
+    """
+    try:
+        if all(value.__class__ is float for value in values):
+            return np.repeat(np.array(values), width).reshape(-1, width)
+        return np.stack([np.broadcast_to(np.asarray(value, dtype=np.float64), (width,)) for value in values])
+    except (TypeError, ValueError):
+        raise ParameterError(f"{name} must be a number or one for each of {width} axes in each law") from None

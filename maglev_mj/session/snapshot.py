@@ -13,7 +13,6 @@ import numpy as np
 from maglev_mj.energy import HandWork
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
-from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
 from maglev_mj.session.pacing import Due
 
@@ -130,9 +129,6 @@ class Snapshot:
     remedy: str = ""
     notes: Sequence[str] = ()
     tour: TourLine | None = None
-
-    def __post_init__(self) -> None:
-        flag("late", self.late)
 
 
 class SnapshotSource(Protocol):

@@ -1,31 +1,40 @@
-"""Cells of a study: computed by workers, kept in records.
-
-Results are written to a file; recorded cells are not computed again.
+"""Cells of a study: computed by workers, kept in a record, never computed twice.
 
 A cell is a dict of plain values with everything its result depends on. The record has one JSON object per line. Only
 the parent writes it, so a dying worker loses only the cells it was computing. Each line names the version of the code,
 because programs of several versions may share one record.
+
+Workers are an executor of `concurrent.futures`: this process, processes of this machine, or a Dask cluster.
 """
 
 from __future__ import annotations
 
 import json
+import logging
+import os
+import signal
+import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
 from hashlib import blake2b
+from multiprocessing import get_context, resource_tracker
+from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from maglev_mj.errors import ParameterError, check_instance
+from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
+from maglev_mj.interrupts import interrupts_held
 from maglev_mj.versions import Versions, differences, versions, versions_read
-from maglev_mj.workers import Workers, WorkersError, chosen_workers
 
 Cell: TypeAlias = dict[str, Any]
 """Values of a cell by the parameter's name."""
 
-_ATTEMPTS, _PATIENCE = 2, 1.0
+_ATTEMPTS, _STOPPING, _CONNECTING = 2, 1.0, 5.0  # times in [s]
 _BEGINNING = '{"cell": {'
 
 
@@ -39,6 +48,16 @@ class StudyInterrupted(KeyboardInterrupt):
     def __init__(self, landed: list[tuple[Cell, Any]]) -> None:
         super().__init__("stopped")
         self.landed = landed
+
+
+class WorkersError(MaglevError):
+    """Error of lost workers or workers with other code.
+
+    Attributes:
+        landed: Cells computed so far, with their results.
+    """
+
+    landed: Sequence[tuple[Cell, Any]] = ()
 
 
 class Record:
@@ -60,8 +79,7 @@ class Record:
             self._read(path)
 
     def _read(self, path: Path) -> None:
-        ours = versions()
-        text = path.read_text(encoding="utf-8", errors="replace")
+        ours, text = versions(), path.read_text(encoding="utf-8", errors="replace")
         self._whole = text.endswith("\n") or not text
         for line in text.splitlines():
             try:
@@ -121,6 +139,151 @@ def _key(cell: Mapping[str, Any]) -> bytes:
     return blake2b(text.encode(), digest_size=16).digest()
 
 
+class _Inline(Executor):
+    """Executor that runs each job at once, in-process."""
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(function(*args, **keywords))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+class _Processes(ProcessPoolExecutor):
+    """Pool of local processes that ignore Ctrl-C.
+
+    They are spawned, because MuJoCo's threads do not survive a fork.
+    """
+
+    def __init__(self, count: int) -> None:
+        quiet = (signal.SIGINT, signal.SIG_IGN)  # for systems where interrupts cannot be held
+        super().__init__(count, mp_context=get_context("spawn"), initializer=signal.signal, initargs=quiet)
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
+        resource_tracker.ensure_running()  # its start would let interrupts through
+        with interrupts_held():  # the processes start here
+            return super().submit(function, *args, **keywords)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        given_up = {} if wait else dict(self._processes or {})
+        manager: Any = self._executor_manager_thread
+        super().shutdown(wait, cancel_futures=cancel_futures)  # first: of a cancelled job no death may be told
+        for process in given_up.values():  # the end of the program would wait for their jobs
+            process.kill()
+        if manager is not None:  # which tells of deaths if this is gone before
+            manager.join()
+
+
+class _Cluster(Executor):
+    """Dask client as an executor that closes itself; each job checks its worker's code."""
+
+    def __init__(self, client: Any) -> None:
+        self._client, self._inner = client, client.get_executor(pure=False)
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
+        future: Future[Any] = self._inner.submit(_run_with_code, versions(), function, *args, **keywords)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        self._inner.shutdown(wait=wait and not cancel_futures)
+        self._client.close()
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Executor of cells with its properties.
+
+    Attributes:
+        make: Function that makes an executor, and a new one if the last has broken.
+        window: Number of jobs submitted at a time.
+        deaths: Errors of a dead worker, in contrast to a failed cell.
+        cause: Function that returns a WorkersError if the workers caused a job's error, otherwise the error itself.
+    """
+
+    make: Callable[[], Executor]
+    window: int
+    deaths: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    cause: Callable[[Exception], Exception] = lambda error: error
+
+
+def local_workers(count: int | None = None) -> Workers:
+    """Return processes of this machine as workers.
+
+    By default one per processor; 0 for none: jobs run in this process.
+
+    Raises:
+        ParameterError: If the count is negative.
+
+    Example:
+        >>> from maglev_mj import local_workers
+        >>> with local_workers(0).make() as pool:  # in this process
+        ...     powers = list(pool.map(pow, [1, 2, 3], [2, 2, 2]))
+        >>> powers
+        [1, 4, 9]
+    """
+    if count is not None and count < 0:
+        raise ParameterError(f"workers must be at least 0, not {count}")
+    number = len(os.sched_getaffinity(0)) if count is None and hasattr(os, "sched_getaffinity") else count
+    number = (os.cpu_count() or 1) if number is None else number
+    return Workers(partial(_Processes, number), 2 * number) if number else Workers(_Inline, 1)
+
+
+def chosen_workers(workers: Workers | int | None) -> Workers:
+    """Return workers from a number of processes, workers, or None.
+
+    A number gives processes of this machine; None gives this process.
+
+    Raises:
+        ParameterError: If it is neither.
+    """
+    if isinstance(workers, int | Integral):
+        return local_workers(int(workers))
+    if not isinstance(workers, Workers | None):
+        raise ParameterError(f"workers must be a number of processes or dask_workers(...), not {workers!r}")
+    return workers or local_workers(0)
+
+
+def dask_workers(address: str, *, files: Path | str | Sequence[Path | str] = ()) -> Workers:
+    """Return the workers of a Dask cluster.
+
+    A warning says that it has no workers yet; jobs wait for the first.
+
+    Args:
+        address: Address of its scheduler.
+        files: Module, or modules, of the user's own that jobs import (.py, .zip or .egg); workers that join later get
+            them too.
+
+    Raises:
+        ParameterError: If nothing answers there, or a file is not there or fails on import.
+        WorkersError: If a worker has other code than this process; it names each.
+        MissingPackageError: If Dask is not installed.
+
+    Example:
+        >>> from maglev_mj import dask_workers, find_scene, sweep
+        >>> workers = dask_workers("tcp://scheduler:8786")  # doctest: +SKIP
+        >>> found = sweep(find_scene("drop"), {"height": [0.001, 0.002]}, workers=workers)  # doctest: +SKIP
+    """
+    require(("distributed",), "distributed", "a cluster needs Dask")
+    from distributed import KilledWorker
+
+    # when it loses the scheduler it logs tracebacks; `_cause` reports it in one line
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+    try:
+        client = _client(address)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise ParameterError(f"scheduler must be the address of a Dask scheduler, not {address!r}: {error}") from None
+    with client:
+        threads = sum(client.nthreads().values())
+        _check_code(client)
+        for file in [files] if isinstance(files, Path | str) else files:
+            _send(client, Path(file))
+    if not threads:
+        warnings.warn(f"the Dask scheduler at {address} has no workers yet: jobs wait for the first", stacklevel=2)
+    return Workers(lambda: _Cluster(_client(address)), 4 * max(threads, 1), (KilledWorker,), partial(_cause, address))
+
+
 def run_cells(
     function: Callable[[list[Cell]], list[Any]],
     cells: Sequence[Cell],
@@ -160,34 +323,25 @@ def run_cells(
         raise ParameterError(f"function must be one from cells to results, not {function!r}")
     check_instance("cells", cells, Sequence, "a list of cells")
     study = _Study(function, record or Record(), chosen_workers(workers), progress)
-    keys, found = [_key(cell) for cell in cells], study.record._results
-    missing = list({key: cell for key, cell in zip(keys, cells, strict=True) if key not in found}.values())
+    keys, results = [_key(cell) for cell in cells], study.record._results
+    missing = list({key: cell for key, cell in zip(keys, cells, strict=True) if key not in results}.values())
     study.total = len(set(keys))
     study.done = study.total - len(missing)
-    study.waiting.extend(missing[start : start + together] for start in range(0, len(missing), together))
     try:
-        study.run()
+        study.run(deque(missing[start : start + together] for start in range(0, len(missing), together)))
     except KeyboardInterrupt:
-        study.stop(_PATIENCE)
-        study.close(wait=False)  # a job that was just handed out is in no hand yet
         raise StudyInterrupted(study.landed(cells)) from None
     except Exception as error:
-        study.stop()
         cause = study.workers.cause(error)
         if isinstance(cause, WorkersError):
             cause.landed = study.landed(cells)
             raise cause from None
         raise
-    finally:
-        study.close()
-    return [found[key] if key in found else study.dead[key] for key in keys]
+    return [results[key] if key in results else study.dead[key] for key in keys]
 
 
 class _Study:
-    """Jobs of one study: waiting, running, suspected.
-
-    A job is suspected if it was running when a worker died.
-    """
+    """Cells of one study while they are computed."""
 
     def __init__(
         self,
@@ -198,99 +352,147 @@ class _Study:
     ) -> None:
         self.function, self.record, self.workers, self.progress = function, record, workers, progress
         self.total = self.done = 0
-        self.waiting: deque[list[Cell]] = deque()
-        self.suspects: deque[Cell] = deque()
         self.dead: dict[bytes, Any] = {}
-        self._deaths: dict[bytes, int] = {}
-        self._hand: dict[Future[list[Any]], list[Cell]] = {}
-        self._pool: Executor | None = None
 
-    def run(self) -> None:
-        """Run all jobs."""
-        while self.waiting or self.suspects or self._hand:
-            alone = bool(self.suspects)
-            self._hand_out(alone)
-            finished, _ = wait(self._hand, return_when=FIRST_COMPLETED)
-            broken = [job for future in finished if (job := self._land(future)) is not None]
-            if broken:
-                self._after_death(broken, alone)
+    def run(self, jobs: deque[list[Cell]]) -> None:
+        """Run all jobs, and cells lost with a worker again.
 
-    def stop(self, patience: float | None = None) -> None:
-        """Cancel waiting jobs, and wait for the running ones.
-
-        Args:
-            patience: Longest time to wait [s]; None for their end.
+        These run one at a time, so that a death has one cause.
         """
-        for future in list(self._hand):
-            if future.cancel():
-                del self._hand[future]
-        for future in wait(self._hand, patience).done:
-            with suppress(Exception):  # the first failure is raised already
-                self._land(future)
+        suspects: deque[list[Cell]] = deque()
+        deaths: Counter[bytes] = Counter()
+        while jobs or suspects:
+            alone = bool(suspects)
+            for cell in self._run_in_pool(suspects, 1) if alone else self._run_in_pool(jobs, self.workers.window):
+                key = _key(cell)
+                deaths[key] += alone
+                if deaths[key] < _ATTEMPTS:
+                    suspects.append([cell])
+                else:
+                    self.dead[key] = {"error": f"its worker died {deaths[key]} times"}
+                    self._count(1)
 
     def landed(self, cells: Sequence[Cell]) -> list[tuple[Cell, Any]]:
         """Return the finished cells with their results."""
         return [(cell, self.record[cell]) for cell in cells if cell in self.record]
 
-    def _hand_out(self, alone: bool) -> None:
-        """Submit jobs up to the window.
-
-        A suspect runs alone, so that a worker's death has one cause.
-        """
-        if self._pool is None:
-            self._pool = self.workers.make()
-        queue: deque[Any] = self.suspects if alone else self.waiting
-        while len(self._hand) < (1 if alone else self.workers.window) and queue:
-            job = [queue[0]] if alone else queue[0]
-            try:
-                self._hand[self._pool.submit(self.function, job)] = job
-            except self.workers.deaths:  # since the last job landed; those in hand are lost too
-                if not self._hand:
-                    self.close()
-                return
-            queue.popleft()
-
-    def _land(self, future: Future[list[Any]]) -> list[Cell] | None:
-        """Store a finished job's results; return a lost job.
-
-        A job is lost if its worker died; otherwise None is returned.
-        """
-        job = self._hand.pop(future)
+    def _run_in_pool(self, jobs: deque[list[Cell]], window: int) -> list[Cell]:
+        """Run jobs in one pool until it breaks; return the cells lost with a worker."""
+        pool, running = self.workers.make(), dict[Future[list[Any]], list[Cell]]()
+        lost, broken, stopped = list[Cell](), False, False
         try:
-            found = future.result()
+            while running or (jobs and not broken):
+                while jobs and len(running) < window and not broken:
+                    try:
+                        running[pool.submit(self.function, jobs[0])] = jobs[0]
+                        jobs.popleft()
+                    except self.workers.deaths:  # since the last result
+                        broken = True
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    job = running.pop(future)
+                    if not self._collect(future, job):
+                        lost, broken = lost + job, True
+        except BaseException as error:
+            stopped = isinstance(error, KeyboardInterrupt)
+            running = {future: job for future, job in running.items() if not future.cancel()}
+            for future in wait(running, _STOPPING if stopped else None).done:
+                with suppress(Exception):  # the first failure is raised already
+                    self._collect(future, running.pop(future))
+            raise
+        finally:
+            # idle workers end at once; otherwise they could disturb a program that ends meanwhile. After an interrupt a
+            # job may have been submitted that is not among the running ones
+            pool.shutdown(wait=not (running or stopped), cancel_futures=True)
+        return lost
+
+    def _collect(self, future: Future[list[Any]], job: list[Cell]) -> bool:
+        """Store a finished job's results; return False if it is lost with its worker."""
+        try:
+            made = future.result()
         except self.workers.deaths:
-            return job
-        results = list(found) if isinstance(found, Iterable) else []
+            return False
+        results = list(made) if isinstance(made, Iterable) else []
         if len(results) != len(job):
-            raise ParameterError(f"function must return a result for each of its {len(job)} cells, not {found!r}")
+            raise ParameterError(f"function must return a result for each of its {len(job)} cells, not {made!r}")
         self.record.add(list(zip(job, results, strict=True)))
         self._count(len(job))
-        return None
+        return True
 
     def _count(self, cells: int) -> None:
         self.done += cells
         if self.progress is not None:
             self.progress(self.done, self.total)
 
-    def _after_death(self, broken: list[list[Cell]], alone: bool) -> None:
-        """Recover from a worker's death.
 
-        The other running jobs end, the pool is closed, and lost jobs become suspects.
-        """
-        wait(self._hand)
-        broken += [job for future in list(self._hand) if (job := self._land(future)) is not None]
-        self.close()
-        for cell in (cell for job in broken for cell in job):
-            deaths = self._deaths[_key(cell)] = self._deaths.get(_key(cell), 0) + alone
-            if deaths < _ATTEMPTS:
-                self.suspects.append(cell)
-            else:
-                self.dead[_key(cell)] = {"error": f"its worker died {deaths} times"}
-                self._count(1)
+def _send(client: Any, file: Path) -> None:
+    """Send a module to the workers, which import it."""
+    try:
+        if file.suffix not in (".py", ".zip", ".egg"):
+            raise ValueError("it is no .py, .zip or .egg")
+        client.upload_file(str(file))
+    except Exception as error:  # of the import, anything
+        raise ParameterError(f"files must be modules that workers can import, not {str(file)!r}: {error}") from None
 
-    def close(self, wait: bool = True) -> None:
-        """Release the workers."""
-        if self._pool is not None:
-            # idle workers end at once; otherwise they could disturb a program that ends meanwhile
-            self._pool.shutdown(wait=wait and not self._hand, cancel_futures=True)
-            self._pool = None
+
+def _client(address: str) -> Any:
+    """Return a connected Dask client.
+
+    Raises OSError, TimeoutError or ValueError if there is no answer.
+    """
+    import asyncio  # as long to load as all of this module
+
+    from distributed import Client
+    from distributed.core import connect
+
+    async def knock() -> None:  # a client without a scheduler would keep trying as the program ends
+        door = await connect(address, timeout=_CONNECTING)
+        await door.close()
+
+    asyncio.run(knock())
+    return Client(address, set_as_default=False)
+
+
+def _check_code(client: Any) -> None:
+    """Raise a WorkersError that names each worker of other code."""
+    found = client.run(versions, on_error="return")  # an older worker may fail to
+    wrong = {worker: _other(theirs) for worker, theirs in sorted(found.items())}
+    if said := "; ".join(f"{worker}: {other}" for worker, other in wrong.items() if other):
+        raise WorkersError(f"workers must have the code of this process: {said}")
+
+
+def _other(theirs: Versions | Exception) -> str:
+    return f"not known ({theirs})" if isinstance(theirs, Exception) else differences(theirs, versions())
+
+
+def _cause(address: str, error: Exception) -> Exception:
+    """Return the cause of a job's error.
+
+    It is a WorkersError if the cluster is the cause, otherwise the error itself.
+    """
+    if isinstance(error, WorkersError):  # the job's own error names its worker
+        return error
+    try:
+        with _client(address) as client:
+            _check_code(client)
+    except WorkersError as found:
+        return found
+    except (OSError, TimeoutError, ValueError):
+        return WorkersError(f"the Dask scheduler at {address} is gone")
+    # cancelled jobs mean that a new scheduler has replaced the old one
+    return (
+        WorkersError(f"the Dask scheduler at {address} has lost its jobs")
+        if isinstance(error, CancelledError)
+        else error
+    )
+
+
+def _run_with_code(code: Versions, function: Callable[..., Any], *args: Any, **keywords: Any) -> Any:
+    """Run a job, unless this worker has other code.
+
+    A worker that joined late was not checked before.
+    """
+    if other := differences(versions(), code):
+        from distributed import get_worker
+
+        raise WorkersError(f"workers must have the code of this process: {get_worker().address}: {other}")
+    return function(*args, **keywords)

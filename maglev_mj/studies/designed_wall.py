@@ -20,15 +20,16 @@ from maglev_mj.loop import drive
 from maglev_mj.metrics import summarise_bounce
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants import ExactPlant, Sensor, Timing
-from maglev_mj.spec import Spec
+from maglev_mj.result import Result, Table
+from maglev_mj.spec import RANGE, Spec
 from maglev_mj.studies.batches import along_z, around_wall, hum, wall_controller
-from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.design import Case, DesignedWall
 from maglev_mj.timeline import split_delay
 
 _ANYWHERE = (1e150, 1.0)  # a flotor thrown far away is a verdict, not an error
 _TICKS, _CONTACT_TICKS = 800, 100
 _RANDOM, _PHASES = 240, 8
+_MOST_LISTED = 8
 _GATE_STEPS, _SETTLED_STEPS = 5.0, 20.0
 
 
@@ -76,7 +77,7 @@ class Contact(Parameters):
 
 
 @dataclass(frozen=True, eq=False)
-class DesignResult(Tabular):
+class DesignResult(Result):
     """Designed wall with its simulated figures.
 
     Attributes:
@@ -117,40 +118,43 @@ class DesignResult(Tabular):
         return {"mass": "kg", "delay": "s"}
 
     def table(self) -> Table:
-        """Return the figures of the wall."""
-        wall, growing = self.wall, int(np.sum(self.grows))
-        rows = [
-            ("stiffness", wall.stiffness, "N/m"),
-            ("damping", wall.damping, "N s/m"),
-            ("largest modulus", wall.modulus, ""),
-            ("least dynamic stiffness", wall.dynamic_stiffness, "N/m"),
-            ("greatest depth", self.depth, "m"),
-            ("peak force", self.peak, "N"),
-            ("hum", self.hum, "N"),
+        """Return gains, margins, contact and simulated check of the wall."""
+        wall, contact, needs = self.wall, self.contact, self.wall.requirements
+        law = "PD wall" if wall.pole is None else f"{wall.law} wall, poles at {wall.pole:g},"
+        slow = "" if wall.pole is None else f"{wall.rendered:.0f} N/m against a slow push"
+        far = "beyond the device's range" if self.depth > RANGE[2] else "worst of corners, hands, phases"
+        limit = "the limit" if contact.force_limit is not None and self.peak >= contact.force_limit else ""
+        rows: list[tuple[str, float, str, str]] = [
+            ("stiffness", wall.stiffness, "N/m", slow),
+            ("damping", wall.damping, "N s/m", ""),
+            ("largest modulus", wall.modulus, "", str(wall.worst)),
+            ("least dynamic stiffness", wall.dynamic_stiffness, "N/m", str(wall.softest)),
+            ("hum, at rest", self.hum, "N", f"{contact.quantize * 1e6:g} µm sensor, hand {needs.hands[0]}"),
+            (f"depth, at {contact.speed:g} m/s", self.depth * 1e3, "mm", far),
+            ("peak force, likewise", self.peak, "N", limit),
         ]
-        return Table(f"designed wall: {growing} of {len(self.cases)} cases grow", ("figure", "value", "unit"), rows)
+        if contact.pulse:
+            words = f"further, for {contact.pulse_width * 1e3:g} ms, from {self.gate * 1e3:.1f} mm/s on"
+            rows.insert(2, ("pulse", contact.pulse_of(wall), "N s/m", words))
+        if self.reference is not None:
+            words = f"{self.reference.dynamic_stiffness:.0f} N/m dynamic"
+            rows.append(("PD alone would reach", self.reference.stiffness, "N/m", words))
+        if wall.island is not None:
+            rows.append(("island, not used: from", wall.island, "N/m", "on, stable again in some of the cases"))
+        growing = [str(case) for case, grows in zip(self.cases, self.grows) if grows]
+        more = [f"and {len(growing) - _MOST_LISTED} more"] if len(growing) > _MOST_LISTED else []
+        note = f"{len(self.cases)} cases simulated, in and out of contact: {len(growing) or 'none'} grow or go on"
+        title = f"Stiffest {law} at {1.0 / needs.period:g} Hz, every modulus at most {needs.modulus:g}"
+        return Table(
+            f"{title}, over the product of {needs.cases_named}",
+            ("", "value", "unit", ""),
+            rows,
+            "\n".join([note, *growing[:_MOST_LISTED], *more]),
+        )
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything, ready for JSON."""
-        figures = {
-            name: value._asdict() if isinstance(value, Case) else value
-            for name, value in vars(self.wall).items()
-            if name != "requirements"
-        }
-        return {
-            "parameters": self.wall.requirements.as_json() | self.contact.as_json(),
-            "wall": {**figures, "pulse": self.contact.pulse_of(self.wall), "gate": self.gate},
-            "approach": {"speed": self.contact.speed, "depth": self.depth, "peak_force": self.peak},
-            "hum": self.hum,
-            "pd": None
-            if self.reference is None
-            else {name: getattr(self.reference, name) for name in ("stiffness", "damping", "dynamic_stiffness")},
-            "simulated": {
-                "cases": len(self.cases),
-                "growing": [case._asdict() for case, grows in zip(self.cases, self.grows) if grows],
-            },
-            "map": {"mass": self.masses.tolist(), "delay": self.delays.tolist(), "modulus": self.map.tolist()},
-        }
+        """Return every field, pulse and gate, ready for JSON."""
+        return {**super().as_json(), "pulse": self.contact.pulse_of(self.wall), "gate": self.gate}
 
     @property
     def gate(self) -> float:

@@ -1,6 +1,7 @@
 """Choice of model level and integrator step for a tolerance.
 
-The least level and the cheapest step that keep it are measured over many cases.
+The least level and the cheapest step that keep it are measured over many cases, and over thousands more at once on
+the exact plant.
 """
 
 from __future__ import annotations
@@ -10,34 +11,43 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import check_instance
+from maglev_mj.errors import PlantError, check_instance
+from maglev_mj.frames import Array
 from maglev_mj.parameters import number
+from maglev_mj.result import Result, Table, plain
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.find import get_scene
+from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import checked_phase, parameters_json
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
-from maglev_mj.studies.fidelity_cases import Case, Preset, choice_cases, itself, preset_of, screen_levels
-from maglev_mj.studies.fidelity_levels import (
-    DEAR,
-    DEAR_CASES,
-    LevelResult,
-    Motions,
+from maglev_mj.studies.levels import (
+    LEVELS,
+    Case,
+    Level,
+    Motion,
+    apart,
+    boundary_shift,
+    choice_cases,
     distance,
-    finite,
-    largest_jump,
-    level_results,
+    exact_options,
+    has_gains,
+    itself,
+    level_index,
+    level_parts,
+    loop_of,
     measure_costs,
     run_case,
-    run_levels,
-    worst_of,
+    run_together,
+    scattered_cases,
+    scene_at,
+    step_of,
 )
-from maglev_mj.studies.integrators import boundary_shift
-from maglev_mj.studies.levels import LEVELS, level_index, level_parts, loop_of, step_of
-from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import SampledLoop
 
 MARGIN = 1.25
@@ -46,6 +56,8 @@ MARGIN = 1.25
 It covers cases not simulated.
 """
 
+_POINTS, _SEEDS = 256, 16
+_JUMP = 100.0
 _REFERENCE_STEP = 2e-5
 _ROUNDING = 1e-12
 
@@ -58,6 +70,71 @@ STEPPINGS: tuple[tuple[str, float | None], ...] = tuple(
 
 None lets a step last as long as the force is constant and nothing else needs a shorter one.
 """
+
+DEAR = level_index("filter")
+"""Index of the first expensive level.
+
+Levels from it on cost ten times as much as those below.
+"""
+
+DEAR_CASES = 4
+"""Number of cases for the expensive levels."""
+
+Motions: TypeAlias = Sequence[dict[int, Motion | None]]
+"""Motion of each level by case index.
+
+None for a diverged one.
+"""
+
+
+class Preset(NamedTuple):
+    """Scene with its tolerance.
+
+    Attributes:
+        name: Its name.
+        scene: The scene.
+        tolerance: Largest negligible displacement of a coil [m].
+        reason: Reason for that value.
+    """
+
+    name: str
+    scene: Scene
+    tolerance: float
+    reason: str
+
+
+_PRESETS = (
+    Preset("drop-no-pulse", Drop(pulse=0.0), 1e-4, "what the paper's figure 3 can be read to"),
+    Preset(
+        "press",
+        Press(hits=1, interval=0.2, height=0.001, press=1.0, pulse=0.0, duration=0.5),
+        Press.tolerance,
+        Press.tolerance_reason,
+    ),
+)
+
+COMPARED = ("drop", "drop-no-pulse", "press", "stick-slip", "twist", "six-axes", "let-go")
+"""Names of the scenes in the comparison table."""
+
+
+def preset_of(scene: str | Scene | Preset) -> Preset:
+    """Return a scene's preset.
+
+    It is that of its class, except for two scenes that are compared with other values.
+
+    Args:
+        scene: The scene, or a text for `find_scene`, or "drop-no-pulse".
+
+    Raises:
+        ParameterError: If there is no such scene.
+    """
+    if isinstance(scene, Preset):
+        return scene
+    for preset in _PRESETS:
+        if scene == preset.name:
+            return preset
+    made = get_scene(scene)
+    return Preset(made.name, made, made.tolerance, made.tolerance_reason)
 
 
 class Range(NamedTuple):
@@ -79,6 +156,32 @@ class Range(NamedTuple):
     around: float = 0.1
     share: float = 0.99
     boundary: float = 0.01
+
+
+class LevelResult(NamedTuple):
+    """One model level in one scene.
+
+    Attributes:
+        level: Its name.
+        adds: Description of what it adds.
+        changes: Distance of its motion from that of the level below in the scene itself [m]; 0 for the lowest.
+        worst: Distance from the motion of any level above in the worst case [m]; 0 for the highest.
+        missing: The same in the worst case of the given share [m]; it decides the choice.
+        keeps: Share of the cases that keep the tolerance with its margin.
+        diverged: Cases that diverged.
+        force: Change of the greatest force from the level below in the scene itself [N].
+        cost: Computing time of a simulated second [s], the controller included.
+    """
+
+    level: str
+    adds: str
+    changes: float
+    worst: float
+    missing: float
+    keeps: float
+    diverged: int
+    force: float
+    cost: float
 
 
 class StepResult(NamedTuple):
@@ -104,7 +207,7 @@ class StepResult(NamedTuple):
 
 
 @dataclass(frozen=True)
-class FidelityResult(Tabular):
+class FidelityResult(Result):
     """Model level and step needed by a scene.
 
     A data frame has a row for each level; see `LevelResult`.
@@ -176,24 +279,25 @@ class FidelityResult(Tabular):
 
         Null for infinite or missing values.
         """
-        values = {
+        values: dict[str, Any] = {
             "scene": self.preset.name,
             "parameters": parameters_json(self.preset.scene, self.preset.scene.plants[0], self.cases[0].phase),
             "tolerance": self.tolerance,
             "margin": MARGIN,
             **self.over._asdict(),
-            "cases": [case._asdict() for case in self.cases],
+            "cases": plain(self.cases),
             "screened": self.screened,
             "unscreened": self.unscreened or None,
             "jump": self.jump,
             "furthest": self.furthest,
             "met_stops": self.met_stops,
-            "levels": [row.as_json() for row in self.levels],
+            "levels": plain(self.levels),
             "level": None if self.level is None else self.level.level,
-            "steps": [finite(row._asdict()) for row in self.steps],
-            "cheapest": None if self.cheapest is None else finite(self.cheapest._asdict()),
+            "steps": plain(self.steps),
+            "cheapest": plain(self.cheapest),
         }
-        return finite(values)
+        found: dict[str, Any] = plain(values)
+        return found
 
 
 def measure_fidelity(
@@ -276,6 +380,187 @@ def measure_fidelity(
         )
     jump = largest_jump(screen)
     return FidelityResult(preset, kept, over, cases, screened, jump, met, levels, level, steps, cheapest, unscreened)
+
+
+def run_levels(
+    scene: Scene, cases: Sequence[Case], *, done: Callable[[], object] = lambda: None
+) -> list[dict[int, Motion | None]]:
+    """Run every level in every case.
+
+    The expensive levels run only in the first case and in the worst ones without them.
+
+    Args:
+        scene: The scene.
+        cases: The cases.
+        done: Function called after each motion.
+    """
+    motions: list[dict[int, Motion | None]] = [{} for _ in LEVELS]
+
+    def measure(index: int, place: int) -> None:
+        motions[index][place] = run_case(scene, LEVELS[index].name, cases[place])
+        done()
+
+    for place in range(len(cases)):
+        for index in range(DEAR):
+            measure(index, place)
+    # by the distances of the falloff level: those of lower levels sum up too many other effects
+    lacking = distances_above(motions, level_index("falloff"))
+    ordered = sorted(range(1, len(cases)), key=lambda place: -lacking[place])
+    for place in (0, *ordered[: DEAR_CASES - 1]):
+        for index in range(DEAR, len(LEVELS)):
+            measure(index, place)
+    return motions
+
+
+def measure_levels(scene: str | Scene | Preset, *, repeats: int = 3) -> tuple[LevelResult, ...]:
+    """Return each level's effect, error and cost.
+
+    They are those in the scene itself.
+
+    Args:
+        scene: See `preset_of`.
+        repeats: Number of timings of each.
+    """
+    preset, none = preset_of(scene), np.zeros((len(LEVELS), 1))
+    motions = run_levels(preset.scene, [itself()])
+    return level_results(preset.scene, motions, none, preset.tolerance, repeats=repeats)
+
+
+def distances_above(motions: Motions, index: int) -> dict[int, float]:
+    """Return a level's distances from those above [m].
+
+    The largest in each case.
+    """
+    return {
+        place: max((distance(motion, above[place]) for above in motions[index + 1 :] if place in above), default=0.0)
+        for place, motion in motions[index].items()
+    }
+
+
+def worst_of(values: Sequence[float] | Array, share: float) -> float:
+    """Return the largest value of a share of cases.
+
+    The share has the smallest values.
+    """
+    return float(np.quantile(np.asarray(values), share, method="higher"))
+
+
+def largest_jump(screen: Array) -> float:
+    """Return the largest jump on the exact plant [m].
+
+    0 if no case jumps.
+
+    A sample that just meets or just misses the wall separates two levels by a fixed distance, for any small cause. A
+    level jumps if a case exceeds a hundred times the median.
+
+    Args:
+        screen: Distances of each level from those above it [m], (levels, cases).
+    """
+    seen = screen[level_index("lag") :]
+    most = seen.max(axis=1)
+    return float(np.max(most, where=most > _JUMP * np.median(seen, axis=1), initial=0.0))
+
+
+def level_results(
+    scene: Scene, motions: Motions, screen: Array, tolerance: float, share: float = 1.0, *, repeats: int = 3
+) -> tuple[LevelResult, ...]:
+    """Return each level's effect, error and cost.
+
+    Each level has its own default step.
+
+    Args:
+        scene: The scene.
+        motions: Motions of the levels.
+        screen: Distances on the exact plant [m], (levels, cases).
+        tolerance: Largest allowed distance [m].
+        share: Share of the cases that counts.
+        repeats: Number of timings of each.
+    """
+    firsts = [found[0] for found in motions]
+    makers = [partial(level_parts, scene, level.name) for level in LEVELS]
+    seconds = [min((m.seconds for m in found.values() if m is not None), default=1.0) for found in motions]
+    costs = measure_costs(makers, seconds, repeats)
+    rows = []
+    for index, level in enumerate(LEVELS):
+        here, below = firsts[index], firsts[max(index - 1, 0)]
+        found = list(distances_above(motions, index).values())
+        rows.append(
+            LevelResult(
+                level=level.name,
+                adds=level.adds,
+                changes=distance(here, below),
+                worst=max(*found, float(screen[index].max())),
+                missing=max(worst_of(found, share), worst_of(screen[index], share)),
+                keeps=float(min(np.mean(np.array(found) <= tolerance), np.mean(screen[index] <= tolerance))),
+                diverged=sum(motion is None for motion in motions[index].values()),
+                force=math.nan if here is None or below is None else here.peak_force - below.peak_force,
+                cost=costs[index],
+            )
+        )
+    return tuple(rows)
+
+
+def screen_levels(scene: Scene, around: float) -> Array:
+    """Return each level's distance from those above it [m].
+
+    (levels, cases): 4096 cases on the exact plant; 16 of a scene with neither gains nor phases to vary.
+
+    The exact plant has the lag, the current limit along z, the sensor's steps and the jitter, for many devices at
+    once. It lacks turning coils, falloff, spots, stops and the handle's swing. A rare jump, of a sample that just meets
+    the wall, is found here and not in a few cases of the whole device.
+
+    Args:
+        scene: The scene.
+        around: Largest relative change of a gain.
+
+    Returns:
+        The distances; infinite throughout if a case diverges.
+
+    Raises:
+        ParameterError: If a law does not declare its gains; an `if` on a coordinate raises ValueError.
+    """
+    count = _POINTS if has_gains(scene) or scene.takes_phase else 1
+    points = [scene_at(scene, case) for case in scattered_cases(scene, count, around, seed=0)]
+    try:
+        return _screen(points)
+    except PlantError:  # one diverged, and with it the batch
+        return np.full((len(LEVELS), len(points) * _SEEDS), math.inf)
+
+
+def _screen(points: Sequence[tuple[Scene, float]]) -> Array:
+    steady: dict[str, Array] = {}
+    found = []
+    for seed in range(_SEEDS):
+        motions: list[Array] = []
+        for place, level in enumerate(LEVELS):
+            below = LEVELS[max(place - 1, 0)]
+            if place and _seen_alike(level, below):
+                motions.append(motions[-1])
+            elif level.jitter:
+                motions.append(run_together(points, level.name, seed))
+            else:
+                if level.name not in steady:
+                    steady[level.name] = run_together(points, level.name, seed)
+                motions.append(steady[level.name])
+        found.append(_distances(motions))
+    return np.concatenate(found, axis=1)
+
+
+def _seen_alike(one: Level, other: Level) -> bool:
+    """Return True for two equal levels on the exact plant."""
+    return (exact_options(one.name), *one[3:]) == (exact_options(other.name), *other[3:])
+
+
+def _distances(motions: Sequence[Array]) -> Array:
+    """Return each motion's largest distance from those above [m].
+
+    (levels, N), from poses (K, N, 6).
+    """
+    found = np.zeros((len(motions), motions[0].shape[1]))
+    for place, motion in enumerate(motions):
+        different = {id(above): above for above in motions[place + 1 :] if above is not motion}
+        found[place] = np.max([apart(motion, above) for above in different.values()], axis=0, initial=0.0)
+    return found
 
 
 def measure_steps(

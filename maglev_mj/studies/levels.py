@@ -1,34 +1,60 @@
 """Model levels, from six decoupled axes to the whole device.
 
-Each level includes all below it.
+Each level includes all below it. Here are its plants, its loop as an integrator simulates it, its cases around a
+scene, and their computing costs.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+import statistics
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from maglev_mj.controller import Controller
-from maglev_mj.errors import check_one_of
+from maglev_mj.errors import ParameterError, PlantError, SensingError, check_one_of
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.hand import Hand
 from maglev_mj.loop import drive
 from maglev_mj.model import load_model
-from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
+from maglev_mj.parameters import number
+from maglev_mj.plants import (
+    ExactPlant,
+    MuJoCoPlant,
+    SampledPlant,
+    Sensor,
+    SpotSensor,
+    Timing,
+    engine_warnings_silenced,
+    one_step,
+)
 from maglev_mj.plants.engine import longest_step as step_needed
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.together import stacked_scenes
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
+from maglev_mj.theory.boundary import stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.timeline import split_delay
 
 _JITTER = 1e-4
 _LAG = DRIVER_TIME_CONSTANT
 _SHORTEN = ("driver_lag", "stops", "force_falloff", "flexible")  # options that need shorter steps
 _STEPS, _SPOTS = Sensor(quantum=RESOLUTION), SpotSensor(quantum=Spec.spot_resolution.value)
+_SHORT, _LONG = 2e-3, 0.1
+_MOST_PHASES = 1000
+_FAR = (1e9, 1e9)
+_SPREAD = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
+"""Increments of a sequence that fills a cube evenly.
+
+Powers of the inverse of the root of x⁴ = x + 1 (Roberts 2018).
+"""
 
 
 class Level(NamedTuple):
@@ -262,3 +288,276 @@ def apart(one: Array, other: Array) -> Array:
     difference = one - other
     moved, turned = (np.linalg.norm(part, axis=-1) for part in (difference[..., :3], difference[..., 3:]))
     return np.asarray((moved + Spec.coil_radius.value * turned).max(axis=0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SteppedLoop(SampledLoop):
+    """Sampled loop with the flotor moved by an integrator.
+
+    The map of one step is measured on the drop model along z, without gravity; the rest is the exact loop.
+
+    Args:
+        integrator: One of `INTEGRATORS`.
+        step: Longest time step [s].
+        aligned: True ends a step at each switch of the force, in equal steps; False uses a fixed step, and a new
+            command acts from the first step that begins after its time, as in a plain simulation loop.
+    """
+
+    integrator: str = "rk4"
+    step: float = 1e-3
+    aligned: bool = True
+
+    def flotor(self) -> tuple[Array, Array, Array, Array, int]:
+        """See `SampledLoop`."""
+        period, delay = float(np.asarray(self.period)), float(np.asarray(self.delay))
+        longest = number("step", self.step, above=0.0, at_most=period)
+        whole, rest = map(float, split_delay(delay, period))
+        if self.aligned:
+            before = max(math.ceil(rest / longest - 1e-9), 0)
+            after = max(math.ceil((period - rest) / longest - 1e-9), 0)
+            first = rest / before if before else longest
+            second = (period - rest) / after if after else longest
+        else:
+            steps = math.ceil(period / longest - 1e-9)
+            first = second = period / steps
+            before = math.ceil(rest / first - 1e-9)
+            after = steps - before
+        early, held = self._steps(first, before)
+        late, new = self._steps(second, after)
+        phi, old = late @ early, late @ held
+        if self.integrator == "corrected":  # at the sample the position goes back by half a step of the speed gained
+            new = new - 0.5 * second * new[1] * _PLACE[: len(new)]
+            old = old - 0.5 * (first * held[1] + second * (old[1] - held[1])) * _PLACE[: len(old)]
+            before_it = np.eye(len(phi))[1]
+            gained = first * (early[1] - before_it) + second * (phi[1] - early[1])
+            phi = phi - 0.5 * np.outer(_PLACE[: len(phi)], gained)
+        return phi, old, new, np.asarray(whole), int(whole) + int(before > 0)
+
+    def _steps(self, step: float, count: int) -> tuple[Array, Array]:
+        """Return the transition of several steps and the force's share.
+
+        The force acts throughout the steps.
+        """
+        lags = self.driver_lag > 0.0
+        return _steps(self.integrator, float(np.asarray(self.mass)), step, count, self.hand, lags)
+
+
+_PLACE = np.eye(5)[0]
+
+
+@lru_cache(maxsize=256)
+def _steps(integrator: str, mass: float, step: float, count: int, hand: Hand | None, lags: bool) -> tuple[Array, Array]:
+    one, push = one_step(integrator, mass, step, hand, lags)
+    total, share = np.eye(len(push)), np.zeros(len(push))
+    for _ in range(count):
+        total, share = one @ total, one @ share + push
+    return total, share
+
+
+def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: bool = True) -> float:
+    """Return the relative shift of the stiffest wall.
+
+    It is the shift by an integrator and its step.
+
+    Args:
+        integrator: As for `SteppedLoop`; 0 for "exact" and "closed form".
+        step: Longest time step [s].
+        loop: The loop itself: period, delay, mass, hand and lag of the model's drivers.
+        aligned: See `SteppedLoop`.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    if integrator in ("exact", "closed form"):
+        return 0.0
+    stepped = SteppedLoop(
+        period=loop.period,
+        delay=loop.delay,
+        mass=loop.mass,
+        hand=loop.hand,
+        driver_lag=loop.driver_lag,
+        integrator=integrator,
+        step=step,
+        aligned=aligned,
+    )
+    return float(stiffest_of(stepped).stiffness) / _stiffest(loop) - 1.0
+
+
+@lru_cache(maxsize=16)
+def _stiffest(loop: SampledLoop) -> float:
+    return float(stiffest_of(loop).stiffness)
+
+
+class Case(NamedTuple):
+    """One variation of a scene.
+
+    Attributes:
+        phase: Phase of the samples, in [0, 1); without effect in a scene that starts at rest.
+        seed: Seed of the jitter.
+        stiffness: Factor of the stiffness.
+        damping: Factor of the damping.
+    """
+
+    phase: float
+    seed: int
+    stiffness: float = 1.0
+    damping: float = 1.0
+
+
+def has_gains(scene: Scene) -> bool:
+    """Return True for a scene with stiffness and damping.
+
+    Both must be parameters with numbers.
+    """
+    return all(isinstance(getattr(scene, name, None), float) for name in ("stiffness", "damping"))
+
+
+def itself(phase: float = 0.0) -> Case:
+    """Return the case of the unchanged scene."""
+    return Case(phase, 0)
+
+
+def choice_cases(scene: Scene, phases: int, around: float, phase: float = 0.0) -> tuple[Case, ...]:
+    """Return the cases for the choice of a level.
+
+    They are phases times pairs of gains, the scene itself first.
+
+    Each has its own jitter seed. The gains are those of the scene and the corners of their neighbourhood.
+
+    Args:
+        scene: The scene.
+        phases: Number of phases, evenly spread over a period; jitter seeds alone in a scene that starts at rest.
+        around: Largest relative change of a gain, in [0, 0.5].
+        phase: Phase of the scene itself.
+
+    Raises:
+        ParameterError: If a value is outside its bounds.
+    """
+    if number("phases", phases, at_least=1, at_most=_MOST_PHASES) != int(phases):
+        raise ParameterError(f"phases must be a whole number, not {phases:g}")
+    share = number("around", around, at_least=0.0, at_most=0.5)
+    gains = [(1.0, 1.0)]
+    if has_gains(scene) and share:
+        gains += [(k, b) for k in (1.0 - share, 1.0 + share) for b in (1.0 - share, 1.0 + share)]
+    chosen = [(phase + place / int(phases)) % 1.0 for place in range(int(phases))]
+    return tuple(Case(at, seed, *pair) for seed, (pair, at) in enumerate(itertools.product(gains, chosen)))
+
+
+def scattered_cases(scene: Scene, count: int, around: float, *, seed: int) -> tuple[Case, ...]:
+    """Return cases spread over phases and neighbouring gains.
+
+    They are evenly spread; each has its own jitter seed.
+
+    Args:
+        scene: The scene.
+        count: Number of cases.
+        around: Largest relative change of a gain.
+        seed: Seed of the first point, and first of the jitter seeds.
+    """
+    share = around if has_gains(scene) else 0.0
+    start = np.random.default_rng(seed).uniform(size=3)
+    points = (start + np.outer(np.arange(count), _SPREAD)) % 1.0
+    return tuple(
+        Case(float(phase), seed + place, 1.0 + share * (2.0 * float(k) - 1.0), 1.0 + share * (2.0 * float(b) - 1.0))
+        for place, (phase, k, b) in enumerate(points)
+    )
+
+
+def scene_at(scene: Scene, case: Case) -> tuple[Scene, float]:
+    """Return the scene of a case, and its phase."""
+    phase = case.phase if scene.takes_phase else 0.0
+    if not has_gains(scene):
+        return scene, phase
+    gains = {name: getattr(scene, name) * getattr(case, name) for name in ("stiffness", "damping")}
+    return scene.replace(**gains), phase
+
+
+def run_case(scene: Scene, level: str, case: Case, **options: Any) -> Motion | None:
+    """Run one case on a level; None if diverging."""
+    with engine_warnings_silenced(), np.errstate(all="ignore"):  # a diverging run overflows before it is detected
+        try:
+            chosen, phase = scene_at(scene, case)
+            return motion_of(*level_parts(chosen, level, phase=phase, seed=case.seed, **options))
+        except (PlantError, SensingError):
+            return None
+
+
+def distance(one: Motion | None, other: Motion | None) -> float:
+    """Return the largest coil displacement between two motions [m].
+
+    It is infinite if one diverged.
+    """
+    return math.inf if one is None or other is None else float(apart(one.pose, other.pose))
+
+
+def run_together(points: Sequence[tuple[Scene, float]], level: str, seed: int) -> Array:
+    """Run scenes as one batch of exact plants.
+
+    Returns poses (K, N, 6), at the scenes' phases. The scenes differ in gains alone.
+
+    Raises:
+        ParameterError: If their laws differ in more than declared gains, or do not accept many devices at once.
+    """
+    stack = stacked_scenes(points)
+    near = exact_options(level) | {"longest_step": None, "escape": _FAR, "record": False}
+    if stack.plant_options().get("wrench_limit") is not None:  # the scene's own
+        near.pop("wrench_limit", None)
+    ticks = min(scene.ticks(scene.timing(phase)) for scene, phase in points)
+    timing = timing_of(LEVELS[level_index(level)], stack.timing(), seed)
+    with np.errstate(all="ignore"), stack.plant("exact", timing=timing, **near) as plant:
+        poses: list[Array] = []
+        drive(plant, stack.controller(), ticks, observe=lambda *_: poses.append(plant.state()[0]))
+        return np.array(poses)
+
+
+Parts = tuple[SampledPlant, Controller, int]
+
+
+def measure_costs(makers: Sequence[Callable[[], Parts]], seconds: Sequence[float], repeats: int) -> tuple[float, ...]:
+    """Return each closed loop's cost per simulated second [s].
+
+    The controller is included; see `median_times`.
+
+    Args:
+        makers: Functions that return plant, controller and number of samples.
+        seconds: Time of an earlier run of each [s]; a long one is not repeated.
+        repeats: Number of rounds.
+    """
+    quick = [place for place, taken in enumerate(seconds) if taken < _LONG]
+    taken = list(seconds)
+    found = median_times([partial(closed_loop, makers[place]) for place in quick], repeats)
+    for place, median in zip(quick, found, strict=True):
+        taken[place] = median
+    simulated = [ticks * plant.period for plant, _, ticks in (make() for make in makers)]
+    return tuple(cost / span for cost, span in zip(taken, simulated, strict=True))
+
+
+def closed_loop(make: Callable[[], Parts]) -> Callable[[], object]:
+    """Return a closed loop of new parts, ready to run."""
+    return partial(drive, *make())
+
+
+def median_times(prepare: Sequence[Callable[[], Callable[[], object]]], repeats: int) -> tuple[float, ...]:
+    """Return the computing time of each task [s].
+
+    Medians over interleaved repeats, so that their ratios hold on a shared machine. A short task is timed several times
+    per round, after one run that warms the processor's caches; a long task has two rounds only.
+
+    Args:
+        prepare: Functions that prepare a task, which is not timed, and return it.
+        repeats: Number of rounds.
+    """
+    times: list[list[float]] = [[] for _ in prepare]
+    for turn in range(repeats):
+        for kept, make in zip(times, prepare, strict=True):
+            if turn > 1 and kept[0] > _LONG:
+                continue
+            first = _timed(make())
+            kept += [first] if first > _LONG else [_timed(make()) for _ in range(min(math.ceil(_SHORT / first), 10))]
+    return tuple(statistics.median(kept) for kept in times)
+
+
+def _timed(work: Callable[[], object]) -> float:
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start

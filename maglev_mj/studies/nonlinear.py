@@ -19,12 +19,12 @@ from maglev_mj.hand import get_hand
 from maglev_mj.loop import drive
 from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.result import Table
 from maglev_mj.scenes.bench import along, stepped
 from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import along_z, wall_controller
-from maglev_mj.studies.cells import Cell, Record, run_cells
+from maglev_mj.studies.cells import Cell, Record, Workers, run_cells
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, gain_axes
-from maglev_mj.workers import Workers
 
 PART = 10_000
 """Number of walls simulated at once; they fit the cache."""
@@ -107,7 +107,7 @@ class DropMap(GainMap):
         ending: Values of `Ending`, (K, B).
         boundary: Largest stable stiffness at each damping by theory [N/m], (B,).
         maximum: The stiffest wall by theory over all dampings, in the grid or not.
-        others: Other code behind parts of the record; see `Record.others`.
+        other_versions: Other code behind parts of the record; see `Record.others`.
     """
 
     parameters: DropMapParameters
@@ -117,7 +117,7 @@ class DropMap(GainMap):
     ending: Array
     boundary: Array
     maximum: theory.StiffestWall
-    others: Sequence[Mapping[str, Any]] = ()
+    other_versions: Sequence[Mapping[str, Any]] = ()
     drawn_by: ClassVar = "maglev_mj.plots.stability:drop_map"
 
     def cells(self) -> dict[str, NDArray[Any]]:
@@ -150,20 +150,33 @@ class DropMap(GainMap):
         below: Mask = self.stiffness[:, None] <= self.boundary
         return below
 
+    def table(self) -> Table:
+        """Return the stiffest walls, the endings of the drops, and their differences from theory."""
+        p, settles, stable, up_to = self.parameters, self.settles, self.stable_by_theory, self.settles_up_to
+        best, counts = int(np.argmax(up_to)), {one: int((self.ending == one).sum()) for one in Ending}
+        rows = [
+            ("stiffest up to which all settle", up_to[best], self.damping[best], "" if up_to[best] else "none settles"),
+            (
+                "stiffest stable wall by theory",
+                float(self.maximum.stiffness),
+                float(self.maximum.damping),
+                "on a jump" if self.maximum.on_jump else "",
+            ),
+        ]
+        note = (
+            f"grid: {settles.size} walls, {stable.sum()} stable by theory\n{counts[Ending.SETTLES]} settle: {SAMPLES} "
+            f"samples on they swing by at most {p.band * 1e6:g} µm, or ever less without leaving the wall; "
+            f"{counts[Ending.GOES_ON]} go on; {counts[Ending.GAINS]} rise above where they were released\n"
+            f"{(stable & ~settles).sum()} are stable by theory and do not settle, {(~stable & settles).sum()} settle "
+            "and are unstable by theory"
+        )
+        head = "", "stiffness [N/m]", "damping [N s/m]", ""
+        return Table(f"Drops on PD walls, {p.loop_named}: {p.described}", head, rows, note)
+
     def as_json(self) -> dict[str, Any]:
-        """Return everything, ready for JSON."""
-        return {
-            "parameters": self.parameters.as_json(),
-            "damping": self.damping.tolist(),
-            "stiffness": self.stiffness.tolist(),
-            "swing": self.swing.tolist(),
-            "ending": self.ending.tolist(),
-            "endings": [one.name.lower() for one in Ending],
-            "settles_up_to": self.settles_up_to.tolist(),
-            "boundary": self.boundary.tolist(),
-            "maximum": {name: value.item() for name, value in self.maximum._asdict().items()},
-            "other_versions": list(self.others),
-        }
+        """Return every field and the stiffness up to which all drops settle, ready for JSON."""
+        endings = [one.name.lower() for one in Ending]
+        return {**super().as_json(), "endings": endings, "settles_up_to": self.settles_up_to.tolist()}
 
 
 def run_drop_map(

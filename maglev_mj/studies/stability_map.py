@@ -5,6 +5,7 @@ It includes the map of figure 2.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,12 +20,12 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.hand import get_hand
 from maglev_mj.parameters import Parameters, interval, param
+from maglev_mj.result import Result, Table
 from maglev_mj.spec import Spec
-from maglev_mj.studies.cells import Cell, Record, run_cells
+from maglev_mj.studies.cells import Cell, Record, Workers, run_cells
 from maglev_mj.studies.growth import HAND_HELP, RestingWall, grow_together, stiffest_in
-from maglev_mj.tabular import Table, Tabular
+from maglev_mj.theory import bounds
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
-from maglev_mj.workers import Workers
 
 _NEAR = 0.005
 _TOGETHER = 240
@@ -73,12 +74,18 @@ class StabilityParameters(Parameters):
         get_hand(self.hand)
 
     @property
+    def loop_named(self) -> str:
+        """Rate, delay, mass and hand in a few words."""
+        hand = "no hand" if self.hand == "none" else f"hand {self.hand}"
+        return f"{1.0 / self.period:g} Hz, delay {self.delay * 1e3:g} ms, mass {self.mass:g} kg, {hand}"
+
+    @property
     def loop(self) -> LoopKeywords:
         """Keywords of the theory besides the gains."""
         return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": get_hand(self.hand)}
 
 
-class GainMap(Tabular):
+class GainMap(Result):
     """Map over a grid of gains.
 
     Attributes:
@@ -109,10 +116,6 @@ class GainMap(Tabular):
         """Unit of each column."""
         return {"stiffness": "N/m", "damping": "N s/m", "swing": "m"}
 
-    def table(self) -> Table:
-        """Return the first cells, under the stiffest wall."""
-        return super().table()._replace(title=f"stiffest wall by theory: {self.maximum.describe()}")
-
 
 @dataclass(frozen=True, eq=False)
 class StabilityMap(GainMap):
@@ -127,7 +130,7 @@ class StabilityMap(GainMap):
         maximum: The stiffest wall over all dampings, in the grid or not.
         simulated: True if the simulated wall settles, (K, B); None for theory alone.
         near: True if half a percent of a gain changes the theory's verdict, (K, B); False throughout for theory alone.
-        others: Other code behind cells of the record; see `Record.others`.
+        other_versions: Other code behind cells of the record; see `Record.others`.
     """
 
     parameters: StabilityParameters
@@ -138,7 +141,7 @@ class StabilityMap(GainMap):
     maximum: theory.StiffestWall
     simulated: Mask | None
     near: Mask
-    others: Sequence[Mapping[str, Any]] = ()
+    other_versions: Sequence[Mapping[str, Any]] = ()
     drawn_by: ClassVar = "maglev_mj.plots.stability:stability_map"
 
     def cells(self) -> dict[str, NDArray[Any]]:
@@ -153,18 +156,28 @@ class StabilityMap(GainMap):
         """
         return None if self.simulated is None else (theory.is_stable(self.modulus) != self.simulated) & ~self.near
 
-    def as_json(self) -> dict[str, Any]:
-        """Return everything, ready for JSON."""
-        return {
-            "parameters": self.parameters.as_json(),
-            "damping": self.damping.tolist(),
-            "stiffness": self.stiffness.tolist(),
-            "modulus": self.modulus.tolist(),
-            "simulated_stable": None if self.simulated is None else self.simulated.tolist(),
-            "boundary": self.boundary.tolist(),
-            "maximum": {name: value.item() for name, value in self.maximum._asdict().items()},
-            "other_versions": list(self.others),
-        }
+    def table(self) -> Table:
+        """Return the stiffest wall beside published bounds, and the numbers of stable cells."""
+        p, best, damping = self.parameters, float(self.maximum.stiffness), float(self.maximum.damping)
+        known = (
+            ("Colgate & Schenkel", bounds.colgate(damping, period=p.period), "passive; none on a flotor"),
+            ("Gil et al.", bounds.gil(damping, period=p.period, delay=p.delay), "stable, low damping"),
+            ("Minsky et al.", bounds.minsky(damping, period=p.period), "stable, no delay, low damping"),
+        )
+        beside = "; at a damping slightly beside the jump, softer walls are unstable" if self.maximum.on_jump else ""
+        rows = [("stiffest stable wall", best, 1.0, f"at {damping:.1f} N s/m{beside}" if best else "no wall is stable")]
+        rows += [(name, float(one), float(one) / best if best else math.nan, sense) for name, one, sense in known]
+        stable = theory.is_stable(self.modulus)
+        note = [f"grid: {stable.sum()} of {stable.size} cells stable by theory"]
+        if self.simulated is not None and self.misjudged is not None:
+            note.append(
+                f"simulated ({p.plant}): {self.simulated.sum()} stable; {(stable != self.simulated).sum()} verdicts "
+                f"differ from theory, {self.misjudged.sum()} of them further than 0.5 % of a gain from the boundary "
+                f"({self.near.sum()} cells are nearer)"
+            )
+        note.append("published bounds are at this damping, without a hand")
+        head = "", "stiffness [N/m]", "ratio to it", ""
+        return Table(f"Stability of a PD wall, {p.loop_named}", head, rows, "\n".join(note))
 
 
 def run_stability(

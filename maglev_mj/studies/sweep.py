@@ -22,26 +22,29 @@ import maglev_mj
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.parameters import parsed_number
+from maglev_mj.result import Result, Table, plain
+from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.find import SceneLike, get_scene, hash_of, made_again, reference_of, scene_of_text, text_of
 from maglev_mj.scenes.names import installed_scenes
-from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json, plain
+from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.studies.cells import Cell, Record, run_cells
-from maglev_mj.tabular import Table, Tabular
-from maglev_mj.workers import Workers, chosen_workers
+from maglev_mj.studies.cells import Cell, Record, Workers, chosen_workers, run_cells
 
 MOST_CELLS = 1_000_000
 """Largest number of cells in a sweep."""
 
+_SHARES = 0.0, 50.0, 100.0
 _JOBS, _MOST_TOGETHER = 8, 50
 _LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
 
 _Run: TypeAlias = tuple[Scene, str, float]
 """Scene, plant name, and phase."""
 
+_UNKNOWN = Figure("", lambda result: None)
+
 
 @dataclass(frozen=True, eq=False)
-class Sweep(Tabular):
+class Sweep(Result):
     """Results of a scene over a grid.
 
     Attributes:
@@ -50,7 +53,8 @@ class Sweep(Tabular):
         cells: Parameters of each run, the last one varying fastest.
         results: Figures of each cell by name, or {"error": ...} of a run that failed.
         known: Number of cells found in the record.
-        others: Other code behind cells of the record; see `Record.others`.
+        record: File of the record; None for none.
+        other_versions: Other code behind cells of the record; see `Record.others`.
     """
 
     scene: type[Scene]
@@ -58,7 +62,8 @@ class Sweep(Tabular):
     cells: Sequence[Cell]
     results: Sequence[Mapping[str, Any]]
     known: int
-    others: Sequence[Mapping[str, Any]]
+    record: str | None
+    other_versions: Sequence[Mapping[str, Any]]
     drawn_by: ClassVar = "maglev_mj.plots.results:sweep"
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -89,14 +94,34 @@ class Sweep(Tabular):
         return " or ".join(dict.fromkeys(unit_of(unit, axis, along) for axis in axes))
 
     def table(self) -> Table:
-        """Return the first cells."""
-        return super().table()._replace(title=f"sweep of {self.scene.name}, {len(self.cells)} cells")
+        """Return the spread of each figure over the cells."""
+        over = ", ".join(f"{name} ({len(values)})" for name, values in self.varied.items())
+        failed = [result["error"] for result in self.results if "error" in result]
+        rows = []
+        for name in filter(self.is_number, self.names):
+            one, values = self.shown(name), self.figure(name).ravel()
+            if (known := values[np.isfinite(values)] * one.scale).size:
+                spread = np.percentile(known, _SHARES).tolist()
+                rows.append((name, *spread, self.unit_along(one.unit, one.along), known.size))
+        choices = [name for name, values in self.varied.items() if any(isinstance(value, str) for value in values)]
+        notes = [f"{self.known} of them already in {self.record}"] if self.record else []
+        notes += [f"all values of {' and '.join(choices)} share a row"] if choices else []
+        count = "1 cell" if len(failed) == 1 else f"{len(failed)} cells"
+        notes += [f"{count} failed, the first because {failed[0]}"] if failed else []
+        head = "", "least", "median", "greatest", "unit", "cells"
+        title = f"Sweep of {self.scene.name} over {over}: {len(self.results)} cells"
+        return Table(title, head, rows, "\n".join(notes))
 
     @property
     def names(self) -> list[str]:
         """Names of the figures of the cells."""
         found = dict.fromkeys(name for result in self.results if "error" not in result for name in result)
         return list(found or self.scene.figures)
+
+    def shown(self, name: str) -> Figure:
+        """Return a figure with its unit, without one for an undeclared name."""
+        named: Mapping[str, Figure] = self.scene.figures
+        return named.get(name, _UNKNOWN)
 
     def is_number(self, name: str) -> bool:
         """Return whether a figure is one number a cell."""
@@ -116,9 +141,14 @@ class Sweep(Tabular):
         return values.reshape([len(given) for given in self.varied.values()])
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything, ready for JSON."""
+        """Return the cells with their results, ready for JSON."""
         rows = [{"cell": cell, "result": result} for cell, result in zip(self.cells, self.results, strict=True)]
-        return {"scene": self.scene.name, "varied": self.varied, "cells": rows, "other_versions": list(self.others)}
+        return {
+            "scene": self.scene.name,
+            "varied": self.varied,
+            "cells": rows,
+            "other_versions": list(self.other_versions),
+        }
 
 
 def sweep(
@@ -159,6 +189,7 @@ def sweep(
     if not vary:
         raise ParameterError("vary must give a list of values for at least one parameter, not {}; run() does one run")
     cells = swept_cells(made, vary, plant=plant, phase=phase)
+    file = None if record is None else str(record)
     kept = Record(None if record is None else Path(record))
     known = 0 if record is None else sum(cell in kept for cell in cells)
     hands = chosen_workers(workers)
@@ -166,7 +197,7 @@ def sweep(
     together = _cells_a_job(len(cells) - known, hands.window, all(cell["plant"] == "exact" for cell in cells))
     others = kept.others(cells)
     results = run_cells(function, cells, record=kept, workers=hands, together=together, progress=progress)
-    return Sweep(type(made), {name: list(values) for name, values in vary.items()}, cells, results, known, others)
+    return Sweep(type(made), {name: list(values) for name, values in vary.items()}, cells, results, known, file, others)
 
 
 def _cells_a_job(missing: int, window: int, batches: bool) -> int:
@@ -279,7 +310,8 @@ def _alone(one: _Run, catches: bool) -> dict[str, Any]:
     """
     scene, plant, phase = one
     try:
-        return plain(scene.run_figures(plant, phase))
+        figures: dict[str, Any] = plain(scene.run_figures(plant, phase))
+        return figures
     except MaglevError as error:
         return {"error": str(error)}
     except Exception as error:

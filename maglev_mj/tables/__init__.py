@@ -11,23 +11,19 @@ if TYPE_CHECKING:
     from maglev_mj.tables.fidelity import fidelity_table as fidelity_table
     from maglev_mj.tables.fidelity import levels_table as levels_table
     from maglev_mj.tables.run import run_table as run_table
-    from maglev_mj.tables.run import sweep_table as sweep_table
     from maglev_mj.tables.sessions import flown_table as flown_table
     from maglev_mj.tables.sessions import served_table as served_table
     from maglev_mj.tables.sessions import show_table as show_table
     from maglev_mj.tables.sessions import timing_table as timing_table
     from maglev_mj.tables.sessions import verdict_table as verdict_table
-    from maglev_mj.tables.stability import design_table as design_table
-    from maglev_mj.tables.stability import drop_table as drop_table
     from maglev_mj.tables.stability import loop_table as loop_table
-    from maglev_mj.tables.stability import stability_table as stability_table
 else:
     _HOMES = {
         "analysis": "analysis_table",
         "fault": "fault_table latched_table",
         "fidelity": "fidelity_table levels_table",
-        "run": "run_table sweep_table",
+        "run": "run_table",
         "sessions": "flown_table served_table show_table timing_table verdict_table",
-        "stability": "design_table drop_table loop_table stability_table",
+        "stability": "loop_table",
     }
     __getattr__, __dir__, __all__ = attach(__name__, _HOMES)

@@ -8,8 +8,9 @@ import numpy as np
 
 from maglev_mj.analysis import Analysed, Comparison, FaceFigures, StretchFigures
 from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.result import number_text
 from maglev_mj.tables.identification import identified_lines
-from maglev_mj.terminal import cell, wrapped
+from maglev_mj.terminal import wrapped
 
 _NAME, _CELL = 20, 8
 _WALL = 7, 9, 7, 9, 8, 9, 9
@@ -94,7 +95,7 @@ def _wall(face: FaceFigures, *, turning: bool) -> list[str]:
         (face.hardness.rate, hard),
         (face.hardness.extended, hard),
     )
-    return [*(cell(figure, scale) for figure, scale in figures), str(len(face.contacts))]
+    return [*(number_text(float(figure) * scale, 3, 2) for figure, scale in figures), str(len(face.contacts))]
 
 
 def _contacts(faces: Sequence[FaceFigures], *, turning: bool) -> list[str]:
@@ -108,7 +109,11 @@ def _contacts(faces: Sequence[FaceFigures], *, turning: bool) -> list[str]:
     found = sorted(rows, key=lambda row: (round(row[0], 7), row[1]))  # rounding does not order those at the same time
     for start, name, one in found[:_CONTACTS_SHOWN]:
         figures = (one.duration, one.approach_speed, one.penetration)
-        texts = [f"{start:.4f}", *(cell(figure, 1e3) for figure in figures), cell(one.peak_force, 1.0)]
+        texts = [
+            f"{start:.4f}",
+            *(number_text(figure * 1e3, 3, 2) for figure in figures),
+            number_text(one.peak_force, 3, 2),
+        ]
         lines.append(_cells(name, texts, _CONTACT))
     if len(found) > _CONTACTS_SHOWN:
         lines.append(f"  and {len(found) - _CONTACTS_SHOWN} more: see --json")
@@ -139,7 +144,7 @@ def _friction(figures: StretchFigures) -> list[str]:
     slips = [str(figures.slips(axis)) if axis in rubbing else "" for axis in range(len(AXES))]
     longest = ["" for _ in AXES]
     for axis in rubbing:
-        longest[axis] = cell(max(stick.duration for stick in figures.sticks[axis] or ()), 1e3)
+        longest[axis] = number_text(max(stick.duration for stick in figures.sticks[axis] or ()) * 1e3, 3, 2)
     lines = ["", _cells("friction", names), _cells("slips", slips), _cells("longest stuck", longest, unit="ms")]
     for axis in rubbing:
         places = [f"{stick.position * 1e3:.3f}" for stick in figures.sticks[axis] or ()]
@@ -191,4 +196,4 @@ def _small(value: float, scale: float) -> str:
     """
     if abs(value) < _NOTHING:
         return "0"
-    return cell(abs(value) if abs(value * scale) < 0.005 else value, scale)
+    return number_text(value * scale, 3, 2)

@@ -6,11 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from maglev_mj.studies.fidelity import MARGIN, FidelityResult, stepping_name
-from maglev_mj.studies.fidelity_cases import has_gains
-from maglev_mj.studies.fidelity_levels import DEAR, DEAR_CASES, LevelResult
-from maglev_mj.studies.levels import level_index
-from maglev_mj.terminal import cell, wrapped
+from maglev_mj.result import number_text
+from maglev_mj.studies.fidelity import DEAR, DEAR_CASES, MARGIN, FidelityResult, LevelResult, stepping_name
+from maglev_mj.studies.levels import has_gains, level_index
+from maglev_mj.terminal import wrapped
 
 _STEPS_SHOWN = 12
 
@@ -133,7 +132,7 @@ def levels_table(found: Mapping[str, Sequence[LevelResult]]) -> str:
         rows = [found[name][place] for name in names]
         costs = [row.cost * 1e3 for row in rows]
         changes = "".join(f"{_micro(row.changes)[:-3]:>8}" for row in rows)
-        cost = f"{cell(min(costs), 1.0)} to {cell(max(costs), 1.0)}"
+        cost = f"{number_text(min(costs), 3, 2)} to {number_text(max(costs), 3, 2)}"
         lines.append(f"  {first.level:<9}{changes} {cost:>12}")
     lines += ["", *_added(found[names[0]])]
     return "\n".join(lines)

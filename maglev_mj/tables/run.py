@@ -1,4 +1,4 @@
-"""Runs, phases and sweeps of any scene as text.
+"""Runs and phases of any scene as text.
 
 Excesses over the device's limits are included.
 """
@@ -6,24 +6,20 @@ Excesses over the device's limits are included.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.frames import Array, Mask, unit_of
-from maglev_mj.scenes.run import Phases, Result
+from maglev_mj.scenes.run import Phases, RunResult
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import RANGE, Spec
-from maglev_mj.terminal import WIDTH, printable, wrapped
-
-if TYPE_CHECKING:
-    from maglev_mj.studies.sweep import Sweep
+from maglev_mj.terminal import WIDTH, wrapped
 
 _NAME, _LEAST = 13, 12
 
 
-def run_table(results: Mapping[str, Result], sweeps: Mapping[str, Phases], gap: float | None) -> str:
+def run_table(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], gap: float | None) -> str:
     """Return the figures of runs and their phases as text.
 
     Args:
@@ -82,7 +78,7 @@ def _head(scene: Scene, plant: str) -> list[str]:
     return [*wrapped(f"{Scene.describe(scene)}, plant {plant}", ""), *lines]
 
 
-def _rank(first: Result, sweeps: Mapping[str, Phases]) -> str:
+def _rank(first: RunResult, sweeps: Mapping[str, Phases]) -> str:
     """Return the rank of a run among its phases.
 
     A single phase has little meaning.
@@ -152,7 +148,7 @@ def _missing(sweeps: Mapping[str, Phases]) -> list[str]:
 _ROUNDING = 1.0 + 1e-9
 
 
-def _beyond_force(results: Mapping[str, Result]) -> list[str]:
+def _beyond_force(results: Mapping[str, RunResult]) -> list[str]:
     """Return any line on vertical forces beyond the device's."""
     device = Spec.largest_vertical_force.value
     # the last knot's force has not acted yet
@@ -196,32 +192,3 @@ def _distances(furthest: Array) -> str:
     """Return the largest nonzero translation and rotation with units."""
     parts = [(furthest[:3].max() * 1e3, "mm"), (np.degrees(furthest[3:].max()), "deg")]
     return " and ".join(f"{value:.4g} {unit}" for value, unit in parts if value > 0.0)
-
-
-def sweep_table(found: Sweep, path: str) -> str:
-    """Return the spread of each figure over a sweep.
-
-    As text, with the number of cells.
-
-    Args:
-        found: The sweep.
-        path: Path of the record.
-    """
-    results = found.results
-    failed = [result["error"] for result in results if "error" in result]
-    over = ", ".join(f"{name} ({len(values)})" for name, values in found.varied.items())
-    lines = [
-        *wrapped(f"Sweep of {found.scene.name} over {over}: {len(results)} cells", "", "  "),
-        *wrapped(f"{found.known} of them already in {path}"),
-        "",
-        f"  {'':<20}{'least':>12}{'median':>12}{'greatest':>12}   cells",
-    ]
-    good = [result for result in results if "error" not in result]
-    for name in good[0] if good else ():
-        values = [float(result[name]) for result in good if isinstance(result[name], int | float)]
-        if values:
-            spread = "".join(f"{share:>12.4g}" for share in np.percentile(values, [0.0, 50.0, 100.0]))
-            lines.append(f"  {printable(name):<20}{spread}   {len(values)}")
-    if failed:
-        lines += ["", *wrapped(f"{len(failed)} cells failed, the first because {printable(str(failed[0]))}")]
-    return "\n".join(lines)

@@ -46,6 +46,9 @@ class Case(NamedTuple):
     delay: float
     hand: str
 
+    def __str__(self) -> str:
+        return f"{self.mass:.3g} kg, {self.delay * 1e3:.3g} ms, hand {self.hand}"
+
 
 class WallRequirements(Parameters):
     """Loops in which a wall must be stable.
@@ -98,6 +101,13 @@ class WallRequirements(Parameters):
         A law's own model uses them.
         """
         return 0.5 * sum(self.mass), 0.5 * sum(self.delay)
+
+    @property
+    def cases_named(self) -> str:
+        """Ranges and hands in a few words."""
+        lag = " and lag of the drivers" if self.driver_lag else ""
+        mass, delay = _span(self.mass, 1.0), _span(self.delay, 1e3)
+        return f"mass {mass} kg, delay {delay} ms{lag} and hands {', '.join(self.hands)}"
 
     def grid(self, points: int) -> list[Case]:
         """Return cases on a grid, corners included.
@@ -499,3 +509,8 @@ def _examined(requirements: WallRequirements, law: str, gains: _Gains, pole: flo
         softest=cases[int(np.argmin(yields))],
         island=min(islands, default=None),
     )
+
+
+def _span(ends: tuple[float, float], scale: float) -> str:
+    low, high = (f"{end * scale:g}" for end in ends)
+    return low if low == high else f"{low} to {high}"

@@ -17,8 +17,8 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components
 from maglev_mj.parameters import axis_indices, numbers
+from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA
-from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import SampledLoop
 
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
@@ -42,7 +42,7 @@ Shares of the largest answer: below the first an answer counts as zero, above th
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Linearised(Tabular):
+class Linearised(Result):
     """Controller linearised at a pose.
 
     Attributes:
@@ -155,7 +155,7 @@ class Linearised(Tabular):
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedLoop(Tabular):
+class ClosedLoop(Result):
     """Closed loop as a discrete-time state-space system.
 
     s[k+1] = matrix s[k] + enters w[k]; position[k] = seen s[k], with w a wrench held from sample to sample.

@@ -18,8 +18,8 @@ from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.model import load_model
 from maglev_mj.parameters import number, numbers
+from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA, RANGE
-from maglev_mj.tabular import Table, Tabular
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
 from maglev_mj.theory.realisation import StateSpace, realised
@@ -72,7 +72,7 @@ class LoopState(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Verdict(Tabular):
+class Verdict(Result):
     """Stability verdict with the worst closed loop of a controller.
 
     Attributes:

@@ -22,8 +22,8 @@ from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledP
 from maglev_mj.plots import Panel, PictureFolder, small_multiples
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA, Spec
+from maglev_mj.studies.cells import Workers, dask_workers, local_workers
 from maglev_mj.studies.sweep import sweep
-from maglev_mj.workers import Workers, dask_workers, inline, local_workers
 
 __all__ = ["ASSUMED", "draw", "estimate", "measure"]
 
@@ -165,7 +165,7 @@ def against_cells(workers: Workers, few: int, many: int) -> dict[str, float]:
 def against_workers(quick: bool) -> dict[str, Any]:
     """Return start, rate and jobs a second by worker kind."""
     few, many, jobs = (4, 24, 20) if quick else (40, 440, 1000)
-    kinds = {"this process": inline(), "1 worker": local_workers(1), "2 workers": local_workers(2)}
+    kinds = {"this process": local_workers(0), "1 worker": local_workers(1), "2 workers": local_workers(2)}
     found: dict[str, Any] = {name: against_cells(workers, few, many) for name, workers in kinds.items()}
     if quick:  # a cluster takes seconds to start
         return found

@@ -16,10 +16,9 @@ from maglev_mj.frames import Array
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import GRAVITY, Spec
-from maglev_mj.studies import integrators
+from maglev_mj.studies import levels
 from maglev_mj.studies.fidelity import stepping_name
-from maglev_mj.studies.fidelity_levels import closed_loop, median_times
-from maglev_mj.studies.levels import Motion, apart, level_parts, motion_of
+from maglev_mj.studies.levels import Motion, apart, closed_loop, level_parts, median_times, motion_of
 from maglev_mj.theory.closed_loop import SampledLoop
 from peers import Task, available
 from work_precision import WorkPoint, pareto
@@ -188,7 +187,7 @@ def boundary_shift(integrator: str, step: float, aligned: bool = True) -> float:
 
     At a step [s] and usual timing.
     """
-    return integrators.boundary_shift(integrator, step, _LOOP, aligned=aligned)
+    return levels.boundary_shift(integrator, step, _LOOP, aligned=aligned)
 
 
 def as_json(methods: list[Method]) -> dict[str, Any]:

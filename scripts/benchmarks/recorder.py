@@ -33,9 +33,8 @@ from maglev_mj import Command, Sample
 from maglev_mj.loop import ControlLoop, Record
 from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load_samples, setup_of, tee
 from maglev_mj.recording.files import row_of
-from maglev_mj.recording.live import LiveFile, Ring
-from maglev_mj.recording.row import ROW, as_table
-from maglev_mj.recording.writer import McapWriter
+from maglev_mj.recording.sample import ROW, as_table
+from maglev_mj.recording.writer import LiveFile, McapWriter, Ring
 from maglev_mj.scenes.joystick import Joystick
 
 BLOCK = 200

@@ -11,8 +11,9 @@ from maglev_mj import plots
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
+from maglev_mj.plants import INTEGRATORS
 from maglev_mj.spec import Spec
-from maglev_mj.studies.integrators import INTEGRATORS, boundary_shift
+from maglev_mj.studies.levels import boundary_shift
 from maglev_mj.theory import bounds, largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.versions import versions

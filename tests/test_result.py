@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from maglev_mj import Range, find_scene, linearise, measure_fidelity, run, run_phases, stability, sweep
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.replay import record_run
+from maglev_mj.result import Result, Table, number_text, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.press import Press
@@ -19,7 +21,7 @@ from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.fidelity import MARGIN
 from maglev_mj.studies.nonlinear import DropMapParameters, run_drop_map
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
-from maglev_mj.tabular import Table, Tabular
+from maglev_mj.terminal import WIDTH
 from maglev_mj.theory import WallRequirements, design_wall
 from tests.test_analysis import analysed, recorded
 
@@ -29,7 +31,7 @@ STIFF = Drop(stiffness=12000.0)
 
 
 @cache
-def results() -> dict[str, Tabular]:
+def results() -> dict[str, Result]:
     """Return one of each kind."""
     near = linearise(STIFF.controller(), [[0.0, 0.0, -1e-3, 0.0, 0.0, 0.0]])[0]
     recording = record_run(Drop(), plant="exact", phase=0.0)
@@ -262,7 +264,8 @@ def test_maps_have_a_row_for_each_wall() -> None:
         frame = found.to_pandas()
         assert list(frame["damping"][:4]) == found.damping.tolist()
         assert list(frame["stiffness"][::4]) == found.stiffness.tolist()
-        assert "stiffest wall by theory: 10173 N/m at 87.6 N s/m" in found.table().title
+        row = next(row for row in found.table().rows if row[0].startswith("stiffest stable wall"))
+        assert row[1] == pytest.approx(10173.0, abs=0.5)
     np.testing.assert_array_equal(growth.to_pandas()["settles"], growth.simulated.ravel())
     assert (drops.to_pandas()["ending"] == "settles").sum() == drops.settles.sum()
     design: Any = results()["design"]
@@ -280,10 +283,61 @@ def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_text_in_a_table_is_no_markup() -> None:
-    class Odd(Tabular):
+    class Odd(Result):
         def table(self) -> Table:
             return Table("<b>", ("a&b",), [("<script>",), (float("nan"),), (123456.7,), (0.00012345,)], "<i>")
 
     html = Odd()._repr_html_()
     assert "<script>" not in html and "<b>" not in html and "&lt;i&gt;" in html and "a&amp;b" in html
     assert "<td>-</td>" in html and "<td>123457</td>" in html and "<td>0.0001234</td>" in html
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_representation_is_short_and_fits_a_terminal(name: str) -> None:
+    said = repr(results()[name])
+    assert len(said.encode()) <= 2000 and "nan" not in said and len(said.splitlines()) > 2
+    assert max(map(len, said.splitlines())) <= WIDTH
+
+
+def test_a_result_of_big_arrays_has_a_short_representation() -> None:
+    batch = run(Drop(), plant="exact", phase=np.arange(64) / 64)
+    far = run_stability(StabilityParameters(grid=200))
+    for found in (
+        batch,
+        batch.trace,
+        batch[0].trace,
+        far,
+        sweep(Drop(), {"damping": np.linspace(50.0, 90.0, 200).tolist()}),
+    ):
+        assert 20 < len(repr(found).encode()) <= 2000
+
+
+def test_columns_that_do_not_fit_go_on_below() -> None:
+    rows = [(f"row {index}", *np.linspace(0.0, 1e4, 12).tolist(), "kg") for index in range(3)]
+    text = str(Table("many", ("", *(f"column {index}" for index in range(12)), "unit"), rows, "a note"))
+    assert max(map(len, text.splitlines())) <= WIDTH and text.count("row 1") == 2 and text.count("kg") == 6
+    assert all(f"column {index}" in text for index in range(12)) and text.endswith("  a note")
+
+
+def test_a_long_text_at_the_end_of_a_row_is_wrapped() -> None:
+    lines = str(Table("", ("", "value", "meaning"), [("height", 3.0, "of the flotor " * 10)])).splitlines()
+    assert len(lines) > 2 and max(map(len, lines)) <= WIDTH and lines[2].startswith(" " * 17 + "flotor")
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "decimals", "text"),
+    [
+        *((0.0, 4, None, "0"), (-1e-30, 3, 2, "0.00"), (6000.0, 4, None, "6000"), (math.nan, 4, None, "-")),
+        *((123456.7, 4, None, "123457"), (0.00012345, 4, None, "0.0001234"), (1.5e-9, 4, None, "1.5e-09")),
+        *((9.994, 3, 2, "9.99"), (12.34, 3, 2, "12.3"), (8123.4, 3, 2, "8123"), (0.984, 3, 2, "0.98")),
+        *((math.inf, 3, 2, "-"), (1e9, 4, None, "1e+09")),
+    ],
+)
+def test_numbers_have_one_form(value: float, digits: int, decimals: int | None, text: str) -> None:
+    assert number_text(value, digits, decimals) == text
+
+
+def test_json_is_made_of_plain_values() -> None:
+    found = {"a": np.array([1.0, np.nan]), "b": np.bool_(True), "c": np.int64(3), "d": (1, None), "e": math.inf}
+    assert plain(found) == {"a": [1.0, None], "b": True, "c": 3, "d": [1, None], "e": None}
+    assert plain(Drop) == "drop" and plain(Drop())["stiffness"] == 6000.0
