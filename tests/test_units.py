@@ -15,9 +15,9 @@ from maglev_mj.cli.options import described
 from maglev_mj.frames import AXES, unit_of
 from maglev_mj.plots.paper import stick_slip
 from maglev_mj.plots.results import series, spread
+from maglev_mj.scenes.run import Variants
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.tables.identification import identified_lines
-from maglev_mj.tables.run import run_table
 from maglev_mj.tables.stability import loop_table
 from maglev_mj.theory.verdict import stability
 from maglev_mj.viewer import plots as window_plots
@@ -106,7 +106,7 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
     for one in scene.parameters():
         control(gui, one, scene, lambda *_: None)
     said = {
-        "run": run_table({"a": result}, {"a": phases}, 1e-6),
+        "run": str(Variants({"a": result}, {"a": phases}, 1e-6).table()),
         "sweep": str(swept.table()),
         "stability": loop_table(scene, stability(scene)),
         "page": "\n".join(gui.texts),
@@ -155,7 +155,7 @@ def test_what_is_not_along_the_axis_keeps_its_unit(axis: str) -> None:
             return [Hold(stiffness=np.full(6, 1.0), damping=np.full(6, 0.1))]
 
     result = run(Own(), plant="exact")
-    head, _, table = run_table({"a": result}, {}, None).partition("\n\n")
+    head, _, table = str(Variants({"a": result}).table()).partition("\n\n")
     assert "place 0.002 m," in head and "force 1 N," in head
     units = {row[0]: row[2] for row in result.table().rows}
     assert units == {"final position": unit_of("mm", axis), "<lambda>": "N"} and unit_of("mm", axis) in table

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from dataclasses import replace
 from inspect import getdoc
 
 import numpy as np
@@ -17,9 +18,8 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
 from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.run import Phases, RunResult, run, run_phases
+from maglev_mj.scenes.run import Phases, RunResult, Variants, run, run_phases
 from maglev_mj.scenes.scene import PLANTS, Scene
-from maglev_mj.tables import run_table
 
 
 def add_options(parser: Parser) -> None:
@@ -68,27 +68,24 @@ def _run(options: argparse.Namespace) -> int:
     alone = options.json == "-" and pictures is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
     try:
-        results, sweeps = _results(scene, variants, options)
+        found = _results(scene, variants, options)
     except DivergenceError as error:
         keep_partial(error, options)
         raise
-    first = next(iter(results.values()))
-    swept = {"sweep": next(iter(sweeps.values())).as_json()} if sweeps else {}
     write_results(
         options,
-        lambda: first.as_json() | swept,
-        lambda: run_table(results, sweeps, _gap(first)),
+        found.as_json,
+        lambda: str(replace(found, gap=_gap(next(iter(found.runs.values())))).table()),
         lambda pictures: [
-            draw(results, sweeps, pictures.path(name)) for name, draw in plots.pictures_of(scene, sweeps).items()
+            draw(found.runs, found.phases, pictures.path(name))
+            for name, draw in plots.pictures_of(scene, found.phases).items()
         ],
         recorded,
     )
     return 0
 
 
-def _results(
-    scene: Scene, variants: Mapping[str, Scene], options: argparse.Namespace
-) -> tuple[dict[str, RunResult], dict[str, Phases]]:
+def _results(scene: Scene, variants: Mapping[str, Scene], options: argparse.Namespace) -> Variants:
     results: dict[str, RunResult] = {}
     sweeps: dict[str, Phases] = {}
     with Progress(scene.name) as progress:
@@ -102,7 +99,7 @@ def _results(
             if results:
                 error.partial = next(iter(results.values()))  # the run itself is worth keeping
             raise
-    return results, sweeps
+    return Variants(results, sweeps)
 
 
 def _gap(result: RunResult) -> float | None:
