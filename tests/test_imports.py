@@ -34,6 +34,7 @@ FLOORS = {
     "colours": 0,
     "parameters": 1,
     "result": 1,
+    "pictures": 1.5,
     "timeline": 1.5,
     "process": 1.5,
     "laws": 2,
@@ -78,7 +79,7 @@ ALLOWED = {
     "viser": {"web"},
     "trimesh": {"web"},
     "websockets": {"web"},
-    "matplotlib": {"plots"},
+    "matplotlib": {"pictures", "studies"},  # their pictures.py alone
     "imageio": {"viewer"},
     "distributed": {"studies"},
     "serial": {"net"},
@@ -135,7 +136,8 @@ def test_heavy_packages_stay_in_their_rooms() -> None:
         f"{room} ({file}) imports {module}"
         for room, file, module in imports()
         for package, rooms in ALLOWED.items()
-        if module.split(".")[0] == package and room not in rooms
+        if module.split(".")[0] == package
+        and (room not in rooms or (package == "matplotlib" and file != "pictures.py"))
     ]
     assert not wrong
 

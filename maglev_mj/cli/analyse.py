@@ -17,6 +17,7 @@ from maglev_mj.cli.replay import add_own_scene, own_code
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import axis_indices, number
+from maglev_mj.pictures import PictureFolder
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
 from maglev_mj.replay import OwnCode, rebuild_for, stick_positions_of, unmade_plant
 from maglev_mj.tables import analysis_table
@@ -115,7 +116,7 @@ def _found(stretch: Stretch, options: argparse.Namespace, own: OwnCode | None) -
     return analyse(stretch, again, anchors=anchors, scene=own.scene if own else None, **part)
 
 
-def _draw(analysed: Analysed, axis: int, pictures: plots.PictureFolder, stem: str) -> list[str]:
+def _draw(analysed: Analysed, axis: int, pictures: PictureFolder, stem: str) -> list[str]:
     """Draw a stretch; return lines about written and missing pictures."""
     wrote = [f"wrote {plots.whole_run(analysed, axis, pictures.path(f'{stem}run'))}"]
     if any(face.axis == axis for face in analysed.recorded.figures.faces):

@@ -60,7 +60,7 @@ class RunResult(Result):
     trace: Trace
     sample_time: Array
     samples: Mapping[str, Array]
-    drawn_by: ClassVar = "maglev_mj.plots.results:result"
+    drawn_by: ClassVar = "maglev_mj.scenes.pictures:draw_run"
     _known: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -174,7 +174,7 @@ class Phases(Result):
     phases: Array
     figures: Mapping[str, Array]
     furthest: Array
-    drawn_by: ClassVar = "maglev_mj.plots.results:phases"
+    drawn_by: ClassVar = "maglev_mj.scenes.pictures:draw_phases"
 
     def columns(self) -> dict[str, Array]:
         """Return phases and figures in SI units, (N,) each.
@@ -234,18 +234,30 @@ class Variants(Result):
 
     Attributes:
         runs: Run for each label, the scene itself first; empty for phases alone.
-        phases: The same at many phases; may be empty.
+        phases: Their figures at many phases; may be empty.
+        bands: Their motion at many phases, which pictures show around the runs; may be empty.
         gap: Largest distance between the two plants in the first run [m, rad]; None if not compared.
     """
 
     runs: Mapping[str, RunResult]
     phases: Mapping[str, Phases] = field(default_factory=dict)
+    bands: Mapping[str, RunResult] = field(default_factory=dict)
     gap: float | None = None
+    drawn_by: ClassVar = "maglev_mj.scenes.pictures:draw_variants"
 
     @property
     def first(self) -> RunResult | Phases:
         """Result of the scene itself."""
         return next(iter(self.runs.values())) if self.runs else next(iter(self.phases.values()))
+
+    @property
+    def pictures(self) -> Mapping[str, str]:
+        """Pictures by file name without ending, each the function that draws it as "module:function"."""
+        scene: Scene = self.first.scene
+        general = {scene.name: "maglev_mj.scenes.pictures:series"} if self.runs else {}
+        if self.phases:
+            general[f"{scene.name}_phases"] = "maglev_mj.scenes.pictures:spread"
+        return scene.plots or general
 
     def columns(self) -> dict[str, Array]:
         """Return the columns of the scene itself."""
@@ -461,6 +473,45 @@ def run_phases(
             progress(start + some.size, chosen.size)
     together = {name: np.concatenate([part.figures[name] for part in parts]) for name in parts[0].figures}
     return Phases(scene, plant, chosen, together, np.concatenate([part.furthest for part in parts]))
+
+
+def run_variants(
+    variants: Mapping[str, Scene],
+    *,
+    plant: str | None = None,
+    phase: float = 0.0,
+    phases: int | ArrayLike | None = None,
+    bands: int | ArrayLike | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> Variants:
+    """Run a scene and its variants, at one phase and at many.
+
+    Args:
+        variants: Scenes by label, such as those of `Scene.variants`; the scene itself first.
+        plant: See `run`.
+        phase: See `run`.
+        phases: Phases at which the figures are taken too, see `run_phases`; None for none.
+        bands: Phases at which the motion on the exact plant is kept too, for pictures; None for none.
+        progress: See `run_phases`.
+
+    Raises:
+        DivergenceError: If a flotor leaves its range by a wide margin; `partial` is the first run, as far as it went.
+    """
+    runs: dict[str, RunResult] = {}
+    swept: dict[str, Phases] = {}
+    drawn: dict[str, RunResult] = {}
+    try:
+        for label, variant in variants.items():
+            runs[label] = run(variant, plant=plant, phase=phase)
+        if phases is not None:
+            swept = {one: run_phases(variants[one], phases, plant=plant, progress=progress) for one in variants}
+        if bands is not None:
+            drawn = {one: run(variants[one], plant="exact", phase=_phases(bands)) for one in variants}
+    except DivergenceError as error:
+        if runs:
+            error.partial = next(iter(runs.values()))  # the run itself is worth keeping
+        raise
+    return Variants(runs, swept, drawn)
 
 
 def checked_plant(scene: Scene, plant: str | None) -> str:

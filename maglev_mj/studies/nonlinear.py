@@ -118,7 +118,7 @@ class DropMap(GainMap):
     boundary: Array
     maximum: theory.StiffestWall
     other_versions: Sequence[Mapping[str, Any]] = ()
-    drawn_by: ClassVar = "maglev_mj.plots.stability:drop_map"
+    drawn_by: ClassVar = "maglev_mj.studies.pictures:drop_map"
 
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return swing and ending of each drop."""

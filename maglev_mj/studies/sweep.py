@@ -64,7 +64,7 @@ class Sweep(Result):
     known: int
     record: str | None
     other_versions: Sequence[Mapping[str, Any]]
-    drawn_by: ClassVar = "maglev_mj.plots.results:sweep"
+    drawn_by: ClassVar = "maglev_mj.studies.pictures:sweep"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return varied values and figures, a row for each cell.
