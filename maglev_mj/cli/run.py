@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from inspect import getdoc
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
 from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.run import RunResult, run, run_variants
+from maglev_mj.scenes.run import Begin, RunResult, run, run_variants
 from maglev_mj.scenes.scene import PLANTS, Scene
 
 
@@ -57,24 +59,25 @@ def _run(options: argparse.Namespace) -> int:
     scene = chosen_scene(options)
     pictures = chosen_pictures(options)
     warn_of_instability(scene)
-    recorded = []
-    if options.record is not None:
-        from maglev_mj.replay import write_run  # with all that reads and writes recordings
-
-        with Progress("recording"):
-            recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
     alone = options.json == "-" and pictures is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
     banded = pictures is not None and scene.drawn_phases and "exact" in scene.plants
     bands = (options.phases or scene.drawn_phases) if banded else None
+    written = list[Path]()
+    recording: AbstractContextManager[Begin | None] = nullcontext()
+    if options.record is not None:
+        from maglev_mj.replay import recorded_to  # with all that reads and writes recordings
+
+        recording = recorded_to(options.record, written)
     try:
-        with Progress(scene.name) as progress:
+        with Progress(scene.name) as progress, recording as begin:
             found = run_variants(
                 variants,
                 plant=options.plant,
                 phase=options.phase,
                 phases=options.phases,
                 bands=bands,
+                begin=begin,
                 progress=progress,
             )
     except DivergenceError as error:
@@ -85,7 +88,7 @@ def _run(options: argparse.Namespace) -> int:
         found.as_json,
         lambda: str(replace(found, gap=_gap(next(iter(found.runs.values())))).table()),
         lambda folder: [found.plot(picture=name, path=folder.path(name)) for name in found.pictures],
-        recorded,
+        written,
     )
     return 0
 
