@@ -168,9 +168,6 @@ if TYPE_CHECKING:
     from maglev_mj.recording import open_recording as open_recording
     from maglev_mj.recording.export import export as export
     from maglev_mj.recording.verify import verify as verify
-    from maglev_mj.replay import rebuild as rebuild
-    from maglev_mj.replay import record_run as record_run
-    from maglev_mj.replay import write_run as write_run
     from maglev_mj.scenes.bench import hold as hold
     from maglev_mj.scenes.figures import figure as figure
     from maglev_mj.scenes.find import find_scene as find_scene
@@ -182,6 +179,9 @@ if TYPE_CHECKING:
     from maglev_mj.scenes.scene import Start as Start
     from maglev_mj.session import Session as Session
     from maglev_mj.session import real_time as real_time
+    from maglev_mj.session.replay import rebuild as rebuild
+    from maglev_mj.session.replay import record_run as record_run
+    from maglev_mj.session.replay import write_run as write_run
     from maglev_mj.spacenav import AxisMapping as AxisMapping
     from maglev_mj.studies.cells import dask_workers as dask_workers
     from maglev_mj.studies.cells import local_workers as local_workers
@@ -217,7 +217,7 @@ else:
         "recording": "Recording load_samples open_recording",
         "recording.export": "export",
         "recording.verify": "verify",
-        "replay": "rebuild record_run write_run",
+        "session.replay": "rebuild record_run write_run",
         "scenes.bench": "hold",
         "scenes.figures": "figure",
         "scenes.find": "find_scene",

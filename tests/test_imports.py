@@ -55,7 +55,6 @@ FLOORS = {
     "scenes": 6,
     "session": 7,
     "display": 7.5,
-    "tour": 8,
     "bridge": 8,
     "live": 8,
     "report": 8,
@@ -66,10 +65,8 @@ FLOORS = {
     "web": 8,
     "hand_devices": 8.5,
     "plots": 9,
-    "replay": 9,
     "tables": 9,
     "conformance": 9,
-    "playback": 9.5,
     "cli": 10,
     "__main__": 11,
 }
@@ -181,7 +178,7 @@ def test_the_help_of_the_package_is_its_table_of_contents() -> None:
 
 LIGHT = "numpy", "mujoco", "importlib.metadata"
 OTHERS = "asyncio", "multiprocessing", "matplotlib", "mujoco.batch", "numpy.polynomial"
-UNUSED = [f"maglev_mj.{name}" for name in "recording session studies bridge analysis replay".split()]
+UNUSED = [f"maglev_mj.{name}" for name in "recording session studies bridge analysis".split()]
 
 
 @pytest.mark.parametrize(

@@ -17,12 +17,12 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.loop import drive
-from maglev_mj.playback import Replay
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, best_suffix, open_recording, verify
-from maglev_mj.replay import rebuild, record_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.session import Pacer, Session
+from maglev_mj.session.playback import Replay
+from maglev_mj.session.replay import rebuild, record_run
 from maglev_mj.viewer.clip import write_clip, write_picture
 
 

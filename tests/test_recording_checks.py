@@ -22,7 +22,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict, verify
-from maglev_mj.replay import expected, rebuild
+from maglev_mj.session.replay import expected, rebuild
 from maglev_mj.terminal import printable
 from tests.recorded import (
     FIELD,

@@ -66,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
     written = list[Path]()
     recording: AbstractContextManager[Begin | None] = nullcontext()
     if options.record is not None:
-        from maglev_mj.replay import recorded_to  # with all that reads and writes recordings
+        from maglev_mj.session.replay import recorded_to  # with all that reads and writes recordings
 
         recording = recorded_to(options.record, written)
     try:

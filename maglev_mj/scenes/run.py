@@ -406,7 +406,7 @@ def run(
         plant: Name from PLANTS; the scene's usual one by default.
         phase: The samples are at (k + phase) period, in [0, 1); (N,) for N devices, on the exact plant.
         observe: Function called with each sample and the command as applied.
-        begin: Begins a recording of the run, of one device; see `maglev_mj.replay.recorded`.
+        begin: Begins a recording of the run, of one device; see `maglev_mj.session.replay.recorded`.
 
     Raises:
         ParameterError: If there is no such plant, or a phase is outside its bounds.

@@ -320,7 +320,9 @@ def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, p
 
 @contextmanager
 def recorded(file: RecordingFile) -> Iterator[Begin]:
-    """Give what begins a recording of a run, for `run`; the run's fault is an event in it.
+    """Give `run` what begins a recording in a file.
+
+    A fault of the run is an event there.
 
     Args:
         file: The file; it is left open.
@@ -343,7 +345,7 @@ def recorded(file: RecordingFile) -> Iterator[Begin]:
 
 @contextmanager
 def recorded_to(path: Path | str, written: list[Path]) -> Iterator[Begin]:
-    """Give what begins a recording of a run in a file; see `recorded` and `write_run`.
+    """Give `run` what begins a recording in a file of a path; see `recorded`.
 
     Args:
         path: The file.
