@@ -113,6 +113,11 @@ def imports() -> list[tuple[str, str, str]]:
     return found
 
 
+def is_picture(file: str, module: str) -> bool:
+    """Return True for what a room's pictures draw with."""
+    return file == "pictures.py" and module.startswith(("maglev_mj.plots", "matplotlib"))
+
+
 def test_every_module_has_a_floor() -> None:
     rooms = {path.relative_to(PACKAGE).with_suffix("").parts[0] for path in PACKAGE.rglob("*.py")}
     assert rooms - {"__init__", "model"} == set(FLOORS) - {"model"}
@@ -122,7 +127,7 @@ def test_imports_point_down() -> None:
     wrong = []
     for room, file, module in imports():
         target = module.split(".")[1] if module.startswith("maglev_mj.") else None
-        if room == "__init__" or target is None or target == room:
+        if room == "__init__" or target is None or target == room or is_picture(file, module):
             continue
         # on the ground floor, errors name frames for the type checker only
         if FLOORS[target] > FLOORS[room] or (FLOORS[target] == FLOORS[room] and FLOORS[room] > 0):
@@ -135,7 +140,7 @@ def test_heavy_packages_stay_in_their_rooms() -> None:
         f"{room} ({file}) imports {module}"
         for room, file, module in imports()
         for package, rooms in ALLOWED.items()
-        if module.split(".")[0] == package and room not in rooms
+        if module.split(".")[0] == package and room not in rooms and not is_picture(file, module)
     ]
     assert not wrong
 

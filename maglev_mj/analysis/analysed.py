@@ -60,7 +60,7 @@ class Analysed(Result):
     simulated: Run | None
     comparison: Comparison | None
     identified: Identification
-    drawn_by: ClassVar = "maglev_mj.plots.recorded:analysed"
+    drawn_by: ClassVar = "maglev_mj.analysis.pictures:analysed"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return time, recorded and simulated positions, (N,) each.

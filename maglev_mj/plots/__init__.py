@@ -10,15 +10,10 @@ if TYPE_CHECKING:
     from maglev_mj.plots.drawing import PictureFolder as PictureFolder
     from maglev_mj.plots.drawing import require as require
     from maglev_mj.plots.drawing import small_multiples as small_multiples
-    from maglev_mj.plots.fault import last_cycles as last_cycles
     from maglev_mj.plots.paper import figure_6 as figure_6
     from maglev_mj.plots.paper import phase_plane as phase_plane
     from maglev_mj.plots.paper import stick_slip as stick_slip
     from maglev_mj.plots.paper import time_series as time_series
-    from maglev_mj.plots.recorded import first_contact as first_contact
-    from maglev_mj.plots.recorded import staircases as staircases
-    from maglev_mj.plots.recorded import sticks as sticks
-    from maglev_mj.plots.recorded import whole_run as whole_run
     from maglev_mj.plots.results import pictures_of as pictures_of
     from maglev_mj.plots.stability import design_map as design_map
     from maglev_mj.plots.stability import drop_map as drop_map
@@ -26,9 +21,7 @@ if TYPE_CHECKING:
 else:
     _HOMES = {
         "drawing": "FORMATS Panel PictureFolder require small_multiples",
-        "fault": "last_cycles",
         "paper": "figure_6 phase_plane stick_slip time_series",
-        "recorded": "first_contact staircases sticks whole_run",
         "results": "pictures_of",
         "stability": "design_map drop_map stability_map",
     }

@@ -58,7 +58,7 @@ class Linearised(Result):
     response: Array
     jumps: Mask
     settled: Mask
-    drawn_by: ClassVar = "maglev_mj.plots.poles:impulse_response"
+    drawn_by: ClassVar = "maglev_mj.theory.pictures:impulse_response"
 
     def columns(self) -> dict[str, Array]:
         """Return time and each nonzero response, (M,) each.
@@ -171,7 +171,7 @@ class ClosedLoop(Result):
     enters: Array
     seen: Array
     period: float
-    drawn_by: ClassVar = "maglev_mj.plots.poles:pole_map"
+    drawn_by: ClassVar = "maglev_mj.theory.pictures:pole_map"
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:

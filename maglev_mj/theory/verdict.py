@@ -105,7 +105,7 @@ class Verdict(Result):
     unknown: Array = field(default_factory=lambda: np.zeros((0, 6)))
     away: Array = field(default_factory=lambda: np.zeros((0, 6)))
     states: tuple[LoopState, ...] = ()
-    drawn_by: ClassVar = "maglev_mj.plots.poles:pole_map"
+    drawn_by: ClassVar = "maglev_mj.theory.pictures:pole_map"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return pose, stiffness and damping of each axis."""
