@@ -16,7 +16,6 @@ from maglev_mj.frames import AXES, unit_of
 from maglev_mj.plots.paper import stick_slip
 from maglev_mj.plots.results import series, spread
 from maglev_mj.scenes.stick_slip import StickSlip
-from maglev_mj.tables.identification import identified_lines
 from maglev_mj.tables.run import run_table
 from maglev_mj.tables.stability import loop_table
 from maglev_mj.theory.verdict import stability
@@ -113,7 +112,7 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
         "window": "\n".join(map(" ".join, [row for row in status_rows(session.snapshot()) if row[0] != "arrows"])),
         "window's plots": window_curves(session.snapshot()),
         "page's plots": page_curves(session.snapshot()),
-        "identified": "\n".join(identified_lines(identify(record_run(whole, plant="exact").stretches[0]))),
+        "identified": str(identify(record_run(whole, plant="exact").stretches[0]).table()),
         "tables": "\n".join(str(found.table()) for found in (result, phases)),
         "frames": "\n".join(f" {unit} " for found in (result, phases, swept) for unit in found.units.values()),
         "figure 8": "\n".join(texts_of(stick_slip({"a": result}, {"a": phases}))),

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from maglev_mj.lazy import attach
 
 if TYPE_CHECKING:
-    from maglev_mj.tables.analysis import analysis_table as analysis_table
     from maglev_mj.tables.fault import fault_table as fault_table
     from maglev_mj.tables.fault import latched_table as latched_table
     from maglev_mj.tables.fidelity import fidelity_table as fidelity_table
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
     from maglev_mj.tables.stability import loop_table as loop_table
 else:
     _HOMES = {
-        "analysis": "analysis_table",
         "fault": "fault_table latched_table",
         "fidelity": "fidelity_table levels_table",
         "run": "run_table",
