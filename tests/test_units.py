@@ -17,7 +17,6 @@ from maglev_mj.plots.paper import stick_slip
 from maglev_mj.plots.results import series, spread
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.tables.run import run_table
-from maglev_mj.tables.stability import loop_table
 from maglev_mj.theory.verdict import stability
 from maglev_mj.viewer import plots as window_plots
 from maglev_mj.viewer.overlay import status_rows
@@ -107,7 +106,7 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
     said = {
         "run": run_table({"a": result}, {"a": phases}, 1e-6),
         "sweep": str(swept.table()),
-        "stability": loop_table(scene, stability(scene)),
+        "stability": f"{scene.describe()}\n{stability(scene).table()}",
         "page": "\n".join(gui.texts),
         "window": "\n".join(map(" ".join, [row for row in status_rows(session.snapshot()) if row[0] != "arrows"])),
         "window's plots": window_curves(session.snapshot()),

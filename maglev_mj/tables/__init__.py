@@ -15,13 +15,11 @@ if TYPE_CHECKING:
     from maglev_mj.tables.sessions import show_table as show_table
     from maglev_mj.tables.sessions import timing_table as timing_table
     from maglev_mj.tables.sessions import verdict_table as verdict_table
-    from maglev_mj.tables.stability import loop_table as loop_table
 else:
     _HOMES = {
         "fault": "fault_table latched_table",
         "fidelity": "fidelity_table levels_table",
         "run": "run_table",
         "sessions": "flown_table served_table show_table timing_table verdict_table",
-        "stability": "loop_table",
     }
     __getattr__, __dir__, __all__ = attach(__name__, _HOMES)
