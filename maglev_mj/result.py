@@ -98,9 +98,11 @@ class Result:
 
     Class attributes:
         drawn_by: Function that draws it, as "module:function"; it is imported when a picture is asked for.
+        derived: Names of properties that its JSON has besides the fields.
     """
 
     drawn_by: ClassVar[str]
+    derived: ClassVar[Sequence[str]] = ()
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return the columns by name, (N,) each."""
@@ -122,8 +124,9 @@ class Result:
         return Table(type(self).__name__.lower(), head, rows, note)
 
     def as_json(self) -> dict[str, Any]:
-        """Return every field, ready for JSON."""
-        return {one.name: plain(getattr(self, one.name)) for one in fields(self)}  # type: ignore[arg-type]
+        """Return every field but those kept from its representation, ready for JSON."""
+        names = [one.name for one in fields(self) if one.repr]  # type: ignore[arg-type]
+        return {name: plain(getattr(self, name)) for name in (*names, *self.derived)}
 
     def to_pandas(self) -> DataFrame:
         """Return the columns as a data frame, their units in its `attrs["units"]`.
