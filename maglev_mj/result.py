@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _MOST_ROWS, _MOST_COLUMNS = 8, 9
 _LONGEST = 2000  # of a representation [bytes]
-_IN, _GAP, _NARROWEST = "  ", "  ", 24
+_IN, _GAPS, _NARROWEST = "  ", ("  ", " "), 24
 _IN_NUMBERS = re.compile(r"\bto\b|(?<=\d)e(?=[-+]?\d)")
 
 
@@ -60,7 +60,8 @@ class Table(NamedTuple):
     def __str__(self) -> str:
         """Return the table for a terminal, at most 80 characters wide.
 
-        Texts are to the left and numbers to the right; columns that do not fit go on below, the last text is wrapped.
+        Texts are to the left and numbers to the right. Columns that do not fit, even closer together, go on below; the
+        last text is wrapped.
         """
         title = wrapped(printable(self.title), "", _IN) if self.title else []
         columns = [list(map(_text, column)) for column in zip(self.head, *self.rows)] if self.rows else []
@@ -71,10 +72,12 @@ class Table(NamedTuple):
         widths = [max(map(len, column)) for column in columns]
         widths[-1:] = [min(widths[-1], _NARROWEST) if left[-1] else widths[-1]] if columns else []  # it is wrapped
         around = [index for index in range(len(columns)) if not max(first, 1) <= index < last]
+        groups = {gap: _fitting(range(max(first, 1), last), around, widths, gap) for gap in _GAPS}
+        gap = min(_GAPS, key=lambda gap: len(groups[gap]))
         block: list[str] = []
-        for some in _fitting(range(max(first, 1), last), widths, sum(widths[index] + len(_GAP) for index in around)):
+        for some in groups[gap]:
             shown = [*around[: max(first, 1)], *some, *around[max(first, 1) :]]
-            block += _block([columns[index] for index in shown], [left[index] for index in shown])
+            block += _block([columns[index] for index in shown], [left[index] for index in shown], gap)
         notes = [line for remark in self.note.splitlines() for line in wrapped(printable(remark), further=2 * _IN)]
         parts = ["\n".join(lines) for lines in (title, block, notes) if lines]
         return "\n\n".join([*parts, *map(str, self.below)])
@@ -96,9 +99,11 @@ class Result:
 
     Class attributes:
         drawn_by: Function that draws it, as "module:function"; it is imported when a picture is asked for.
+        derived: Names of properties that its JSON has besides the fields.
     """
 
     drawn_by: ClassVar[str]
+    derived: ClassVar[Sequence[str]] = ()
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return the columns by name, (N,) each."""
@@ -120,8 +125,9 @@ class Result:
         return Table(type(self).__name__.lower(), head, rows, note)
 
     def as_json(self) -> dict[str, Any]:
-        """Return every field, ready for JSON."""
-        return {one.name: plain(getattr(self, one.name)) for one in fields(self)}  # type: ignore[arg-type]
+        """Return every field but those kept from its representation, ready for JSON."""
+        names = [one.name for one in fields(self) if one.repr]  # type: ignore[arg-type]
+        return {name: plain(getattr(self, name)) for name in (*names, *self.derived)}
 
     def to_pandas(self) -> DataFrame:
         """Return the columns as a data frame, their units in its `attrs["units"]`.
@@ -214,25 +220,25 @@ def _narrowed(columns: list[list[str]], wraps: bool) -> list[list[str]]:
     return [[name, mark.strip() + unit, *column[1:]] for (name, mark, unit), column in zip(heads, columns)]
 
 
-def _fitting(indices: Sequence[int], widths: Sequence[int], around: int) -> list[list[int]]:
+def _fitting(indices: Sequence[int], around: Sequence[int], widths: Sequence[int], gap: str) -> list[list[int]]:
     """Return columns in groups that fit the width beside those around them."""
     groups: list[list[int]] = [[]]
     for index in indices:
-        used = len(_IN) + around + sum(widths[one] + len(_GAP) for one in groups[-1])
+        used = len(_IN) + sum(widths[one] + len(gap) for one in [*around, *groups[-1]])
         if groups[-1] and used + widths[index] > WIDTH:
             groups.append([])
         groups[-1].append(index)
     return groups
 
 
-def _block(columns: Sequence[Sequence[str]], left: Sequence[bool]) -> list[str]:
+def _block(columns: Sequence[Sequence[str]], left: Sequence[bool], gap: str) -> list[str]:
     """Return the lines of columns side by side, the last of words wrapped."""
     widths = [max(map(len, column)) for column in columns]
-    begin = len(_IN) + sum(width + len(_GAP) for width in widths[:-1])
+    begin = len(_IN) + sum(width + len(gap) for width in widths[:-1])
     lines = []
     for *row, final in zip(*columns):
         texts = wrap(final, max(WIDTH - begin, _NARROWEST), break_on_hyphens=False) if left[-1] else [final]
         cells = [f"{text:{'<' if words else '>'}{width}}" for text, words, width in zip(row, left, widths)]
         cells.append(f"{texts[0] if texts else '':{'<' if left[-1] else '>'}{widths[-1]}}")
-        lines += [(_IN + _GAP.join(cells)).rstrip(), *(" " * begin + text for text in texts[1:])]
+        lines += [(_IN + gap.join(cells)).rstrip(), *(" " * begin + text for text in texts[1:])]
     return [line for line in lines if line]

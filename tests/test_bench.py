@@ -13,7 +13,7 @@ import growth
 import others
 import realism
 import speed_tables
-from maglev_mj.plots import PictureFolder
+from maglev_mj.pictures import PictureFolder
 from peers import available
 from tests.test_charts import complaints
 

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from maglev_mj import plots
 from maglev_mj.analysis.pictures import staircases, whole_run
 from maglev_mj.bridge.fault import load_black_box
 from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
-from maglev_mj.plots.drawing import FORMATS, name_curves, new_figure
+from maglev_mj.pictures import FORMATS, Panel, PictureFolder, name_curves, new_figure, small_multiples
 from maglev_mj.scenes.drop import Drop
 from tests.test_analysis import analysed, recorded
 from tests.test_black_box import flown
@@ -163,7 +162,7 @@ def test_panels_of_curves_can_be_read(same: bool, figures: list[Any]) -> None:
     x = np.geomspace(1e-3, 0.22, 20)
     names = [f"a rather long name of curve {index}" for index in range(8)]
     panels = [
-        plots.Panel(
+        Panel(
             title=f"panel {index} with a title that is\nas long as two lines",
             labels=("a quantity (unit)", "another quantity (unit)"),
             curves=[(name if same else f"{name}, {index}", x, x * (place + 1)) for place, name in enumerate(names)],
@@ -172,7 +171,7 @@ def test_panels_of_curves_can_be_read(same: bool, figures: list[Any]) -> None:
         )
         for index in range(3)
     ]
-    plots.small_multiples(panels, Path("unused.png"))
+    small_multiples(panels, Path("unused.png"))
     (figure,) = figures
     assert complaints(figure) == [] and len(figure.legends) == int(same)
 
@@ -259,4 +258,4 @@ def test_no_other_format(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stick-slip", "--format", "pdf"]) == 2
     assert "format must be given with out, the folder of pictures, not 'pdf' alone" in capsys.readouterr().err
     with pytest.raises(ParameterError, match="format must be one of png, pdf, svg, not 'bmp'"):
-        plots.PictureFolder(Path(), "bmp")
+        PictureFolder(Path(), "bmp")

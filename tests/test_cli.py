@@ -31,8 +31,9 @@ def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
         "pulse 220 further",
         "pulse 220 in all",
         "no pulse",
-        "at phase 0, penetration above that of 80 % of the phases",
-        "over 5 phases",
+        "plant mujoco, phase 0:",
+        "median (5 to 95 %) over 5 phases",
+        "penetration above that of 80 % of the phases",
         "differ by at most",
     ):
         assert words in out
@@ -43,22 +44,6 @@ def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
 def test_drop_prints_at_most_80_columns(more: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["drop", "--phases", "5", *more.split()]) == 0
     assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
-
-
-def test_titles_of_narrow_columns_stay_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    file = tmp_path / "rest.py"
-    file.write_text(
-        "from maglev_mj import AXES, Scene, hold\n\n\n"
-        "class Rest(Scene):\n"
-        '    """Rest at the centre."""\n\n'
-        '    figures = ("peak_speed",)\n\n'
-        "    def laws(self):\n"
-        "        return [hold(self, AXES)]\n"
-    )
-    assert cli.main(["run", str(file), "--phases", "20", "--plant", "exact"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert "over 20 phases: median (5 to 95 %)" in lines
-    assert [line for line in lines if line.startswith("at phase 0")]
 
 
 def test_drop_json_on_standard_output_is_nothing_but_json(capsys: pytest.CaptureFixture[str]) -> None:

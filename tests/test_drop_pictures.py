@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import plots
 from maglev_mj.laws import AxisLaw, Law, gain
 from maglev_mj.parameters import param
-from maglev_mj.plots import paper
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.run import RunResult, run, run_phases
+from maglev_mj.scenes.pictures import drop_phases, phase_plane, time_series
+from maglev_mj.scenes.run import Variants, run, run_phases, run_variants
 from maglev_mj.scenes.scene import Scene
 
 DROP, PHASE = Drop(), 0.56
@@ -29,12 +28,12 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         drawn.append(figure)
         return path
 
-    monkeypatch.setattr("maglev_mj.plots.paper.save", keep)
+    monkeypatch.setattr("maglev_mj.scenes.pictures.save", keep)
     return drawn
 
 
-def runs(drop: Drop, phase: float = PHASE) -> dict[str, RunResult]:
-    return {label: run(variant, plant="exact", phase=phase) for label, variant in drop.variants().items()}
+def drops(drop: Drop, phase: float = PHASE, bands: int = Drop.drawn_phases) -> Variants:
+    return run_variants(drop.variants(), plant="exact", phase=phase, bands=bands)
 
 
 def lines(panel: Any) -> dict[str, Any]:
@@ -49,7 +48,7 @@ def reach(band: Any) -> tuple[float, float]:
 
 
 def test_figure_3_has_a_column_for_each_reading(figures: list[Any]) -> None:
-    plots.time_series(runs(DROP), {}, Path("unused.png"))
+    time_series(drops(DROP), Path("unused.png"))
     heights, forces = figures[0].axes[:2], figures[0].axes[2:]
     for upper, lower, title in zip(
         heights, forces, ("pulse 220 further: 300 N s/m", "pulse 220 in all: 220 N s/m"), strict=True
@@ -93,15 +92,14 @@ class Beside(Drop):
         return {"mine": self, "published": published, "soft": published.replace(stiffness=3000.0)}
 
 
-@pytest.mark.parametrize("draw", [plots.time_series, plots.phase_plane, paper.phases])
+@pytest.mark.parametrize("draw", [time_series, phase_plane, drop_phases])
 def test_laws_of_ones_own_have_lines_of_their_own_beside_published_ones(draw: Any, figures: list[Any]) -> None:
-    results = runs(Beside())
-    sweeps = {label: run_phases(one.scene, 20, plant="exact") for label, one in results.items()}
-    draw(results, sweeps, Path("unused.png"))
+    found = drops(Beside(), bands=20)
+    draw(found, Path("unused.png"))
     drawn = lines(figures[0].axes[0])
-    assert len({drawn[label].get_color() for label in results}) == 3
-    assert len({str(drawn[label]._unscaled_dash_pattern) for label in results}) == 3
-    if draw is not paper.phases:
+    assert len({drawn[label].get_color() for label in found.runs}) == 3
+    assert len({str(drawn[label]._unscaled_dash_pattern) for label in found.runs}) == 3
+    if draw is not drop_phases:
         said = figures[0].get_suptitle()
         assert "shaded: all of 20 phases" in said and "N/m" not in said and "N s/m" not in said
         assert [panel.get_title(loc="left") for panel in figures[0].axes] == [""] * len(figures[0].axes)
@@ -115,7 +113,7 @@ def test_a_scene_is_titled_by_its_own_docstring() -> None:
 
 
 def test_bands_reach_as_far_as_the_drop_at_any_phase(figures: list[Any]) -> None:
-    plots.time_series(runs(DROP), {}, Path("unused.png"))
+    time_series(drops(DROP), Path("unused.png"))
     variants = DROP.variants()
     for column, label in enumerate(list(variants)[:2]):
         for place, variant in enumerate((variants[label], variants["no pulse"])):
@@ -126,10 +124,10 @@ def test_bands_reach_as_far_as_the_drop_at_any_phase(figures: list[Any]) -> None
             assert peak == pytest.approx(over_phases["peak_force"].max(), rel=1e-9)
 
 
-@pytest.mark.parametrize("draw", [plots.time_series, plots.phase_plane])
+@pytest.mark.parametrize("draw", [time_series, phase_plane])
 @pytest.mark.parametrize("phase", [0.0, 0.06, 0.9])
 def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float, figures: list[Any]) -> None:
-    draw(runs(DROP, phase), {}, Path("unused.png"))
+    draw(drops(DROP, phase), Path("unused.png"))
     depth = run(DROP, plant="exact", phase=phase).figures["penetration"]
     others = run_phases(DROP, 100, plant="exact").figures["penetration"]
     share = int(np.argmin(np.abs(np.sort(others) - depth)))  # its rank among 100
@@ -151,8 +149,8 @@ def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
 )
 def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int, tmp_path: Path, figures: list[Any]) -> None:
     drop = DROP.replace(**changes)
-    plots.time_series(runs(drop), {}, tmp_path / "time.png")
-    plots.phase_plane(runs(drop), {}, tmp_path / "plane.png")
+    time_series(drops(drop), tmp_path / "time.png")
+    phase_plane(drops(drop), tmp_path / "plane.png")
     assert [len(figure.axes) for figure in figures] == [2 * columns, columns]
     for figure in figures:
         has_analog = any(ANALOG in lines(panel) for panel in figure.axes)

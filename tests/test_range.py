@@ -17,10 +17,9 @@ from maglev_mj import AXES, cli
 from maglev_mj.frames import Array
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.run import run, run_phases
+from maglev_mj.scenes.run import Variants, run, run_phases
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import RANGE, Spec
-from maglev_mj.tables import run_table
 from maglev_mj.trace import Trace
 from tests.sweeps import sweep
 
@@ -68,10 +67,10 @@ def test_a_drop_says_when_it_leaves_the_range(limit: float | None, gains: tuple[
     labels = ["with pulse", "without pulse"]
     results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
     left = outside([one.trace for one in results.values()])
-    said = remark(run_table(results, {}, 0.0))
+    said = remark(str(Variants(results).table()))
     assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
     sweeps = {label: run_phases(one, 8, plant="exact") for label, one in zip(labels, variants, strict=True)}
-    said = remark(run_table(results, sweeps, 0.0)) or ""
+    said = remark(str(Variants(results, sweeps).table())) or ""
     for label, one in zip(labels, variants, strict=True):
         phases = [run(one, plant="exact", phase=phase / 8).trace for phase in range(8)]
         count = sum(outside(phases))
@@ -83,7 +82,7 @@ def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
     for plant in ("exact", "mujoco"):
         for height, left in ((RANGE[2], False), (RANGE[2] * 1.0001, True)):
             result = run(Drop(height=height, duration=0.05), plant=plant)
-            assert (remark(run_table({"drop": result}, {}, 0.0)) is not None) == left
+            assert (remark(str(Variants({"drop": result}).table())) is not None) == left
 
 
 @pytest.mark.parametrize(
@@ -93,7 +92,7 @@ def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None
     variants = [Press(hits=2, **change).replace(pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
     labels = ["with pulse", "without pulse"]
     results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
-    said = remark(run_table(results, {}, 0.0))
+    said = remark(str(Variants(results).table()))
     left = outside([one.trace for one in results.values()])
     assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
     sweep = run_phases(variants[0], 3, plant="exact")
@@ -109,7 +108,7 @@ def test_stick_slip_says_when_it_leaves_the_range_on_any_axis(axis: str) -> None
     reach, kind = RANGE[AXES.index(axis)], []
     for share in (0.5, 0.9, 0.97, 1.0, 1.03, 1.08, 1.15, 1.5, -0.9, -1.5):
         result = run(StickSlip(axis=axis, target=share * reach), plant="exact")
-        said = remark(run_table({"stick-slip": result}, {}, None))
+        said = remark(str(Variants({"stick-slip": result}).table()))
         assert (said is not None) == outside([result.trace])[0]
         kind.append(said is not None)
         if said:
@@ -128,7 +127,7 @@ def test_a_force_beyond_the_devices_is_told_if_it_acted(knot: int, told: bool) -
     forces = ran.trace.wrench.copy()
     assert np.abs(forces[:, 2]).max() < most
     forces[knot, 2] = -1.5 * most
-    text = run_table({"drop": replace(ran, trace=replace(ran.trace, wrench=forces))}, {}, None)
+    text = str(Variants({"drop": replace(ran, trace=replace(ran.trace, wrench=forces))}).table())
     assert (f"Above the device's {most:g} N (z): drop {1.5 * most:.3g}" in text) is told
 
 

@@ -114,6 +114,8 @@ def test_the_series_of_a_run_are_those_of_its_trace() -> None:
     assert len(one.plot(picture="drop_phase_plane").axes) == 1
     with pytest.raises(ParameterError, match=r"picture must be one of drop_time, drop_phase_plane, .* not 'x'"):
         one.plot(picture="x")
+    with pytest.raises(ParameterError, match="phases must be run for their picture: see run_phases"):
+        one.plot(picture="drop_phases")
 
 
 @pytest.mark.parametrize("duration", [0.35, 0.57])
@@ -154,7 +156,7 @@ def test_a_batch_says_that_a_series_needs_one_phase() -> None:
             wanted()
     alone = batch[1].to_pandas()
     assert alone["z"].min() == pytest.approx(run(Drop(), plant="exact", phase=0.5).to_pandas()["z"].min(), abs=1e-15)
-    assert batch.table().head[1] == "median (5 to 95 %)" and "2 phases" in batch.table().title
+    assert "median (5 to 95 %) over 2 phases" in batch.table().title
     with pytest.raises(ParameterError, match=r"trace must be of one device on six axes, \(K, 6\), not \(\d+, 2, 6\)"):
         batch.trace.to_pandas()
     six = run(Drop(), plant="exact", phase=np.arange(6) / 6).trace  # as many devices as axes

@@ -13,10 +13,9 @@ import pytest
 from maglev_mj import Hold, Scene, Session, figure, identify, param, record_run, run, run_phases, sweep
 from maglev_mj.cli.options import described
 from maglev_mj.frames import AXES, unit_of
-from maglev_mj.plots.paper import stick_slip
-from maglev_mj.plots.results import series, spread
+from maglev_mj.scenes.pictures import series, spread, stick_slip
+from maglev_mj.scenes.run import Variants
 from maglev_mj.scenes.stick_slip import StickSlip
-from maglev_mj.tables.run import run_table
 from maglev_mj.theory.verdict import stability
 from maglev_mj.viewer import plots as window_plots
 from maglev_mj.viewer.overlay import status_rows
@@ -100,11 +99,12 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
     result, phases = run(scene, plant="exact"), run_phases(scene, 2, plant="exact")
     values = [0.9 * scene.stiffness, scene.stiffness]
     swept = sweep(scene, {"stiffness": values, "breakaway": [scene.breakaway, 1.1 * scene.breakaway]}, plant="exact")
+    both = Variants({"a": result}, {"a": phases}, gap=1e-6)
     gui, session = Gui(), Session(scene)
     for one in scene.parameters():
         control(gui, one, scene, lambda *_: None)
     said = {
-        "run": run_table({"a": result}, {"a": phases}, 1e-6),
+        "run": str(both.table()),
         "sweep": str(swept.table()),
         "stability": f"{scene.describe()}\n{stability(scene).table()}",
         "page": "\n".join(gui.texts),
@@ -114,10 +114,10 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
         "identified": str(identify(record_run(whole, plant="exact").stretches[0]).table()),
         "tables": "\n".join(str(found.table()) for found in (result, phases)),
         "frames": "\n".join(f" {unit} " for found in (result, phases, swept) for unit in found.units.values()),
-        "figure 8": "\n".join(texts_of(stick_slip({"a": result}, {"a": phases}))),
+        "figure 8": "\n".join(texts_of(stick_slip(both))),
         "plots": "\n".join(text for found in (result, phases, swept) for text in texts_of(found.plot())),
-        "spread": "\n".join(texts_of(spread({"a": result}, {"a": phases}))),
-        "series": "\n".join(texts_of(series({"a": result}, {"a": phases}))),
+        "spread": "\n".join(texts_of(spread(both))),
+        "series": "\n".join(texts_of(series(both))),
     }
     session.close()
     assert {name: wrong(text, axis) for name, text in said.items() if wrong(text, axis)} == {}
@@ -153,7 +153,7 @@ def test_what_is_not_along_the_axis_keeps_its_unit(axis: str) -> None:
             return [Hold(stiffness=np.full(6, 1.0), damping=np.full(6, 0.1))]
 
     result = run(Own(), plant="exact")
-    head, _, table = run_table({"a": result}, {}, None).partition("\n\n")
+    head, _, table = str(Variants({"a": result}).table()).partition("\n\n")
     assert "place 0.002 m," in head and "force 1 N," in head
     units = {row[0]: row[2] for row in result.table().rows}
     assert units == {"final position": unit_of("mm", axis), "<lambda>": "N"} and unit_of("mm", axis) in table

@@ -14,7 +14,7 @@ import numpy as np
 from maglev_mj.analysis import Run, StretchReport
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.plots.drawing import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
+from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
 from maglev_mj.recording import Recording, Samples
 from maglev_mj.trace import Trace
 

@@ -10,7 +10,7 @@ import numpy as np
 from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.frames import AXES, Array
-from maglev_mj.plots.drawing import BESIDE, TITLE, new_figure, save
+from maglev_mj.pictures import BESIDE, TITLE, new_figure, save
 from maglev_mj.terminal import printable
 
 

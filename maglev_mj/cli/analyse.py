@@ -17,7 +17,7 @@ from maglev_mj.cli.replay import add_own_scene, own_code
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import axis_indices, number
-from maglev_mj.plots import PictureFolder
+from maglev_mj.pictures import PictureFolder
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
 from maglev_mj.replay import OwnCode, rebuild_for, stick_positions_of, unmade_plant
 from maglev_mj.terminal import printable, wrapped

@@ -10,7 +10,7 @@ from typing import Any
 
 from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.errors import DivergenceError
-from maglev_mj.plots import PictureFolder
+from maglev_mj.pictures import PictureFolder
 from maglev_mj.result import Result
 from maglev_mj.versions import versions
 

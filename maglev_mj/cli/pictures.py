@@ -9,7 +9,7 @@ from pathlib import Path
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.writable import check_folder
 from maglev_mj.errors import ParameterError
-from maglev_mj.plots import FORMATS, PictureFolder, require
+from maglev_mj.pictures import FORMATS, PictureFolder, require
 
 
 def add_pictures(parser: Parser, told: str = "write pictures to this folder", default: Path | None = None) -> None:

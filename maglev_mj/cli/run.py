@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from dataclasses import replace
 from inspect import getdoc
 
 import numpy as np
 
-from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser, offer
 from maglev_mj.cli.options import add_outputs, add_parameters, add_recording, count, number_option
 from maglev_mj.cli.output import keep_partial, write_results
@@ -17,9 +16,8 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
 from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.run import Phases, RunResult, run, run_phases
+from maglev_mj.scenes.run import RunResult, run, run_variants
 from maglev_mj.scenes.scene import PLANTS, Scene
-from maglev_mj.tables import run_table
 
 
 def add_options(parser: Parser) -> None:
@@ -67,42 +65,29 @@ def _run(options: argparse.Namespace) -> int:
             recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
     alone = options.json == "-" and pictures is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
+    banded = pictures is not None and scene.drawn_phases and "exact" in scene.plants
+    bands = (options.phases or scene.drawn_phases) if banded else None
     try:
-        results, sweeps = _results(scene, variants, options)
+        with Progress(scene.name) as progress:
+            found = run_variants(
+                variants,
+                plant=options.plant,
+                phase=options.phase,
+                phases=options.phases,
+                bands=bands,
+                progress=progress,
+            )
     except DivergenceError as error:
         keep_partial(error, options)
         raise
-    first = next(iter(results.values()))
-    swept = {"sweep": next(iter(sweeps.values())).as_json()} if sweeps else {}
     write_results(
         options,
-        lambda: first.as_json() | swept,
-        lambda: run_table(results, sweeps, _gap(first)),
-        lambda pictures: [
-            draw(results, sweeps, pictures.path(name)) for name, draw in plots.pictures_of(scene, sweeps).items()
-        ],
+        found.as_json,
+        lambda: str(replace(found, gap=_gap(next(iter(found.runs.values())))).table()),
+        lambda folder: [found.plot(picture=name, path=folder.path(name)) for name in found.pictures],
         recorded,
     )
     return 0
-
-
-def _results(
-    scene: Scene, variants: Mapping[str, Scene], options: argparse.Namespace
-) -> tuple[dict[str, RunResult], dict[str, Phases]]:
-    results: dict[str, RunResult] = {}
-    sweeps: dict[str, Phases] = {}
-    with Progress(scene.name) as progress:
-        try:
-            for label, variant in variants.items():
-                results[label] = run(variant, plant=options.plant, phase=options.phase)
-            if options.phases is not None:
-                for label, variant in variants.items():
-                    sweeps[label] = run_phases(variant, options.phases, plant=options.plant, progress=progress)
-        except DivergenceError as error:
-            if results:
-                error.partial = next(iter(results.values()))  # the run itself is worth keeping
-            raise
-    return results, sweeps
 
 
 def _gap(result: RunResult) -> float | None:

@@ -9,8 +9,6 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar, Self
 
-import numpy as np
-
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.laws import Law
@@ -33,10 +31,11 @@ class Drop(WallScene):
     tolerance: ClassVar[float] = 1e-3
     tolerance_reason: ClassVar[str] = "less than the sampler's phase alone does to the penetration"
     plots: ClassVar[Mapping[str, str]] = {
-        "drop_time": "maglev_mj.plots.paper:time_series",
-        "drop_phase_plane": "maglev_mj.plots.paper:phase_plane",
-        "drop_phases": "maglev_mj.plots.paper:phases",
+        "drop_time": "maglev_mj.scenes.pictures:time_series",
+        "drop_phase_plane": "maglev_mj.scenes.pictures:phase_plane",
+        "drop_phases": "maglev_mj.scenes.pictures:drop_phases",
     }
+    drawn_phases: ClassVar[int] = 100
 
     height: float = param(
         "drop height above the wall", "m", default=Spec.translation_range.value, above=0.0, below=ESCAPE
@@ -98,11 +97,3 @@ class Drop(WallScene):
         """Return height [m] and force of the actuators [N]."""
         place, _, force = result.motion(time)
         return {"z": place, "force": force}
-
-    @staticmethod
-    def less_deep(penetration: float, phases: Array) -> float:
-        """Return the share of phases with less penetration.
-
-        `penetration` is that of the drop compared.
-        """
-        return float(np.mean(phases < penetration - 1e-9))  # the two plants round differently

@@ -47,7 +47,7 @@ class Press(WallScene):
         name: name if name == "absorbed" else f"hit_{name}" if index < 5 else f"press_{name}"
         for index, name in enumerate(PressSummary._fields)
     }
-    plots: ClassVar[Mapping[str, str]] = {"press": "maglev_mj.plots.paper:figure_6"}
+    plots: ClassVar[Mapping[str, str]] = {"press": "maglev_mj.scenes.pictures:figure_6"}
 
     hand: str = param("arm, stylus, fingertip or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]", default="arm")
     hits: int = param("how many hits", default=4, at_least=1, at_most=1000)

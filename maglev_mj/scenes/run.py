@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Integral
@@ -22,12 +22,13 @@ from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import PLANTS, Scene
-from maglev_mj.spec import ESCAPE
+from maglev_mj.spec import ESCAPE, RANGE, Spec
 from maglev_mj.trace import Trace
 
 _MOST_PHASES = 10_000
 _TOGETHER = 64
 _STEP = 1e-3
+_ROUNDING = 1.0 + 1e-9
 _UNITS = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "z": "m", "target": "m", "stick_position": "m"}
 
 Observe = Callable[[Sample, Command], object]
@@ -59,7 +60,7 @@ class RunResult(Result):
     trace: Trace
     sample_time: Array
     samples: Mapping[str, Array]
-    drawn_by: ClassVar = "maglev_mj.plots.results:result"
+    drawn_by: ClassVar = "maglev_mj.scenes.pictures:draw_run"
     _known: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -116,11 +117,15 @@ class RunResult(Result):
         return {name: unit_of(unit, self.scene.axis) for name, unit in _UNITS.items()}
 
     def table(self) -> Table:
-        """Return the figures; those of several phases as `Phases` does."""
-        several = np.ndim(self.phase)
-        where = f"{len(self.phase)} phases" if several else f"phase {self.phase:g}"
-        title = f"{self.scene.name} on {self.plant}, {where}"
-        return _figures_table(self.scene, title, self.figures, several=bool(several))
+        """Return the figures and what exceeds the device; those of several phases as `Phases` does."""
+        return self.over_phases().table() if np.ndim(self.phase) else Variants({self.scene.name: self}).table()
+
+    def over_phases(self) -> Phases:
+        """Return the figures at each phase, a batch of one for a single phase."""
+        each = figures_of_each(self) if np.ndim(self.phase) else {name: [one] for name, one in self.figures.items()}
+        figures = {name: np.asarray(values) for name, values in each.items()}
+        furthest = self.trace.furthest().reshape(-1, len(AXES))
+        return Phases(self.scene, self.plant, np.atleast_1d(self.phase), figures, furthest)
 
     def as_json(self) -> dict[str, Any]:
         """Return parameters, series every millisecond and figures, ready for JSON."""
@@ -128,7 +133,7 @@ class RunResult(Result):
         series["time"] = np.round(series["time"], 9)
         return {
             "parameters": parameters_json(self.scene, self.plant, self.phase),
-            **{name: values.tolist() for name, values in series.items()},
+            **plain(series),
             **self.scene.extra_json(self),
             "summary": plain(self.figures),
         }
@@ -169,7 +174,7 @@ class Phases(Result):
     phases: Array
     figures: Mapping[str, Array]
     furthest: Array
-    drawn_by: ClassVar = "maglev_mj.plots.results:phases"
+    drawn_by: ClassVar = "maglev_mj.scenes.pictures:draw_phases"
 
     def columns(self) -> dict[str, Array]:
         """Return phases and figures in SI units, (N,) each.
@@ -192,8 +197,7 @@ class Phases(Result):
 
     def table(self) -> Table:
         """Return median and 5 to 95 % of each figure."""
-        title = f"{self.scene.name} on {self.plant}, {len(self.phases)} phases"
-        return _figures_table(self.scene, title, self.figures, several=True)
+        return Variants({}, {self.scene.name: self}).table()
 
     def percentile(self, share: float) -> dict[str, Array]:
         """Return a percentile of each figure over the phases.
@@ -224,19 +228,162 @@ class Phases(Result):
         }
 
 
-def _figures_table(scene: Scene, title: str, figures: Mapping[str, Any], *, several: bool) -> Table:
-    """Return a table of figures, or of their spread."""
+@dataclass(frozen=True, eq=False)
+class Variants(Result):
+    """Runs of a scene and of its variants, side by side.
+
+    Attributes:
+        runs: Run for each label, the scene itself first; empty for phases alone.
+        phases: Their figures at many phases; may be empty.
+        bands: Their motion at many phases, which pictures show around the runs; may be empty.
+        gap: Largest distance between the two plants in the first run [m, rad]; None if not compared.
+    """
+
+    runs: Mapping[str, RunResult]
+    phases: Mapping[str, Phases] = field(default_factory=dict)
+    bands: Mapping[str, RunResult] = field(default_factory=dict)
+    gap: float | None = None
+    drawn_by: ClassVar = "maglev_mj.scenes.pictures:draw_variants"
+
+    @property
+    def first(self) -> RunResult | Phases:
+        """Result of the scene itself."""
+        return next(iter(self.runs.values())) if self.runs else next(iter(self.phases.values()))
+
+    @property
+    def pictures(self) -> Mapping[str, str]:
+        """Pictures by file name without ending, each the function that draws it as "module:function"."""
+        scene: Scene = self.first.scene
+        general = {scene.name: "maglev_mj.scenes.pictures:series"} if self.runs else {}
+        if self.phases:
+            general[f"{scene.name}_phases"] = "maglev_mj.scenes.pictures:spread"
+        return scene.plots or general
+
+    def columns(self) -> dict[str, Array]:
+        """Return the columns of the scene itself."""
+        return self.first.columns()
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        return self.first.units
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the run of the scene itself and its phases, ready for JSON."""
+        runs, phases = list(self.runs.values()), list(self.phases.values())
+        return {**(runs[0].as_json() if runs else {}), **({"sweep": phases[0].as_json()} if phases else {})}
+
+    def table(self) -> Table:
+        """Return the figures of each run, their spread over the phases, and what exceeds the device."""
+        scene: Scene = self.first.scene
+        named: Mapping[str, Figure] = scene.figures
+        runs = {label: one.figures for label, one in self.runs.items()}
+        runs |= scene.compared(next(iter(self.runs.values()))) if runs else {}
+        values = {
+            label: {name: one.text(figures.get(name, math.nan)) for name, one in named.items()}
+            for label, figures in runs.items()
+        }
+        spreads = {
+            label: {name: one.spread(phases.figures[name]) for name, one in named.items()}
+            for label, phases in self.phases.items()
+        }
+        over = f"median (5 to 95 %) over {len(next(iter(self.phases.values())).phases)} phases" if spreads else ""
+        at = f"phase {self.first.phase:g}" if isinstance(self.first, RunResult) and scene.takes_phase else ""
+        where = ", ".join(filter(None, [f"plant {self.first.plant}", at if runs else over]))
+        title = f"{Scene.describe(scene)}, {where}: {', '.join(_parameter_texts(scene))}"
+        table = _figures_table(title, scene, values or spreads, meaning=True)
+        if not (values and spreads):
+            return table._replace(note=self._remarks())
+        return table._replace(below=[_figures_table(over, scene, spreads)._replace(note=self._remarks())])
+
+    def _remarks(self) -> str:
+        """Return a line for each rank, missing figure and excess over the device's limits."""
+        scene = self.first.scene
+        remarks = [*self._rank(), *self._missing(), *self._beyond_force(), *self._beyond_range()]
+        if self.gap is not None:
+            remarks.append(f"MuJoCo and the exact plant differ by at most {self.gap:.1e} {unit_of('m', scene.axis)}")
+        return "\n".join(remarks)
+
+    def _rank(self) -> Iterator[str]:
+        """Yield the rank of the first run among its phases; one phase alone says little."""
+        for label, one in list(self.runs.items())[:1]:
+            for name in list(one.scene.figures)[:1] if label in self.phases else ():
+                if (values := self.phases[label].figures[name]).ndim == 1:
+                    share = 100.0 * share_below(values, one.figures[name])
+                    yield f"{label}: {name.replace('_', ' ')} above that of {share:.0f} % of the phases"
+
+    def _missing(self) -> Iterator[str]:
+        """Yield a line for each figure missing at some phases."""
+        for label, one in self.phases.items():
+            for name, values in one.figures.items():
+                there = int(np.isfinite(values).reshape(len(values), -1).all(axis=1).sum())
+                if there < len(values):
+                    yield f"{label}: {name.replace('_', ' ')} is there at {there} of {len(values)} phases"
+
+    def _beyond_force(self) -> Iterator[str]:
+        """Yield any line on vertical forces beyond the device's."""
+        most = Spec.largest_vertical_force.value
+        # the last knot's force has not acted yet
+        peaks = {label: float(np.abs(one.trace.wrench[:-1, 2]).max(initial=0.0)) for label, one in self.runs.items()}
+        beyond = [f"{label} {peak:.3g}" for label, peak in peaks.items() if peak > most * _ROUNDING]
+        if beyond:
+            yield f"Above the device's {most:g} N (z): {', '.join(beyond)}"
+
+    def _beyond_range(self) -> Iterator[str]:
+        """Yield any line on motions beyond the device's range."""
+        texts, limits = [], np.array(RANGE)
+        left = np.zeros(len(RANGE), dtype=bool)
+        for label in dict.fromkeys([*self.runs, *self.phases]):
+            swept = self.phases[label].furthest if label in self.phases else np.empty((0, len(RANGE)))
+            alone = [self.runs[label].trace.furthest()] if label in self.runs else []
+            furthest = np.vstack([*alone, swept]).max(axis=0)
+            if not (outside := furthest > limits * _ROUNDING).any():
+                continue
+            left |= outside
+            phases = int((swept > limits * _ROUNDING).any(axis=1).sum())
+            count = f" ({phases} of {len(swept)} phases)" if phases else ""
+            texts.append(f"{label} {_distances(np.where(outside, furthest, 0.0))}{count}")
+        if texts:
+            yield f"Beyond the range of {_distances(np.where(left, limits, 0.0))}: {', '.join(texts)}"
+
+
+def _figures_table(title: str, scene: Scene, cells: Mapping[str, Mapping[str, str]], *, meaning: bool = False) -> Table:
+    """Return a table with a column for each label, and the meaning beside a single one."""
     named: Mapping[str, Figure] = scene.figures
+    more = meaning and len(cells) == 1
     rows = [
         (
             name.replace("_", " "),
-            one.spread(figures[name]) if several else one.text(figures[name]),
+            *(texts[name] for texts in cells.values()),
             unit_of(one.unit, scene.axis, one.along),
-            one.help,
+            *([one.help] if more else []),
         )
         for name, one in named.items()
     ]
-    return Table(title, ("figure", "median (5 to 95 %)" if several else "value", "unit", "meaning"), rows)
+    return Table(title, ("figure", *cells, "unit", *(["meaning"] if more else [])), rows)
+
+
+def _parameter_texts(scene: Scene) -> list[str]:
+    """Return rate, delay and parameters with their units."""
+    texts = [f"{1.0 / scene.period:g} Hz", f"delay {scene.delay * 1e3:g} ms"]
+    for one in scene.parameters():
+        value = getattr(scene, one.name)
+        if one.name in ("period", "delay") or one.kind in (object, bool) or value is None:
+            continue
+        text = f"{value:.6g}" if one.kind in (int, float) else str(value)
+        texts.append(f"{one.name.replace('_', ' ')} {text} {unit_of(one.unit, scene.axis, one.along)}".rstrip())
+    return texts
+
+
+def _distances(furthest: Array) -> str:
+    """Return the largest nonzero translation and rotation with units."""
+    parts = [(furthest[:3].max() * 1e3, "mm"), (np.degrees(furthest[3:].max()), "deg")]
+    return " and ".join(f"{value:.4g} {unit}" for value, unit in parts if value > 0.0)
+
+
+def share_below(values: Array, value: float) -> float:
+    """Return the share of values below another, but for the rounding of two plants."""
+    return float(np.mean(values < value - 1e-9))
 
 
 def run(
@@ -318,22 +465,53 @@ def run_phases(
     scene = get_scene(scene)
     chosen, plant = _phases(phases), checked_plant(scene, plant)
     size = _TOGETHER if plant == "exact" else 1
-    rows: list[tuple[Mapping[str, Array], Array]] = []  # a trace is large: only its figures are kept
+    parts: list[Phases] = []  # a trace is large: only its figures are kept
     for start in range(0, chosen.size, size):
         some = chosen[start : start + size]
-        if plant == "exact":
-            result = run(scene, plant=plant, phase=some)
-            figures = {name: np.asarray(values) for name, values in figures_of_each(result).items()}
-            rows.append((figures, result.trace.furthest()))
-        else:
-            result = run(scene, plant=plant, phase=float(some[0]))
-            rows.append(
-                ({name: np.asarray([value]) for name, value in result.figures.items()}, result.trace.furthest()[None])
-            )
+        parts.append(run(scene, plant=plant, phase=some if plant == "exact" else float(some[0])).over_phases())
         if progress is not None:
             progress(start + some.size, chosen.size)
-    together = {name: np.concatenate([row[name] for row, _ in rows]) for name in rows[0][0]}
-    return Phases(scene, plant, chosen, together, np.concatenate([furthest for _, furthest in rows]))
+    together = {name: np.concatenate([part.figures[name] for part in parts]) for name in parts[0].figures}
+    return Phases(scene, plant, chosen, together, np.concatenate([part.furthest for part in parts]))
+
+
+def run_variants(
+    variants: Mapping[str, Scene],
+    *,
+    plant: str | None = None,
+    phase: float = 0.0,
+    phases: int | ArrayLike | None = None,
+    bands: int | ArrayLike | None = None,
+    progress: Callable[[int, int], object] | None = None,
+) -> Variants:
+    """Run a scene and its variants, at one phase and at many.
+
+    Args:
+        variants: Scenes by label, such as those of `Scene.variants`; the scene itself first.
+        plant: See `run`.
+        phase: See `run`.
+        phases: Phases at which the figures are taken too, see `run_phases`; None for none.
+        bands: Phases at which the motion on the exact plant is kept too, for pictures; None for none.
+        progress: See `run_phases`.
+
+    Raises:
+        DivergenceError: If a flotor leaves its range by a wide margin; `partial` is the first run, as far as it went.
+    """
+    runs: dict[str, RunResult] = {}
+    swept: dict[str, Phases] = {}
+    drawn: dict[str, RunResult] = {}
+    try:
+        for label, variant in variants.items():
+            runs[label] = run(variant, plant=plant, phase=phase)
+        if phases is not None:
+            swept = {one: run_phases(variants[one], phases, plant=plant, progress=progress) for one in variants}
+        if bands is not None:
+            drawn = {one: run(variants[one], plant="exact", phase=_phases(bands)) for one in variants}
+    except DivergenceError as error:
+        if runs:
+            error.partial = next(iter(runs.values()))  # the run itself is worth keeping
+        raise
+    return Variants(runs, swept, drawn)
 
 
 def checked_plant(scene: Scene, plant: str | None) -> str:

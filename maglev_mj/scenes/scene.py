@@ -86,8 +86,8 @@ class Scene(Parameters):
         tolerance: Negligible displacement of a coil [m], as in `fidelity`.
         tolerance_reason: Reason for that value.
         model: MJCF file for display: a path, or the name of one of the package's.
-        plots: Own plots: name of the file, without ending -> "module:function", called with results by label and a
-            path.
+        plots: Own plots: name of the file, without ending -> "module:function", called with `Variants` and a path.
+        drawn_phases: Number of phases whose motion its own plots show around that of a run; 0 for none.
 
     Raises:
         ParameterError: If a parameter is outside its bounds, or a run has more than a million periods.
@@ -120,6 +120,7 @@ class Scene(Parameters):
     tolerance: ClassVar[float] = 1e-5
     tolerance_reason: ClassVar[str] = "two steps of the sensor"
     plots: ClassVar[Mapping[str, str]] = {}
+    drawn_phases: ClassVar[int] = 0
     model: ClassVar[str | Path] = "scenes/joystick"
 
     period: float = param(

@@ -93,7 +93,7 @@ class StickSlip(Scene):
     model: ClassVar = "scenes/table"
     figures: ClassVar = ("peak_speed", "stick_time", "stick_position", "final_position", "transitions", "ripple")
     takes_phase: ClassVar[bool] = False
-    plots: ClassVar[Mapping[str, str]] = {"stick_slip": "maglev_mj.plots.paper:stick_slip"}
+    plots: ClassVar[Mapping[str, str]] = {"stick_slip": "maglev_mj.scenes.pictures:stick_slip"}
 
     law: str = param("friction law", default="stick-slip", choices=tuple(LAWS))
     velocity: str = param("velocity estimator", default="difference", choices=tuple(VELOCITIES))

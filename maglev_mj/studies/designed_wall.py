@@ -105,7 +105,7 @@ class DesignResult(Result):
     masses: Array
     delays: Array
     map: Array
-    drawn_by: ClassVar = "maglev_mj.plots.stability:design_map"
+    drawn_by: ClassVar = "maglev_mj.studies.pictures:design_map"
 
     def columns(self) -> dict[str, Array]:
         """Return mass, delay and largest modulus of each cell."""

@@ -242,7 +242,7 @@ class FidelityResult(Result):
     cheapest: StepResult | None
     unscreened: str = ""
 
-    drawn_by: ClassVar = "maglev_mj.plots.results:fidelity"
+    drawn_by: ClassVar = "maglev_mj.studies.pictures:fidelity"
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return the figures of each level."""

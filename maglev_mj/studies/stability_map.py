@@ -142,7 +142,7 @@ class StabilityMap(GainMap):
     simulated: Mask | None
     near: Mask
     other_versions: Sequence[Mapping[str, Any]] = ()
-    drawn_by: ClassVar = "maglev_mj.plots.stability:stability_map"
+    drawn_by: ClassVar = "maglev_mj.studies.pictures:stability_map"
 
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return modulus, and `settles` if walls were simulated."""

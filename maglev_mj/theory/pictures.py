@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.colours import REFERENCE, SERIES
-from maglev_mj.plots.drawing import FIRST, SECOND, TITLE, name_curves, new_figure
+from maglev_mj.pictures import FIRST, SECOND, TITLE, name_curves, new_figure
 from maglev_mj.theory import ClosedLoop, Linearised, Verdict
 
 _FREE = 1e-6  # to which the double root at 1 of an axis without stiffness is found

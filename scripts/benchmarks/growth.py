@@ -18,8 +18,8 @@ import numpy as np
 
 from loop import drop_controller, timed
 from maglev_mj import Controller, Hold, Timing, Wall, drive
+from maglev_mj.pictures import Panel, PictureFolder, small_multiples
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant
-from maglev_mj.plots import Panel, PictureFolder, small_multiples
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.studies.cells import Workers, dask_workers, local_workers

@@ -28,8 +28,8 @@ from maglev_mj import drive
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.pictures import Panel, PictureFolder, small_multiples
 from maglev_mj.plants import INTEGRATORS, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
-from maglev_mj.plots import Panel, PictureFolder, small_multiples
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import Spec

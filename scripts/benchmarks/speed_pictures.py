@@ -9,7 +9,7 @@ from typing import Any
 import growth
 import realism
 import speed_accuracy
-from maglev_mj.plots import PictureFolder
+from maglev_mj.pictures import PictureFolder
 
 __all__ = ["draw"]
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from maglev_mj.colours import GRID, REFERENCE, SERIES
 from maglev_mj.parameters import flag
-from maglev_mj.plots.drawing import TITLE, new_figure, save
+from maglev_mj.pictures import TITLE, new_figure, save
 
 __all__ = ["EXACT_ENOUGH", "WorkPoint", "pareto", "work_precision"]
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array
-from maglev_mj.plots.drawing import SECOND, TITLE, name_curves, new_figure, save
-from maglev_mj.plots.stability import level_sets
+from maglev_mj.pictures import SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.spec import Spec
+from maglev_mj.studies.pictures import level_sets
 from maglev_mj.theory import largest_modulus, stiffest_wall
 
 pictures = script_options(__doc__).pictures

@@ -3,21 +3,21 @@
 The flotor falls on an emulated wall, with both readings of the braking pulse.
 """
 
-from maglev_mj import plots
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.run import run
+from maglev_mj.scenes.pictures import time_series
+from maglev_mj.scenes.run import run_variants
 
 pictures = script_options(__doc__).pictures
 
 # the paper's gains are the defaults: 6000 N/m, 80 N s/m, a pulse of 220 N s/m for 3 ms, 200 Hz, 1.5 ms; it prints
 # neither height nor phase: the device's range, and the phase of median penetration
-results = {label: run(variant, phase=0.56) for label, variant in Drop().variants().items()}
+found = run_variants(Drop().variants(), phase=0.56, bands=Drop.drawn_phases)
 
-for label, result in results.items():
+for label, result in found.runs.items():
     figures = result.figures
     print(
         f"{label:>18}: {figures['penetration'] * 1e3:.2f} mm deep, rebound {figures['rebound'] * 1e3:.2f} mm, "
         f"peak {figures['peak_force']:.1f} N, settled after {figures['settling_time'] * 1e3:.0f} ms"
     )
-print("wrote", plots.time_series(results, {}, pictures.path("fig3_drop")))
+print("wrote", time_series(found, pictures.path("fig3_drop")))

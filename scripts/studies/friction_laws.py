@@ -15,7 +15,7 @@ from friction_study import against_exact, chatter, creep, cycle_work, friction_l
 from maglev_mj import Controller, Sample
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.colours import SERIES
-from maglev_mj.plots.drawing import TITLE, name_curves, new_figure, save
+from maglev_mj.pictures import TITLE, name_curves, new_figure, save
 from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES
 from maglev_mj.spec import Spec
 from maglev_mj.versions import versions

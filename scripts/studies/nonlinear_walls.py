@@ -11,10 +11,10 @@ import numpy as np
 
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.cli.progress import Progress
-from maglev_mj.plots.drawing import TITLE, new_figure, save
-from maglev_mj.plots.stability import drop_panels
+from maglev_mj.pictures import TITLE, new_figure, save
 from maglev_mj.studies.cells import local_workers
 from maglev_mj.studies.nonlinear import DropMapParameters, Ending, run_drop_map
+from maglev_mj.studies.pictures import drop_panels
 from maglev_mj.versions import versions
 
 QUANTUM, LIMIT, PULSE = 5e-6, 60.0, 220.0

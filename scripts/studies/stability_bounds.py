@@ -7,10 +7,10 @@ import json
 
 import numpy as np
 
-from maglev_mj import plots
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array
 from maglev_mj.hand import Hand
+from maglev_mj.pictures import Panel, small_multiples
 from maglev_mj.plants import INTEGRATORS
 from maglev_mj.spec import Spec
 from maglev_mj.studies.levels import boundary_shift
@@ -39,7 +39,7 @@ for delay, own in ((0.0, 0.0), (DELAY, 0.0), (PERIOD, 0.0), (0.0, OWN)):
         curves.append(("Colgate & Schenkel (passivity)", damping, colgate))
     title = f"delay {delay * 1e3:g} ms, damping of its own {own:g} N s/m"
     labels = ("virtual damping B (N s/m)", "largest stiffness (N/m)")
-    panels.append(plots.Panel(title=title, labels=labels, curves=curves, top=1.6 * float(exact.max())))
+    panels.append(Panel(title=title, labels=labels, curves=curves, top=1.6 * float(exact.max())))
     for place in (5.0, 20.0, 60.0):
         at = {name: float(np.interp(place, damping, values)) for name, _, values in curves}
         base = at["exact"]
@@ -82,12 +82,12 @@ for delay in LOOPS:
             curves.append((f"delay {delay * 1e3:g} ms", steps * 1e3, percent))
 labels = ("time step (ms)", "stiffest wall too stiff by (%)")
 title = "Euler, implicit, discrete; steps end\nat switches (RK4: 0)"
-by_step.append(plots.Panel(title=title, labels=labels, curves=curves, log="xy", marked=True))
+by_step.append(Panel(title=title, labels=labels, curves=curves, log="xy", marked=True))
 fixed = [(kind, steps * 1e3, shift(kind, DELAY, aligned=False)) for kind in ("rk4", "euler")]
 title = "fixed step, the switch seen late\n(delay 1.5 ms)"
-by_step.append(plots.Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
+by_step.append(Panel(title=title, labels=labels, curves=fixed, log="x", level=0.0, marked=True))
 data = {"bounds": rows, "integrators": shifts, "versions": versions()}
 pictures.path("stability_bounds", "json").write_text(json.dumps(data, indent=1) + "\n")
 print("wrote", pictures.path("stability_bounds", "json"))
-print("wrote", plots.small_multiples(panels, pictures.path("stability_bounds")))
-print("wrote", plots.small_multiples(by_step, pictures.path("stability_steps")))
+print("wrote", small_multiples(panels, pictures.path("stability_bounds")))
+print("wrote", small_multiples(by_step, pictures.path("stability_steps")))

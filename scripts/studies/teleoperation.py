@@ -29,13 +29,13 @@ from gantry.pictures import balance, limits, motion, scenes
 from gantry.run import History, carry_out
 from gantry.task import DELAY_SHARE, Task
 from gantry.theory import NO_GAINS, Gains, stiffest_coupling
-from maglev_mj import plots
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import number_option
 from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
+from maglev_mj.pictures import PictureFolder
 
 __all__ = ["main"]
 
@@ -99,7 +99,7 @@ def _task(options: argparse.Namespace) -> Task:
     return Task(mode=options.mode, period=period, delay=delay, phase=options.phase, press=options.press)
 
 
-def _tell(task: Task, pictures: plots.PictureFolder | None) -> None:
+def _tell(task: Task, pictures: PictureFolder | None) -> None:
     """Do the task and print its figures."""
     history = carry_out(task)
     energies = ledger(history)
@@ -214,7 +214,7 @@ def _sweep(task: Task) -> None:
         )
 
 
-def _limits(task: Task, pictures: plots.PictureFolder | None) -> None:
+def _limits(task: Task, pictures: PictureFolder | None) -> None:
     """Print and draw growth around the failing stiffness."""
     shares = [0.94, 0.97, 1.0, 1.03, 1.06]
     print()

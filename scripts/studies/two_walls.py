@@ -13,7 +13,7 @@ import numpy as np
 from impacts import RATTLE, rattle
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array, Mask
-from maglev_mj.plots.drawing import SECOND, TITLE, name_curves, new_figure, save
+from maglev_mj.pictures import SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.versions import versions
 

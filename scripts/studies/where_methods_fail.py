@@ -14,10 +14,11 @@ import numpy as np
 from corner import corner
 from failures import press_at_edge, random_delay_rate
 from impacts import RATTLE, limited_drop, rattle
-from maglev_mj import Timing, Wall, plots
+from maglev_mj import Timing, Wall
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.hand import Hand
 from maglev_mj.laws import Law, ObserverWall
+from maglev_mj.pictures import Panel, small_multiples
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.studies.batches import hum
 from maglev_mj.studies.growth import RestingWall, measure_growth
@@ -33,12 +34,12 @@ TICKS, PRESSES = (500, 4) if options.quick else (4000, 20)
 PHASES = np.arange(32)[:: 8 if options.quick else 1] / 32
 
 
-def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> plots.Panel:
+def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **options: Any) -> Panel:
     """Return a panel of curves with its axes named."""
-    return plots.Panel(title=title, labels=(x, y), curves=curves, **options)
+    return Panel(title=title, labels=(x, y), curves=curves, **options)
 
 
-def just_above_the_boundary() -> plots.Panel:
+def just_above_the_boundary() -> Panel:
     """Return the panel of growth just above the boundary.
 
     With one sample of delay: the samples to grow ten-thousandfold, foretold and simulated.
@@ -61,7 +62,7 @@ def just_above_the_boundary() -> plots.Panel:
     )
 
 
-def jitter() -> plots.Panel:
+def jitter() -> Panel:
     """Return the panel of delays drawn anew each sample.
 
     6000 N/m and 80 N s/m, delays spread evenly around their mean.
@@ -79,7 +80,7 @@ def jitter() -> plots.Panel:
     )
 
 
-def chatter() -> plots.Panel:
+def chatter() -> Panel:
     """Return the panel of pulses at a wall's edge.
 
     Of the paper's wall, over a 5 µm sensor with noise.
@@ -104,7 +105,7 @@ def chatter() -> plots.Panel:
     )
 
 
-def gaps() -> plots.Panel:
+def gaps() -> Panel:
     """Return the panel of rattling starts between two walls.
 
     Of 128; 6000 N/m and 80 N s/m with 60 N.
@@ -136,7 +137,7 @@ def gaps() -> plots.Panel:
     )
 
 
-def saturation() -> plots.Panel:
+def saturation() -> Panel:
     """Return the panel of drops under a force limit.
 
     The observer's of 27 000 N/m gain: the largest distance of the worst phase.
@@ -173,7 +174,7 @@ def saturation() -> plots.Panel:
     )
 
 
-def quantization() -> plots.Panel:
+def quantization() -> Panel:
     """Return the panel of swings at a coarse sensor.
 
     5 µm, by friction of its own over Abbott and Okamura's.
@@ -192,7 +193,7 @@ def quantization() -> plots.Panel:
     )
 
 
-def hands() -> plots.Panel:
+def hands() -> Panel:
     """Return the panel of walls held and released."""
     share = np.linspace(0.0, 1.0, 60)
     clamp = Hand(stiffness=20000.0 * share)
@@ -204,7 +205,7 @@ def hands() -> plots.Panel:
     return panel("hands too stiff, and hands that let go", "share of the hand", "largest modulus", curves, level=1.0)
 
 
-def corners() -> plots.Panel:
+def corners() -> Panel:
     """Return the panel of kinetic energy in a corner.
 
     Of a flotor thrown into a corner of two walls and a rotation.
@@ -239,4 +240,4 @@ pictures.path("where_methods_fail", "json").write_text(
 )
 print("wrote", pictures.path("where_methods_fail", "json"))
 for name, panels in drawn.items():
-    print("wrote", plots.small_multiples(panels, pictures.path(f"where_methods_fail_{name}")))
+    print("wrote", small_multiples(panels, pictures.path(f"where_methods_fail_{name}")))

@@ -1,4 +1,4 @@
-"""Common parts of charts: figures, legends, columns, files."""
+"""Common parts of pictures: figures, legends, columns, files."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ A page shows no more than 8.6 (830 px), so that letters keep their size.
 FORMATS = "png", "pdf", "svg"
 """Formats of pictures."""
 
+_COLUMNS = 3  # of a grid
 _SHOWN = 100.0  # resolution in a notebook [dots per inch]
 _WORDS = 9.0  # size of a legend's words [pt]
 _UNDER = 36.0  # what stands between a panel and its legend: ticks, their numbers, the axis' name [pt]
@@ -105,6 +106,23 @@ def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[
         for side in ("top", "right"):
             panel.spines[side].set_visible(False)
     return figure, axes
+
+
+def new_grid(count: int, more: float, **options: Any) -> tuple[Any, list[Any]]:
+    """Return a figure of up to three panels a row, and its panels.
+
+    It is 2.8 inches a row high, and `more`.
+    """
+    rows, columns = max(-(-count // _COLUMNS), 1), min(max(count, 1), _COLUMNS)
+    figure, panels = new_figure(rows, columns, more + 2.8 * rows, **options)
+    for panel in panels[count:]:
+        panel.set_axis_off()
+    return figure, panels
+
+
+def axis_label(name: str, unit: str | None) -> str:
+    """Return the name of a quantity with its unit in parentheses."""
+    return f"{name.replace('_', ' ')} ({unit})" if unit else name.replace("_", " ")
 
 
 @overload

@@ -1,20 +1,23 @@
-"""Charts of stability: maps over gains, drops, wall margins."""
+"""Pictures of studies: sweeps, maps over gains, drops, wall margins, model levels."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from maglev_mj.colours import REFERENCE, STOP
+from maglev_mj.colours import REFERENCE, SERIES, STOP
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.plots.drawing import FIRST, SECOND, TITLE, name_curves, new_figure, save
+from maglev_mj.pictures import FIRST, SECOND, TITLE, axis_label, name_curves, new_figure, new_grid, save
 from maglev_mj.studies.designed_wall import DesignResult
+from maglev_mj.studies.fidelity import MARGIN, FidelityResult
 from maglev_mj.studies.nonlinear import DropMap
 from maglev_mj.studies.stability_map import StabilityMap
+from maglev_mj.studies.sweep import Sweep
 
 _DECADES = [10.0**power for power in range(-6, 0)]
 _SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#43a2ca", "#0868ac"]
@@ -196,3 +199,51 @@ def design_map(result: DesignResult, path: Path | None = None) -> Any:
         **TITLE,
     )
     return save(figure, path)
+
+
+def sweep(found: Sweep) -> Any:
+    """Draw each figure over the first varied parameter.
+
+    Each combination of the others is a line.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    first, *others = found.varied
+    lines = list(itertools.product(*(found.varied[name] for name in others)))
+    named = {name: found.shown(name) for name in found.names if found.is_number(name)}
+    figure, panels = new_grid(len(named), 0.9)
+    for panel, (name, one) in zip(panels, named.items()):
+        values = found.figure(name).reshape(len(found.varied[first]), -1) * one.scale
+        for index, line in enumerate(lines):
+            label = ", ".join(map(_chosen, others, line, (found.units.get(other, "") for other in others)))
+            panel.plot(found.varied[first], values[:, index], "o-", color=SERIES[index % len(SERIES)], label=label)
+        panel.set_title(axis_label(name, found.unit_along(one.unit, one.along)), **TITLE)
+        panel.set_xlabel(axis_label(first, found.units.get(first)))
+    if others:
+        name_curves(figure, panels[:1])
+    return figure
+
+
+def fidelity(found: FidelityResult) -> Any:
+    """Draw each level's distance from those above.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    figure, (panel,) = new_figure(1, 1, 4.2)
+    names, missing = found.columns()["level"], 1e6 * found.columns()["missing"]
+    panel.plot(missing[missing > 0.0], names[missing > 0.0], "o", color=SERIES[0], label="missing")
+    allowed = 1e6 * found.tolerance / MARGIN
+    panel.axvline(allowed, color=REFERENCE, linestyle="--", label=f"tolerance by the margin, {allowed:g} µm")
+    panel.set_yticks(range(len(names)), names)
+    panel.set_ylim(len(names) - 0.5, -0.5)
+    panel.set_xscale("log")
+    panel.set_xlabel("distance from the levels above (µm)")
+    panel.set_title(found.preset.name, **TITLE)
+    name_curves(panel)
+    return figure
+
+
+def _chosen(name: str, value: Any, unit: str) -> str:
+    return f"{name} {value:g} {unit}".rstrip() if isinstance(value, int | float) else f"{name} {value}"

@@ -1,68 +1,159 @@
-"""Charts of the paper's experiments: drops, presses, stick-slip pulls."""
+"""Pictures of runs: of any scene, and of the paper's drops, presses and pulls."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
+from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.laws import Wall
-from maglev_mj.plots.drawing import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
+from maglev_mj.pictures import (
+    FIRST,
+    SECOND,
+    SHADE,
+    TITLE,
+    axis_label,
+    name_curves,
+    new_figure,
+    new_grid,
+    save,
+)
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.run import Phases, RunResult, run, run_phases
+from maglev_mj.scenes.run import Phases, RunResult, Variants, share_below
 from maglev_mj.spec import Spec
 
-_PHASES = np.arange(100) / 100
-_SWEPT = 50
-_POINTS = 2001
+Picture: TypeAlias = Callable[[Variants, Path | None], Any]
+"""Draws runs and their phases into a file, or returns the figure; see `series`."""
+
+_FINE, _POINTS = 1e-4, 2001
+_MOST_PANELS = 4
+_NAMES = {"z": "height"}
 
 
-@dataclass(frozen=True, eq=False)
-class _Drop:
-    """A drop at one phase and at N phases.
+def draw_run(found: RunResult, picture: str | None = None, path: Path | None = None) -> Any:
+    """Draw one run; see `draw_variants`.
 
-    Over times (M,): z [mm], velocity [m/s] and force [N].
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+        ParameterError: If there is no such picture, or the run is of several phases.
     """
-
-    result: RunResult
-    style: dict[str, Any]
-    line: tuple[Array, Array, Array]
-    band: tuple[Array, Array, Array]
-    less_deep: float
-    """Share of the phases with less penetration than the line."""
+    found.times()  # several phases have no grid in common
+    return draw_variants(Variants({found.scene.name: found}), picture, path)
 
 
-def time_series(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def draw_phases(found: Phases, path: Path | None = None) -> Any:
+    """Draw each figure over the phase; see `spread`."""
+    return spread(Variants({}, {found.scene.name: found}), path)
+
+
+def draw_variants(found: Variants, picture: str | None = None, path: Path | None = None) -> Any:
+    """Draw the runs of a scene's variants, or their phases.
+
+    Args:
+        found: The runs.
+        picture: One of `found.pictures` by name; the first by default.
+        path: File to write; None to return the figure.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+        ParameterError: If there is no such picture.
+    """
+    names = found.pictures
+    chosen = next(iter(names)) if picture is None else picture
+    check_one_of("picture", names, chosen)
+    module, _, name = names[chosen].partition(":")
+    draw: Picture = getattr(import_module(module), name)
+    return draw(found, path)
+
+
+def series(found: Variants, path: Path | None = None) -> Any:
+    """Draw each series over time, one line a run.
+
+    Args:
+        found: The runs.
+        path: File to write; None to return the figure.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    result = next(iter(found.runs.values()))
+    shown = {label: one.series(_FINE) for label, one in found.runs.items()}
+    first, units = next(iter(shown.values())), result.units
+    names = [name for name, values in first.items() if name != "time" and values.dtype.kind in "fiu"][:_MOST_PANELS]
+    figure, panels = new_figure(len(names), 1, 1.2 + 2.2 * len(names), sharex=True)
+    for panel, name in zip(panels, names, strict=True):
+        step = "steps-post" if "force" in name else "default"
+        for place, (label, values) in enumerate(shown.items()):
+            panel.plot(values["time"], values[name], color=SERIES[place % len(SERIES)], drawstyle=step, label=label)
+        panel.set_ylabel(axis_label(_NAMES.get(name, name), units.get(name)))
+    panels[-1].set_xlabel("time (s)")
+    panels[-1].set_xlim(0.0, max(float(first["time"][-1]), _FINE))
+    scene = result.scene
+    panels[0].set_title(
+        f"{scene.name}, axis {scene.axis}, {1.0 / scene.period:g} Hz, delay {scene.delay * 1e3:g} ms ({result.plant})",
+        **TITLE,
+    )
+    if len(shown) > 1:
+        name_curves(figure, panels[:1])
+    return save(figure, path)
+
+
+def spread(found: Variants, path: Path | None = None) -> Any:
+    """Draw each figure over the sampling phase.
+
+    Args:
+        found: The runs, with their phases.
+        path: File to write; None to return the figure.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    scene = found.first.scene
+    figure, panels = new_grid(len(scene.figures), 0.6, sharex=True)
+    for panel, (name, one) in zip(panels, scene.figures.items()):
+        for place, (label, sweep) in enumerate(found.phases.items()):
+            values = np.asarray(sweep.figures[name], dtype=np.float64).reshape(len(sweep.phases), -1) * one.scale
+            lines = panel.plot(sweep.phases, values, color=SERIES[place % len(SERIES)])
+            lines[0].set_label(label)
+        panel.set_title(axis_label(name, unit_of(one.unit, scene.axis, one.along)), **TITLE)
+        panel.set_xlim(0.0, 1.0)
+        panel.set_xlabel("phase of the first sample")
+    if len(found.phases) > 1:
+        name_curves(figure, panels[:1])
+    return save(figure, path)
+
+
+def time_series(found: Variants, path: Path | None = None) -> Any:
     """Draw position and force over time, as figure 3 does.
 
     One column for each drop with a pulse; a drop without one and the analog wall stand in all of them. A band
     holds the drop at every phase of the sampler.
 
     Args:
-        results: Drops by label.
-        sweeps: The same at many phases, those of the band; 100 without any.
+        found: The drops, with their bands if there are any.
         path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
-        DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
-    time = _times(results)
-    columns = _columns(results, sweeps, time)
+    time = _times(found)
+    columns = _columns(found, time)
     figure, panels = new_figure(2, len(columns), 6.4, sharex=True, sharey="row")
     heights, forces = panels[: len(columns)], panels[len(columns) :]
-    analog = _analog(columns[0][0].result.scene, time)
+    analog = _analog(columns[0][0].scene, time)
     for row, part, step in ((heights, 0, None), (forces, 2, "post")):
         for panel, column in zip(row, columns, strict=True):
             for drop in column:
-                low, high = drop.band[part].min(axis=1), drop.band[part].max(axis=1)
-                panel.fill_between(time, low, high, step=step, color=drop.style["color"], alpha=0.2, linewidth=0.0)
+                if drop.band is not None:
+                    low, high = drop.band[part].min(axis=1), drop.band[part].max(axis=1)
+                    panel.fill_between(time, low, high, step=step, color=drop.style["color"], alpha=0.2, linewidth=0.0)
                 panel.plot(time, drop.line[part], drawstyle="steps-post" if step else "default", **drop.style)
             if analog is not None:
                 panel.plot(time, analog[part], **_ANALOG)
@@ -73,34 +164,32 @@ def time_series(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], 
         lower.set_xlabel("time after release (s)")
     heights[0].set(ylim=(bottom, None), xlim=(0.0, time[-1]), ylabel="height above the wall (mm)")
     forces[0].set_ylabel("force on the flotor (N)")
-    _explain(figure, heights, columns)
+    _explain(figure, heights, columns, found)
     name_curves(figure, forces)
     return save(figure, path)
 
 
-def phase_plane(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def phase_plane(found: Variants, path: Path | None = None) -> Any:
     """Draw velocity over position beside the analog wall (figure 4).
 
     One panel for each drop with a pulse; a drop without one and the analog wall stand in all of them. Thin lines
     are the drop at other phases of the sampler.
 
     Args:
-        results: Drops by label.
-        sweeps: The same at many phases, those of the band; 100 without any.
+        found: The drops, with their bands if there are any.
         path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
-        DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
     """
-    time = _times(results)
-    columns = _columns(results, sweeps, time)
+    time = _times(found)
+    columns = _columns(found, time)
     figure, panels = new_figure(1, len(columns), 5.0, sharex=True, sharey=True)
-    analog = _analog(columns[0][0].result.scene, time)
+    analog = _analog(columns[0][0].scene, time)
     for panel, column in zip(panels, columns, strict=True):
         for drop in column:
-            z, velocity, _ = drop.band
-            panel.plot(z, velocity, color=drop.style["color"], linewidth=0.5, alpha=0.13)
+            if drop.band is not None:
+                panel.plot(*drop.band[:2], color=drop.style["color"], linewidth=0.5, alpha=0.13)
             panel.plot(*drop.line[:2], **drop.style)
         if analog is not None:
             panel.plot(*analog[:2], **_ANALOG)
@@ -109,25 +198,26 @@ def phase_plane(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], 
     for panel in panels:
         panel.axvspan(left, 0.0, **SHADE)
     panels[0].set(xlim=(left, None), ylabel="velocity (m/s)")
-    _explain(figure, panels, columns)
+    _explain(figure, panels, columns, found)
     name_curves(figure, panels)
     return save(figure, path)
 
 
-def phases(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def drop_phases(found: Variants, path: Path | None = None) -> Any:
     """Draw penetration, rebound and peak force over the phase.
 
     Args:
-        results: Drops by label.
-        sweeps: The same at many phases; without any they are run at 50 on the exact plant.
+        found: The drops, with their phases or bands.
         path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
-        DivergenceError: If a flotor leaves its range by a wide margin at one of the phases.
+        ParameterError: If there are neither phases nor bands.
     """
+    shown = found.phases or {label: band.over_phases() for label, band in found.bands.items()}
+    if not shown:
+        raise ParameterError("phases must be run for their picture: see run_phases")
     figure, panels = new_figure(1, 3, 3.6, sharex=True)
-    shown = sweeps or {label: run_phases(one.scene, _SWEPT, plant="exact") for label, one in results.items()}
     styles = _styles({label: sweep.scene for label, sweep in shown.items()})
     for label, sweep in shown.items():
         style = styles[label]
@@ -177,27 +267,35 @@ def _styles(scenes: Mapping[str, Drop]) -> dict[str, dict[str, Any]]:
     return styles
 
 
-def _times(results: Mapping[str, RunResult]) -> Array:
+def _times(found: Variants) -> Array:
     """Return the times to draw [s].
 
     Until all drops have settled, and half as long again.
     """
-    end = next(iter(results.values())).scene.end
-    settled = 1.5 * float(np.max([one.figures["settling_time"] for one in results.values()]))  # NaN if one never does
+    end: float = found.first.scene.end
+    settled = 1.5 * float(
+        np.max([one.figures["settling_time"] for one in found.runs.values()])
+    )  # NaN if one never does
     return np.linspace(0.0, settled if settled < end else end, _POINTS)
 
 
-def _columns(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], time: Array) -> list[list[_Drop]]:
+class _Drop(NamedTuple):
+    """Drop alone and at N phases: z [mm], velocity [m/s] and force [N] over (M,) times."""
+
+    scene: Drop
+    style: dict[str, Any]
+    line: tuple[Array, Array, Array]
+    band: tuple[Array, Array, Array] | None
+
+
+def _columns(found: Variants, time: Array) -> list[list[_Drop]]:
     """Return the drops of each column, pulsed ones first."""
     pulsed: list[_Drop] = []
     plain: list[_Drop] = []
-    styles = _styles({label: result.scene for label, result in results.items()})
-    for label, result in results.items():
-        scene: Drop = result.scene
-        phases = sweeps[label].phases if label in sweeps else _PHASES
-        band = run(scene.replace(duration=float(time[-1])), plant="exact", phase=phases)
-        less_deep = scene.less_deep(result.figures["penetration"], band.figures["penetration"])
-        drop = _Drop(result, styles[label], _shown(result, time), _shown(band, time), less_deep)
+    styles = _styles({label: result.scene for label, result in found.runs.items()})
+    for label, result in found.runs.items():
+        band = _shown(found.bands[label], time) if label in found.bands else None
+        drop = _Drop(result.scene, styles[label], _shown(result, time), band)
         (pulsed if styles[label]["linestyle"] == "-" else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
 
@@ -218,23 +316,25 @@ def _analog(scene: Drop, time: Array) -> tuple[Array, Array, Array] | None:
     return z * 1e3, velocity, force
 
 
-def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]]) -> None:
+def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]], found: Variants) -> None:
     """Add the titles, which name the phase of the lines."""
     for panel, (drop, *others) in zip(tops, columns, strict=True):
-        wall = _published(drop.result.scene)
+        wall = _published(drop.scene)
         if wall is not None and (wall[2] > 0.0 or not others):  # else the legend names them all
             panel.set_title(f"{drop.style['label']}: {wall[1] + wall[2]:g} N s/m", fontweight="bold", **TITLE)
-    drop = columns[0][0]
-    p, result = drop.result.scene, drop.result
-    walls = {(_published(one.result.scene) or ())[:2] for column in columns for one in column}
+    p, label = columns[0][0].scene, columns[0][0].style["label"]
+    walls = {(_published(one.scene) or ())[:2] for column in columns for one in column}
     common = walls.pop() if len(walls) == 1 else ()
     gains = "{:g} N/m and {:g} N s/m, ".format(*common) if common else ""
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
+    result, shaded = found.runs[label], ""
+    if (band := found.bands.get(label)) is not None:
+        share = 100.0 * share_below(band.figures["penetration"], result.figures["penetration"])
+        shaded = f", deeper than {share:.0f} % of the phases; shaded: all of {len(band.phase)} phases"
     figure.suptitle(
         f"{p.height * 1e3:g} mm drop, {gains}{1.0 / p.period:g} Hz, "
         f"delay {p.delay * 1e3:g} ms{limit} ({result.plant})\n"
-        f"lines: phase {result.phase:g}, deeper than {100.0 * drop.less_deep:.0f} % of the phases; "
-        f"shaded: all of {drop.band[0].shape[1]} phases",
+        f"lines: phase {result.phase:g}{shaded}",
         x=0.01,
         ha="left",
         fontsize=10,
@@ -250,29 +350,28 @@ def _describe(result: RunResult) -> str:
     )
 
 
-def figure_6(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def figure_6(found: Variants, path: Path | None = None) -> Any:
     """Draw position and control force over time (figure 6).
 
     The hand's target is drawn too.
 
     Args:
-        results: Runs by label; the first is drawn in front.
-        sweeps: Not drawn.
+        found: The presses; the first is drawn in front.
         path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
-    first = next(iter(results.values()))
-    styles = _styles({label: result.scene for label, result in results.items()})
-    for label, result in results.items():
-        series, style = result.series(1e-4), styles[label] | {"linewidth": 1.4}
-        upper.plot(series["time"], series["z"] * 1e3, **style)
-        lower.step(series["time"], series["force"], where="post", **style)
+    first = next(iter(found.runs.values()))
+    styles = _styles({label: result.scene for label, result in found.runs.items()})
+    for label, result in found.runs.items():
+        motion, style = result.series(_FINE), styles[label] | {"linewidth": 1.4}
+        upper.plot(motion["time"], motion["z"] * 1e3, **style)
+        lower.step(motion["time"], motion["force"], where="post", **style)
     bottom, top = upper.get_ylim()
     bottom = min(bottom, -0.5)
-    p, pulled = first.scene, first.series(1e-4)
+    p, pulled = first.scene, first.series(_FINE)
     upper.plot(
         pulled["time"],
         pulled["target"] * 1e3,
@@ -292,27 +391,26 @@ def figure_6(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], pat
     return save(figure, path)
 
 
-def stick_slip(results: Mapping[str, RunResult], sweeps: Mapping[str, Phases], path: Path | None = None) -> Any:
+def stick_slip(found: Variants, path: Path | None = None) -> Any:
     """Draw position and velocity against exact friction (figure 8).
 
     Args:
-        results: Runs by label, the first of which is drawn.
-        sweeps: Not drawn.
+        found: The pulls, the first of which is drawn.
         path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
-    result = next(iter(results.values()))
-    p, series = result.scene, result.series(1e-4)
-    time, length = series["time"], unit_of("mm", p.axis)
+    result = next(iter(found.runs.values()))
+    p, motion = result.scene, result.series(_FINE)
+    time, length = motion["time"], unit_of("mm", p.axis)
     exact = p.exact(time)
-    upper.plot(time, series["position"] * 1e3, color=FIRST, linewidth=1.7, label=f"{p.law}, {1.0 / p.period:g} Hz")
-    anchor = np.where(series["state"] == "stuck", series["stick_position"], np.nan)
+    upper.plot(time, motion["position"] * 1e3, color=FIRST, linewidth=1.7, label=f"{p.law}, {1.0 / p.period:g} Hz")
+    anchor = np.where(motion["state"] == "stuck", motion["stick_position"], np.nan)
     upper.plot(time, anchor * 1e3, color=STUCK, linewidth=1.6, linestyle="--", label="stick position")
     upper.plot(time, exact.position * 1e3, label=f"{p.exact_name}, exact", **_IDEAL)
-    lower.plot(time, series["velocity"] * 1e3, color=FIRST, linewidth=1.5)
+    lower.plot(time, motion["velocity"] * 1e3, color=FIRST, linewidth=1.5)
     lower.plot(time, exact.velocity * 1e3, **_IDEAL)
     upper.set_ylabel(f"position along {p.axis} ({length})")
     lower.set_ylabel(f"velocity ({length}/s)")
