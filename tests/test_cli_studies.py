@@ -56,12 +56,12 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
         "Sweep of drop over height (3), plant (2): 6 cells\n" in (said := capsys.readouterr().out)
         and "\n  0 of them already in" in said
     )
-    cells = json.loads((tmp_path / "all.json").read_text())["cells"]
-    assert [(cell["cell"]["height"], cell["cell"]["plant"]) for cell in cells] == [
+    data = json.loads((tmp_path / "all.json").read_text())
+    assert [(cell["height"], cell["plant"]) for cell in data["cells"]] == [
         (height, plant) for height in (0.001, 0.002, 0.003) for plant in ("exact", "mujoco")
     ]
-    for exact, engine in zip(cells[::2], cells[1::2], strict=True):
-        assert exact["result"]["penetration"] == pytest.approx(engine["result"]["penetration"], abs=1e-12)
+    for exact, engine in zip(data["results"][::2], data["results"][1::2], strict=True):
+        assert exact["penetration"] == pytest.approx(engine["penetration"], abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -142,9 +142,9 @@ def test_bad_studies_are_one_line_and_status_2(
 def test_hands_can_be_varied_by_their_numbers(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(["sweep", "wall", "--vary", "hand=0.2,18,271;none", "--workers", "0", "--json", "all.json"]) == 0
-    cells = json.loads((tmp_path / "all.json").read_text())["cells"]
-    assert [cell["cell"]["hand"] for cell in cells] == ["0.2,18,271", "none"]
-    assert cells[0]["result"]["stiffest_wall"] > cells[1]["result"]["stiffest_wall"]
+    data = json.loads((tmp_path / "all.json").read_text())
+    assert [cell["hand"] for cell in data["cells"]] == ["0.2,18,271", "none"]
+    assert data["results"][0]["stiffest_wall"] > data["results"][1]["stiffest_wall"]
 
 
 def test_a_map_that_begins_at_no_stiffness_agrees_with_itself(capsys: pytest.CaptureFixture[str]) -> None:

@@ -136,8 +136,8 @@ def test_workers_of_other_code_are_refused_by_name_before_any_cell(
         wait_until(lambda: cluster.workers() == [good], "the other workers stay")
         assert main(command) == 0
     ours = versions()
-    cells = [cell["result"] for cell in json.loads(out.read_text())["cells"]]
-    assert cells == run_scene_cells(swept_cells(Drop(), {"phase": [0.0, 0.3, 0.6, 0.9]}, plant="exact"))
+    results = json.loads(out.read_text())["results"]
+    assert results == run_scene_cells(swept_cells(Drop(), {"phase": [0.0, 0.3, 0.6, 0.9]}, plant="exact"))
     assert all(json.loads(line)["versions"] == ours for line in record.read_text().splitlines())
 
 

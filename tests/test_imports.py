@@ -64,7 +64,6 @@ FLOORS = {
     "viewer": 8,
     "web": 8,
     "hand_devices": 8.5,
-    "plots": 9,
     "tables": 9,
     "conformance": 9,
     "cli": 10,

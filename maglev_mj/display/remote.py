@@ -165,6 +165,15 @@ class ShowReport(NamedTuple):
     ticks: int
     missed: int
 
+    def __str__(self) -> str:
+        passed = max(self.wall_time, 1e-9)
+        cost = f", {self.frame_cost * 1e3:.1f} ms each" if self.frame_cost else ""
+        return (
+            f"  {self.wall_time:.1f} s, {self.ticks} control ticks, {self.missed} missed\n"
+            f"  real-time factor {self.simulated / passed:.3f}\n"
+            f"  {self.frames} frames, {self.frames / passed:.1f} a second{cost}"
+        )
+
 
 def show_remotely(source: SnapshotSource, front: Front, duration: float | None = None) -> ShowReport:
     """Run a source in real time behind a remote viewer.

@@ -119,11 +119,13 @@ class DropMap(GainMap):
     maximum: theory.StiffestWall
     other_versions: Sequence[Mapping[str, Any]] = ()
     drawn_by: ClassVar = "maglev_mj.studies.pictures:drop_map"
+    derived: ClassVar = ("endings", "settles_up_to")
+    endings: ClassVar = tuple(one.name.lower() for one in Ending)
 
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return swing and ending of each drop."""
-        endings = np.array([one.name.lower().replace("_", " ") for one in Ending])
-        return {"swing": self.swing, "ending": endings[self.ending.astype(np.intp)]}
+        names = np.array([name.replace("_", " ") for name in self.endings])
+        return {"swing": self.swing, "ending": names[self.ending.astype(np.intp)]}
 
     @property
     def settles(self) -> Mask:
@@ -172,11 +174,6 @@ class DropMap(GainMap):
         )
         head = "", "stiffness [N/m]", "damping [N s/m]", ""
         return Table(f"Drops on PD walls, {p.loop_named}: {p.described}", head, rows, note)
-
-    def as_json(self) -> dict[str, Any]:
-        """Return every field and the stiffness up to which all drops settle, ready for JSON."""
-        endings = [one.name.lower() for one in Ending]
-        return {**super().as_json(), "endings": endings, "settles_up_to": self.settles_up_to.tolist()}
 
 
 def run_drop_map(

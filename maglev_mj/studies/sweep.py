@@ -10,7 +10,7 @@ import itertools
 import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
@@ -61,8 +61,8 @@ class Sweep(Result):
     varied: Mapping[str, Sequence[Any]]
     cells: Sequence[Cell]
     results: Sequence[Mapping[str, Any]]
-    known: int
-    record: str | None
+    known: int = field(repr=False)  # JSON is the same whatever the record had
+    record: str | None = field(repr=False)
     other_versions: Sequence[Mapping[str, Any]]
     drawn_by: ClassVar = "maglev_mj.studies.pictures:sweep"
 
@@ -139,16 +139,6 @@ class Sweep(Result):
         found = [result.get(name) for result in self.results]
         values = np.array([math.nan if value is None else value for value in found], dtype=np.float64)
         return values.reshape([len(given) for given in self.varied.values()])
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the cells with their results, ready for JSON."""
-        rows = [{"cell": cell, "result": result} for cell, result in zip(self.cells, self.results, strict=True)]
-        return {
-            "scene": self.scene.name,
-            "varied": self.varied,
-            "cells": rows,
-            "other_versions": list(self.other_versions),
-        }
 
 
 def sweep(
