@@ -17,7 +17,8 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.loop import drive
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, best_suffix, open_recording, verify
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, best_suffix, open_recording
+from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.session import Pacer, Session

@@ -51,7 +51,8 @@ from maglev_mj.laws import (
 )
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
-from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording, verify
+from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording
+from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import _module_of_text, find_scene
 from maglev_mj.scenes.parts import WEIGHT

@@ -22,9 +22,10 @@ from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict, verify
+from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict
 from maglev_mj.recording.mcap import McapStretch
 from maglev_mj.recording.sample import FIELDS, TOTALS
+from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.session.replay import expected, rebuild, record_run
 from maglev_mj.terminal import printable

@@ -25,16 +25,9 @@ from maglev_mj.hand import Hand
 from maglev_mj.laws import Bias, Wall
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import (
-    ArrayFile,
-    Recording,
-    RecordingError,
-    load_samples,
-    open_recording,
-    setup_of,
-    verify,
-)
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, load_samples, open_recording, setup_of
 from maglev_mj.recording.sample import ROW, TOTALS
+from maglev_mj.recording.verify import verify
 from maglev_mj.recording.writer import ROWS, Ring, RowReader
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene

@@ -18,7 +18,8 @@ from maglev_mj.laws import Hold, Law, StickSlip, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import param
 from maglev_mj.plants import MuJoCoPlant, Timing
-from maglev_mj.recording import ArrayFile, Recording, verify
+from maglev_mj.recording import ArrayFile, Recording
+from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.joystick import Joystick
@@ -30,13 +31,13 @@ from maglev_mj.session import (
     Session,
     Snapshot,
     Wish,
-    actions,
     device_controller,
     live_plant,
     real_time,
     replay,
     settable,
 )
+from maglev_mj.session.actions import actions
 from maglev_mj.session.pacing import Due
 from maglev_mj.session.replay import rebuild
 from maglev_mj.spec import Spec

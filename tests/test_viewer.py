@@ -24,7 +24,8 @@ import pytest
 from live_client import LiveClient
 from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import SpringHand
-from maglev_mj.recording import Recording, RecordingError, verify
+from maglev_mj.recording import Recording, RecordingError
+from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.joystick import CENTRING, Joystick
 from maglev_mj.session import EMERGENCY_STOP, device_actions

@@ -21,8 +21,7 @@ from maglev_mj.parameters import number, numbers
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop
-from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
-from maglev_mj.theory.realisation import StateSpace, realised
+from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, loop_matrices, realised
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
 """Tolerances of a modulus, of gains beside their responses, and of a mean root."""
