@@ -15,9 +15,9 @@ from maglev_mj.loop import drive
 from maglev_mj.model import COILS, Device, load_model
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.result import WIDTH, wrapped
 from maglev_mj.shapes import envelope
 from maglev_mj.spec import GRAVITY, Spec
-from maglev_mj.terminal import WIDTH, wrapped
 
 __all__ = ["device_report", "device_table", "position_bandwidth"]
 

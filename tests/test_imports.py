@@ -23,19 +23,17 @@ PACKAGE = Path(maglev_mj.__file__).parent
 
 # floor of each module; a module may import only from floors below its own, or its own package
 FLOORS = {
-    "interrupts": 0,
     "lazy": 0,
+    "process": 0,
     "errors": 0,
     "frames": 0,
     "spec": 0,
     "versions": 0,
-    "terminal": 0,
     "colours": 0,
     "parameters": 1,
     "result": 1,
     "pictures": 1.5,
     "timeline": 1.5,
-    "process": 1.5,
     "laws": 2,
     "net": 2,
     "coils": 2,

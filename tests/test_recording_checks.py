@@ -26,9 +26,9 @@ from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError
 from maglev_mj.recording.mcap import McapStretch
 from maglev_mj.recording.sample import FIELDS, TOTALS
 from maglev_mj.recording.verify import verify
+from maglev_mj.result import printable
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.session.replay import expected, rebuild, record_run
-from maglev_mj.terminal import printable
 from tests.recorded import (
     FIELD,
     KINDS,

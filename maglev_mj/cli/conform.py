@@ -16,7 +16,7 @@ from maglev_mj.cli.options import add_calibration, add_key, chosen_key
 from maglev_mj.cli.progress import Progress
 from maglev_mj.conformance import CheckResult, checks, conform
 from maglev_mj.net.udp import open_link, parse_url
-from maglev_mj.terminal import say, wrapped
+from maglev_mj.result import say, wrapped
 from maglev_mj.versions import versions
 
 _WORDS = {True: "pass", False: "FAIL", None: "skip"}

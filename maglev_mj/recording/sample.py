@@ -19,8 +19,8 @@ from maglev_mj.energy import HandWork, PassivityObserver
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array, Command, Sample
 from maglev_mj.parameters import axis_indices, flag, number, numbers
+from maglev_mj.result import printable
 from maglev_mj.spec import GRAVITY, INERTIA
-from maglev_mj.terminal import printable
 from maglev_mj.timeline import Timing
 
 Row: TypeAlias = Sequence[float]

@@ -11,7 +11,7 @@ from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import flag
-from maglev_mj.terminal import printable, wrapped
+from maglev_mj.result import printable, wrapped
 
 if TYPE_CHECKING:
     from maglev_mj.bridge.remote import RemotePlant

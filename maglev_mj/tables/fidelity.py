@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from maglev_mj.result import number_text
+from maglev_mj.result import number_text, wrapped
 from maglev_mj.studies.fidelity import DEAR, DEAR_CASES, MARGIN, FidelityResult, LevelResult, stepping_name
 from maglev_mj.studies.levels import has_gains, level_index
-from maglev_mj.terminal import wrapped
 
 _STEPS_SHOWN = 12
 
