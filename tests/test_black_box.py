@@ -20,7 +20,7 @@ from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command
-from maglev_mj.net.udp import LinkError
+from maglev_mj.net.links import LinkError
 from maglev_mj.tables import fault_table
 from tests.test_bridge import CENTRE, Rig
 

@@ -14,7 +14,7 @@ from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Fault, State, StateReport
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import Command
-from maglev_mj.net.udp import LinkError
+from maglev_mj.net.links import LinkError
 from tests.test_bridge import Rig
 
 

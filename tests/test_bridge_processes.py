@@ -27,7 +27,7 @@ from maglev_mj.bridge.realtime import RealtimeError, realtime
 from maglev_mj.bridge.simulated_links import Impairment, UdpProxy
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.bridge.wire import StateReport
-from maglev_mj.net.udp import UdpLink, UdpServer
+from maglev_mj.net.links import UdpLink, UdpServer
 from maglev_mj.plants import Plant, SpotSensor
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
@@ -43,7 +43,7 @@ pytestmark = pytest.mark.xdist_group("realtime")
 LOCKSTEP = """
 import sys
 from maglev_mj.bridge import Twin, TwinParameters
-from maglev_mj.net.udp import UdpServer
+from maglev_mj.net.links import UdpServer
 from maglev_mj.bridge.twin import TwinServer
 pose = [float(part) for part in sys.argv[1].split()]
 twin = Twin(TwinParameters(lockstep=True, pose=pose, seed=5))

@@ -28,8 +28,7 @@ from maglev_mj.cli import main
 from maglev_mj.conformance import CheckResult, checks, conform
 from maglev_mj.conformance.check import CHECKS
 from maglev_mj.errors import PlantError
-from maglev_mj.net.serial import PtyServer, SerialLink
-from maglev_mj.net.udp import Server, UdpLink, UdpServer
+from maglev_mj.net.links import PtyServer, SerialLink, Server, UdpLink, UdpServer
 from tests.firmware_core import FIRMWARE
 
 KEY = bytes(range(32))

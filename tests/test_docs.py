@@ -35,7 +35,7 @@ from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import main, parser
 from maglev_mj.cli.arguments import joined
 from maglev_mj.live import LiveServer
-from maglev_mj.net.udp import UdpServer
+from maglev_mj.net.links import UdpServer
 from maglev_mj.session import Session
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -24,7 +24,7 @@ from maglev_mj.bridge.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Estop, Fault, State
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command as MotionCommand
-from maglev_mj.net.udp import open_link
+from maglev_mj.net.links import open_link
 from tests.test_bridge import CENTRE, Rig
 
 KEY = b"0123456789abcdef"

@@ -20,7 +20,7 @@ from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Fault, HelloAck, State, StateReport
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.net.udp import LinkError
+from maglev_mj.net.links import LinkError
 
 NAN, INF = math.nan, math.inf
 KEY = b"0123456789abcdef"

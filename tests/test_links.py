@@ -17,24 +17,20 @@ import pytest
 
 from maglev_mj.bridge.simulated_links import Impairer, Impairment, UdpProxy
 from maglev_mj.errors import MissingPackageError, ParameterError
-from maglev_mj.net.addresses import is_loopback
-from maglev_mj.net.serial import (
+from maglev_mj.net.addresses import check_host, is_loopback, parse_url
+from maglev_mj.net.links import (
     LONGEST,
     Deframer,
-    PtyServer,
-    SerialLink,
-    cobs_decode,
-    cobs_encode,
-)
-from maglev_mj.net.udp import (
     Link,
     LinkError,
+    PtyServer,
+    SerialLink,
     Server,
     UdpLink,
     UdpServer,
-    check_host,
+    cobs_decode,
+    cobs_encode,
     open_link,
-    parse_url,
 )
 
 PATIENCE = 5.0

@@ -25,7 +25,7 @@ from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import main
 from maglev_mj.laws import AxisLaw, Bias, gain
 from maglev_mj.live import LiveServer
-from maglev_mj.net.udp import UdpServer
+from maglev_mj.net.links import UdpServer
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene, Start, find_scene
 from maglev_mj.scenes.parts import WEIGHT

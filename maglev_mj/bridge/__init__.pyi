@@ -8,4 +8,4 @@ from maglev_mj.bridge.twin import Twin as Twin
 from maglev_mj.bridge.twin import TwinParameters as TwinParameters
 from maglev_mj.bridge.wire import Fault as Fault
 from maglev_mj.bridge.wire import State as State
-from maglev_mj.net.udp import open_link as open_link
+from maglev_mj.net.links import open_link as open_link

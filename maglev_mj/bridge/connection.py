@@ -31,7 +31,7 @@ from maglev_mj.bridge.wire import (
 )
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO
-from maglev_mj.net.udp import Link, open_link
+from maglev_mj.net.links import Link, open_link
 from maglev_mj.parameters import number
 
 _AGAIN = 0.02

@@ -17,7 +17,7 @@ from select import select
 
 from maglev_mj.bridge.twin import Twin
 from maglev_mj.errors import ParameterError
-from maglev_mj.net.udp import Address, UdpLink, UdpServer
+from maglev_mj.net.links import Address, UdpLink, UdpServer
 from maglev_mj.parameters import number
 
 _LOOK = 0.05  # [s] between looks at a line on which nothing happens

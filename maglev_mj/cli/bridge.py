@@ -28,7 +28,7 @@ from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.cli.web import add_web, chosen_front
 from maglev_mj.display.remote import Front, RemoteViewer
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
-from maglev_mj.net.udp import open_link
+from maglev_mj.net.links import open_link
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.result import say, wrapped

@@ -18,7 +18,7 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import ParameterError, SensingError
-from maglev_mj.net.udp import open_link
+from maglev_mj.net.links import open_link
 from maglev_mj.parameters import number
 from maglev_mj.result import number_text
 

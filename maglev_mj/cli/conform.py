@@ -15,7 +15,8 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_calibration, add_key, chosen_key
 from maglev_mj.cli.progress import Progress
 from maglev_mj.conformance import CheckResult, checks, conform
-from maglev_mj.net.udp import open_link, parse_url
+from maglev_mj.net.addresses import parse_url
+from maglev_mj.net.links import open_link
 from maglev_mj.result import say, wrapped
 from maglev_mj.versions import versions
 

@@ -29,7 +29,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Command, Sample
 from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.live import LiveServer
-from maglev_mj.net.udp import Server, UdpServer, check_host, parse_url
+from maglev_mj.net.addresses import check_host, parse_url
+from maglev_mj.net.links import Server, UdpServer
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.recording import setup_of
@@ -172,7 +173,7 @@ def _hand(pushes: Sequence[str], mouse: HandForce | None) -> HandForce | None:
 
 def _server(listen: str, key: bytes | None) -> Server:
     if listen == "pty":
-        from maglev_mj.net.serial import PtyServer
+        from maglev_mj.net.links import PtyServer
 
         return PtyServer()
     if not listen.startswith("udp:"):

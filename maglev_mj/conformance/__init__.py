@@ -14,7 +14,7 @@ from maglev_mj.conformance import answers, commands  # noqa: F401, they fill CHE
 from maglev_mj.conformance.check import CHECKS, CheckResult
 from maglev_mj.conformance.tester import Tester
 from maglev_mj.errors import PlantError, check_instance
-from maglev_mj.net.udp import Link
+from maglev_mj.net.links import Link
 from maglev_mj.parameters import flag
 
 __all__ = ["CheckResult", "checks", "conform"]

@@ -21,7 +21,7 @@ from maglev_mj.bridge.takeoff import shown as pose_shown
 from maglev_mj.bridge.wire import Fault, Flag, HelloStatus, Operation, State, fault_names, newer
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Sample
-from maglev_mj.net.udp import Link
+from maglev_mj.net.links import Link
 from maglev_mj.sensing import PoseTracker
 
 WRAP = 0xFFFFFFFF

@@ -32,7 +32,7 @@ from maglev_mj.bridge.twin import ServerReport, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Command, StateReport
 from maglev_mj.laws import Bias
 from maglev_mj.loop import drive
-from maglev_mj.net.udp import Link, UdpLink, UdpServer
+from maglev_mj.net.links import Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.parts import INERTIA, WEIGHT

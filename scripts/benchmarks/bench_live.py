@@ -37,7 +37,7 @@ from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.errors import MaglevError
 from maglev_mj.live import LiveServer
-from maglev_mj.net.udp import open_link
+from maglev_mj.net.links import open_link
 from maglev_mj.process import SideProcess
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Session, real_time

@@ -30,7 +30,8 @@ from maglev_mj.controller import Controller
 from maglev_mj.frames import ZERO
 from maglev_mj.laws import Bias, Hold
 from maglev_mj.loop import drive
-from maglev_mj.net.udp import open_link, parse_url
+from maglev_mj.net.addresses import parse_url
+from maglev_mj.net.links import open_link
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
 
 CODEC = Codec()

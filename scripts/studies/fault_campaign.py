@@ -38,7 +38,7 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Command, Sample
 from maglev_mj.laws import Bias, Hold
 from maglev_mj.loop import drive
-from maglev_mj.net.udp import open_link
+from maglev_mj.net.links import open_link
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
 
 AT, TIMES = 2.0, 5
