@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from inspect import getdoc
-
-import numpy as np
 
 from maglev_mj.cli.arguments import Parser, offer
 from maglev_mj.cli.options import add_outputs, add_parameters, add_recording, count, number_option
@@ -16,8 +13,8 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
 from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.run import RunResult, run, run_variants
-from maglev_mj.scenes.scene import PLANTS, Scene
+from maglev_mj.scenes.run import run_variants
+from maglev_mj.scenes.scene import Scene
 
 
 def add_options(parser: Parser) -> None:
@@ -75,6 +72,7 @@ def _run(options: argparse.Namespace) -> int:
                 phase=options.phase,
                 phases=options.phases,
                 bands=bands,
+                compare=options.json != "-",
                 progress=progress,
             )
     except DivergenceError as error:
@@ -83,22 +81,8 @@ def _run(options: argparse.Namespace) -> int:
     write_results(
         options,
         found.as_json,
-        lambda: str(replace(found, gap=_gap(next(iter(found.runs.values())))).table()),
+        lambda: str(found.table()),
         lambda folder: [found.plot(picture=name, path=folder.path(name)) for name in found.pictures],
         recorded,
     )
     return 0
-
-
-def _gap(result: RunResult) -> float | None:
-    """Return the largest distance between two plants' motions.
-
-    In [m, rad]; None if the scene has one plant.
-    """
-    others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
-    if not others:
-        return None
-    with Progress(f"{result.scene.name} on the plant {others[0]}"):
-        twin = run(result.scene, plant=others[0], phase=result.phase)
-    time = result.times()
-    return float(np.abs(result.motion(time)[0] - twin.motion(time)[0]).max())

@@ -83,7 +83,7 @@ def series(found: Variants, path: Path | None = None) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    result = next(iter(found.runs.values()))
+    result = found.first
     shown = {label: one.series(_FINE) for label, one in found.runs.items()}
     first, units = next(iter(shown.values())), result.units
     names = [name for name, values in first.items() if name != "time" and values.dtype.kind in "fiu"][:_MOST_PANELS]
@@ -273,9 +273,8 @@ def _times(found: Variants) -> Array:
     Until all drops have settled, and half as long again.
     """
     end: float = found.first.scene.end
-    settled = 1.5 * float(
-        np.max([one.figures["settling_time"] for one in found.runs.values()])
-    )  # NaN if one never does
+    settling = [one.figures["settling_time"] for one in found.runs.values()]
+    settled = 1.5 * float(np.max(settling))  # NaN if one never does
     return np.linspace(0.0, settled if settled < end else end, _POINTS)
 
 
@@ -363,7 +362,7 @@ def figure_6(found: Variants, path: Path | None = None) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
-    first = next(iter(found.runs.values()))
+    first = found.first
     styles = _styles({label: result.scene for label, result in found.runs.items()})
     for label, result in found.runs.items():
         motion, style = result.series(_FINE), styles[label] | {"linewidth": 1.4}
@@ -402,7 +401,7 @@ def stick_slip(found: Variants, path: Path | None = None) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
-    result = next(iter(found.runs.values()))
+    result = found.first
     p, motion = result.scene, result.series(_FINE)
     time, length = motion["time"], unit_of("mm", p.axis)
     exact = p.exact(time)
