@@ -50,7 +50,6 @@ FLOORS = {
     "loop": 5,
     "theory": 5,
     "energy": 5,
-    "metrics": 5,
     "recording": 6,
     "scenes": 6,
     "session": 7,
