@@ -82,7 +82,7 @@ def _run(options: argparse.Namespace) -> int:
         options,
         found.as_json,
         lambda: str(found.table()),
-        lambda folder: [found.plot(picture=name, path=folder.path(name)) for name in found.pictures],
+        lambda folder: [found.plot(folder.path(name), picture=name) for name in found.pictures],
         recorded,
     )
     return 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -23,21 +22,20 @@ from maglev_mj.pictures import (
     name_curves,
     new_figure,
     new_grid,
-    save,
 )
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import Phases, RunResult, Variants, share_below
 from maglev_mj.spec import Spec
 
-Picture: TypeAlias = Callable[[Variants, Path | None], Any]
-"""Draws runs and their phases into a file, or returns the figure; see `series`."""
+Picture: TypeAlias = Callable[[Variants], Any]
+"""Draws runs and their phases, and returns the figure."""
 
 _FINE, _POINTS = 1e-4, 2001
 _MOST_PANELS = 4
 _NAMES = {"z": "height"}
 
 
-def draw_run(found: RunResult, picture: str | None = None, path: Path | None = None) -> Any:
+def draw_run(found: RunResult, picture: str | None = None) -> Any:
     """Draw one run; see `draw_variants`.
 
     Raises:
@@ -45,21 +43,20 @@ def draw_run(found: RunResult, picture: str | None = None, path: Path | None = N
         ParameterError: If there is no such picture, or the run is of several phases.
     """
     found.times()  # several phases have no grid in common
-    return draw_variants(Variants({found.scene.name: found}), picture, path)
+    return draw_variants(Variants({found.scene.name: found}), picture)
 
 
-def draw_phases(found: Phases, path: Path | None = None) -> Any:
+def draw_phases(found: Phases) -> Any:
     """Draw each figure over the phase; see `spread`."""
-    return spread(Variants({}, {found.scene.name: found}), path)
+    return spread(Variants({}, {found.scene.name: found}))
 
 
-def draw_variants(found: Variants, picture: str | None = None, path: Path | None = None) -> Any:
+def draw_variants(found: Variants, picture: str | None = None) -> Any:
     """Draw the runs of a scene's variants, or their phases.
 
     Args:
         found: The runs.
         picture: One of `found.pictures` by name; the first by default.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -70,15 +67,14 @@ def draw_variants(found: Variants, picture: str | None = None, path: Path | None
     check_one_of("picture", names, chosen)
     module, _, name = names[chosen].partition(":")
     draw: Picture = getattr(import_module(module), name)
-    return draw(found, path)
+    return draw(found)
 
 
-def series(found: Variants, path: Path | None = None) -> Any:
+def series(found: Variants) -> Any:
     """Draw each series over time, one line a run.
 
     Args:
         found: The runs.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -102,15 +98,14 @@ def series(found: Variants, path: Path | None = None) -> Any:
     )
     if len(shown) > 1:
         name_curves(figure, panels[:1])
-    return save(figure, path)
+    return figure
 
 
-def spread(found: Variants, path: Path | None = None) -> Any:
+def spread(found: Variants) -> Any:
     """Draw each figure over the sampling phase.
 
     Args:
         found: The runs, with their phases.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -127,10 +122,10 @@ def spread(found: Variants, path: Path | None = None) -> Any:
         panel.set_xlabel("phase of the first sample")
     if len(found.phases) > 1:
         name_curves(figure, panels[:1])
-    return save(figure, path)
+    return figure
 
 
-def time_series(found: Variants, path: Path | None = None) -> Any:
+def time_series(found: Variants) -> Any:
     """Draw position and force over time, as figure 3 does.
 
     One column for each drop with a pulse; a drop without one and the analog wall stand in all of them. A band
@@ -138,7 +133,6 @@ def time_series(found: Variants, path: Path | None = None) -> Any:
 
     Args:
         found: The drops, with their bands if there are any.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -166,10 +160,10 @@ def time_series(found: Variants, path: Path | None = None) -> Any:
     forces[0].set_ylabel("force on the flotor (N)")
     _explain(figure, heights, columns, found)
     name_curves(figure, forces)
-    return save(figure, path)
+    return figure
 
 
-def phase_plane(found: Variants, path: Path | None = None) -> Any:
+def phase_plane(found: Variants) -> Any:
     """Draw velocity over position beside the analog wall (figure 4).
 
     One panel for each drop with a pulse; a drop without one and the analog wall stand in all of them. Thin lines
@@ -177,7 +171,6 @@ def phase_plane(found: Variants, path: Path | None = None) -> Any:
 
     Args:
         found: The drops, with their bands if there are any.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -200,15 +193,14 @@ def phase_plane(found: Variants, path: Path | None = None) -> Any:
     panels[0].set(xlim=(left, None), ylabel="velocity (m/s)")
     _explain(figure, panels, columns, found)
     name_curves(figure, panels)
-    return save(figure, path)
+    return figure
 
 
-def drop_phases(found: Variants, path: Path | None = None) -> Any:
+def drop_phases(found: Variants) -> Any:
     """Draw penetration, rebound and peak force over the phase.
 
     Args:
         found: The drops, with their phases or bands.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -230,7 +222,7 @@ def drop_phases(found: Variants, path: Path | None = None) -> Any:
         panel.set_xlabel("phase of the first sample\n(periods)")
     panels[2].axhline(Spec.largest_vertical_force.value, **_LIMIT)
     name_curves(figure, panels[2:])
-    return save(figure, path)
+    return figure
 
 
 _PULSED = FIRST, *SERIES[2:4]
@@ -349,14 +341,13 @@ def _describe(result: RunResult) -> str:
     )
 
 
-def figure_6(found: Variants, path: Path | None = None) -> Any:
+def figure_6(found: Variants) -> Any:
     """Draw position and control force over time (figure 6).
 
     The hand's target is drawn too.
 
     Args:
         found: The presses; the first is drawn in front.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -387,15 +378,14 @@ def figure_6(found: Variants, path: Path | None = None) -> Any:
     lower.set_xlim(0.0, p.end)
     name_curves(figure, [upper])
     upper.set_title(_describe(first), **TITLE)
-    return save(figure, path)
+    return figure
 
 
-def stick_slip(found: Variants, path: Path | None = None) -> Any:
+def stick_slip(found: Variants) -> Any:
     """Draw position and velocity against exact friction (figure 8).
 
     Args:
         found: The pulls, the first of which is drawn.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -421,4 +411,4 @@ def stick_slip(found: Variants, path: Path | None = None) -> Any:
         f"(SI), delay {p.delay * 1e3:g} ms ({result.plant})",
         **TITLE,
     )
-    return save(figure, path)
+    return figure

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from maglev_mj.colours import REFERENCE, SERIES, STOP
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.pictures import FIRST, SECOND, TITLE, axis_label, name_curves, new_figure, new_grid, save
+from maglev_mj.pictures import FIRST, SECOND, TITLE, axis_label, name_curves, new_figure, new_grid
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
 from maglev_mj.studies.nonlinear import DropMap
@@ -48,14 +47,13 @@ def _room(segments: Any, extents: tuple[float, float]) -> bool:
     return any(len(points) > 1 and (np.ptp(points, axis=0) > 0.15 * np.array(extents)).all() for points in segments)
 
 
-def stability_map(result: StabilityMap, path: Path | None = None) -> Any:
+def stability_map(result: StabilityMap) -> Any:
     """Draw the stability map.
 
     Level sets by theory, simulated verdicts as dots, the stiffest wall marked.
 
     Args:
         result: The map; its grid must have at least two values on each axis.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -86,17 +84,16 @@ def stability_map(result: StabilityMap, path: Path | None = None) -> Any:
         f"stiffest wall: {best.describe()}",
         **TITLE,
     )
-    return save(figure, path)
+    return figure
 
 
-def drop_map(result: DropMap, path: Path | None = None) -> Any:
+def drop_map(result: DropMap) -> Any:
     """Draw the final swing of drops over the gains.
 
     With theory's boundary, and that of the drops that settle.
 
     Args:
         result: The map; its grid must have at least two values on each axis.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -105,7 +102,7 @@ def drop_map(result: DropMap, path: Path | None = None) -> Any:
     figure, panels = new_figure(1, 1, 5.6)
     drop_panels(figure, panels, [result])
     panels[0].set_title(f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, {p.described}", **TITLE)
-    return save(figure, path)
+    return figure
 
 
 def drop_panels(figure: Any, panels: Sequence[Any], results: Sequence[DropMap]) -> None:
@@ -148,7 +145,7 @@ def _outer(values: Array) -> tuple[float, float]:
     return float(values[0] - half), float(values[-1] + half)
 
 
-def design_map(result: DesignResult, path: Path | None = None) -> Any:
+def design_map(result: DesignResult) -> Any:
     """Draw the largest modulus over mass and delay.
 
     The worst of the hands, with the worst case marked.
@@ -157,7 +154,6 @@ def design_map(result: DesignResult, path: Path | None = None) -> Any:
 
     Args:
         result: The design.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -198,7 +194,7 @@ def design_map(result: DesignResult, path: Path | None = None) -> Any:
         f"largest modulus over the hands {', '.join(needs.hands)}",
         **TITLE,
     )
-    return save(figure, path)
+    return figure
 
 
 def sweep(found: Sweep) -> Any:
