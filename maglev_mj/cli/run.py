@@ -35,8 +35,8 @@ def add_options(parser: Parser) -> None:
 
 def _add_plant(parser: Parser, cls: type[Scene]) -> None:
     plants, group = cls.plants, parser.group("run")
-    told = f"{', '.join(plants)} (default {plants[0]})"
-    offer(group.add_argument("--plant", default=plants[0], metavar="NAME", help=told), plants)
+    described = f"{', '.join(plants)} (default {plants[0]})"
+    offer(group.add_argument("--plant", default=plants[0], metavar="NAME", help=described), plants)
     if cls.takes_phase:
         group.add_argument(
             "--phase",
@@ -66,7 +66,7 @@ def _run(options: argparse.Namespace) -> int:
     bands = (options.phases or scene.drawn_phases) if banded else None
     try:
         with Progress(scene.name) as progress:
-            found = run_variants(
+            results = run_variants(
                 variants,
                 plant=options.plant,
                 phase=options.phase,
@@ -80,9 +80,9 @@ def _run(options: argparse.Namespace) -> int:
         raise
     write_results(
         options,
-        found.as_json,
-        lambda: str(found.table()),
-        lambda folder: [found.plot(folder.path(name), picture=name) for name in found.pictures],
+        results.as_json,
+        lambda: str(results.table()),
+        lambda folder: [results.plot(folder.path(name), picture=name) for name in results.pictures],
         recorded,
     )
     return 0

@@ -108,11 +108,11 @@ class Figure:
             # a missing figure keeps its rank without an effect on the interpolation
             return np.asarray(np.percentile(np.where(np.isinf(late), np.finfo(float).max, late), share))
 
-        def known(column: Array) -> float:
-            found = column[np.isfinite(column)]
-            return float(np.percentile(found, share)) if found.size else np.nan
+        def finite_percentile(column: Array) -> float:
+            finite = column[np.isfinite(column)]
+            return float(np.percentile(finite, share)) if finite.size else np.nan
 
-        percentiles: Array = np.apply_along_axis(known, 0, np.asarray(values, dtype=np.float64))
+        percentiles: Array = np.apply_along_axis(finite_percentile, 0, np.asarray(values, dtype=np.float64))
         return percentiles
 
 
@@ -150,12 +150,12 @@ def figures_named(chosen: Sequence[Figure | str] | Mapping[str, Figure | str]) -
     """
     if not isinstance(chosen, Mapping):
         chosen = {one if isinstance(one, str) else one.name: one for one in chosen}
-    found = {}
+    figures = {}
     for name, one in chosen.items():
         if isinstance(one, str) and one not in STOCK:
             raise TypeError(f"figure must be one of {', '.join(STOCK)}, or made by @figure, not {one!r}")
-        found[name] = STOCK[one] if isinstance(one, str) else one
-    return found
+        figures[name] = STOCK[one] if isinstance(one, str) else one
+    return figures
 
 
 class BounceSummary(NamedTuple):
@@ -411,29 +411,29 @@ def _bounce(name: str) -> Callable[[RunResult], Any]:
     The wall fills the shown axis below 0.
     """
 
-    def made(result: RunResult) -> BounceSummary:
+    def summarise(result: RunResult) -> BounceSummary:
         rest = getattr(result.scene, "rest", np.nan)
         return summarise_bounce(result.trace, rest, axis=AXES.index(result.scene.axis))
 
-    return lambda result: getattr(result.once("bounce", made), name)
+    return lambda result: getattr(result.once("bounce", summarise), name)
 
 
 def _press(name: str) -> Callable[[RunResult], Any]:
     """Return the function of one hit or press figure."""
 
-    def made(result: RunResult) -> PressSummary:
+    def summarise(result: RunResult) -> PressSummary:
         scene: Any = result.scene
         settled = scene.path(result.phase).end
         return summarise_press(result.trace, scene.strokes(result.phase), settled, scene.end)
 
-    return lambda result: getattr(result.once("press", made), name)
+    return lambda result: getattr(result.once("press", summarise), name)
 
 
 def changes(result: RunResult) -> list[int]:
     """Return the samples of changes in the friction state."""
     stuck = result.samples["stuck"][:, 0]
-    found: list[int] = (np.flatnonzero(stuck[1:] != stuck[:-1]) + 1).tolist()
-    return found
+    indices: list[int] = (np.flatnonzero(stuck[1:] != stuck[:-1]) + 1).tolist()
+    return indices
 
 
 def _peak_speed(result: RunResult) -> Any:

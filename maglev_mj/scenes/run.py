@@ -181,19 +181,19 @@ class Phases(Result):
 
         A figure of several hits has a column for each hit.
         """
-        found = {"phase": self.phases}
+        columns = {"phase": self.phases}
         for name, values in self.figures.items():
             rows = values.reshape(len(self.phases), -1)
             names = [name] if values.ndim == 1 else [f"{name}.{index}" for index in range(rows.shape[1])]
-            found |= dict(zip(names, rows.T, strict=True))
-        return found
+            columns |= dict(zip(names, rows.T, strict=True))
+        return columns
 
     @property
     def units(self) -> dict[str, str]:
         """Unit of each column."""
         named: Mapping[str, Figure] = self.scene.figures
-        known = {name: unit_of(one.si_unit, self.scene.axis, one.along) for name, one in named.items()}
-        return {column: known[column.partition(".")[0]] for column in self.columns() if column != "phase"}
+        units = {name: unit_of(one.si_unit, self.scene.axis, one.along) for name, one in named.items()}
+        return {column: units[column.partition(".")[0]] for column in self.columns() if column != "phase"}
 
     def table(self) -> Table:
         """Return median and 5 to 95 % of each figure."""
