@@ -69,6 +69,7 @@ class Table(NamedTuple):
         title = wrapped(printable(self.title), "", _IN) if self.title else []
         columns = [list(map(_text, column)) for column in zip(self.head, *self.rows)] if self.rows else []
         left = [any(map(_has_words, column[1:])) for column in columns]
+        columns = _narrowed(columns, bool(left and left[-1]))
         first = next((index for index, words in enumerate(left) if not words), len(columns))
         last = next((index for index in range(len(columns), first, -1) if not left[index - 1]), first)
         widths = [max(map(len, column)) for column in columns]
@@ -213,6 +214,16 @@ def _has_words(text: str) -> bool:
     return any(map(str.isalpha, _IN_NUMBERS.sub("", text)))
 
 
+def _narrowed(columns: list[list[str]], wraps: bool) -> list[list[str]]:
+    """Return columns with their units below their names if they do not fit the width otherwise."""
+    widths = [max(map(len, column)) + 1 for column in columns]
+    widths[-1:] = [min(widths[-1], _NARROWEST) if wraps else widths[-1]] if columns else []
+    heads = [column[0].partition(" [") for column in columns]
+    if len(_IN) + sum(widths) <= WIDTH or not any(mark for _, mark, _ in heads):
+        return columns
+    return [[name, mark.strip() + unit, *column[1:]] for (name, mark, unit), column in zip(heads, columns)]
+
+
 def _fitting(indices: Sequence[int], around: Sequence[int], widths: Sequence[int], gap: str) -> list[list[int]]:
     """Return columns in groups that fit the width beside those around them."""
     groups: list[list[int]] = [[]]
@@ -234,4 +245,4 @@ def _block(columns: Sequence[Sequence[str]], left: Sequence[bool], gap: str) -> 
         cells = [f"{text:{'<' if words else '>'}{width}}" for text, words, width in zip(row, left, widths)]
         cells.append(f"{texts[0] if texts else '':{'<' if left[-1] else '>'}{widths[-1]}}")
         lines += [(_IN + gap.join(cells)).rstrip(), *(" " * begin + text for text in texts[1:])]
-    return lines if any(column[0] for column in columns) else lines[1:]
+    return [line for line in lines if line]

@@ -76,7 +76,7 @@ class Trace(Result):
     pose: Array
     twist: Array
     wrench: Array
-    drawn_by: ClassVar = "maglev_mj.plots.recorded:trace"
+    drawn_by: ClassVar = "maglev_mj.analysis.pictures:trace"
 
     def columns(self) -> dict[str, Array]:
         """Return the knots, a column for each coordinate, (K,) each.

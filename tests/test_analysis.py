@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 from maglev_mj import Controller, ExactPlant, Hold, Law, Wall
-from maglev_mj.analysis import Analysed, analyse, face_figures, identify, reconstruct
-from maglev_mj.analysis.figures import _sticks
+from maglev_mj.analysis import StretchReport, analyse, face_figures, identify, reconstruct
+from maglev_mj.analysis.contacts import _stick_slip
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
@@ -31,9 +31,7 @@ from maglev_mj.energy import PassivityObserver
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.hand import SpringHand, Trajectory
 from maglev_mj.plants import Timing
-from maglev_mj.playback import Replay
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, open_recording
-from maglev_mj.replay import rebuild, record_run, stick_positions_of
 from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import perceived_hardness, summarise_bounce
@@ -44,8 +42,9 @@ from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
+from maglev_mj.session.playback import Replay
+from maglev_mj.session.replay import rebuild, record_run, stick_positions_of
 from maglev_mj.spec import GRAVITY
-from maglev_mj.tables.analysis import analysis_table
 from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.plots import Plots
 from maglev_mj.web import panel
@@ -64,7 +63,7 @@ def recorded(scene: Scene, plant: str = "exact", phase: float = 0.0) -> Stretch:
     return stretch
 
 
-def analysed(stretch: Stretch, **keywords: Any) -> Analysed:
+def analysed(stretch: Stretch, **keywords: Any) -> StretchReport:
     return analyse(stretch, rebuild, anchors=stick_positions_of(stretch), **keywords)
 
 
@@ -124,8 +123,8 @@ def test_samples_and_forces_alone_give_the_exact_figures_of_a_drop(plant: str, c
     assert face.rebound == pytest.approx(float(summary.rebound), abs=1e-15)
     assert face.peak_force == float(summary.peak_force)
     assert face.settling_time == pytest.approx(float(summary.settling_time), abs=1e-12, nan_ok=True)
-    assert float(face.hardness.rate) == pytest.approx(float(hardness.rate), rel=1e-12, abs=1e-6)
-    assert float(face.hardness.extended) == pytest.approx(float(hardness.extended), rel=1e-12)
+    assert float(face.rate_hardness) == pytest.approx(float(hardness.rate), rel=1e-12, abs=1e-6)
+    assert float(face.extended_hardness) == pytest.approx(float(hardness.extended), rel=1e-12)
     times = np.linspace(0.0, end, 2001)[:-1]  # what begins with the last sample is no longer in the recording
     for ours, theirs in zip(found.motion.trace.at(times), exact.at(times), strict=True):
         assert np.abs(ours[:, 2] - theirs[:, 2]).max() < 1e-13
@@ -148,15 +147,15 @@ def test_a_coarse_sensor_costs_no_more_than_its_steps() -> None:
         assert abs(face.rebound - summary.rebound) < step
         assert face.peak_force == float(summary.peak_force)
         assert abs(face.settling_time - summary.settling_time) < 1e-3
-        assert float(face.hardness.extended) == pytest.approx(perceived_hardness(exact, 0.005).extended, rel=0.01)
+        assert float(face.extended_hardness) == pytest.approx(perceived_hardness(exact, 0.005).extended, rel=0.01)
 
 
 def test_the_table_has_the_figures_of_a_wall_and_its_contacts_in_order() -> None:
     found = analysed(recorded(Press(hits=2)), simulated=False)
     (face,) = found.recorded.figures.faces
-    rows = [line.split() for line in analysis_table(found, 1, 1).splitlines() if line.startswith(f"  {face.name} ")]
+    rows = [line.split() for line in str(found.table()).splitlines() if line.startswith(f"  {face.name} ")]
     small = face.penetration * 1e3, face.rebound * 1e3, face.peak_force, face.settling_time * 1e3
-    figures = (*small, float(face.hardness.rate) / 1e3, float(face.hardness.extended) / 1e3)
+    figures = (*small, float(face.rate_hardness) / 1e3, float(face.extended_hardness) / 1e3)
     assert abs(figures[4] - figures[5]) > 1.0
     assert rows[0][4:] == [*(number_text(figure, 3, 2) for figure in figures), str(len(face.contacts))]
     for row, one in zip(rows[1:9], face.contacts):
@@ -176,8 +175,8 @@ def test_the_hardness_is_that_of_the_fastest_contact_alone() -> None:
     before, this = whole.contacts[fastest - 1 : fastest + 1]
     between = 0.5 * (before.start + before.duration + this.start)
     (alone,) = analysed(stretch, begin=between, simulated=False).recorded.figures.faces
-    assert float(whole.hardness.rate) == pytest.approx(float(alone.hardness.rate), rel=1e-9)
-    assert float(whole.hardness.extended) == pytest.approx(float(alone.hardness.extended), rel=1e-3)  # from a sample on
+    assert float(whole.rate_hardness) == pytest.approx(float(alone.rate_hardness), rel=1e-9)
+    assert float(whole.extended_hardness) == pytest.approx(float(alone.extended_hardness), rel=1e-3)  # from a sample on
 
 
 def test_where_a_drop_rests_is_found_in_its_samples() -> None:
@@ -276,18 +275,20 @@ def test_sticks_and_slips_are_those_of_the_experiment(scene: StickSlip, plant: s
     ran, found = run(scene, plant=plant), analysed(recorded(scene, plant))
     axis, events = AXES.index(scene.axis), scene.events(ran)
     figures = found.recorded.figures
-    sticks = figures.sticks[axis] or ()
+    ((rubbing, friction),) = figures.friction.items()
+    assert rubbing == scene.axis
+    sticks = friction.sticks
     slips = [event.time for event in events if event.kind == "slip"]
     stuck = [event for event in events if event.kind == "stick"]
-    assert figures.transitions(axis) == ran.figures["transitions"] > 1
-    assert figures.slips(axis) == len(slips)
+    assert friction.transitions == ran.figures["transitions"] > 1
+    assert friction.slips == len(slips)
     assert [stick.start + stick.duration for stick in sticks if stick.slipped] == pytest.approx(slips)
     assert [stick.start for stick in sticks[1:]] == [event.time for event in stuck]
     assert [stick.position for stick in sticks[1:]] == [event.position for event in stuck]
-    assert [place for place in range(6) if figures.sticks[place] is not None] == [axis]
     assert found.axis() == axis
-    longest = next(line for line in analysis_table(found, 1, 1).splitlines() if line.startswith("  longest stuck"))
-    assert longest.split()[2:] == [number_text(1e3 * max(stick.duration for stick in sticks), 3, 2), "ms"]
+    table = next(table for table in found.table().below if "friction" in table.head)
+    assert table.head[2] == "longest stuck [ms]"
+    assert table.rows[0][2] == number_text(1e3 * max(stick.duration for stick in sticks), 3, 2)
 
 
 def test_a_stick_lasts_to_the_next_sample_and_ends_where_its_spring_did() -> None:
@@ -295,10 +296,9 @@ def test_a_stick_lasts_to_the_next_sample_and_ends_where_its_spring_did() -> Non
     anchors = np.array([0.1, 0.2, none, none, 0.5, none, 0.7, 0.8])
     times = np.arange(len(anchors)) / 100.0
     expected = [(0.0, 0.02, 0.2, True), (0.04, 0.01, 0.5, True), (0.06, 0.01, 0.8, False)]
-    found = _sticks(times, anchors) or ()
+    found = _stick_slip(times, np.isfinite(anchors), anchors).sticks
     for stick, told in zip(found, expected, strict=True):
         assert stick == pytest.approx(told)
-    assert _sticks(times, np.full(len(times), none)) is None
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004, 0.007])
@@ -342,7 +342,7 @@ def test_how_far_a_changed_recording_is_apart_is_found_to_the_digit() -> None:
     assert comparison.rms[2] == 0.0
     assert "5 µm at most, on x at 0.15 s" in comparison.sentence
     # a sample that is 3 µm off is 3 µm ahead of its neighbours, twice that behind, and 3 µm ahead again
-    assert comparison.one_step[0] == pytest.approx(np.sqrt((9.0 + 36.0 + 9.0) / (count - 2)) * 1e-6, rel=0.01)
+    assert comparison.one_step_rms[0] == pytest.approx(np.sqrt((9.0 + 36.0 + 9.0) / (count - 2)) * 1e-6, rel=0.01)
 
 
 def test_energy_of_a_session_balances(session: Path) -> None:
@@ -360,9 +360,9 @@ def test_a_device_that_is_as_known_is_followed_to_a_micrometre() -> None:
     found = analysed(flown())
     assert found.comparison is not None and found.comparison.device
     assert found.comparison.rms[:3].max() < 5e-6
-    assert found.comparison.one_step[:3].max() < 2e-6  # the noise of the sensor, and not more
+    assert found.comparison.one_step_rms[:3].max() < 2e-6  # the noise of the sensor, and not more
     quiet = analysed(flown(quantum=0.0, noise=0.0)).comparison
-    assert quiet is not None and quiet.one_step[:3].max() < 1e-9
+    assert quiet is not None and quiet.one_step_rms[:3].max() < 1e-9
 
 
 def test_a_device_that_weighs_more_is_found_out_one_sample_ahead() -> None:
@@ -372,7 +372,7 @@ def test_a_device_that_weighs_more_is_found_out_one_sample_ahead() -> None:
     assert comparison is not None
     # what carries 0.75 kg would lift 0.7 kg by a T² in a period
     ahead = heavy * GRAVITY / MASS * 0.005**2
-    assert comparison.one_step[2] == pytest.approx(ahead, rel=2e-3)
+    assert comparison.one_step_rms[2] == pytest.approx(ahead, rel=2e-3)
     assert np.median(found.recorded.motion.unexplained[:, 2]) == pytest.approx(-heavy * GRAVITY, rel=1e-3)
     # and over time it sags by its weight over the spring of the joystick
     assert comparison.most[2] > heavy * GRAVITY / 300.0
@@ -390,7 +390,11 @@ def test_samples_that_a_device_lost_are_counted_and_bridged() -> None:
         energy = one.recorded.figures.energy
         assert np.isnan(energy.hand).all()
         assert energy.others[0] == pytest.approx(energy.taken[0], rel=0.05)
-        assert {(face.axis, face.normal) for face in one.recorded.figures.faces} >= {(0, 1.0), (0, -1.0), (2, 1.0)}
+        assert {(face.axis, face.normal) for face in one.recorded.figures.faces} >= {
+            ("x", 1.0),
+            ("x", -1.0),
+            ("z", 1.0),
+        }
         assert one.simulated is not None and not one.simulated.figures.faces
 
 
@@ -410,7 +414,7 @@ def test_a_recording_that_begins_inside_a_wall_has_a_contact_without_an_approach
     (face,) = analysed(stretch, begin=0.1).recorded.figures.faces
     (contact,) = face.contacts
     assert np.isnan(contact.approach_speed)
-    assert np.isnan(face.hardness.rate)
+    assert np.isnan(face.rate_hardness)
     assert contact.duration == pytest.approx(stretch.time[-1] - contact.start)
 
 
@@ -425,7 +429,7 @@ def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
     assert down is not None and up is not None
     assert up.contacts == down.contacts
     assert up.penetration == down.penetration > 1e-3
-    assert up.hardness.extended == down.hardness.extended
+    assert up.extended_hardness == down.extended_hardness
     assert up.name == "z above 0 mm" and down.name == "z below 0 mm"
 
 
@@ -474,7 +478,7 @@ def test_a_session_is_analysed_stretch_by_stretch(session: Path, tmp_path: Path,
     arguments = ["analyse", str(session), "--stretch", "2", "--from", "1.0", "--axis", "y", "--no-compare"]
     assert main([*arguments, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "stretch 2 of 2\n  100 samples" in said and "simulation" not in said
+    assert "stretch 2 of 2\nscene joystick, " in said and " 100 samples, " in said and "simulation" not in said
     assert {path.name for path in tmp_path.glob("*.png")} == {
         f"stretch_2_{name}.png" for name in ("contact", "run", "sticks")
     }
@@ -561,7 +565,7 @@ def test_the_hand_on_a_device_is_not_known_and_taken_for_none(suffix: str, tmp_p
     if suffix == ".mcap":
         assert np.isnan(stretch.hand_work).all() and np.isfinite(stretch.taken).all()
     found, before = (analysed(one) for one in (stretch, stretch.replace(hand=0.0)))
-    assert analysis_table(found, 1, 1) == analysis_table(before, 1, 1)
+    assert str(found.table()) == str(before.table())
     assert found.recorded.motion.trace.pose.tobytes() == before.recorded.motion.trace.pose.tobytes()
     for command in (["analyse", "--out", str(tmp_path)], ["replay", "--check"], ["export", "--to", "csv"]):
         assert main([command[0], str(path), *command[1:]]) == 0

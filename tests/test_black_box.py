@@ -16,11 +16,11 @@ import pytest
 from maglev_mj.bridge import fault as fault_module
 from maglev_mj.bridge.fault import BlackBox, BlackBoxError, DeviceFault, FaultRecord, load_black_box
 from maglev_mj.bridge.fault_injection import InjectedFault
+from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command
 from maglev_mj.net.udp import LinkError
-from maglev_mj.plots import last_cycles
 from maglev_mj.tables import fault_table
 from tests.test_bridge import CENTRE, Rig
 

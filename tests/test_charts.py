@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from matplotlib.text import Text
 
-from maglev_mj import plots
+from maglev_mj.analysis.pictures import staircases, whole_run
 from maglev_mj.bridge.fault import load_black_box
+from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.pictures import FORMATS, Panel, PictureFolder, name_curves, new_figure, small_multiples
@@ -131,7 +132,7 @@ def test_a_chart_of_a_recording_can_be_read(scene: str, tmp_path: Path, figures:
 def test_the_chart_of_a_recording_that_differs_can_be_read(figures: list[Any]) -> None:
     stretch = recorded(Drop())
     other = stretch.replace(position=stretch.position + 1e-5)
-    plots.whole_run(analysed(other), 2, Path("unused.png"))
+    whole_run(analysed(other), 2, Path("unused.png"))
     assert [complaints(figure) for figure in figures] == [[]]
 
 
@@ -139,7 +140,7 @@ def test_the_chart_of_a_recording_that_differs_can_be_read(figures: list[Any]) -
 def test_staircases_have_a_panel_for_each_axis(count: int, figures: list[Any]) -> None:
     time, position = np.linspace(0.0, 1.0, 50), np.random.default_rng(1).normal(size=(50, 6)) * 1e-3
     said = {axis: "3 slips, resting places 0.73 to 2.3 apart" for axis in range(count)}
-    plots.staircases(time, position, position, said, Path("unused.png"))
+    staircases(time, position, position, said, Path("unused.png"))
     (figure,) = figures
     assert sum(panel.axison for panel in figure.axes) == count and complaints(figure) == []
 
@@ -152,7 +153,7 @@ def test_the_chart_of_a_fault_can_be_read(tmp_path: Path, figures: list[Any]) ->
         record, message="a word or two " * 20, faults="COIL_NOT_FOLLOWING FLOTOR_OVERSPEED SENSOR_FROZEN " * 2
     )
     for one in (record, long):
-        plots.last_cycles(one, Path("unused.png"))
+        last_cycles(one, Path("unused.png"))
     assert [complaints(figure) for figure in figures] == [[], []]
 
 

@@ -87,7 +87,7 @@ def test_one_change_is_seen(where: str, new: Any, near: bool) -> None:
         ("value", lambda value: value * (1.0 + 1e-4), False),
         ("value", None, False),
         ("standard_error", 1.0, True),
-        ("cannot_be_told", "it never moves", False),
+        ("why", "it never moves", False),
     ],
 )
 def test_an_identified_value_that_changes_is_seen(name: str, new: Any, near: bool) -> None:

@@ -25,7 +25,6 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.recording import Recording, open_recording
 from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.table import Table
-from maglev_mj.tables import flown_table, timing_table
 from maglev_mj.theory import stability
 
 SCHEDULED = hasattr(os, "sched_getscheduler")
@@ -318,15 +317,15 @@ def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
         assert math.isnan(plant.last_delay)
     file.close()
     timing = flown.timing
-    assert report.landing.at_rest and "at rest" in flown_table(report)
+    assert report.landing.at_rest and "at rest" in str(report)
     assert timing.delay.count > 90 and timing.delay.p50 == pytest.approx(0.008 + plant.delay, abs=3e-4)
     assert timing.age.max < 1.1e-3 < timing.delay.p50
     assert "9" in flown.warning and "was checked" in flown.warning
     told = [event for event in Recording.load(tmp_path / "run.npz").events if event.startswith("timing: ")]
     assert any("delay at the device: 9." in event for event in told) and any("samples lost" in event for event in told)
-    table = timing_table(timing, flown.warning)
+    table = str(timing.table(flown.warning))
     assert all(name in table for name in timing.kinds) and "warning: " in table
-    assert max(map(len, table.splitlines())) <= 100
+    assert max(map(len, table.splitlines())) <= 80
 
 
 def test_each_answer_is_measured_once_and_samples_are_missed_from_takeoff_on() -> None:

@@ -11,12 +11,12 @@ import pytest
 
 from maglev_mj import Range, find_scene, linearise, measure_fidelity, run, run_phases, stability, sweep
 from maglev_mj.errors import MissingPackageError, ParameterError
-from maglev_mj.replay import record_run
 from maglev_mj.result import Result, Table, number_text, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.session.replay import record_run
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.fidelity import MARGIN
 from maglev_mj.studies.nonlinear import DropMapParameters, run_drop_map
@@ -70,7 +70,9 @@ def test_every_result_has_a_frame_with_units_a_picture_and_a_table(name: str) ->
     assert found.plot()._repr_png_().startswith(b"\x89PNG")
     table, html = found.table(), found._repr_html_()
     assert html.startswith(f"<table><caption>{table.title.split('<')[0][:20]}")
-    assert all(len(row) == len(table.head) for row in table.rows) and html.count("<tr>") == len(table.rows) + 1
+    tables = [table, *table.below]
+    assert all(len(row) == len(one.head) for one in tables for row in one.rows)
+    assert html.count("<tr>") == sum(len(one.rows) + 1 for one in tables)
     assert "style" not in html and "nan" not in html
 
 
@@ -252,9 +254,9 @@ def test_an_analysis_has_both_sides_and_what_was_identified() -> None:
     found: Any = results()["analysed"]
     frame = found.to_pandas()
     np.testing.assert_array_equal(frame["recorded.z"], frame["simulated.z"])
-    rows = {(row[0], row[1]): row[2] for row in found.table().rows}
-    assert rows["wall z below 0 mm", "stiffness"] == pytest.approx(6000.0) and ("z", "noise") not in rows
-    assert found.table().note.startswith("2 quantities")
+    identified = found.table().below[-1]
+    assert ("  stiffness", "6000.0000") in [row[:2] for row in identified.rows]
+    assert "not identified: noise of z: " in identified.note
     with pytest.raises(ParameterError, match="axis must be one that moves, of z, not 'x'"):
         found.plot(axis="x")
 

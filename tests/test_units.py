@@ -16,8 +16,6 @@ from maglev_mj.frames import AXES, unit_of
 from maglev_mj.scenes.pictures import series, spread, stick_slip
 from maglev_mj.scenes.run import Variants
 from maglev_mj.scenes.stick_slip import StickSlip
-from maglev_mj.tables.identification import identified_lines
-from maglev_mj.tables.stability import loop_table
 from maglev_mj.theory.verdict import stability
 from maglev_mj.viewer import plots as window_plots
 from maglev_mj.viewer.overlay import status_rows
@@ -108,12 +106,12 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
     said = {
         "run": str(both.table()),
         "sweep": str(swept.table()),
-        "stability": loop_table(scene, stability(scene)),
+        "stability": f"{scene.describe()}\n{stability(scene).table()}",
         "page": "\n".join(gui.texts),
         "window": "\n".join(map(" ".join, [row for row in status_rows(session.snapshot()) if row[0] != "arrows"])),
         "window's plots": window_curves(session.snapshot()),
         "page's plots": page_curves(session.snapshot()),
-        "identified": "\n".join(identified_lines(identify(record_run(whole, plant="exact").stretches[0]))),
+        "identified": str(identify(record_run(whole, plant="exact").stretches[0]).table()),
         "tables": "\n".join(str(found.table()) for found in (result, phases)),
         "frames": "\n".join(f" {unit} " for found in (result, phases, swept) for unit in found.units.values()),
         "figure 8": "\n".join(texts_of(stick_slip(both))),

@@ -1,16 +1,20 @@
-"""Contacts at a wall, with their figures."""
+"""Figures of a stretch: contacts at walls, energy, friction, missing samples."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from maglev_mj.analysis.motion import Motion
+from maglev_mj.energy import actuator_work, hand_work
 from maglev_mj.frames import AXES, Array, Mask, unit_of
-from maglev_mj.result import plain
+from maglev_mj.recording import RunMetadata
+from maglev_mj.recording.sample import Face
+from maglev_mj.result import Table, number_text, plain, with_unit
 from maglev_mj.scenes.figures import Hardness, perceived_hardness, summarise_bounce
 from maglev_mj.trace import Trace
 
@@ -22,6 +26,9 @@ _REST = 0.1
 
 The flotor must rest over it to have settled.
 """
+_CONTACTS_SHOWN, _STICKS_SHOWN = 8, 8
+_NOTHING = 1e-12
+"""Figure below which a difference is rounding, in SI units."""
 
 
 class Contact(NamedTuple):
@@ -43,51 +50,234 @@ class Contact(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FaceFigures:
+class OfWall:
+    """Values that belong to a plane of a wall.
+
+    Attributes:
+        axis: Name of the axis.
+        normal: 1 if the axis is free above the edge, -1 if below.
+        edge: Edge of the wall [m, rad].
+    """
+
+    axis: str
+    normal: float
+    edge: float
+
+    @property
+    def name(self) -> str:
+        """Axis, side and edge, such as "z below 0 mm"."""
+        side = "below" if self.normal > 0.0 else "above"
+        return f"{self.axis} {side} {self.edge * 1e3:.4g} {unit_of('mm', self.axis)}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FaceFigures(OfWall):
     """Figures of the contacts at one wall.
 
     Attributes:
-        axis: Index into AXES.
-        normal: 1 if the axis is free above the edge, -1 if below.
-        edge: Edge of the wall [m, rad].
-        contacts: All contacts, in order.
         penetration: Largest depth of all [m, rad].
         rebound: Largest distance from the wall after the first contact, from any cause [m, rad].
         peak_force: Largest force of the actuators on the axis, in contact or not [N, N m].
         settling_time: Time from the start after which the position stays within 2 % of the way from start to rest
             around the rest [s]; NaN if the flotor does not rest over the last tenth.
         rest: Mean position over the last tenth [m, rad].
-        hardness: Hardness of the contact with the fastest approach [N/m, N m/rad]; NaN if there is no such contact
-            with enough time.
+        rate_hardness: Rate-hardness of the contact with the fastest approach [N/m, N m/rad]; NaN if there is no such
+            contact with enough time.
+        extended_hardness: Extended rate-hardness of the same contact [N/m, N m/rad]; see `Hardness`.
+        contacts: All contacts, in order.
     """
 
-    axis: int
-    normal: float
-    edge: float
-    contacts: Sequence[Contact]
     penetration: float
     rebound: float
     peak_force: float
     settling_time: float
     rest: float
-    hardness: Hardness
+    rate_hardness: float
+    extended_hardness: float
+    contacts: Sequence[Contact]
 
-    @property
-    def name(self) -> str:
-        """Axis, side and edge, such as "z below 0 mm"."""
-        side = "below" if self.normal > 0.0 else "above"
-        return f"{AXES[self.axis]} {side} {self.edge * 1e3:.4g} {unit_of('mm', self.axis)}"
+    def row(self) -> list[str]:
+        """Return the figures as texts for a table."""
+        hard = 1.0 if self.axis in AXES[3:] else 1e-3
+        figures = (
+            (self.penetration, 1e3),
+            (self.rebound, 1e3),
+            (self.peak_force, 1.0),
+            (self.settling_time, 1e3),
+            (self.rate_hardness, hard),
+            (self.extended_hardness, hard),
+        )
+        return [*(number_text(figure * scale, 3, 2) for figure, scale in figures), str(len(self.contacts))]
+
+
+class Energy(NamedTuple):
+    """Energy balance of each axis [J], (6,) each.
+
+    Attributes:
+        taken: Energy absorbed by the rendered environment; below 0 it has generated energy.
+        least: Least absorbed energy at any switch of the force; the further below 0, the less passive.
+        hand: Work of the hand; NaN if its force was not recorded.
+        others: Work of unrecorded forces: of an unmeasured hand, or from a wrong mass.
+    """
+
+    taken: Array
+    least: Array
+    hand: Array
+    others: Array
+
+
+class Stick(NamedTuple):
+    """One sticking phase of an axis.
+
+    Attributes:
+        start: Time of the first stuck sample [s].
+        duration: Time until the first sliding sample, or the last of all [s].
+        position: Final anchor of the friction spring [m, rad].
+        slipped: True if it broke away; otherwise it stuck until the end.
+    """
+
+    start: float
+    duration: float
+    position: float
+    slipped: bool
+
+
+class StickSlip(NamedTuple):
+    """Stick-slip motion of an axis with friction.
+
+    Attributes:
+        slips: Number of breakaways.
+        transitions: Number of transitions between stick and slip.
+        sticks: Sticking phases, in order.
+    """
+
+    slips: int
+    transitions: int
+    sticks: Sequence[Stick]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StretchFigures:
+    """Figures of a stretch.
+
+    Attributes:
+        samples: Number of samples.
+        missed: Number of missing samples, by the gaps in their numbers.
+        start: Time of the first sample [s].
+        end: Time of the last sample [s].
+        travel: Distance between the extremes of each axis [m, rad], (6,).
+        peak_force: Largest wrench of the actuators on each axis [N, N m], (6,).
+        faces: Touched walls.
+        untouched: Number of untouched walls.
+        energy: Energy balance.
+        unexplained: Root mean square of the wrench of unrecorded forces [N, N m], (6,).
+        friction: Stick-slip motion of each axis with friction, by its name.
+    """
+
+    samples: int
+    missed: int
+    start: float
+    end: float
+    travel: Array
+    peak_force: Array
+    faces: Sequence[FaceFigures]
+    untouched: int
+    energy: Energy
+    unexplained: Array
+    friction: Mapping[str, StickSlip]
+
+    def tables(self, beside: StretchFigures | None = None) -> list[Table]:
+        """Return the tables of walls, contacts, axes and friction.
+
+        Args:
+            beside: Figures of the simulation, for rows of their own; None for none.
+        """
+        tables = []
+        for axes in (AXES[:3], AXES[3:]):  # they have units of their own
+            if faces := [face for face in self.faces if face.axis in axes]:
+                tables += [_walls(faces, beside), _contacts(faces)]
+        if not self.faces:
+            tables = [Table("", [], [], "no wall was touched" if self.untouched else "there are no walls")]
+        elif self.untouched:
+            tables[-1] = tables[-1]._replace(note=f"{tables[-1].note}\nwalls that were not touched: {self.untouched}")
+        return [*tables, self._axes(beside), *([_friction(self.friction)] if self.friction else [])]
+
+    def _axes(self, beside: StretchFigures | None) -> Table:
+        """Return the table of travel and energy on each axis."""
+        energy = self.energy
+        by_hand = np.isfinite(energy.hand).any()
+        work = ("work of the hand", energy.hand) if by_hand else ("unrecorded work", energy.others)
+        rows = [
+            axis_row("travel", self.travel, 1e3, "mm, mrad"),
+            axis_row("energy taken", energy.taken, 1e3, "mJ"),
+            *([] if beside is None else [axis_row("  simulated", beside.energy.taken, 1e3, "mJ")]),
+            axis_row("  least", energy.least, 1e3, "mJ"),
+            axis_row(*work, 1e3, "mJ"),
+            axis_row("unrecorded force", self.unexplained, 1e3, "mN, mN m"),
+        ]
+        return Table("", ("", *AXES, ""), rows)
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
-        figures = {name: plain(value) for name, value in asdict(self).items() if isinstance(value, float)}
-        hardness = {f"{name}_hardness": plain(float(value)) for name, value in self.hardness._asdict().items()}
-        contacts = [{name: plain(value) for name, value in one._asdict().items()} for one in self.contacts]
-        return {"axis": AXES[self.axis], **figures, **hardness, "contacts": contacts}
+        kept = {name: plain(getattr(self, name)) for name in ("samples", "missed", "start", "end", "faces", "friction")}
+        axes = {"travel": self.travel, "peak_force": self.peak_force, "unexplained_force": self.unexplained}
+        return {**kept, **by_axis(axes), "energy": by_axis(self.energy._asdict())}
+
+
+def by_axis(values: Mapping[str, Array]) -> dict[str, Any]:
+    """Return values (6,) by the names of their axes, ready for JSON."""
+    return {name: dict(zip(AXES, plain(six))) for name, six in values.items()}
+
+
+def axis_row(label: str, values: Array, scale: float, unit: str) -> tuple[str, ...]:
+    """Return a row of a table with values of each axis, rounding errors as 0."""
+    return label, *(number_text(v * scale, 3, 2) if abs(v) >= _NOTHING else "0" for v in values.tolist()), unit
+
+
+def _walls(faces: Sequence[FaceFigures], beside: StretchFigures | None) -> Table:
+    """Return the table of walls, and of their simulation."""
+    axis = faces[0].axis
+    small, force = unit_of("mm", axis), unit_of("N", axis)
+    hard = "N/mm" if axis in AXES[:3] else unit_of("N/m", axis)
+    units = {"depth": small, "rebound": small, "peak": force, "settling": "ms, 2 %", "rate": hard, "extended": hard}
+    rows = []
+    for face in faces:
+        rows.append((face.name, *face.row()))
+        if beside is not None:
+            twins = [one.row() for one in beside.faces if (one.axis, one.normal) == (face.axis, face.normal)]
+            rows.append(("  simulated", *next(iter(twins), ["0.00", *["-"] * 5, "0"])))
+    return Table("", ("wall", *(with_unit(*one) for one in units.items()), "contacts"), rows)
+
+
+def _contacts(faces: Sequence[FaceFigures]) -> Table:
+    """Return the table of contacts, the first ones, by time."""
+    small, force = unit_of("mm", faces[0].axis), unit_of("N", faces[0].axis)
+    units = {"at": "s", "for": "ms", "approach": f"{small}/s", "depth": small, "peak": force}
+    contacts = [(one.start, face.name, one) for face in faces for one in face.contacts]
+    contacts.sort(key=lambda row: (round(row[0], 7), row[1]))  # rounding does not order those at the same time
+    rows = []
+    for start, name, one in contacts[:_CONTACTS_SHOWN]:
+        figures = (one.duration * 1e3, one.approach_speed * 1e3, one.penetration * 1e3, one.peak_force)
+        rows.append((name, f"{start:.4f}", *(number_text(figure, 3, 2) for figure in figures)))
+    more = len(contacts) - len(rows)
+    head = "contact", *(with_unit(*one) for one in units.items())
+    return Table("", head, rows, f"and {more} more: see --json" if more else "")
+
+
+def _friction(axes: Mapping[str, StickSlip]) -> Table:
+    """Return the table of slips and stick positions."""
+    rows = []
+    for axis, friction in axes.items():
+        longest = number_text(max(stick.duration for stick in friction.sticks) * 1e3, 3, 2)
+        places = [f"{stick.position * 1e3:.3f}" for stick in friction.sticks[:_STICKS_SHOWN]]
+        more = len(friction.sticks) - len(places)
+        stuck = f"{', '.join(places)}{f' and {more} more' if more else ''} {unit_of('mm', axis)}"
+        rows.append((axis, friction.slips, longest, stuck))
+    return Table("", ("friction", "slips", "longest stuck [ms]", "stuck at"), rows)
 
 
 def face_figures(
-    trace: Trace, face: tuple[int, float, float], *, rest: float | None = None, window: float = HARDNESS_WINDOW
+    trace: Trace, face: Face, *, rest: float | None = None, window: float = HARDNESS_WINDOW
 ) -> FaceFigures | None:
     """Return the figures of a wall, None if untouched.
 
@@ -108,17 +298,19 @@ def face_figures(
     resting = float(tail.mean()) if rest is None else normal * (rest - edge)
     bounce = summarise_bounce(line, resting, axis=0)
     settled = float(bounce.settling_time)
+    hardness = _hardness(line, contacts, window)
     return FaceFigures(
-        axis=axis,
+        axis=AXES[axis],
         normal=float(normal),
         edge=float(edge),
-        contacts=[contact._replace(start=contact.start + begin) for contact in contacts],
         penetration=float(bounce.penetration),
         rebound=float(bounce.rebound),
         peak_force=float(bounce.peak_force),
         settling_time=settled if settled <= end * (1.0 - _REST) else math.nan,
         rest=edge + normal * resting,
-        hardness=_hardness(line, contacts, window),
+        rate_hardness=float(hardness.rate),
+        extended_hardness=float(hardness.extended),
+        contacts=[contact._replace(start=contact.start + begin) for contact in contacts],
     )
 
 
@@ -185,13 +377,13 @@ class _Curve(NamedTuple):
             entered.insert(0, (0, float(self.time[0]), math.nan))
         if self.inside[-1]:
             left.append((len(self.time) - 1, float(self.time[-1])))
-        found = []
+        contacts = []
         for (first, start, speed), (last, end) in zip(entered, left, strict=True):
             depth = -float(self.place[first : last + 1].min())
             # from the piece on in which the wall is entered
             force = float(np.abs(self.force[max(first - 1, 0) : max(last, first) + 1]).max())
-            found.append(Contact(start, end - start, speed, depth, force))
-        return found
+            contacts.append(Contact(start, end - start, speed, depth, force))
+        return contacts
 
     def _crossing(self, place: int) -> tuple[float, float]:
         """Return time and speed of an edge crossing.
@@ -214,3 +406,66 @@ def _woven(knots: Array, between: Array) -> Array:
     woven = np.empty(2 * len(knots) - 1)
     woven[0::2], woven[1::2] = knots, between
     return woven
+
+
+def stretch_figures(
+    motion: Motion, metadata: RunMetadata, ticks: Array, hand: Array, anchors: Array | None, rest: float | None = None
+) -> StretchFigures:
+    """Return the figures of a stretch of N samples.
+
+    Args:
+        motion: The motion through them.
+        metadata: Metadata of the stretch.
+        ticks: Numbers of the samples, (N,).
+        hand: Wrench of the hand from each sample on [N, N m], (N, 6).
+        anchors: Stick positions at each sample [m, rad], (N, 6), NaN while sliding; None without friction.
+        rest: Rest position at a wall [m, rad]; found from the samples by default.
+    """
+    trace = motion.trace
+    faces = [figures for face in metadata.faces if (figures := face_figures(trace, face, rest=rest)) is not None]
+    lines = np.full((len(ticks), len(AXES)), np.nan) if anchors is None else anchors
+    stuck = np.isfinite(lines)
+    return StretchFigures(
+        samples=len(ticks),
+        missed=round(float(ticks[-1] - ticks[0])) + 1 - len(ticks),
+        start=float(motion.time[0]),
+        end=float(motion.time[-1]),
+        travel=np.ptp(trace.pose, axis=0),
+        peak_force=np.abs(trace.wrench[:-1]).max(axis=0),
+        faces=faces,
+        untouched=len(metadata.faces) - len(faces),
+        energy=_energy(motion, metadata, hand),
+        unexplained=np.sqrt((motion.unexplained**2).mean(axis=0)),
+        friction={
+            AXES[axis]: _stick_slip(motion.time, stuck[:, axis], lines[:, axis])
+            for axis in np.flatnonzero(stuck.any(axis=0))
+        },
+    )
+
+
+def _energy(motion: Motion, metadata: RunMetadata, hand: Array) -> Energy:
+    """Return the energy balance of each axis.
+
+    Each force is paired with the displacement during its action.
+    """
+    taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, metadata.carried), axis=0)])
+    places = motion.trace.pose[motion.starts]
+    work = hand_work(places, hand).sum(axis=0) if metadata.hand_recorded else np.full(len(AXES), np.nan)
+    return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * np.diff(places, axis=0)).sum(axis=0))
+
+
+def _stick_slip(time: Array, stuck: Mask, anchors: Array) -> StickSlip:
+    """Return the stick-slip motion of an axis that sticks at some samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], stuck, [False]]).astype(np.int8)))
+    final = len(time) - 1
+    sticks = [
+        Stick(
+            float(time[first]),
+            float(time[min(last, final)] - time[first]),
+            float(anchors[last - 1]),
+            bool(last <= final),
+        )
+        for first, last in edges.reshape(-1, 2)
+    ]
+    slips = sum(stick.slipped for stick in sticks)
+    return StickSlip(slips, slips + sum(stick.start > time[0] for stick in sticks), sticks)

@@ -8,28 +8,36 @@ actual stiffness of a wall; see `output_error`.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from itertools import groupby
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from maglev_mj.analysis.commands import CommandedLaw, fit_law, is_inside
-from maglev_mj.analysis.estimates import (
+from maglev_mj.analysis.contacts import OfWall
+from maglev_mj.analysis.fit import (
+    ROUNDING,
+    SLOW,
+    CommandedLaw,
     Estimate,
-    Friction,
-    Identification,
-    OfAxis,
-    OfWall,
-    find_noise,
-    find_quantum,
+    Fit,
+    Forces,
+    Windows,
+    estimate_noise,
+    estimate_quantum,
+    fit,
+    fit_law,
+    is_inside,
 )
 from maglev_mj.analysis.motion import reconstruct
-from maglev_mj.analysis.output_error import SLOW, Fit, Forces, Windows, fit
 from maglev_mj.errors import check_instance
-from maglev_mj.frames import Array, Mask
+from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.recording import RunMetadata, Stretch
 from maglev_mj.recording.recording import READ_STRETCH
 from maglev_mj.recording.sample import Face
+from maglev_mj.result import Table, plain
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.closed_loop import MOST_PERIODS
 from maglev_mj.timeline import recorded_switches, split_delay
@@ -43,7 +51,7 @@ _UNEXPLAINED = 3e-3
 """Least share of motion of a relevant unrecorded force."""
 _GYRATION = 0.036
 """Radius of gyration of the flotor [m]."""
-_NOT_LINEAR, _ROUNDING = 0.02, 64.0 * float(np.finfo(np.float64).eps)
+_NOT_LINEAR, _DECIMALS = 0.02, 4
 _STILL = 1e-9
 """Largest travel of an axis at rest [m, rad]."""
 _HOLDS = 0.5
@@ -51,6 +59,206 @@ _HOLDS = 0.5
 
 Above it, friction after a slip counts as going on.
 """
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisEstimates:
+    """Identified quantities of a coordinate, independent of the law.
+
+    Attributes:
+        inertia: Moving mass or moment of inertia, if the forces are as commanded [kg, kg m²].
+        delay: Time from a sample to the switch of the force [s].
+        force_error: Constant force beyond the recorded load and carrying command [N, N m].
+        noise: Standard deviation of the sensor's noise before quantization [m, rad].
+        quantum: Step of the positions [m, rad].
+    """
+
+    inertia: Estimate
+    delay: Estimate
+    force_error: Estimate
+    noise: Estimate
+    quantum: Estimate
+
+
+@dataclass(frozen=True, kw_only=True)
+class WallEstimates(OfWall):
+    """Identified quantities of a wall.
+
+    Attributes:
+        stiffness: Stiffness from the motion, with the recorded mass of the flotor [N/m, N m/rad].
+        damping: Damping from the motion, with the recorded mass of the flotor [N s/m, N m s/rad].
+        commanded_stiffness: Slope of the commands over the measured position [N/m, N m/rad].
+        commanded_damping: Slope of the commands over its difference quotient [N s/m, N m s/rad].
+        share: Stiffness over the largest stable stiffness at this damping and delay.
+    """
+
+    stiffness: Estimate
+    damping: Estimate
+    commanded_stiffness: Estimate
+    commanded_damping: Estimate
+    share: Estimate
+
+    @classmethod
+    def of(cls, face: Face, **estimates: Estimate) -> Self:
+        """Return the estimates of a wall given by index of the axis, normal and edge."""
+        axis, normal, edge = face
+        return cls(axis=AXES[axis], normal=normal, edge=edge, **estimates)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction:
+    """Identified friction of an axis.
+
+    Attributes:
+        stiffness: Stiffness while stuck, from the motion [N/m, N m/rad].
+        commanded_stiffness: Stiffness while stuck, slope of the commands [N/m, N m/rad].
+        breakaway: Largest friction before slip, as commanded [N, N m].
+        sliding: Friction while sliding that does not depend on the speed, as commanded [N, N m].
+        damping: Total viscous damping on the axis, as commanded [N s/m, N m s/rad].
+    """
+
+    stiffness: Estimate
+    commanded_stiffness: Estimate
+    breakaway: Estimate
+    sliding: Estimate
+    damping: Estimate
+
+
+def _every(kind: type[AxisEstimates | WallEstimates | Friction], estimate: Estimate) -> dict[str, Estimate]:
+    """Return the same estimate for all quantities."""
+    return {one.name: estimate for one in fields(kind) if one.type == "Estimate"}
+
+
+class _Row(NamedTuple):
+    """Row of the table of identified quantities.
+
+    Owner, name, estimate, scale and unit of the estimate and of its residual.
+    """
+
+    whose: str
+    name: str
+    estimate: Estimate
+    scale: float
+    unit: str
+    left_scale: float
+    left_unit: str
+
+    @classmethod
+    def of(
+        cls, whose: str, axis: str, name: str, estimate: Estimate, unit: str, left: str = "µm", scale: float = 1.0
+    ) -> Self:
+        """Return a row with the units of a translation made those of the axis."""
+        return cls(whose, name, estimate, scale, unit_of(unit, axis), 1e6 if left == "µm" else 1.0, unit_of(left, axis))
+
+    def cells(self) -> tuple[str, ...]:
+        """Return an identified quantity as texts, its value rounded to two digits of its error."""
+        one = self.estimate
+        value, error = one.value * self.scale, one.standard_error * self.scale
+        decimals = min(max(1 - math.floor(math.log10(error)), 0), _DECIMALS) if error > 0.0 else _DECIMALS
+        return (
+            f"{'  ' if self.whose else ''}{self.name}",
+            f"{round(value, decimals) + 0.0:.{decimals}f}",
+            f"{error:.2g}" if error < 100.0 else f"{error:.0f}",
+            self.unit,
+            f"{one.residual * self.left_scale:.2g} {self.left_unit}",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identification:
+    """All quantities identified from a stretch.
+
+    Attributes:
+        axes: Quantities of each axis that moves, by its name.
+        walls: Every plane of a wall.
+        friction: Friction of each axis that has some, by its name.
+        samples: Largest number of samples used on an axis.
+        of: Number of samples in the stretch.
+    """
+
+    axes: Mapping[str, AxisEstimates]
+    walls: Sequence[WallEstimates]
+    friction: Mapping[str, Friction]
+    samples: int
+    of: int
+
+    @property
+    def delay(self) -> Estimate:
+        """Delay from the axis with the smallest error [s]."""
+        delays = [one.delay for one in self.axes.values()] or [Estimate(why="nothing moves")]
+        return min(delays, key=lambda one: one.standard_error if one.known else math.inf)
+
+    @property
+    def outside(self) -> list[str]:
+        """Quantities outside the ranges in which the intervals were tested, in words.
+
+        See docs/explanation/analysis.md.
+        """
+        beyond = [
+            f"{one.name} at {one.share.value:.0%} of the limit" for one in self.walls if one.share.beyond(0.1, 0.8)
+        ]
+        for axis, friction in self.friction.items():
+            if axis in AXES[:3] and friction.breakaway.beyond(0.5, 3.0):
+                beyond.append(f"breakaway {friction.breakaway.value:.2g} N on {axis}")
+        for axis, one in self.axes.items():
+            if axis in AXES[:3] and (one.noise.beyond(0.0, 5.05e-6) or one.quantum.beyond(0.0, 5.05e-6)):
+                beyond.append(f"noise or steps above 5 µm on {axis}")
+        return beyond
+
+    def _rows(self) -> Iterator[_Row]:
+        best = next((axis for axis, one in self.axes.items() if one.delay is self.delay), AXES[0])
+        yield _Row.of("", best, "effective delay", self.delay, "ms", scale=1e3)
+        for wall in self.walls:
+            name, axis = wall.name, wall.axis
+            yield _Row.of(name, axis, "stiffness", wall.stiffness, "N/m")
+            yield _Row.of(name, axis, "damping", wall.damping, "N s/m")
+            yield _Row.of(name, axis, "of largest stable", wall.share, "%", scale=1e2)
+            yield _Row.of(name, axis, "commanded stiffness", wall.commanded_stiffness, "N/m", "N")
+            yield _Row.of(name, axis, "commanded damping", wall.commanded_damping, "N s/m", "N")
+        for axis, friction in self.friction.items():
+            name = f"friction on {axis}"
+            yield _Row.of(name, axis, "stiffness", friction.stiffness, "N/m")
+            yield _Row.of(name, axis, "commanded stiffness", friction.commanded_stiffness, "N/m", "N")
+            yield _Row.of(name, axis, "breakaway", friction.breakaway, "N", "N")
+            yield _Row.of(name, axis, "sliding", friction.sliding, "N", "N")
+            yield _Row.of(name, axis, "damping", friction.damping, "N s/m", "N")
+        for axis, one in self.axes.items():
+            if axis in AXES[:3]:
+                yield _Row.of(axis, axis, "mass", one.inertia, "kg")
+            else:
+                yield _Row.of(axis, axis, "moment of inertia", one.inertia, "g m²", scale=1e3)
+            yield _Row.of(axis, axis, "force not compensated", one.force_error, "mN", scale=1e3)
+            yield _Row.of(axis, axis, "noise", one.noise, "µm", scale=1e6)
+            yield _Row.of(axis, axis, "steps", one.quantum, "µm", scale=1e6)
+
+    def table(self) -> Table:
+        """Return a row for each identified quantity, and the reasons for the others below."""
+        rows: list[tuple[str, ...]] = []
+        unknown: dict[tuple[str, str], list[str]] = {}
+        heading = ""
+        for (whose, why), group in groupby(self._rows(), key=lambda row: (row.whose, row.estimate.why)):
+            quantities = list(group)
+            if why:
+                unknown.setdefault((", ".join(row.name for row in quantities), why), []).append(whose)
+                continue
+            if whose not in ("", heading):
+                rows.append((whose, *[""] * 4))
+            heading = whose
+            rows += [row.cells() for row in quantities]
+        remarks = []
+        for (names, why), owners in unknown.items():
+            whose = f" of {', '.join(owners)}" if any(owners) else ""
+            remarks.append(f"not identified: {names}{whose}: {why}")
+        if self.outside:
+            remarks.append(f"outside the ranges in which errors were tested: {', '.join(self.outside)}")
+        if self.samples < self.of:
+            remarks.append(f"from {self.samples} of {self.of} samples: docs/explanation/analysis.md says which")
+        return Table("", ("identified", "value", "std. error", "unit", "residual"), rows, "\n".join(remarks))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        kept = {one.name: plain(getattr(self, one.name)) for one in fields(self)}
+        return {"outside": self.outside, "delay": plain(self.delay), **kept}
 
 
 def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: Array | None = None) -> Identification:
@@ -75,31 +283,29 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
         (True, True)
     """
     check_instance("stretch", stretch, Stretch, READ_STRETCH)
-    known = stretch.metadata if metadata is None else metadata
-    axes: dict[int, OfAxis] = {}
-    walls: list[OfWall] = []
-    friction: dict[int, Friction] = {}
+    run = stretch.metadata if metadata is None else metadata
+    axes: dict[str, AxisEstimates] = {}
+    walls: list[WallEstimates] = []
+    friction: dict[str, Friction] = {}
     used = 0
-    for axis in range(6):
-        stuck = None if anchors is None or not np.isfinite(anchors[:, axis]).any() else anchors[:, axis]
-        faces = [face for face in known.faces if face[0] == axis]
-        one = None
+    for index, name in enumerate(AXES):
+        stuck = None if anchors is None or not np.isfinite(anchors[:, index]).any() else anchors[:, index]
+        faces = [face for face in run.faces if face[0] == index]
+        axis = None
         if len(stretch) < _LEAST_SAMPLES:
             why = f"only {len(stretch)} samples"
-        elif not np.ptp(stretch.position[:, axis]) > _STILL:
+        elif not np.ptp(stretch.position[:, index]) > _STILL:
             why = "the axis does not move"
         else:
-            one, why = _Axis.of(stretch, known, axis, stuck), "too few samples without a gap"
-        if one is None:
-            walls += [OfWall.untold(face, why) for face in faces]
-            if stuck is not None:
-                friction[axis] = Friction.untold(why)
-            continue
-        axes[axis] = one.told
-        used = max(used, int(one.used.sum()))
-        walls += [one.wall(face) for face in faces]
+            axis, why = _Axis.of(stretch, run, index, stuck), "too few samples without a gap"
+        if axis is None:
+            walls += [WallEstimates.of(face, **_every(WallEstimates, Estimate(why=why))) for face in faces]
+        else:
+            axes[name] = axis.estimates
+            used = max(used, int(axis.used.sum()))
+            walls += [axis.wall(face) for face in faces]
         if stuck is not None:
-            friction[axis] = one.friction()
+            friction[name] = Friction(**_every(Friction, Estimate(why=why))) if axis is None else axis.friction()
     return Identification(axes=axes, walls=walls, friction=friction, samples=used, of=len(stretch))
 
 
@@ -200,7 +406,7 @@ class _Axis:
                 np.append(fixed, [np.nan] * 2),
             )
         forces = Forces(time=time, switch=switch, late=levels, before=before, speed=speed, way=way)
-        floor = _ROUNDING * float(np.abs(self.place).max())
+        floor = ROUNDING * float(np.abs(self.place).max())
         return fit(
             forces,
             self.windows,
@@ -272,21 +478,17 @@ class _Axis:
         return "" if self.pushed else "the force on it does not change by more than noise"
 
     @cached_property
-    def told(self) -> OfAxis:
+    def estimates(self) -> AxisEstimates:
         """Quantities identified from the motion, independent of the law."""
         motion = self.motion
-        quantum = find_quantum(self.place[self.used])
+        quantum = estimate_quantum(self.place[self.used])
         if self.disturbed:
-            return OfAxis(
-                **dict.fromkeys(
-                    ("inertia", "delay", "force_error", "noise"), Estimate(why=self._why, residual=motion.residual)
-                ),
-                quantum=quantum,
-            )
+            unknown = Estimate(why=self._why, residual=motion.residual)
+            return AxisEstimates(**_every(AxisEstimates, unknown) | {"quantum": quantum})
         step = quantum.value if quantum.known else 0.0
         rows = self.windows.rows
         moving = np.abs(self.place[np.minimum(rows + 1, len(self.place) - 1)] - self.place[np.maximum(rows - 1, 0)])
-        noise = find_noise(motion, self.windows.there, moving > 2.0 * step, step)
+        noise = estimate_noise(motion, self.windows.there, moving > 2.0 * step, step)
         inertia = delay = Estimate(why=self._why)
         mass = self.inertia
         if not self._why:
@@ -300,7 +502,7 @@ class _Axis:
         slope[:2] = -motion.values[1] * mass**2 * (not self._why), mass
         force = mass * motion.values[1] - float(self.metadata.load[self.axis])
         error = Estimate.of(force, _error(motion, slope), motion.degrees, motion.residual)
-        return OfAxis(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
+        return AxisEstimates(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
 
     def _late(self, found: Fit) -> Estimate:
         if found.moves[-1] < _CLEAR * found.residual or found.errors[-1] > _MOST_DELAY * self.metadata.period:
@@ -356,14 +558,15 @@ class _Axis:
             self.inertia * found.values[index], self.inertia * found.errors[index], found.degrees, found.residual
         )
 
-    def wall(self, face: Face) -> OfWall:
+    def wall(self, face: Face) -> WallEstimates:
         """Return the identified quantities of a wall."""
         if face not in self.faces:
             count = int((is_inside(self.place, face) & self.used).sum())
-            return OfWall.untold(face, f"only {count} samples in it" if count else "it was not touched")
+            unknown = Estimate(why=f"only {count} samples in it" if count else "it was not touched")
+            return WallEstimates.of(face, **_every(WallEstimates, unknown))
         spring, damper = (("stiffness", self.faces.index(face)), ("damping", self.faces.index(face)))
-        return OfWall(
-            face=face,
+        return WallEstimates.of(
+            face,
             stiffness=self._shown(spring),
             damping=self._shown(damper),
             commanded_stiffness=self._commanded(spring),
@@ -441,9 +644,11 @@ class _Axis:
         held = float(force[stuck & self.used].max())
         broke = float((stiffness.value * np.abs(anchors[last] - self.place[last + 1])).min())
         middle, width = 0.5 * (held + broke), abs(broke - held)
-        reach = 0.485 * width + stiffness.error / stiffness.value * middle
+        reach = 0.485 * width + stiffness.standard_error / stiffness.value * middle
         error = width / math.sqrt(12.0)
-        return Estimate(value=middle, error=error, low=middle - reach, high=middle + reach, residual=law.residual)
+        return Estimate(
+            value=middle, standard_error=error, low=middle - reach, high=middle + reach, residual=law.residual
+        )
 
 
 def _error(found: Fit, weights: Array) -> float:

@@ -22,6 +22,7 @@ from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number
 from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
+from maglev_mj.result import Table
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.parts import WEIGHT
@@ -40,6 +41,7 @@ from maglev_mj.session import (
     own_code_refused,
 )
 from maglev_mj.spec import GRAVITY
+from maglev_mj.terminal import wrapped
 from maglev_mj.theory import stability
 
 _USUAL = 100  # answers whose median is the usual delay: one late answer makes no loop unstable
@@ -161,6 +163,13 @@ class LoopTiming:
         }
         return {name: one for name, one in kinds.items() if one.count}
 
+    def table(self, warning: str = "") -> Table:
+        """Return the latencies, with a warning below; empty for a loop that did not run."""
+        rows = [
+            (name, *(f"{part * 1e3:.3f}" for part in (one.p50, one.p99, one.max))) for name, one in self.kinds.items()
+        ]
+        return Table("", ("milliseconds", "median", "99 %", "most"), rows, warning and f"warning: {warning}")
+
 
 def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float], expected: float) -> str:
     """Return a warning if the measured delay exceeds the expected.
@@ -200,6 +209,10 @@ class FlightReport(NamedTuple):
     skipped: int
     wall_time: float
     landing: LandingReport
+
+    def __str__(self) -> str:
+        first = f"  {self.wall_time:.1f} s, {self.ticks} samples, {self.lost} lost, {self.skipped} skipped"
+        return "\n".join([first, *wrapped(str(self.landing), further="    ")])
 
 
 class Flight:

@@ -9,7 +9,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, Effect, InjectedFa
 from maglev_mj.bridge.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.wire import Codec, Fault, StateReport
+from maglev_mj.bridge.wire import Codec, Fault, State, StateReport, fault_names
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.hand import HandForce
@@ -30,6 +30,7 @@ from maglev_mj.net.udp import Address, Server
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.spec import Spec
+from maglev_mj.terminal import wrapped
 
 REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
 """Pose at rest on the lower stop [m, rad]."""
@@ -299,12 +300,37 @@ _ESTOP = b"\x07"
 
 
 class ServerReport(NamedTuple):
-    """Statistics of a twin server."""
+    """Statistics of a twin server.
 
-    ticks: int  # samples taken
-    missed: int  # periods for which simulated time stood still because the machine did
-    wall_time: float  # [s]
-    latency: LatencyHistogram  # of the samples, in real time
+    Attributes:
+        ticks: Samples taken.
+        missed: Periods for which simulated time stood still because the machine did.
+        wall_time: Duration in real time [s].
+        latency: Latency of the samples in real time.
+        ignored: Ignored frames by reason.
+        state: State of the device at the end.
+        faults: Its latched faults.
+    """
+
+    ticks: int
+    missed: int
+    wall_time: float
+    latency: LatencyHistogram
+    ignored: Mapping[str, int]
+    state: State
+    faults: Fault
+
+    def __str__(self) -> str:
+        rate = self.ticks / max(self.wall_time, 1e-9)
+        lines = [f"  {self.wall_time:.1f} s, {self.ticks} samples, {rate:.0f} a second, {self.missed} periods stalled"]
+        if self.latency.count:
+            median, most = self.latency.p50 * 1e6, self.latency.p99 * 1e3
+            lines.append(f"  late by {median:.0f} µs in the median, {most:.2f} ms at 99 %")
+        if self.ignored:
+            counts = ", ".join(f"{count} for {reason}" for reason, count in sorted(self.ignored.items()))
+            lines += wrapped(f"frames ignored: {counts}", further="    ")
+        lines += wrapped(f"{self.state.name.lower()}, faults: {fault_names(self.faults)}", further="    ")
+        return "\n".join(lines)
 
 
 class TwinServer:
@@ -360,7 +386,8 @@ class TwinServer:
         finally:
             twin.board.cut()
         wall = (time.monotonic_ns() - start) * 1e-9
-        return ServerReport(twin.tick + 1, self.missed, wall, self.latency)
+        device, ignored = twin.firmware, twin.firmware.counts + twin.codec.dropped
+        return ServerReport(twin.tick + 1, self.missed, wall, self.latency, ignored, device.state, device.faults)
 
     def stop(self) -> None:
         """Stop `run`, from any thread."""

@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from maglev_mj import plots
-from maglev_mj.analysis import Analysed, analyse
+from maglev_mj.analysis import StretchReport, analyse
+from maglev_mj.analysis.pictures import first_contact, sticks, whole_run
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_outputs, count, number_option
 from maglev_mj.cli.output import write_json
@@ -19,8 +19,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.parameters import axis_indices, number
 from maglev_mj.pictures import PictureFolder
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
-from maglev_mj.replay import OwnCode, rebuild_for, stick_positions_of, unmade_plant
-from maglev_mj.tables import analysis_table
+from maglev_mj.session.replay import OwnCode, rebuild_for, stick_positions_of, unmade_plant
 from maglev_mj.terminal import printable, wrapped
 from maglev_mj.versions import versions_read
 
@@ -80,7 +79,8 @@ def _analyse(options: argparse.Namespace) -> int:
         for (place, one), axis in zip(found, axes, strict=True):
             drawn += _draw(one, axis, pictures, f"stretch_{place}_" if several else "analysis_")
     if options.json != "-":
-        print("\n\n".join(analysis_table(one, place, len(stretches)) for place, one in found))
+        heads = [f"stretch {place} of {len(stretches)}\n" if several else "" for place, _ in found]
+        print("\n\n".join(f"{head}{one.table()}" for head, (_, one) in zip(heads, found)))
         damage = [f"{options.file}: {recording.damage}"] if recording.damage else []
         for line in [*damage, *recording.events, *drawn]:
             print("\n".join(wrapped(printable(line), further="    ")))
@@ -105,7 +105,7 @@ def _chosen(stretches: Sequence[Stretch], options: argparse.Namespace) -> list[t
     return usable
 
 
-def _found(stretch: Stretch, options: argparse.Namespace, own: OwnCode | None) -> Analysed:
+def _found(stretch: Stretch, options: argparse.Namespace, own: OwnCode | None) -> StretchReport:
     again = rebuild_for(stretch, own)
     anchors = stick_positions_of(stretch, again)
     part = {
@@ -116,15 +116,15 @@ def _found(stretch: Stretch, options: argparse.Namespace, own: OwnCode | None) -
     return analyse(stretch, again, anchors=anchors, scene=own.scene if own else None, **part)
 
 
-def _draw(analysed: Analysed, axis: int, pictures: PictureFolder, stem: str) -> list[str]:
+def _draw(analysed: StretchReport, axis: int, pictures: PictureFolder, stem: str) -> list[str]:
     """Draw a stretch; return lines about written and missing pictures."""
-    wrote = [f"wrote {plots.whole_run(analysed, axis, pictures.path(f'{stem}run'))}"]
-    if any(face.axis == axis for face in analysed.recorded.figures.faces):
-        wrote.insert(0, f"wrote {plots.first_contact(analysed, axis, pictures.path(f'{stem}contact'))}")
+    wrote = [f"wrote {whole_run(analysed, axis, pictures.path(f'{stem}run'))}"]
+    if any(face.axis == AXES[axis] for face in analysed.recorded.figures.faces):
+        wrote.insert(0, f"wrote {first_contact(analysed, axis, pictures.path(f'{stem}contact'))}")
     else:
         wrote.append(f"no wall was touched on {AXES[axis]}: no picture of a contact")
     if analysed.recorded.anchors is not None:
-        wrote.append(f"wrote {plots.sticks(analysed.recorded, pictures.path(f'{stem}sticks'))}")
+        wrote.append(f"wrote {sticks(analysed.recorded, pictures.path(f'{stem}sticks'))}")
     else:
         wrote.append("there is no friction: no picture of where it sticks")
     return wrote

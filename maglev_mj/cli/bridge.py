@@ -33,7 +33,7 @@ from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot, device_actions
-from maglev_mj.tables import flown_table, latched_table, timing_table
+from maglev_mj.tables import latched_table
 from maglev_mj.terminal import say, wrapped
 
 _IDENTIFYING = 10.0
@@ -168,10 +168,11 @@ def _fly(
             try:
                 report = flight.run(options.seconds)
             except BaseException:
-                with suppress(OSError):  # a closed output must not hide the fault
-                    print(timing_table(flight.timing, flight.warning), end="", flush=True)
+                if text := str(flight.timing.table(flight.warning)):
+                    with suppress(OSError):  # a closed output must not hide the fault
+                        print(text, flush=True)
                 raise
-            print(flown_table(report), timing_table(flight.timing, flight.warning), sep="\n", end="", flush=True)
+            print(report, flight.timing.table(flight.warning), sep="\n", flush=True)
 
 
 def _warn(text: str) -> None:

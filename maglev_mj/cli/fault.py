@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from maglev_mj import plots
 from maglev_mj.bridge.fault import load_black_box
+from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.tables import fault_table
@@ -27,5 +27,5 @@ def _fault(options: argparse.Namespace) -> int:
     record = load_black_box(options.file)
     print(fault_table(record, whole=options.all))
     if pictures is not None:
-        print(f"  wrote {plots.last_cycles(record, pictures.path(options.file.stem))}")
+        print(f"  wrote {last_cycles(record, pictures.path(options.file.stem))}")
     return 0

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import AbstractContextManager, nullcontext
 from inspect import getdoc
+from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser, offer
 from maglev_mj.cli.options import add_outputs, add_parameters, add_recording, count, number_option
@@ -13,7 +15,7 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
 from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.run import run_variants
+from maglev_mj.scenes.run import Begin, run_variants
 from maglev_mj.scenes.scene import Scene
 
 
@@ -54,24 +56,25 @@ def _run(options: argparse.Namespace) -> int:
     scene = chosen_scene(options)
     pictures = chosen_pictures(options)
     warn_of_instability(scene)
-    recorded = []
-    if options.record is not None:
-        from maglev_mj.replay import write_run  # with all that reads and writes recordings
-
-        with Progress("recording"):
-            recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
     alone = options.json == "-" and pictures is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
     banded = pictures is not None and scene.drawn_phases and "exact" in scene.plants
     bands = (options.phases or scene.drawn_phases) if banded else None
+    written = list[Path]()
+    recording: AbstractContextManager[Begin | None] = nullcontext()
+    if options.record is not None:
+        from maglev_mj.session.replay import recorded_to  # with all that reads and writes recordings
+
+        recording = recorded_to(options.record, written)
     try:
-        with Progress(scene.name) as progress:
+        with Progress(scene.name) as progress, recording as begin:
             results = run_variants(
                 variants,
                 plant=options.plant,
                 phase=options.phase,
                 phases=options.phases,
                 bands=bands,
+                begin=begin,
                 compare=options.json != "-",
                 progress=progress,
             )
@@ -83,6 +86,6 @@ def _run(options: argparse.Namespace) -> int:
         results.as_json,
         lambda: str(results.table()),
         lambda folder: [results.plot(folder.path(name), picture=name) for name in results.pictures],
-        recorded,
+        written,
     )
     return 0

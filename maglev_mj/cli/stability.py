@@ -18,7 +18,7 @@ from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Record
 from maglev_mj.studies.nonlinear import PART, DropMapParameters, run_drop_map
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
-from maglev_mj.tables import loop_table
+from maglev_mj.terminal import wrapped
 from maglev_mj.theory import stability
 
 _RANGES = "damping", "stiffness"
@@ -58,7 +58,8 @@ def _verdict(options: argparse.Namespace) -> int:
     scene: Scene = chosen(options, options.scene_class)
     found = stability(scene)
     data = {"scene": scene.name, "parameters": scene.as_json(), **found.as_json()}
-    write_results(options, lambda: data, lambda: loop_table(scene, found))
+    heading = "\n".join(wrapped(f"{scene.name}: {scene.describe()}", "", "  "))
+    write_results(options, lambda: data, lambda: f"{heading}\n{found.table()}")
     return 0
 
 

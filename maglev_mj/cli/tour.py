@@ -12,8 +12,7 @@ from maglev_mj.cli.web import add_web, chosen_page, show_session
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
 from maglev_mj.session import Session
-from maglev_mj.tables import show_table
-from maglev_mj.tour import Tour
+from maglev_mj.session.tour import Tour
 
 
 def add_options(parser: Parser) -> None:
@@ -38,7 +37,7 @@ def _tour(options: argparse.Namespace) -> int:
         for device in devices:
             device.act = session.act
         try:
-            print(show_table(show_session(Tour(session), page, options.out, seconds)))
+            print(show_session(Tour(session), page, options.out, seconds))
         finally:
             for path in session.recordings:
                 print(f"  wrote {path}")

@@ -37,7 +37,6 @@ from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import EMERGENCY_STOP, Publishers, SampledMotion, Snapshot
 from maglev_mj.spec import INERTIA, Spec
-from maglev_mj.tables import served_table
 
 _LISTEN = "udp://127.0.0.1:5678"
 
@@ -128,7 +127,7 @@ def _twin(options: argparse.Namespace) -> int:
             print(f"  not in real time: {complaint}", flush=True)
         with stopping(server.stop):
             served = server.run(seconds, (lambda: [show() for show in shown]) if shown else None)
-    print(served_table(served, twin))
+    print(served)
     return 0
 
 

@@ -14,7 +14,6 @@ from maglev_mj.cli.web import add_web, chosen_page, show_session
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
 from maglev_mj.session import Session
-from maglev_mj.tables import show_table
 
 
 def add_options(parser: Parser) -> None:
@@ -65,7 +64,7 @@ def _view(options: argparse.Namespace) -> int:
         for device in devices:
             device.act = session.act
         try:
-            print(show_table(show_session(session, page, options.out, seconds)))
+            print(show_session(session, page, options.out, seconds))
         finally:
             for path in session.recordings:  # after any error the user needs their paths
                 print(f"  wrote {path}")

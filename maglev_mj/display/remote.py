@@ -29,11 +29,11 @@ from maglev_mj.session import (
     Snapshot,
     SnapshotSource,
     Wish,
-    actions,
     own_code_refused,
     real_time,
     settable,
 )
+from maglev_mj.session.actions import actions
 
 _MOST_ROWS = 400
 _NAP = 0.001
@@ -164,6 +164,15 @@ class ShowReport(NamedTuple):
     simulated: float
     ticks: int
     missed: int
+
+    def __str__(self) -> str:
+        passed = max(self.wall_time, 1e-9)
+        cost = f", {self.frame_cost * 1e3:.1f} ms each" if self.frame_cost else ""
+        return (
+            f"  {self.wall_time:.1f} s, {self.ticks} control ticks, {self.missed} missed\n"
+            f"  real-time factor {self.simulated / passed:.3f}\n"
+            f"  {self.frames} frames, {self.frames / passed:.1f} a second{cost}"
+        )
 
 
 def show_remotely(source: SnapshotSource, front: Front, duration: float | None = None) -> ShowReport:

@@ -1,17 +1,5 @@
 """Hand on the flotor: impedance, forces, and published values."""
 
-from maglev_mj.hand.forces import GuidedHand, HandForce, RecordedHand, SpringHand, Trajectory
-from maglev_mj.hand.impedance import HANDS, Hand, get_hand, motion, transition
+from maglev_mj.lazy import attach
 
-__all__ = [
-    "HANDS",
-    "GuidedHand",
-    "Hand",
-    "HandForce",
-    "RecordedHand",
-    "SpringHand",
-    "Trajectory",
-    "get_hand",
-    "motion",
-    "transition",
-]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -130,7 +130,7 @@ class Recording(Result):
     damage: str = ""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     about: Mapping[str, str] = field(default_factory=dict)
-    drawn_by: ClassVar = "maglev_mj.plots.recorded:recording"
+    drawn_by: ClassVar = "maglev_mj.analysis.pictures:recording"
 
     def __post_init__(self) -> None:
         check_instance("stretches", self.stretches, list | tuple, "a list of Stretch, as Recording.load(FILE) reads")
@@ -348,7 +348,7 @@ class Samples(Result):
     arrays: Mapping[str, Array]
     stretch: NDArray[np.int64]
     recording: Recording
-    drawn_by: ClassVar = "maglev_mj.plots.recorded:samples"
+    drawn_by: ClassVar = "maglev_mj.analysis.pictures:samples"
 
     def __getattr__(self, name: str) -> Array:
         arrays = self.__dict__.get("arrays", {})

@@ -30,6 +30,7 @@ from maglev_mj.recording.sample import (
     compiled,
     is_recorded,
 )
+from maglev_mj.terminal import wrapped
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
 """Function that rebuilds plant and controller.
@@ -90,6 +91,24 @@ class Verdict(NamedTuple):
     def first(self) -> tuple[int, int] | None:
         """Stretch and tick of the first difference, or None."""
         return min((field.first for field in self.fields.values() if field.first is not None), default=None)
+
+    def __str__(self) -> str:
+        """Return lines for a terminal: equal fields share one, each different one has its own."""
+        same: dict[int, list[str]] = {}
+        remarks = []
+        for name, field in self.fields.items():
+            if field.first is None:
+                same.setdefault(field.compared, []).append(name)
+            else:
+                stretch, tick = field.first
+                where = f"{name}, which first differs at tick {tick} of stretch {stretch + 1}"
+                remarks.append(f"{field.same} of {field.compared} the same: {where}")
+        copied = same.pop(0, [])
+        remarks = [*(f"{count} of {count} the same: {', '.join(names)}" for count, names in same.items()), *remarks]
+        if copied:
+            remarks.append(f"not run again, for only the recording knows them: {', '.join(copied)}")
+        lines = [line for remark in remarks for line in wrapped(remark, further="    ")]
+        return "\n".join([f"  {self.ticks} samples, run again and compared to the last bit", *lines])
 
 
 def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], Expected] | None = None) -> Verdict:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Integral
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError, check_one_of, not_one_of
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
-from maglev_mj.loop import drive
+from maglev_mj.loop import Record, drive
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.result import Result, Table, plain
@@ -31,7 +31,10 @@ _STEP = 1e-3
 _ROUNDING = 1.0 + 1e-9
 _UNITS = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "z": "m", "target": "m", "stick_position": "m"}
 
-Observe = Callable[[Sample, Command], object]
+Observe: TypeAlias = Callable[[Sample, Command], object]
+
+Begin: TypeAlias = Callable[[Scene, Any, Controller, int], Record]
+"""Function of scene, plant, controller and number of samples that begins a recording of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,6 +401,7 @@ def run(
     plant: str | None = None,
     phase: ArrayLike = 0.0,
     observe: Observe | None = None,
+    begin: Begin | None = None,
 ) -> RunResult:
     """Run a scene on one device or N devices.
 
@@ -408,6 +412,7 @@ def run(
         plant: Name from PLANTS; the scene's usual one by default.
         phase: The samples are at (k + phase) period, in [0, 1); (N,) for N devices, on the exact plant.
         observe: Function called with each sample and the command as applied.
+        begin: Begins a recording of the run, of one device; see `maglev_mj.session.replay.recorded`.
 
     Raises:
         ParameterError: If there is no such plant, or a phase is outside its bounds.
@@ -427,11 +432,13 @@ def run(
     if not single and plant != "exact":
         raise ParameterError(f"phase must be one number on {plant}, whose runs differ in length: see run_phases")
     at: Component = checked_phase(phase) if single else _phases(phase)
-    controller, told = scene.controller(), None
+    controller = scene.controller()
     with scene.plant(plant, phase=at, record=True) as device, engine_warnings_silenced():
         told = _Told(controller, observe, () if single else (np.size(at),))
+        ticks = scene.ticks(scene.timing(at))
+        record = None if begin is None else begin(scene, device, controller, ticks)
         try:
-            drive(device, controller, scene.ticks(scene.timing(at)), observe=told.observe)
+            drive(device, controller, ticks, observe=told.observe, record=record)
         except DivergenceError as error:
             trace = device.trace()
             if not _escaped_later(trace, scene.end):
@@ -488,6 +495,7 @@ def run_variants(
     phase: float = 0.0,
     phases: int | ArrayLike | None = None,
     bands: int | ArrayLike | None = None,
+    begin: Begin | None = None,
     compare: bool = False,
     progress: Callable[[int, int], object] | None = None,
 ) -> Variants:
@@ -499,6 +507,7 @@ def run_variants(
         phase: See `run`.
         phases: Phases at which the figures are taken too, see `run_phases`; None for none.
         bands: Phases at which the motion on the exact plant is kept too, for pictures; None for none.
+        begin: Begins a recording of the first run, see `run`.
         compare: True to run the scene itself on its other plant too, for `gap`.
         progress: See `run_phases`.
 
@@ -511,7 +520,7 @@ def run_variants(
     gap = None
     try:
         for label, variant in variants.items():
-            runs[label] = run(variant, plant=plant, phase=phase)
+            runs[label] = run(variant, plant=plant, phase=phase, begin=None if runs else begin)
         if phases is not None:
             swept = {one: run_phases(variants[one], phases, plant=plant, progress=progress) for one in variants}
         if bands is not None:

@@ -18,11 +18,10 @@ from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.model import load_model
 from maglev_mj.parameters import number, numbers
-from maglev_mj.result import Result, Table
+from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop
-from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
-from maglev_mj.theory.realisation import StateSpace, realised
+from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, loop_matrices, realised
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
 """Tolerances of a modulus, of gains beside their responses, and of a mean root."""
@@ -63,12 +62,15 @@ class LoopState(NamedTuple):
         """Distance of the largest root from 1; negative for an unstable loop."""
         return 1.0 - self.modulus
 
-    def __str__(self) -> str:
-        lacking = (f"no {name}" if name == "contact" else f"not {name}" for name in self.others)
+    def row(self) -> tuple[str, ...]:
+        """Return axes, state, largest root, margin and verdict as texts for a table."""
         where = "all axes" if self.axes == AXES else ", ".join(self.axes)
-        root = f"largest root {self.modulus:.4f}, margin {self.margin:.4f}, {_word(self.margin > 0.0)}"
-        parts = ["free"] * self.free + [root] * (self.modulus > 0.0)
-        return f"{where} ({', '.join([*self.acting, *lacking]) or 'always'}): {', else '.join(parts)}"
+        lacking = (f"no {name}" if name == "contact" else f"not {name}" for name in self.others)
+        state = ", ".join([*self.acting, *lacking]) or "always"
+        if not self.modulus:
+            return where, state, "-", "-", "free"
+        word = f"{'free, else ' * self.free}{_word(self.margin > 0.0)}"
+        return where, state, f"{self.modulus:.4f}", f"{self.margin:.4f}", word
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,10 +120,17 @@ class Verdict(Result):
         return {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
 
     def table(self) -> Table:
-        """Return the gains of the worst loop."""
-        acting = f", with {' and '.join(self.acting)}" if self.acting else ""
-        remarks = "".join(f"; {remark}" for remark in self.remarks)
-        return super().table()._replace(title=f"{self}{acting}{remarks}")
+        """Return a row for each state of the laws, or without stated gains the worst pose."""
+        rows = [state.row() for state in self.states]
+        if self.stated:
+            where = f", with {' and '.join(self.acting)}" if self.acting else ""
+            means = "by the laws' own gains"
+        else:
+            parts = [f"{axis} {value:g}" for axis, value in zip(AXES, self.pose, strict=True) if value]
+            where = f"; at {', '.join(parts) or 'centre'} (m, rad)"
+            means = "by the answers of the laws to small displacements"
+        remarks = "\n".join([f"found {means}", *self.remarks])
+        return Table(f"{self}{where}", ("axes", "state", "largest root", "margin", "verdict"), rows, remarks)
 
     def __str__(self) -> str:
         if self.stable and not self.modulus:
@@ -131,16 +140,9 @@ class Verdict(Result):
 
     def as_json(self) -> dict[str, Any]:
         """Return the verdict, ready for JSON."""
-        return {
-            "stable": self.stable,
-            "modulus": self.modulus if np.isfinite(self.modulus) else None,
-            "axes": list(self.axes),
-            "acting": list(self.acting),
-            "pose": self.pose.tolist(),
-            "stated": self.stated,
-            "states": [{**one._asdict(), "margin": one.margin} for one in self.states],
-            "remarks": list(self.remarks),
-        }
+        kept = {name: plain(getattr(self, name)) for name in ("stable", "modulus", "axes", "acting", "pose", "stated")}
+        states = [{**plain(state), "margin": state.margin} for state in self.states]
+        return {**kept, "states": states, "remarks": list(self.remarks)}
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -305,9 +305,11 @@ def in_real_time(seconds: float) -> None:
             with RemotePlant(link) as plant, realtime("ignore") as refused:
                 flight = Flight(plant, scene.replace(period=plant.period, delay=plant.delay))
                 flown = flight.run(seconds)
-            (ticks, missed, _, sampling), answered = twin.end()
+            served, answered = twin.end()
         print(f"real time at {rate} Hz, {'; '.join(refused) or 'nothing refused'}")
-        print(f"  {ticks} samples, {missed} periods stalled, {flown.lost} lost, {flown.skipped} skipped by the host")
+        lost = f"{served.missed} periods stalled, {flown.lost} lost, {flown.skipped} skipped by the host"
+        print(f"  {served.ticks} samples, {lost}")
+        sampling = served.latency
         print(f"  sampled late by {sampling.p50 * 1e6:.0f} µs in the median, {sampling.p99 * 1e6:.0f} µs at 99 %")
         print("  answer at the device after its sample's instant:", histogram(answered), sep="\n")
 

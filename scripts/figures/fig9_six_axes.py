@@ -8,9 +8,9 @@ import itertools
 import numpy as np
 
 from maglev_mj import AXES
+from maglev_mj.analysis.pictures import staircases
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array
-from maglev_mj.plots import staircases
 from maglev_mj.spec import INERTIA, RANGE
 from six_axes import run_six_axes
 

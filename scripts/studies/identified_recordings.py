@@ -26,6 +26,7 @@ from maglev_mj.laws import Bias, StickSlip
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants.sensor import Sensor
 from maglev_mj.recording import ArrayFile, Mechanics, Stretch, setup_of
+from maglev_mj.result import plain
 from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.theory import largest_stable_stiffness, stiffest_wall
 from maglev_mj.versions import versions
@@ -185,7 +186,7 @@ def truth(case: Case) -> dict[str, float]:
 
 def estimates(found: Identification) -> dict[str, Estimate]:
     """Return the identified values by name."""
-    x, z, (wall,), rub = found.axes[0], found.axes[2], found.walls, found.friction[0]
+    x, z, (wall,), rub = found.axes["x"], found.axes["z"], found.walls, found.friction["x"]
     values = (
         *(wall.stiffness, wall.damping, wall.commanded_stiffness, wall.commanded_damping, wall.share),
         *(z.delay, x.delay, z.inertia, x.inertia, z.force_error, z.noise, x.noise, z.quantum),
@@ -217,11 +218,11 @@ def main() -> None:
         case = draw(seed)
         stretch, anchors = record(case)
         found, true = estimates(identify(stretch, anchors=anchors)), truth(case)
-        data.append({"case": asdict(case), "found": {name: one.as_json() for name, one in found.items()}})
+        data.append({"case": asdict(case), "found": plain(found)})
         for name, one in found.items():
             if one.known:
                 off = abs(one.value - true[name])
-                row = holds(one, true[name]), off / abs(true[name]) if true[name] else math.nan, one.error
+                row = holds(one, true[name]), off / abs(true[name]) if true[name] else math.nan, one.standard_error
                 rows.setdefault(name, []).append(row)
             else:
                 untold.setdefault(name, []).append(one.why)

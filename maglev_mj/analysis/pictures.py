@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.analysis import Analysed, Run
+from maglev_mj.analysis import Run, StretchReport
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
@@ -71,55 +71,55 @@ def _moving(time: Array, position: Array, force: Array) -> Any:
     return figure
 
 
-def analysed(found: Analysed, axis: str | None = None) -> Any:
+def stretch_report(report: StretchReport, axis: str | None = None) -> Any:
     """Draw recording and simulation of the run; see `whole_run`.
 
     Args:
-        found: The analysed stretch.
+        report: The analysed stretch.
         axis: Name from AXES; the one that tells most by default.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
         ParameterError: If the axis does not move.
     """
-    return whole_run(found, found.axis(axis))
+    return whole_run(report, report.axis(axis))
 
 
-def first_contact(analysed: Analysed, axis: int, path: Path | None = None) -> Any:
+def first_contact(report: StretchReport, axis: int, path: Path | None = None) -> Any:
     """Draw 0.4 s around the first contact (figure 5).
 
     Args:
-        analysed: The recording, and its simulation if there is one.
+        report: The recording, and its simulation if there is one.
         axis: Index into AXES.
         path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    time = analysed.recorded.motion.time
-    begin, end = float(analysed.recorded.motion.trace.time[0]), float(time[-1])
+    time = report.recorded.motion.time
+    begin, end = float(report.recorded.motion.trace.time[0]), float(time[-1])
     contacts = [
-        contact.start for face in analysed.recorded.figures.faces if face.axis == axis for contact in face.contacts
+        contact.start for face in report.recorded.figures.faces if face.axis == AXES[axis] for contact in face.contacts
     ]
     start = max(min(min(contacts, default=begin) - _LEAD, end - _SHOWN), begin)
-    return _over_time(analysed, axis, path, (start, min(start + _SHOWN, end)), marks=False)
+    return _over_time(report, axis, path, (start, min(start + _SHOWN, end)), marks=False)
 
 
-def whole_run(analysed: Analysed, axis: int, path: Path | None = None) -> Any:
+def whole_run(report: StretchReport, axis: int, path: Path | None = None) -> Any:
     """Draw position and force of the whole run (figure 6).
 
     Each contact is marked with its depth.
 
     Args:
-        analysed: The recording, and its simulation if there is one.
+        report: The recording, and its simulation if there is one.
         axis: Index into AXES.
         path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    trace = analysed.recorded.motion.trace
-    return _over_time(analysed, axis, path, (float(trace.time[0]), float(trace.time[-1])), marks=True)
+    trace = report.recorded.motion.trace
+    return _over_time(report, axis, path, (float(trace.time[0]), float(trace.time[-1])), marks=True)
 
 
 def sticks(run: Run, path: Path) -> Path:
@@ -134,8 +134,8 @@ def sticks(run: Run, path: Path) -> Path:
     """
     places = run.motion.trace.pose[run.motion.starts]
     anchors = np.full_like(places, np.nan) if run.anchors is None else run.anchors
-    slips = {axis: run.figures.slips(axis) for axis in range(len(AXES)) if run.figures.sticks[axis] is not None}
-    said = {axis: f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
+    slips = {axis: friction.slips for axis, friction in run.figures.friction.items()}
+    said = {AXES.index(axis): f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
     return staircases(run.motion.time, places, anchors, said or {0: "no friction"}, path)
 
 
@@ -170,13 +170,13 @@ def staircases(time: Array, position: Array, anchors: Array, said: Mapping[int, 
     return save(figure, path)
 
 
-def _over_time(analysed: Analysed, axis: int, path: Path | None, window: tuple[float, float], *, marks: bool) -> Any:
+def _over_time(report: StretchReport, axis: int, path: Path | None, window: tuple[float, float], *, marks: bool) -> Any:
     """Draw position and force over a time window [s].
 
     Of recording and simulation.
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
-    sides = [("recording", analysed.recorded, FIRST, "-", 3), ("simulation", analysed.simulated, SECOND, "--", 4)]
+    sides = [("recording", report.recorded, FIRST, "-", 3), ("simulation", report.simulated, SECOND, "--", 4)]
     for label, run, color, dashes, order in sides:
         if run is None:
             continue
@@ -191,25 +191,24 @@ def _over_time(analysed: Analysed, axis: int, path: Path | None, window: tuple[f
         pose, _, wrench = trace.at(time)
         upper.plot(time, pose[:, axis] * 1e3, label=label, **style)
         lower.step(time, wrench[:, axis], where="post", **style)
-    _dots(upper, analysed.recorded, axis, window)
+    _dots(upper, report.recorded, axis, window)
     if marks:
-        _marks(upper, analysed.recorded, axis)
+        _marks(upper, report.recorded, axis)
     _no_narrower(upper, 0.02)
-    _walls(upper, analysed, axis)
+    _walls(upper, report, axis)
     small, force = unit_of("mm", axis), unit_of("N", axis)
     upper.set_ylabel(f"position along {AXES[axis]} ({small})" if axis < 3 else f"{AXES[axis]} ({small})")
     lower.set_ylabel(f"force of the actuators ({force})" if axis < 3 else f"torque of the actuators ({force})")
     lower.set_xlabel("time (s)")
     lower.set_xlim(*window)
     name_curves(figure, [upper])
-    upper.set_title(_describe(analysed), **TITLE)
+    upper.set_title(_describe(report), **TITLE)
     return save(figure, path)
 
 
-def _describe(analysed: Analysed) -> str:
-    known, comparison = analysed.metadata, analysed.comparison
-    said = "" if comparison is None else f"\n{comparison.sentence}"
-    return f"{known.name}, {1.0 / known.period:g} Hz, delay {known.delay * 1e3:g} ms{said}"
+def _describe(report: StretchReport) -> str:
+    said = "" if report.comparison is None else f"\n{report.comparison.sentence}"
+    return f"{report.run_named}{said}"
 
 
 def _dots(panel: Any, run: Run, axis: int, window: tuple[float, float]) -> None:
@@ -226,7 +225,7 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
 
     As far as there is room beside one another.
     """
-    found = [(contact, face) for face in run.figures.faces if face.axis == axis for contact in face.contacts]
+    found = [(contact, face) for face in run.figures.faces if face.axis == AXES[axis] for contact in face.contacts]
     found.sort(key=lambda one: -round(one[0].penetration, 9))
     room = _APART * (run.figures.end - run.figures.start)
     marked: list[float] = []
@@ -248,11 +247,11 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
         panel.margins(y=0.16)
 
 
-def _walls(panel: Any, analysed: Analysed, axis: int) -> None:
+def _walls(panel: Any, report: StretchReport, axis: int) -> None:
     """Shade the walls of an axis near the range shown."""
     bottom, top = panel.get_ylim()
     room = 0.08 * (top - bottom)
-    for _, normal, edge in (face for face in analysed.metadata.faces if face[0] == axis):
+    for _, normal, edge in (face for face in report.metadata.faces if face[0] == axis):
         place = edge * 1e3
         if normal > 0.0 and place > bottom - room:
             bottom = min(bottom, place - room)

@@ -1,6 +1,7 @@
-"""Output-error fit of one coordinate.
+"""Least-squares fits of one coordinate: its motion by forces, and its commands by a law.
 
-The model is a mass under recorded forces; the only error is that of the sensor.
+The commands over the measured positions give the law. The motion is fitted by an output-error model: a mass under
+recorded forces, whose only error is that of the sensor. Its resolution and noise are estimated from positions alone.
 
 Between switches of the force the motion is a parabola, so that the position at a sample is linear in the factors of
 the forces and smooth in their delay. The recorded forces are known exactly and already include sensor noise fed back
@@ -14,14 +15,17 @@ Source: output-error method as in Ljung 1999; not checked against the original.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.frames import Array, Mask
+from maglev_mj.recording import RunMetadata, Stretch
+from maglev_mj.recording.sample import Face
 
 _SINGULAR, _ROUNDS = 1e-10, 40
 _LEAST_SAMPLES, _WINDOW_TIME = 40, 0.05
@@ -30,8 +34,56 @@ _SENSOR = 1e-8
 """Residual below that of any sensor [m, rad]."""
 SLOW = 0.6
 """Whiteness limit; residuals below it are those of forces."""
+ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
+"""Relative rounding of positions and commands."""
+_NOTHING = 1e-9
+"""Part of the largest command below which a remainder is rounding, not a force."""
+_DITHERED = 1.0 / 12.0 + 0.25
+"""Least mean square of a dithered sensor's error, in steps².
+
+From this value on, noise of half a step moves a flotor at rest over several steps.
+"""
+_OFF_LATTICE, _DIVISORS, _LEAST_STEPS, _LEAST_MOVING = 1e-4, 20, 4, 20
+_EXACT, _NORMAL, _TINY = 1e-12, 1.959963984540054, 4.0 * float(np.finfo(np.float64).eps)
 
 Numbers: TypeAlias = NDArray[np.intp]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Estimate:
+    """A quantity identified from a recording.
+
+    Attributes:
+        value: Best value; NaN if it cannot be identified.
+        standard_error: Standard error.
+        low: Lower end of the 95 % interval.
+        high: Upper end; for noise that cannot be identified, its upper bound.
+        residual: Root mean square of the fit's residual, in the unit of the fitted data: metres or radians for
+            positions, newtons or newton metres for commands.
+        why: Reason for a failed identification, in a few words; empty if it succeeded.
+    """
+
+    value: float = math.nan
+    standard_error: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    residual: float = math.nan
+    why: str = ""
+
+    def beyond(self, least: float, most: float) -> bool:
+        """Return whether the value is known, and outside a range."""
+        return self.value < least or self.value > most
+
+    @classmethod
+    def of(cls, value: float, error: float, degrees: float, residual: float) -> Self:
+        """Return an estimate with the interval of Student's t."""
+        reach = student(degrees) * error
+        return cls(value=value, standard_error=error, low=value - reach, high=value + reach, residual=residual)
+
+    @property
+    def known(self) -> bool:
+        """True if the quantity was identified."""
+        return not self.why
 
 
 def student(degrees: float) -> float:
@@ -39,7 +91,7 @@ def student(degrees: float) -> float:
 
     The relative error is within 1e-3 from 4 degrees of freedom on.
     """
-    z, n = 1.959963984540054, max(degrees, 1.0)
+    z, n = _NORMAL, max(degrees, 1.0)
     terms = (
         (z**3 + z) / 4.0,
         (5.0 * z**5 + 16.0 * z**3 + 3.0 * z) / 96.0,
@@ -337,3 +389,158 @@ def _judged(
         whiteness=whiteness,
         share=float(np.sqrt(square / max(np.square(seen).sum() / count, 1e-300))),
     )
+
+
+class CommandedLaw(NamedTuple):
+    """Linear fit of commands by P parts.
+
+    A part is a known function of the measured positions; each has a gain.
+
+    Attributes:
+        names: Names of the parts, such as ("stiffness", 0) for the first face.
+        parts: Values of the parts at unit gain, (N, P).
+        gains: The gains, (P,).
+        errors: Their standard errors, (P,); infinite for a gain that cannot be separated from the others.
+        residual: Residual of the commands [N, N m].
+        degrees: Degrees of freedom.
+        scale: Root mean square of all parts [N, N m].
+        rest: Commands as applied without all parts [N, N m], (N,).
+    """
+
+    names: Sequence[tuple[str, int]]
+    parts: Array
+    gains: Array
+    errors: Array
+    residual: float
+    degrees: int
+    scale: float
+    rest: Array
+
+
+def is_inside(place: Array, face: Face) -> Mask:
+    """Return True for positions (N,) in a wall."""
+    return np.asarray(face[1] * (place - face[2]) <= 0.0)
+
+
+def fit_law(
+    stretch: Stretch, metadata: RunMetadata, axis: int, faces: Sequence[Face], anchors: Array | None, used: Mask
+) -> CommandedLaw:
+    """Fit the commands on an axis by a law.
+
+    The law is a sum of walls, friction, and a spring and a damper that act everywhere.
+
+    Args:
+        stretch: N samples.
+        metadata: Metadata of the run.
+        axis: Index into AXES.
+        faces: Touched walls.
+        anchors: Stick positions of the axis [m, rad], (N,); None without friction.
+        used: True for samples that count, (N,).
+    """
+    tick, place, period = stretch.tick, stretch.position[:, axis], metadata.period
+    speed = np.append(0.0, np.diff(place) / (np.diff(tick) * period))
+    names: list[tuple[str, int]] = []
+    parts: list[Array] = []
+    outside = np.ones(len(place), dtype=np.bool_)
+    for number, face in enumerate(faces):
+        inside = is_inside(place, face)
+        outside &= ~inside
+        names += [("stiffness", number), ("damping", number)]
+        parts += [inside * (face[2] - place), inside * -speed]
+    stated = stretch.command[:, axis]
+    applied = stretch.applied[:, axis]
+    command = np.where(np.isfinite(stated), stated, applied) - metadata.carried[axis]
+    outside &= used
+    if anchors is not None:
+        stuck = np.isfinite(anchors)
+        last = anchors[np.maximum.accumulate(np.where(stuck, np.arange(len(stuck)), np.argmax(stuck)))]
+        names += [("stuck", 0), ("sliding", 0)]
+        parts += [np.where(stuck, anchors - place, 0.0), ~stuck * np.sign(last - place)]
+    largest = float(np.abs(command).max())
+    if anchors is not None or (outside.any() and np.ptp(command[outside]) > _NOTHING * largest):
+        names += [("spring", 0), ("damper", 0)]
+        parts += [-place, -speed]
+    columns = np.column_stack([*parts, np.ones(len(place))][: len(parts) + bool(outside.sum() > 1)])
+    moved = used & np.append(False, np.diff(tick) > 0)
+    gram, separate = inverse(columns[moved])
+    gains = gram @ (columns[moved].T @ command[moved])
+    left = command[moved] - columns[moved] @ gains
+    degrees = max(int(moved.sum()) - columns.shape[1], 1)
+    residual = max(float(np.sqrt(np.square(left).sum() / degrees)), ROUNDING * largest)
+    errors = np.where(separate, residual * np.sqrt(np.maximum(np.diag(gram), 0.0)), np.inf)
+    count = len(parts)
+    explained = columns[:, :count] @ gains[:count]
+    rest = applied - explained
+    return CommandedLaw(
+        names=names,
+        parts=columns[:, :count],
+        gains=gains[:count],
+        errors=errors[:count],
+        residual=residual,
+        degrees=degrees,
+        scale=float(np.sqrt(np.square(explained[moved]).mean())),
+        rest=np.where(np.abs(rest) > _NOTHING * largest, rest, 0.0),
+    )
+
+
+def estimate_quantum(place: Array) -> Estimate:
+    """Return the sensor resolution from positions [m, rad].
+
+    It is the step of a lattice with all positions on it.
+
+    Args:
+        place: Positions, (N,).
+    """
+    values = np.unique(place)
+    steps = np.diff(values)
+    size = float(np.abs(values).max())
+    steps = steps[steps > 1e3 * _TINY * size]
+    if len(steps) < _LEAST_STEPS:
+        return Estimate(why=f"only {len(steps) + 1} different positions")
+    for part in range(1, _DIVISORS + 1):
+        step = float(steps.min()) / part
+        counts = np.rint(values / step)
+        if np.abs(counts).max() > 0.0 and np.abs(values / step - counts).max() < 1e2 * _OFF_LATTICE:
+            step = float(counts @ values / (counts @ counts))
+            counts = np.rint(values / step)
+            left = values - step * counts
+            if np.abs(left).max() < _OFF_LATTICE * step:
+                residual = float(np.sqrt(np.square(left).mean()))
+                error = max(residual / math.sqrt(float(counts @ counts)), _TINY * step)
+                return Estimate.of(step, error, len(values) - 1, residual)
+    return Estimate(why="positions lie on no lattice")
+
+
+def estimate_noise(motion: Fit, there: Mask, moving: Mask, step: float) -> Estimate:
+    """Return the sensor noise before quantization [m, rad].
+
+    It is the standard deviation of white noise.
+
+    The quantization error, step² / 12, is subtracted: it is that of a position, or of noise, moving over many steps.
+
+    Args:
+        motion: Fit of the motion.
+        there: True for existing samples, (M, W).
+        moving: True for samples with motion by more than a step, (M, W).
+        step: Step of the sensor; 0 for none.
+    """
+    left = motion.left[there]
+    if np.square(left).mean() < _DITHERED * step**2:  # at rest within a step the noise is rarely visible
+        left = motion.left[moving & there]
+    if len(left) < _LEAST_MOVING:
+        return Estimate(why=f"only {len(left)} samples move over the sensor's steps")
+    square = np.square(left)
+    mean = float(square.mean())
+    spread = max(float(square.std(ddof=1)), math.sqrt(2.0) * mean) / math.sqrt(len(left))
+    variance = mean - step * step / 12.0
+    # the logarithm of a variance is closer to a normal distribution
+    ends = (
+        mean * math.exp(sign * _NORMAL * spread / mean) - step * step / 12.0 if mean else 0.0 for sign in (-1.0, 1.0)
+    )
+    low, high = (math.sqrt(max(end, 0.0)) for end in ends)
+    if math.sqrt(mean) < _EXACT:
+        return Estimate(why="the forces explain the positions to rounding")
+    if low == 0.0:
+        return Estimate(why="it hides in the sensor's steps", low=0.0, high=max(high, math.sqrt(spread)))
+    value = math.sqrt(variance)
+    return Estimate(value=value, standard_error=0.5 * spread / value, low=low, high=high, residual=motion.residual)

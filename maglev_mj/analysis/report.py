@@ -1,0 +1,373 @@
+"""Report on a stretch of a recording: its figures, its simulation's, and what it identifies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.analysis.contacts import StretchFigures, axis_row, by_axis, stretch_figures
+from maglev_mj.analysis.identification import Identification, identify
+from maglev_mj.analysis.motion import Motion, reconstruct
+from maglev_mj.errors import MaglevError, ParameterError, check_instance
+from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.hand import RecordedHand
+from maglev_mj.loop import ControlLoop
+from maglev_mj.parameters import flag, number
+from maglev_mj.plants import SampledPlant, engine_warnings_silenced
+from maglev_mj.recording import InvalidRecordingError, Rebuild, Recorder, RunMetadata, Stretch
+from maglev_mj.recording.recording import READ_STRETCH
+from maglev_mj.result import Result, Table, plain
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.find import recorded_scene
+from maglev_mj.session import live_plant
+
+_STILL = 1e-9
+_NOTHING = 1e-12
+_UNMEASURED_HAND = (
+    "nobody measures a hand on the device, which parts the two; one sample ahead tells how good the model is"
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Comparison:
+    """Distance between a recording and its simulation.
+
+    Attributes:
+        same: True if every position is the same to the last bit.
+        rms: Root mean square of the distance on each axis [m, rad], (6,).
+        most: Largest distance on each axis [m, rad], (6,).
+        when: Time of the largest distance [s], (6,).
+        one_step_rms: Root mean square of the one-step prediction error on each axis [m, rad], (6,), predicted from the
+            sample before, its speed and the recorded forces; NaN with less than three samples.
+        samples: Number of samples recorded.
+        compared: Number of samples simulated; less than all if the simulation failed.
+        device: True for a recording of a device, with an unmeasured hand.
+    """
+
+    same: bool
+    rms: Array
+    most: Array
+    when: Array
+    one_step_rms: Array
+    samples: int
+    compared: int
+    device: bool
+
+    @property
+    def worst(self) -> int:
+        """Index into AXES of the largest distance.
+
+        Of the translations, unless only rotations differ.
+        """
+        group = slice(0, 3) if self.most[:3].any() else slice(3, 6)
+        return int(np.argmax(self.most[group])) + group.start
+
+    @property
+    def sentence(self) -> str:
+        """Result of the comparison in one sentence."""
+        if self.compared == 0:
+            return "the simulation failed at once: there is nothing to compare"
+        if self.same:
+            return "the recording and its simulation are the same to the last bit"
+        axis = self.worst
+        unit = unit_of("µm", axis)
+        return (
+            f"the recording and its simulation are {self.rms[axis] * 1e6:.4g} {unit} apart (RMS), "
+            f"{self.most[axis] * 1e6:.4g} {unit} at most, on {AXES[axis]} at {self.when[axis]:.4g} s"
+        )
+
+    def table(self) -> Table:
+        """Return the distances on each axis."""
+        rows = [axis_row("one sample ahead", self.one_step_rms, 1e6, "µm, µrad")]
+        if not self.same and self.compared:
+            times = (f"{when:.3f}" if most >= _NOTHING else "-" for most, when in zip(self.most, self.when))
+            rows = [
+                axis_row("RMS", self.rms, 1e6, "µm, µrad"),
+                axis_row("at most", self.most, 1e6, "µm, µrad"),
+                ("  at", *times, "s"),
+                *rows,
+            ]
+        remarks = [self.sentence]
+        if 0 < self.compared < self.samples:
+            remarks.append(f"the simulation failed after {self.compared} of {self.samples} samples")
+        if self.device:
+            remarks.append(_UNMEASURED_HAND)
+        return Table("", ("apart", *AXES, ""), rows, "\n".join(remarks))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        axes = {name: getattr(self, name) for name in ("rms", "most", "when", "one_step_rms")}
+        return {"same": self.same, "compared": self.compared, "sentence": self.sentence, **by_axis(axes)}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """One side of a comparison: recording or simulation.
+
+    It covers the requested time.
+
+    Attributes:
+        motion: Motion of the flotor.
+        figures: Figures of the motion.
+        anchors: Stick positions at each sample [m, rad], (N, 6); None without friction, or for a simulation.
+    """
+
+    motion: Motion
+    figures: StretchFigures
+    anchors: Array | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StretchReport(Result):
+    """Results of a stretch's analysis.
+
+    Attributes:
+        kind: Kind of its setup.
+        metadata: Metadata of the run.
+        recorded: Motion and figures of the samples.
+        simulated: Motion and figures of the simulation; None if none was requested, or it failed at once.
+        comparison: Distance between both; None if none was requested.
+        identified: Identified walls, friction, mass, delay and sensor.
+    """
+
+    kind: str
+    metadata: RunMetadata
+    recorded: Run
+    simulated: Run | None
+    comparison: Comparison | None
+    identified: Identification
+    drawn_by: ClassVar = "maglev_mj.analysis.pictures:stretch_report"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return time, recorded and simulated positions, (N,) each.
+
+        A simulation that ended early goes on with NaN.
+        """
+        sides = {"recorded": self.recorded, "simulated": self.simulated}
+        time = self.recorded.motion.time
+        columns = {"time": time}
+        for name, run in sides.items():
+            if run is not None:
+                poses = np.full((len(time), len(AXES)), np.nan)
+                poses[: len(run.motion.starts)] = run.motion.trace.pose[run.motion.starts]
+                columns |= {f"{name}.{axis}": poses[:, index] for index, axis in enumerate(AXES)}
+        return columns
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        sides = "recorded", "simulated"
+        return {"time": "s"} | {f"{side}.{axis}": unit_of("m", axis) for side in sides for axis in AXES}
+
+    @property
+    def run_named(self) -> str:
+        """Name, rate and delay of the run in a few words."""
+        known = self.metadata
+        return f"{known.name}, {1.0 / known.period:g} Hz, delay {known.delay * 1e3:g} ms"
+
+    def table(self) -> Table:
+        """Return the tables of figures, comparison and identified quantities.
+
+        The figures of the simulation stand below those of the recording if they differ.
+        """
+        figures, comparison = self.recorded.figures, self.comparison
+        other = None if comparison is not None and comparison.same else self.simulated
+        below = figures.tables(None if other is None else other.figures)
+        if comparison is not None:
+            below.append(comparison.table())
+        span = f"{figures.samples} samples, {figures.start:.4g} to {figures.end:.4g} s, {figures.missed} missed"
+        return Table(f"{self.run_named}: {span}", [], [], below=[*below, self.identified.table()])
+
+    def axis(self, name: str | None = None) -> int:
+        """Return the index of the axis to draw.
+
+        It is that named, or the most significant one.
+
+        This is the scene's own axis if a wall on it was touched, else the first axis with a touched wall, else the axis
+        with the largest travel, of the translations unless only rotations moved.
+
+        Raises:
+            ParameterError: If the named axis does not move.
+        """
+        figures = self.recorded.figures
+        if name is not None:
+            moving = [AXES[index] for index in np.flatnonzero(figures.travel > _STILL)]
+            if name not in moving:
+                allowed = f"one that moves, of {', '.join(moving)}" if moving else "left out, for none moves"
+                raise ParameterError(f"axis must be {allowed}, not {name!r}")
+            return AXES.index(name)
+        touched = [face.axis for face in figures.faces]
+        if touched:
+            return AXES.index(self.metadata.axis if self.metadata.axis in touched else touched[0])
+        turned = not (figures.travel[:3] > _STILL).any()
+        return int(np.argmax(figures.travel[3:])) + 3 if turned else int(np.argmax(figures.travel[:3]))
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        run = {name: getattr(self.metadata, name) for name in ("name", "period", "delay")}
+        parts = {
+            "recorded": self.recorded.figures,
+            "simulated": self.simulated and self.simulated.figures,
+            "comparison": self.comparison,
+            "identified": self.identified,
+        }
+        return {"kind": self.kind, **run, **plain(parts)}
+
+
+def analyse(
+    stretch: Stretch,
+    rebuild: Rebuild | None = None,
+    *,
+    anchors: Array | None = None,
+    begin: float = 0.0,
+    end: float | None = None,
+    simulated: bool = True,
+    rest: float | None = None,
+    scene: type[Scene] | None = None,
+) -> StretchReport:
+    """Analyse a stretch of at least two samples.
+
+    Args:
+        stretch: The stretch.
+        rebuild: Function from a setup and a hand to plant and controller; None if there is none: then nothing is
+            simulated.
+        anchors: Stick positions at each sample [m, rad], (N, 6); None without friction.
+        begin: Start of the analysis, in the stretch's time [s].
+        end: End of the analysis [s]; None for the stretch's end.
+        simulated: True to run the simulation of the same parameters and compare.
+        rest: Rest position at a wall [m, rad]; found from the samples by default.
+        scene: Scene class of a user's own recording.
+
+    Raises:
+        InvalidRecordingError: If it has less than two samples.
+        ParameterError: If there are less than two samples from `begin` to `end`.
+
+    Example:
+        >>> from maglev_mj import analyse, find_scene, rebuild, record_run
+        >>> report = analyse(record_run(find_scene("drop")(), plant="exact").stretches[0], rebuild)
+        >>> wall = report.identified.walls[0]
+        >>> round(float(wall.stiffness.value)), round(float(wall.damping.value))
+        (6000, 80)
+    """
+    flag("simulated", simulated)
+    check_instance("stretch", stretch, Stretch, READ_STRETCH)
+    metadata = stretch.metadata
+    if len(stretch.tick) < 2:
+        raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
+    whole = reconstruct(stretch, metadata)
+    first, last = _rows(whole, begin, end)
+    comparison = other = None
+    if simulated and rebuild is not None:
+        twin = simulate(stretch, whole, metadata, rebuild, scene)
+        comparison = compare(stretch[first : last + 1], twin[first : last + 1], whole.between(first, last))
+        until = min(last, len(twin.tick) - 1)
+        if until - first >= 1:
+            other = _run(twin, reconstruct(twin, metadata), metadata, None, (first, until), rest)
+    run = _run(stretch, whole, metadata, anchors, (first, last), rest)
+    return StretchReport(
+        kind=stretch.setup["kind"],
+        metadata=metadata,
+        recorded=run,
+        simulated=other,
+        comparison=comparison,
+        identified=identify(stretch[first : last + 1], metadata, anchors=run.anchors),
+    )
+
+
+def _rows(motion: Motion, begin: float, end: float | None) -> tuple[int, int]:
+    """Return the first and last sample of an interval."""
+    time = motion.time
+    number("from", begin, at_least=0.0, below=float(time[-1]))
+    final = float(time[-1]) if end is None else number("to", end, above=begin)
+    inside = np.flatnonzero((time >= begin - _STILL) & (time <= final + _STILL))
+    if len(inside) < 2:
+        raise ParameterError(f"from and to must have at least 2 samples between them, not {begin:g} and {final:g}")
+    return int(inside[0]), int(inside[-1])
+
+
+def _run(
+    stretch: Stretch,
+    whole: Motion,
+    metadata: RunMetadata,
+    anchors: Array | None,
+    rows: tuple[int, int],
+    rest: float | None,
+) -> Run:
+    first, last = rows
+    chosen = slice(first, last + 1)
+    motion, stuck = whole.between(first, last), None if anchors is None else anchors[chosen]
+    figures = stretch_figures(motion, metadata, stretch.tick[chosen], stretch.hand[chosen], stuck, rest)
+    return Run(motion=motion, figures=figures, anchors=stuck)
+
+
+def simulate(
+    stretch: Stretch, motion: Motion, metadata: RunMetadata, rebuild: Rebuild, scene: type[Scene] | None = None
+) -> Stretch:
+    """Simulate a recorded run again.
+
+    It has the same laws, the recorded hand, and the recorded start.
+
+    A device is replaced by the simulated one, from the first sample at the speed of the first two, without a hand.
+    Samples missing in the recording are left out.
+
+    Args:
+        stretch: The recording.
+        motion: Its motion.
+        metadata: Metadata of the stretch.
+        rebuild: Function from a setup and a hand to plant and controller.
+        scene: Scene class of a user's own recording.
+
+    Returns:
+        The simulated samples: fewer than recorded if the simulation failed.
+
+    Raises:
+        RecordingError: If the setup is not known here.
+        ParameterError: If a plant cannot be made at the recorded start.
+    """
+    rows = np.round(stretch.tick - stretch.tick[0]).astype(np.intp)
+    plant, controller = rebuild(stretch.setup, RecordedHand(stretch.known_hand))
+    if plant is None:
+        plant = _twin(stretch, motion, metadata, scene)
+    recorder = Recorder(plant, stretch.setup)
+    with plant, engine_warnings_silenced():
+        try:
+            ControlLoop(plant, controller, record=recorder).cycle(int(rows[-1]) + 1)
+        except ParameterError:
+            raise
+        except MaglevError:
+            pass  # the comparison reports the number of samples
+    kept = rows[rows < len(recorder)]
+    return recorder.stretch()[kept].replace(tick=stretch.tick[: len(kept)], time=stretch.time[: len(kept)])
+
+
+def _twin(stretch: Stretch, motion: Motion, metadata: RunMetadata, scene: type[Scene] | None) -> SampledPlant:
+    """Return the simulated device in place of a real one."""
+    flown, first = recorded_scene(stretch.setup["scene"], stretch.setup["parameters"], scene), motion.starts[0]
+    return live_plant(flown, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=metadata.before)
+
+
+def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:
+    """Return the distance between a recording and its simulation.
+
+    Args:
+        stretch: The recording, N samples.
+        simulated: Its simulation, of at most N samples.
+        motion: The motion of the recording.
+    """
+    count = len(simulated.tick)
+    gap = np.abs(simulated.position - stretch.position[:count])
+    none = np.full(len(AXES), np.nan)
+    known = motion.jumps[np.isfinite(motion.jumps).all(axis=1)]
+    return Comparison(
+        same=bool(count == len(stretch.tick) and not gap.any()),
+        rms=np.sqrt((gap**2).mean(axis=0)) if count else none,
+        most=gap.max(axis=0) if count else none,
+        when=motion.time[np.argmax(gap, axis=0)] if count else none,
+        one_step_rms=np.sqrt((known**2).mean(axis=0)) if len(known) else none,
+        samples=len(stretch.tick),
+        compared=count,
+        device=stretch.setup["kind"] == "device",
+    )

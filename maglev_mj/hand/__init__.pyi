@@ -1,0 +1,10 @@
+from maglev_mj.hand.forces import GuidedHand as GuidedHand
+from maglev_mj.hand.forces import HandForce as HandForce
+from maglev_mj.hand.forces import RecordedHand as RecordedHand
+from maglev_mj.hand.forces import SpringHand as SpringHand
+from maglev_mj.hand.forces import Trajectory as Trajectory
+from maglev_mj.hand.impedance import HANDS as HANDS
+from maglev_mj.hand.impedance import Hand as Hand
+from maglev_mj.hand.impedance import get_hand as get_hand
+from maglev_mj.hand.impedance import motion as motion
+from maglev_mj.hand.impedance import transition as transition
