@@ -1,5 +1,0 @@
-"""Hand on the flotor: impedance, forces, and published values."""
-
-from maglev_mj.lazy import attach
-
-__getattr__, __dir__, __all__ = attach(__name__, __file__)
