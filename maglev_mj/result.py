@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TextIO
 from maglev_mj.errors import MaglevError, require
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
     from pandas import DataFrame
 
@@ -141,17 +143,20 @@ class Result:
         frame.attrs["units"] = {name: unit for name, unit in self.units.items() if name in frame}
         return frame
 
-    def plot(self, **options: Any) -> Any:
-        """Return a picture, a matplotlib figure.
+    def plot(self, path: Path | None = None, **options: Any) -> Any:
+        """Return a picture, a matplotlib figure, or the path that it was written to.
 
         Args:
-            options: Those of the function that draws it, such as `path`, the file to write; see `drawn_by`.
+            path: File to write; None to return the figure.
+            options: Those of the function that draws it; see `drawn_by`.
 
         Raises:
             MissingPackageError: If matplotlib is not installed.
         """
+        from maglev_mj.pictures import save  # arrays would be loaded with a command's help
+
         module, _, name = self.drawn_by.partition(":")
-        return getattr(import_module(module), name)(self, **options)
+        return save(getattr(import_module(module), name)(self, **options), path)
 
     def __repr__(self) -> str:
         try:
