@@ -8,10 +8,12 @@ from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array
-from maglev_mj.laws import Hold, Wall
+from maglev_mj.frames import AXES, Array, Component
+from maglev_mj.laws import Hold, Law, VelocityEstimator, Wall
 from maglev_mj.parameters import axis_indices, param
 from maglev_mj.plants import Sensor
 from maglev_mj.scenes.scene import Scene
@@ -23,9 +25,9 @@ def others(axis: str) -> list[str]:
     return [name for name in AXES if name != axis]
 
 
-def along(axis: str, value: float, elsewhere: float = 0.0) -> Array:
-    """Return six numbers: one on an axis, another elsewhere."""
-    return np.where(np.arange(len(AXES)) == AXES.index(axis), value, elsewhere)
+def along(axis: str, value: Component, elsewhere: float = 0.0) -> Array:
+    """Return six numbers, one on an axis and another elsewhere; (N, 6) of values (N,)."""
+    return np.where(np.arange(len(AXES)) == AXES.index(axis), np.asarray(value)[..., None], elsewhere)
 
 
 def stepped(axis: str, quantum: float) -> Sensor | None:
@@ -56,6 +58,31 @@ def _hold(axes: str | tuple[str, ...], mass: float, period: float, delay: float)
     """Return a hold, cached for all scenes of a sweep."""
     inertia = [mass if index < 3 else INERTIA[index] for index in axis_indices(axes)]
     return Hold.critically_damped(axes, inertia=inertia, period=period, delay=delay)
+
+
+def wall_controller(
+    law: Law | None = None,
+    *,
+    period: float,
+    delay: float,
+    mass: float,
+    velocity: VelocityEstimator | None = None,
+    **gains: ArrayLike,
+) -> Controller:
+    """Return a controller of one wall along z that holds the five other axes.
+
+    Args:
+        law: The wall; None for the PD wall of eq. (3) of Salcudean & Vlaar 1997 with pulses, which fills z <= 0.
+        period: Sample period [s].
+        delay: Transport delay [s], for the hold of the other axes.
+        mass: Moving mass [kg], for the hold of the other axes.
+        velocity: Velocity estimate; None for the finite difference.
+        gains: Further parameters of `Wall`: numbers, or (N,) for N devices.
+    """
+    if law is None:
+        columns: Any = {name: gain if np.ndim(gain) == 0 else np.asarray(gain)[:, None] for name, gain in gains.items()}
+        law = Wall(axes="z", lower=0.0, **columns)
+    return Controller([law, _hold(tuple(others("z")), mass, period, delay)], period=period, velocity=velocity)
 
 
 class WallScene(Scene):
