@@ -50,9 +50,9 @@ from maglev_mj.recording import load_samples as load_samples
 from maglev_mj.recording import open_recording as open_recording
 from maglev_mj.recording.export import export as export
 from maglev_mj.recording.verify import verify as verify
+from maglev_mj.scenes.bench import hold as hold
 from maglev_mj.scenes.figures import figure as figure
 from maglev_mj.scenes.find import find_scene as find_scene
-from maglev_mj.scenes.parts import hold as hold
 from maglev_mj.scenes.run import Phases as Phases
 from maglev_mj.scenes.run import RunResult as RunResult
 from maglev_mj.scenes.run import run as run

@@ -5,7 +5,7 @@ import pytest
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import Hand
-from maglev_mj.studies.batches import hum
+from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory import bounds, largest_stable_stiffness, stiffest_wall
 
 T, M = 0.005, 0.7

@@ -15,9 +15,9 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.hand import Hand
 from maglev_mj.plants import INTEGRATORS, MuJoCoBatchPlant
+from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import INERTIA
-from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.levels import SteppedLoop, apart, level_parts, motion_of
 from maglev_mj.theory import stiffest_wall
 from maglev_mj.theory.boundary import stiffest_of

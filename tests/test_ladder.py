@@ -20,6 +20,7 @@ from maglev_mj.frames import Array, Command
 from maglev_mj.hand import get_hand
 from maglev_mj.laws import AxisLaw, Bias, Hold, Law, Wall, gain
 from maglev_mj.parameters import param
+from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.free import LetGo, SixAxes, Twist
@@ -27,7 +28,6 @@ from maglev_mj.scenes.interactive import InteractiveScene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.spec import Spec
 from maglev_mj.studies import fidelity
-from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.fidelity import (
     COMPARED,
     DEAR,

@@ -15,7 +15,7 @@ from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.studies.cells import Record, local_workers
-from maglev_mj.studies.nonlinear import SAMPLES, DropMapParameters, Ending, _Quarters, judge_drops, run_drop_map
+from maglev_mj.studies.drop_map import SAMPLES, DropMapParameters, Ending, _Quarters, judge_drops, run_drop_map
 from maglev_mj.theory import is_stable, largest_modulus
 
 ALL: dict[str, Any] = {"pulse": 220.0, "force_limit": 60.0, "quantize": 5e-6}

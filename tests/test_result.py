@@ -18,8 +18,8 @@ from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session.replay import record_run
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
+from maglev_mj.studies.drop_map import DropMapParameters, run_drop_map
 from maglev_mj.studies.fidelity import MARGIN
-from maglev_mj.studies.nonlinear import DropMapParameters, run_drop_map
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.theory import WallRequirements, design_wall
 from tests.test_analysis import analysed, recorded

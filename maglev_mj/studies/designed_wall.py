@@ -8,21 +8,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import Hand, get_hand
+from maglev_mj.laws import Law
 from maglev_mj.loop import drive
-from maglev_mj.parameters import Parameters, param
-from maglev_mj.plants import ExactPlant, Sensor, Timing
+from maglev_mj.parameters import Parameters, numbers, param
+from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.result import Result, Table
+from maglev_mj.scenes.bench import along, stepped, wall_controller
 from maglev_mj.scenes.figures import summarise_bounce
-from maglev_mj.spec import RANGE, Spec
-from maglev_mj.studies.batches import along_z, around_wall, hum, wall_controller
+from maglev_mj.spec import GRAVITY, RANGE, Spec
 from maglev_mj.theory.design import Case, DesignedWall
 from maglev_mj.timeline import split_delay
 
@@ -249,6 +251,77 @@ def hardest_contact(wall: DesignedWall, contact: Contact) -> tuple[float, float]
     return depth, peak
 
 
+class Hum(NamedTuple):
+    """Limit cycle of a flotor at rest in a wall, from the worst start.
+
+    Attributes:
+        swing: Peak-to-peak position [m].
+        force: Standard deviation of the force [N].
+    """
+
+    swing: Array
+    force: Array
+
+
+def hum(
+    frictions: ArrayLike,
+    *,
+    law: Law | None = None,
+    stiffness: float = 6000.0,
+    damping: float = 80.0,
+    quantum: float = Spec.translation_resolution.value,
+    delay: float = Spec.transport_delay.value,
+    period: float = 1.0 / Spec.control_rate.value,
+    mass: float = Spec.moving_mass.value,
+    hand: Hand | None = None,
+    duration: float = 4.0,
+    offsets: int = 32,
+) -> Hum:
+    """Measure the limit cycle of a flotor that rests in a wall over a quantized sensor.
+
+    The last quarter of the time is evaluated.
+
+    Args:
+        frictions: Coulomb friction of the device itself [N], (M,).
+        law: The wall along z; None for PD.
+        stiffness: Wall stiffness, the rendered one of another law [N/m].
+        damping: Wall damping [N s/m].
+        quantum: Step of the sensor [m].
+        delay: Transport delay [s].
+        period: Sample period [s].
+        mass: Moving mass [kg].
+        hand: The hand on the flotor; None for none.
+        duration: Simulated time [s].
+        offsets: Number of starts over two steps of the sensor.
+
+    Returns:
+        A figure per friction, (M,) each.
+    """
+    friction = np.repeat(np.atleast_1d(numbers("frictions", frictions)), offsets)
+    offset = np.resize(np.arange(offsets) / offsets, friction.size)
+    arm = 0.0 if hand is None else float(hand.static_stiffness)
+    depth = mass * GRAVITY / (stiffness + arm)
+    plant = ExactPlant(
+        Timing(period=period, delay=delay),
+        mass=mass,
+        hand=hand,
+        escape=_ANYWHERE,
+        pose=along("z", np.floor(-depth / quantum) * quantum + 2.0 * quantum * offset),
+        wrench=along("z", np.full(friction.size, stiffness * depth)),
+        dry_friction=along("z", friction),
+        sensor=stepped("z", quantum),
+        record=True,
+    )
+    around: Any = {"period": period, "delay": delay, "mass": mass}
+    with plant:
+        controller = wall_controller(law, stiffness=stiffness, damping=damping, **around)
+        drive(plant, controller, round(duration / period))
+    trace = plant.trace()
+    late = slice(-len(trace.time) // 4, -1)
+    swing, force = np.ptp(trace.pose[late, :, 2], axis=0), np.std(trace.wrench[late, :, 2], axis=0)
+    return Hum(*(part.reshape(-1, offsets).max(axis=1) for part in (swing, force)))
+
+
 def _plants(
     wall: DesignedWall,
     contact: Contact,
@@ -269,7 +342,6 @@ def _plants(
         hand = get_hand(case.hand)
         key = hand is not None and hand.soft, int(split_delay(case.delay, needs.period)[0])
         groups.setdefault(key, []).append(place)
-    axis = np.eye(6)[2]
     for (soft, _), index in groups.items():
         some = [cases[place] for place in index]
         yield (
@@ -277,11 +349,11 @@ def _plants(
             ExactPlant(
                 Timing(period=needs.period, delay=np.array([case.delay for case in some]), phase=phase[index]),
                 mass=np.array([case.mass for case in some]),
-                pose=along_z(height[index]),
-                twist=along_z(-speed[index]),
+                pose=along("z", height[index]),
+                twist=along("z", -speed[index]),
                 hand=_hands([case.hand for case in some], soft),
                 driver_lag=needs.driver_lag,
-                sensor=Sensor(quantum=axis * contact.quantize) if contact.quantize else None,
+                sensor=stepped("z", contact.quantize),
                 wrench_limit=contact.force_limit,
                 escape=_ANYWHERE,
                 record=record,
@@ -292,10 +364,8 @@ def _plants(
 def _controller(wall: DesignedWall, contact: Contact) -> Controller:
     needs = wall.requirements
     mass, delay = needs.nominal
-    law = wall.make(force_limit=math.inf if contact.force_limit is None else contact.force_limit)
-    if law is not None:
-        return around_wall(law, period=needs.period, delay=delay, mass=mass)
     return wall_controller(
+        wall.make(force_limit=math.inf if contact.force_limit is None else contact.force_limit),
         stiffness=wall.stiffness,
         damping=wall.damping,
         pulse=contact.pulse_of(wall),

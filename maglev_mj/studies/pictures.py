@@ -13,8 +13,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.pictures import FIRST, SECOND, TITLE, axis_label, name_curves, new_figure, new_grid
 from maglev_mj.studies.designed_wall import DesignResult
+from maglev_mj.studies.drop_map import DropMap
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
-from maglev_mj.studies.nonlinear import DropMap
 from maglev_mj.studies.stability_map import StabilityMap
 from maglev_mj.studies.sweep import Sweep
 

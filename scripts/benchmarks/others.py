@@ -16,7 +16,7 @@ import numpy as np
 
 from loop import timed
 from maglev_mj import ExactPlant, MuJoCoPlant, Timing, drive
-from maglev_mj.studies.batches import wall_controller
+from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.studies.levels import apart
 from peers import Task, available
 

@@ -30,10 +30,10 @@ from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.pictures import Panel, PictureFolder, small_multiples
 from maglev_mj.plants import INTEGRATORS, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
+from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import Spec
-from maglev_mj.studies.batches import wall_controller
 from maglev_mj.studies.fidelity import preset_of
 from maglev_mj.versions import versions
 from methods import GROUPS, PEERS, SEMI_IMPLICIT, as_json, boundary_shift, our_methods, peer_methods, take_times

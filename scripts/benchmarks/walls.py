@@ -17,8 +17,8 @@ from maglev_mj import find_scene
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Sensor, Timing
+from maglev_mj.scenes.bench import along, wall_controller
 from maglev_mj.spec import Spec
-from maglev_mj.studies.batches import FAR, along_z, wall_controller
 from maglev_mj.studies.cells import Cell
 from maglev_mj.studies.sweep import run_scene_cells, swept_cells
 
@@ -76,8 +76,8 @@ def swings(stiffness: Array, damping: Array) -> Array:
     plant = ExactPlant(
         Timing(period=AROUND["period"], delay=AROUND["delay"]),
         mass=AROUND["mass"],
-        pose=along_z(np.full(stiffness.size, Spec.translation_range.value)),
-        escape=FAR,
+        pose=along("z", np.full(stiffness.size, Spec.translation_range.value)),
+        escape=(1e9, 1.0),
         wrench_limit=np.where(np.eye(6)[2] > 0.0, LIMIT, np.inf),
         sensor=Sensor(quantum=np.eye(6)[2] * QUANTUM),
     )
@@ -156,7 +156,7 @@ def door(quick: bool) -> dict[str, Any]:
     Through the map of drops, verdicts and theory's boundary included.
     """
     try:
-        from maglev_mj.studies.nonlinear import DropMapParameters, run_drop_map
+        from maglev_mj.studies.drop_map import DropMapParameters, run_drop_map
     except ImportError:
         return {}
     grid = 100 if quick else 400

@@ -21,8 +21,7 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import HANDS
 from maglev_mj.laws import Law, PassivityController, PredictiveWall
 from maglev_mj.spec import Spec
-from maglev_mj.studies.batches import hum
-from maglev_mj.studies.designed_wall import Contact, growing_cases
+from maglev_mj.studies.designed_wall import Contact, growing_cases, hum
 from maglev_mj.theory import WallRequirements, design_wall, stiffest_wall
 from maglev_mj.versions import versions
 

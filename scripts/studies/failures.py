@@ -7,10 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from impacts import watched
 from maglev_mj.frames import Array
+from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, Sensor, Timing
+from maglev_mj.scenes.bench import along, wall_controller
 from maglev_mj.spec import Spec
-from maglev_mj.studies.batches import along_z, each_phase, wall_controller, watched
 from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
 
 __all__ = ["Chatter", "press_at_edge", "random_delay_rate"]
@@ -63,12 +65,13 @@ def press_at_edge(
         A figure a gate, (M,) each.
     """
     stiffness, damping, width = 6000.0, 80.0, 0.003
-    gate, phase = each_phase(gates, phases)
+    gate = np.repeat(np.atleast_1d(numbers("gates", gates)), phases)
+    phase = np.resize(np.arange(phases) / phases, gate.size)
     start = np.full(gate.size, -press / stiffness if height is None else height)
     plant = ExactPlant(
         Timing(period=period, delay=delay, phase=phase),
-        pose=along_z(start),
-        wrench=along_z(np.full(gate.size, press if height is None else 0.0)),
+        pose=along("z", start),
+        wrench=along("z", np.full(gate.size, press if height is None else 0.0)),
         gravity=press / _MASS,
         sensor=Sensor(quantum=np.eye(6)[2] * quantum, noise=np.eye(6)[2] * noise, seed=1),
     )

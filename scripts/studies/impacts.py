@@ -11,18 +11,50 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.controller import Controller
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.laws import Law, Wall
+from maglev_mj.loop import drive
 from maglev_mj.parameters import numbers
-from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.plants import ExactPlant, SampledPlant, Timing
+from maglev_mj.scenes.bench import along, wall_controller
 from maglev_mj.spec import Spec
-from maglev_mj.studies.batches import FAR, along_z, around_wall, watched
 
-__all__ = ["RATTLE", "LimitedDrop", "Rattle", "limited_drop", "rattle"]
+__all__ = ["RATTLE", "LimitedDrop", "Rattle", "limited_drop", "rattle", "watched"]
 
 _MASS = Spec.moving_mass.value
 _PERIOD = 1.0 / Spec.control_rate.value
 _DELAY = Spec.transport_delay.value
+
+FAR = (1e9, 1.0)
+"""Escape bounds for unstable flotors: distance [m], angle [rad].
+
+They let an unstable run go on to its end.
+"""
+
+
+class Watch:
+    """Observer of positions along z and of pulses.
+
+    Positions are (ticks, N), pulse counts (N,).
+    """
+
+    def __init__(self, ticks: int, devices: int) -> None:
+        self.places = np.zeros((ticks, devices))
+        self.pulses = np.zeros(devices)
+
+    def __call__(self, sample: Sample, command: Command) -> None:
+        """Store one sample and its command."""
+        self.places[sample.tick] = sample.position[2]
+        if command.extra is not None:
+            self.pulses += np.broadcast_to(np.asarray(command.extra[2]) != 0.0, self.pulses.shape)
+
+
+def watched(plant: SampledPlant, controller: Controller, duration: float, devices: int) -> Watch:
+    """Run a batch for `duration` [s]; return its samples."""
+    watch = Watch(round(duration / plant.period), devices)
+    with plant:
+        drive(plant, controller, len(watch.places), observe=watch)
+    return watch
 
 
 class Rattle(NamedTuple):
@@ -86,8 +118,8 @@ def rattle(
     )
     plant = ExactPlant(
         Timing(period=period, delay=delay, phase=phase),
-        pose=along_z(0.5 * gap * start),
-        twist=along_z(speed),
+        pose=along("z", 0.5 * gap * start),
+        twist=along("z", speed),
         gravity=0.0,
         wrench_limit=force_limit,
         escape=FAR,
@@ -133,12 +165,12 @@ def limited_drop(
     shape, (height, phase, limit) = _starts(heights=heights, phases=phases, force_limit=force_limit)
     plant = ExactPlant(
         Timing(period=period, delay=delay, phase=phase),
-        pose=along_z(height),
+        pose=along("z", height),
         wrench_limit=np.repeat(limit[:, None], 6, axis=1),
         escape=FAR,
         record=True,
     )
-    controller = around_wall(law, period=period, delay=delay, mass=_MASS)
+    controller = wall_controller(law, period=period, delay=delay, mass=_MASS)
     places = watched(plant, controller, duration, height.size).places
     swing = np.ptp(places[-round(1.0 / period) :], axis=0)
     furthest = plant.trace().furthest()[:, 2]

@@ -13,7 +13,7 @@ from maglev_mj.cli.pictures import script_options
 from maglev_mj.cli.progress import Progress
 from maglev_mj.pictures import TITLE, new_figure, save
 from maglev_mj.studies.cells import local_workers
-from maglev_mj.studies.nonlinear import DropMapParameters, Ending, run_drop_map
+from maglev_mj.studies.drop_map import DropMapParameters, Ending, run_drop_map
 from maglev_mj.studies.pictures import drop_panels
 from maglev_mj.versions import versions
 

@@ -20,9 +20,8 @@ from maglev_mj.loop import drive
 from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.result import Table
-from maglev_mj.scenes.parts import along, stepped
+from maglev_mj.scenes.bench import along, stepped, wall_controller
 from maglev_mj.spec import Spec
-from maglev_mj.studies.batches import along_z, wall_controller
 from maglev_mj.studies.cells import Cell, Record, Workers, run_cells
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, gain_axes
 
@@ -252,7 +251,7 @@ def judge_drops(stiffness: Array, damping: Array, parameters: DropMapParameters)
         timing,
         mass=p.mass,
         hand=get_hand(p.hand),
-        pose=along_z(np.full(count, p.height)),
+        pose=along("z", np.full(count, p.height)),
         escape=_FAR,
         wrench_limit=limit,
         sensor=stepped("z", p.quantize),
