@@ -33,7 +33,7 @@ from maglev_mj.laws import Bias, FiniteDifference, Hold
 from maglev_mj.loop import drive
 from maglev_mj.plants import MuJoCoPlant, Plant, SpotSensor
 from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 from tests.recorded import command_row
 
 ZERO = (0.0,) * 6

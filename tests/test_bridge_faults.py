@@ -33,7 +33,7 @@ from maglev_mj.frames import Command, Sample
 from maglev_mj.hand import SpringHand
 from maglev_mj.laws import Bias
 from maglev_mj.loop import drive
-from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.scenes.interactive import WEIGHT
 from tests.sweeps import sweep
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, REACH, TOUR, ZERO, Rig, hover
 

@@ -24,7 +24,7 @@ from gantry.task import DELAY_SHARE, FIRM, Task
 from gantry.theory import NO_GAINS, Gains, TwoBodies, chosen_gains, stiffest_coupling
 from maglev_mj.frames import Array
 from maglev_mj.plants import Timing
-from maglev_mj.scenes.parts import MASS
+from maglev_mj.scenes.interactive import MASS
 from maglev_mj.spacenav.navigation import Navigation, Navigator
 
 SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "studies" / "teleoperation.py"

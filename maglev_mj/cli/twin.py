@@ -35,7 +35,7 @@ from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.recording import setup_of
 from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.session import EMERGENCY_STOP, Publishers, SampledMotion, Snapshot
 from maglev_mj.spec import INERTIA, Spec
 

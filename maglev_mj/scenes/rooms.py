@@ -10,8 +10,7 @@ from maglev_mj.hand import Trajectory
 from maglev_mj.laws import Law
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import hold
-from maglev_mj.scenes.interactive import InteractiveScene
-from maglev_mj.scenes.parts import contacts, friction, spring, weight
+from maglev_mj.scenes.interactive import InteractiveScene, contacts, friction, spring, weight
 
 CENTRING = 300.0
 """Stiffness of the spring to the centre [N/m]."""

@@ -19,7 +19,7 @@ from maglev_mj.recording import RecordingFile, setup_of
 from maglev_mj.recording.setup import attach_model, attach_source
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import reference_of, source_of
-from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.session.actions import settable
 from maglev_mj.spec import Spec
 

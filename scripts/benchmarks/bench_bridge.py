@@ -35,7 +35,7 @@ from maglev_mj.loop import drive
 from maglev_mj.net.links import Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.sensing import FastBeams, PoseTracker
 from maglev_mj.spec import Spec

@@ -32,7 +32,7 @@ from maglev_mj.laws import Bias, Hold
 from maglev_mj.loop import drive
 from maglev_mj.net.addresses import parse_url
 from maglev_mj.net.links import open_link
-from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 
 CODEC = Codec()
 FLOODS = {

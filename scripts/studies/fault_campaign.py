@@ -39,7 +39,7 @@ from maglev_mj.frames import Command, Sample
 from maglev_mj.laws import Bias, Hold
 from maglev_mj.loop import drive
 from maglev_mj.net.links import open_link
-from maglev_mj.scenes.parts import INERTIA, WEIGHT
+from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 
 AT, TIMES = 2.0, 5
 """Time of a fault [s] and number of tries."""
