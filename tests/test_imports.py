@@ -37,7 +37,7 @@ FLOORS = {
     "laws": 2,
     "net": 2,
     "coils": 2,
-    "sensing": 2,
+    "beams": 2,
     "hand": 2,
     "trace": 2,
     "controller": 3,
