@@ -168,9 +168,9 @@ if TYPE_CHECKING:
     from maglev_mj.recording import open_recording as open_recording
     from maglev_mj.recording.export import export as export
     from maglev_mj.recording.verify import verify as verify
-    from maglev_mj.scenes.bench import hold as hold
     from maglev_mj.scenes.figures import figure as figure
     from maglev_mj.scenes.find import find_scene as find_scene
+    from maglev_mj.scenes.parts import hold as hold
     from maglev_mj.scenes.run import Phases as Phases
     from maglev_mj.scenes.run import RunResult as RunResult
     from maglev_mj.scenes.run import run as run
@@ -218,7 +218,7 @@ else:
         "recording.export": "export",
         "recording.verify": "verify",
         "session.replay": "rebuild record_run write_run",
-        "scenes.bench": "hold",
+        "scenes.parts": "hold",
         "scenes.figures": "figure",
         "scenes.find": "find_scene",
         "scenes.run": "Phases RunResult run run_phases",

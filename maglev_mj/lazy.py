@@ -18,7 +18,7 @@ class _LazyModule(ModuleType):
     """Module that is imported at its first use."""
 
     def __getattr__(self, name: str) -> Any:
-        from maglev_mj.interrupts import interrupts_held
+        from maglev_mj.process import interrupts_held
 
         with interrupts_held():  # its libraries start a program
             value = getattr(_engine(self.__name__), name)

@@ -30,14 +30,14 @@ from maglev_mj.display.curves import Ranges, curves
 from maglev_mj.energy import PassivityObserver
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.hand import SpringHand, Trajectory
-from maglev_mj.metrics import perceived_hardness, summarise_bounce
 from maglev_mj.plants import Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, open_recording
 from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.figures import perceived_hardness, summarise_bounce
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.scenes.stick_slip import StickSlip

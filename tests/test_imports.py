@@ -24,7 +24,6 @@ PACKAGE = Path(maglev_mj.__file__).parent
 
 # floor of each module; a module may import only from floors below its own, or its own package
 FLOORS = {
-    "interrupts": 0,
     "lazy": 0,
     "errors": 0,
     "frames": 0,
@@ -36,11 +35,11 @@ FLOORS = {
     "result": 1,
     "pictures": 1.5,
     "timeline": 1.5,
-    "process": 1.5,
+    "process": 0,
     "laws": 2,
     "net": 2,
     "coils": 2,
-    "sensing": 2,
+    "beams": 2,
     "hand": 2,
     "trace": 2,
     "controller": 3,
@@ -50,7 +49,6 @@ FLOORS = {
     "loop": 5,
     "theory": 5,
     "energy": 5,
-    "metrics": 5,
     "recording": 6,
     "scenes": 6,
     "session": 7,

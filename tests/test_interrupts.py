@@ -11,8 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from maglev_mj.interrupts import Interrupts, interrupts_held
-from maglev_mj.process import SideProcess
+from maglev_mj.process import Interrupts, SideProcess, interrupts_held
 
 PATIENCE = 60.0
 

@@ -21,9 +21,9 @@ from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.recording import ArrayFile, Recording, verify
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, WEIGHT, wall
 from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import (
     EMERGENCY_STOP,
     Pacer,

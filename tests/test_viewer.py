@@ -26,7 +26,7 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.recording import Recording, RecordingError, verify
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.joystick import CENTRING, Joystick
+from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import EMERGENCY_STOP, device_actions
 from maglev_mj.session import Session as LiveSession
 from maglev_mj.session.replay import rebuild

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.frames import AXES, Array, Mask, unit_of
-from maglev_mj.metrics import Hardness, perceived_hardness, summarise_bounce
 from maglev_mj.result import plain
+from maglev_mj.scenes.figures import Hardness, perceived_hardness, summarise_bounce
 from maglev_mj.trace import Trace
 
 HARDNESS_WINDOW = 0.005

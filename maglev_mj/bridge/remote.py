@@ -10,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn, Self
 
+from maglev_mj.beams import PoseTracker
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
@@ -31,7 +32,6 @@ from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.loop import ControlLoop
 from maglev_mj.net.udp import Link, LinkError, open_link
-from maglev_mj.sensing.solver import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
 _NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from maglev_mj.laws.base import LinearController as LinearController
     from maglev_mj.laws.base import VelocityEstimator as VelocityEstimator
     from maglev_mj.laws.base import gain as gain
-    from maglev_mj.laws.bias import Bias as Bias
     from maglev_mj.laws.bristle import Dahl as Dahl
     from maglev_mj.laws.bristle import ElastoPlastic as ElastoPlastic
     from maglev_mj.laws.bristle import HaywardArmstrong as HaywardArmstrong
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from maglev_mj.laws.friction import ImplicitCoulomb as ImplicitCoulomb
     from maglev_mj.laws.friction import SpringReset as SpringReset
     from maglev_mj.laws.friction import StickSlip as StickSlip
+    from maglev_mj.laws.hold import Bias as Bias
     from maglev_mj.laws.hold import Hold as Hold
     from maglev_mj.laws.passivity import PassivityController as PassivityController
     from maglev_mj.laws.prediction import ObserverWall as ObserverWall
@@ -40,11 +40,10 @@ if TYPE_CHECKING:
 else:
     _HOMES = {
         "base": "AxisLaw Gains Law LinearController VelocityEstimator gain",
-        "bias": "Bias",
         "bristle": "Dahl ElastoPlastic HaywardArmstrong LuGre",
         "checking": "check_law",
         "friction": "Friction FrictionState ImplicitCoulomb SpringReset StickSlip",
-        "hold": "Hold",
+        "hold": "Bias Hold",
         "passivity": "PassivityController",
         "prediction": "ObserverWall PredictiveWall",
         "velocity": "AdaptiveWindow FiniteDifference LowPass Window",

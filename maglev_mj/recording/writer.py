@@ -27,9 +27,9 @@ from typing import IO, Any
 
 from maglev_mj.controller import Controller
 from maglev_mj.frames import Command, Sample
-from maglev_mj.interrupts import interrupts_held
 from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
+from maglev_mj.process import interrupts_held
 from maglev_mj.recording.mcap import FORMAT, METADATA, require_mcap
 from maglev_mj.recording.recording import RecordingError
 from maglev_mj.recording.sample import ROW, RecordedPlant, Row, Setup, compiled, units

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
-from maglev_mj.interrupts import interrupts_held
+from maglev_mj.process import interrupts_held
 from maglev_mj.versions import Versions, differences, versions, versions_read
 
 Cell: TypeAlias = dict[str, Any]

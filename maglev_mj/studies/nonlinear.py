@@ -20,7 +20,7 @@ from maglev_mj.loop import drive
 from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.result import Table
-from maglev_mj.scenes.bench import along, stepped
+from maglev_mj.scenes.parts import along, stepped
 from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import along_z, wall_controller
 from maglev_mj.studies.cells import Cell, Record, Workers, run_cells

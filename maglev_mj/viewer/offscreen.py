@@ -12,9 +12,9 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.interrupts import interrupts_held
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
+from maglev_mj.process import interrupts_held
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.viewer.backend import NEEDS, DisplayError, drawing_library

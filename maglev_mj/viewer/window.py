@@ -21,9 +21,9 @@ import glfw
 from maglev_mj.display.remote import ShowReport
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
-from maglev_mj.interrupts import interrupts_delayed
 from maglev_mj.lazy import mujoco
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.process import interrupts_delayed
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
 from maglev_mj.viewer.backend import DisplayError

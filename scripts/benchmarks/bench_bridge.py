@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj import Controller, Hold, Sample
+from maglev_mj.beams import FastBeams, PoseTracker
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.realtime import LatencyHistogram, realtime, stopping
@@ -35,9 +36,8 @@ from maglev_mj.loop import drive
 from maglev_mj.net.udp import Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
-from maglev_mj.sensing.solver import FastBeams, PoseTracker
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.spec import Spec
 
 PARTS = "host", "lockstep", "realtime"
