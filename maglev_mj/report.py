@@ -19,8 +19,6 @@ from maglev_mj.shapes import envelope
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.terminal import WIDTH, wrapped
 
-__all__ = ["device_report", "device_table", "position_bandwidth"]
-
 
 @dataclass(frozen=True)
 class Row:
