@@ -7,24 +7,6 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-__all__ = [
-    "BAD",
-    "BOUNDARY",
-    "DEVICE",
-    "GOOD",
-    "GRID",
-    "HAND",
-    "MEASURED",
-    "REFERENCE",
-    "SERIES",
-    "STOP",
-    "STUCK",
-    "TOUCHED",
-    "WALL",
-    "Colour",
-    "hex_of",
-]
-
 Colour: TypeAlias = tuple[float, float, float]
 """Red, green and blue, each from 0 to 1."""
 

@@ -18,8 +18,6 @@ from maglev_mj.laws import FiniteDifference, Law, VelocityEstimator
 from maglev_mj.laws.base import Face, answer, as_law
 from maglev_mj.parameters import number
 
-__all__ = ["Controller"]
-
 
 class Controller:
     """Sum of laws, evaluated once per sample.

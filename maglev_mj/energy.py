@@ -15,8 +15,6 @@ from maglev_mj.parameters import numbers
 from maglev_mj.timeline import Segment, Timeline, Timing
 from maglev_mj.trace import Trace
 
-__all__ = ["EnergyAccount", "HandWork", "PassivityObserver", "actuator_work", "hand_work"]
-
 
 def actuator_work(trace: Trace, carried: ArrayLike = 0.0) -> Array:
     """Return the work of the actuators between knots [J].

@@ -17,25 +17,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from maglev_mj.frames import Command, Sample
 
-__all__ = [
-    "DivergenceError",
-    "MaglevError",
-    "MissingPackageError",
-    "ModelError",
-    "ParameterError",
-    "PlantError",
-    "SensingError",
-    "check_instance",
-    "check_one_of",
-    "file_path",
-    "install_command",
-    "meant",
-    "named",
-    "not_one_of",
-    "one_line",
-    "require",
-]
-
 _LONGEST = 200
 
 

@@ -14,24 +14,6 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "AXES",
-    "ZERO",
-    "Array",
-    "Command",
-    "Component",
-    "Mask",
-    "Sample",
-    "clipped",
-    "components",
-    "join",
-    "quaternion",
-    "quaternions",
-    "rotation_matrix",
-    "rotation_vector",
-    "unit_of",
-]
-
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the six axes.
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import Any
 
-__all__ = ["attach", "mujoco"]
-
 
 class _LazyModule(ModuleType):
     """Module that is imported at its first use."""

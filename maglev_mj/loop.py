@@ -12,8 +12,6 @@ from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.plants import Plant
 
-__all__ = ["Answers", "ControlLoop", "Record", "drive"]
-
 _KEPT = 50  # more of them leave the fastest cache: 200 cost 4 % of the loop
 
 Record: TypeAlias = Callable[[Sample, Command, Command], object]

@@ -23,18 +23,6 @@ from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.versions import MODELS
 
-__all__ = [
-    "COILS",
-    "Device",
-    "Model",
-    "beams",
-    "load_model",
-    "model_files",
-    "model_names",
-    "model_path",
-    "scenes",
-]
-
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))
 """Actuator names, in the order of the six currents."""
 

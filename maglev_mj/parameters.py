@@ -20,23 +20,6 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError, check_one_of, not_one_of
 from maglev_mj.frames import AXES, Array, Component
 
-__all__ = [
-    "Parameter",
-    "Parameters",
-    "Turn",
-    "axis_indices",
-    "batch_shape",
-    "common_shape",
-    "flag",
-    "interval",
-    "number",
-    "numbers",
-    "param",
-    "parsed_number",
-    "per_axis",
-    "whole",
-]
-
 _NO_NUMBERS = bool, np.bool_, str, bytes
 """Types accepted by float(), but refused as numbers."""
 

@@ -16,19 +16,6 @@ from maglev_mj.frames import Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.model import Device, Model, load_model
 
-__all__ = [
-    "ARROW",
-    "GRIP",
-    "KNOB",
-    "LEAST_FORCE",
-    "UNDER_KNOB",
-    "Shape",
-    "arrow_start",
-    "envelope",
-    "shapes",
-    "wall_plate",
-]
-
 ARROW = 0.003
 """Length of an arrow for each newton [m]."""
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-__all__ = ["DRIVER_TIME_CONSTANT", "ESCAPE", "GRAVITY", "INERTIA", "RANGE", "RESOLUTION", "Quantity", "Spec"]
-
 GRAVITY = 9.81
 """Standard acceleration of free fall [m/s²], three digits.
 

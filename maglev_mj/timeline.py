@@ -17,8 +17,6 @@ from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import number, numbers, whole
 from maglev_mj.spec import Spec
 
-__all__ = ["MOST_PERIODS", "Segment", "Timeline", "Timing", "recorded_switches", "split_delay"]
-
 Segment: TypeAlias = tuple[Any, Any]
 """Duration [s] and acting drive.
 

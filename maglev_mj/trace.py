@@ -17,8 +17,6 @@ from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import numbers
 from maglev_mj.result import Result
 
-__all__ = ["Trace", "TraceRecorder"]
-
 
 class TraceRecorder:
     """Recorder of the states at each switch.

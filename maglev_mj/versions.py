@@ -18,8 +18,6 @@ import numpy as np
 import maglev_mj
 from maglev_mj.lazy import mujoco
 
-__all__ = ["MODELS", "TEXT", "Versions", "differences", "file_of", "hash_of", "versions", "versions_read"]
-
 Versions: TypeAlias = Mapping[str, str]
 """Versions by name; see `versions`."""
 

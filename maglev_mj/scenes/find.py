@@ -18,22 +18,6 @@ from maglev_mj.scenes.names import BUILT_IN, installed_scenes, scene_names
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.versions import TEXT, file_of, hash_of
 
-__all__ = [
-    "SceneLike",
-    "defined_in",
-    "find_scene",
-    "get_scene",
-    "hash_of",
-    "line_of",
-    "made_again",
-    "object_of_text",
-    "recorded_scene",
-    "reference_of",
-    "scene_of_text",
-    "source_of",
-    "text_of",
-]
-
 _OWN = "maglev_mj_scene_"
 
 SceneLike: TypeAlias = Scene | type[Scene] | str | Path

@@ -24,11 +24,12 @@ from maglev_mj.frames import Array, unit_of
 from maglev_mj.parameters import parsed_number
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.figures import Figure
-from maglev_mj.scenes.find import SceneLike, get_scene, hash_of, made_again, reference_of, scene_of_text, text_of
+from maglev_mj.scenes.find import SceneLike, get_scene, made_again, reference_of, scene_of_text, text_of
 from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Cell, Record, Workers, chosen_workers, run_cells
+from maglev_mj.versions import hash_of
 
 MOST_CELLS = 1_000_000
 """Largest number of cells in a sweep."""
