@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -143,7 +143,7 @@ def save(figure: Any, path: Path | None) -> Any:
     return path
 
 
-def name_curves(place: Any, panels: Sequence[Any] = (), named: Mapping[str, Any] | None = None) -> None:
+def name_curves(place: Any, panels: Sequence[Any] = ()) -> None:
     """Add a legend under a panel or a figure.
 
     Under the figure for several panels; none without a name.
@@ -151,12 +151,11 @@ def name_curves(place: Any, panels: Sequence[Any] = (), named: Mapping[str, Any]
     Args:
         place: The figure, or the panel.
         panels: Panels whose curves are named in the figure's legend, each name once.
-        named: Curves by name, in place of the panel's own.
     """
     import matplotlib.transforms as moves
 
-    entries = dict(named or {})
-    for panel in panels or (() if named else (place,)):
+    entries: dict[str, Any] = {}
+    for panel in panels or (place,):
         handles, labels = panel.get_legend_handles_labels()
         entries |= {label: handle for label, handle in zip(labels, handles, strict=True) if label not in entries}
     if not entries:
