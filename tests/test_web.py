@@ -39,8 +39,7 @@ from maglev_mj.parameters import Turn, param
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
-from maglev_mj.shapes import Shape, shapes
-from maglev_mj.viewer.scenery import GRIP
+from maglev_mj.shapes import GRIP, Shape, shapes
 from maglev_mj.web.controls import Choice, Slider, Switch, control
 from maglev_mj.web.grab import Grab
 from maglev_mj.web.guard import Door

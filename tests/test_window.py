@@ -27,13 +27,14 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import Note, Pacer, Session, Snapshot, device_actions
+from maglev_mj.shapes import GRIP
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
 from maglev_mj.viewer.framing import Framing, directions
 from maglev_mj.viewer.keys import AXIS, KEYS, help_rows
 from maglev_mj.viewer.layout import Area, Font, Layout, arrange
 from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.plots import shown_colour
-from maglev_mj.viewer.scenery import GRIP, Scenery
+from maglev_mj.viewer.scenery import Scenery
 from maglev_mj.viewer.screen import Screen
 from maglev_mj.viewer.shadows import SlowFrames
 from maglev_mj.viewer.window import _Window

@@ -14,11 +14,6 @@ from maglev_mj.conformance.tester import WRAP, Tester, Unexpected, draw, fail, i
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import ZERO
 
-__all__ = [
-    *("CHECKS", "HALF", "NAN", "NEVER", "QUIET", "Check", "CheckResult", "check"),
-    *("close", "flipped", "ignored", "sealed", "stopped", "zero"),
-]
-
 QUIET = 0.06
 """Time without frames that counts as no answer [s]."""
 

@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.session import SHOWN, Snapshot
-
-__all__ = ["SHOWN", "Curves", "SteadyRange", "curves", "fitted_range", "round_up"]
+from maglev_mj.session import Snapshot
 
 _ROUNDING = 1e-6
 

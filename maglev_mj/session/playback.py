@@ -19,8 +19,6 @@ from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
 from maglev_mj.session import SHOWN, TIME_SCALES, Snapshot, next_scale
 from maglev_mj.session.replay import OwnCode, rebuild_for, shown_scene, stick_positions
 
-__all__ = ["ACTIONS", "Replay"]
-
 ACTIONS = "pause", "step", "step back", "skip forward", "skip back", "slower", "faster", "loop", "start", "end"
 """Actions of `Replay.act`.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -39,26 +39,10 @@ from maglev_mj.recording import (
 from maglev_mj.recording.sample import check_setup
 from maglev_mj.recording.setup import ALLOW, controller_again, plant_again, scripted
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
-from maglev_mj.scenes.find import SceneLike, defined_in, get_scene, object_of_text, recorded_scene, text_of
-from maglev_mj.scenes.run import Begin, checked_phase, checked_plant, run
+from maglev_mj.scenes.find import SceneLike, defined_in, object_of_text, recorded_scene, text_of
+from maglev_mj.scenes.run import Begin, checked_phase, run
 from maglev_mj.session import begin_scene, device_controller
 from maglev_mj.versions import hash_of
-
-__all__ = [
-    "ATTACHED",
-    "OwnCode",
-    "expected",
-    "rebuild",
-    "rebuild_for",
-    "record_run",
-    "recorded",
-    "recorded_to",
-    "shown_scene",
-    "stick_positions",
-    "stick_positions_of",
-    "unmade_plant",
-    "write_run",
-]
 
 ATTACHED = "attached"
 """Marker for sources stored in the recording.
@@ -280,7 +264,8 @@ def record_run(scene: SceneLike, *, plant: str | None = None, phase: float = 0.0
         21
     """
     file = ArrayFile()
-    _record(recorded(file), scene, plant, phase)
+    with recorded(file, quiet=True) as begin:
+        run(scene, plant=plant, phase=checked_phase(phase), begin=begin)
     return file.recording
 
 
@@ -314,18 +299,20 @@ def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, p
         ('run.npz', 21)
     """
     written = list[Path]()
-    _record(recorded_to(path, written), scene, plant, phase)
+    with recorded_to(path, written, quiet=True) as begin:
+        run(scene, plant=plant, phase=checked_phase(phase), begin=begin)
     return written
 
 
 @contextmanager
-def recorded(file: RecordingFile) -> Iterator[Begin]:
+def recorded(file: RecordingFile, *, quiet: bool = False) -> Iterator[Begin]:
     """Give `run` what begins a recording in a file.
 
     A fault of the run is an event there.
 
     Args:
         file: The file; it is left open.
+        quiet: True if nothing else is to tell of a fault.
     """
     begun = list[Scene]()
 
@@ -340,36 +327,26 @@ def recorded(file: RecordingFile) -> Iterator[Begin]:
     except MaglevError as error:
         if begun:
             file.event("fault", str(error))
-        raise
+        if not (begun and quiet):
+            raise
 
 
 @contextmanager
-def recorded_to(path: Path | str, written: list[Path]) -> Iterator[Begin]:
+def recorded_to(path: Path | str, written: list[Path], *, quiet: bool = False) -> Iterator[Begin]:
     """Give `run` what begins a recording in a file of a path; see `recorded`.
 
     Args:
         path: The file.
         written: List to which the file written is added; none without a sample.
+        quiet: See `recorded`.
     """
     file = open_recording(path, wait=True)
     try:
-        with recorded(file) as begin:
+        with recorded(file, quiet=quiet) as begin:
             yield begin
     finally:
         if (done := file.close()) is not None:
             written.append(done)
-
-
-def _record(recording: AbstractContextManager[Begin], scene: SceneLike, plant: str | None, phase: float) -> None:
-    scene = get_scene(scene)
-    options: dict[str, Any] = {"plant": checked_plant(scene, plant), "phase": checked_phase(phase)}
-    try:
-        with recording as begin:
-            run(scene, **options, begin=begin)
-    except RecordingError:
-        raise
-    except MaglevError:
-        pass  # the recording has it
 
 
 def shown_scene(setup: Setup, metadata: RunMetadata, own: OwnCode | None = None) -> Scene:

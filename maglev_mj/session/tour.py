@@ -17,8 +17,6 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot, TourLine
 from maglev_mj.theory import stability
 
-__all__ = ["STEPS", "Moment", "Step", "Tour"]
-
 _LOOK, _SHOWN = 1.0 / 30.0, 2.0
 """Times between checks and of display [s].
 

@@ -12,13 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED, Colour
-from maglev_mj.display.curves import SHOWN, Ranges, curves, round_up
+from maglev_mj.display.curves import Ranges, curves, round_up
 from maglev_mj.display.stability_map import Margin, StabilityMap
 from maglev_mj.frames import Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
-from maglev_mj.session import Snapshot
+from maglev_mj.session import SHOWN, Snapshot
 
 _POINTS = 500
 _LEAST = 1e-3

@@ -19,8 +19,6 @@ from maglev_mj.session import Snapshot
 from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, UNDER_KNOB, arrow_start, wall_plate
 from maglev_mj.spec import Spec
 
-__all__ = ["ARROW", "GRIP", "Scenery"]
-
 _WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.22), (*TOUCHED, 0.42), (*STUCK, 0.40), (*STOP, 0.55)
 _COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
 _MOST = Spec.peak_current.value

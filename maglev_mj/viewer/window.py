@@ -26,13 +26,14 @@ from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.process import interrupts_delayed
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
+from maglev_mj.shapes import GRIP
 from maglev_mj.viewer.backend import DisplayError
 from maglev_mj.viewer.clip import write_picture
 from maglev_mj.viewer.framing import Framing
 from maglev_mj.viewer.keys import AXIS, CAMERA, KEYS, SCREENSHOT, keys_of
 from maglev_mj.viewer.layout import Area
 from maglev_mj.viewer.offscreen import OffscreenPainter
-from maglev_mj.viewer.scenery import GRIP, Scenery
+from maglev_mj.viewer.scenery import Scenery
 from maglev_mj.viewer.screen import Screen
 from maglev_mj.viewer.shadows import SlowFrames
 

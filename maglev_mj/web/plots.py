@@ -10,11 +10,11 @@ from html import escape
 from typing import Any
 
 from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED
-from maglev_mj.display.curves import SHOWN, Curves, Ranges, curves
+from maglev_mj.display.curves import Curves, Ranges, curves
 from maglev_mj.display.stability_map import StabilityMap
 from maglev_mj.frames import AXES
 from maglev_mj.scenes import Scene
-from maglev_mj.session import Snapshot
+from maglev_mj.session import SHOWN, Snapshot
 from maglev_mj.web.handles import put
 from maglev_mj.web.svg import Line, Range, chart
 
