@@ -14,20 +14,20 @@ from maglev_mj.pictures import BESIDE, TITLE, new_figure, save
 from maglev_mj.terminal import printable
 
 
-def last_cycles(record: FaultRecord, path: Path) -> Path:
+def last_cycles(record: FaultRecord, path: Path | None = None) -> Any:
     """Draw the last cycles before a fault.
 
     Currents measured are lines, those commanded dots; a vertical line is where the fault came first.
 
     Args:
         record: The black box.
-        path: File to write.
+        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, axes = new_figure(4, 1, 8.6, sharex=True, height_ratios=[2, 2, 3, 2])
-    time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.columns
+    time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.values
     _curves(axes[0], time, pose[:, :3], AXES[:3], "position (mm)")
     _curves(axes[1], time, pose[:, 3:], AXES[3:], "angle (mrad)")
     coils, label = [f"coil {place}" for place in range(6)], "current (A)\n—— measured   · · commanded"

@@ -5,13 +5,10 @@ from typing import TYPE_CHECKING
 from maglev_mj.lazy import attach
 
 if TYPE_CHECKING:
-    from maglev_mj.tables.fault import fault_table as fault_table
-    from maglev_mj.tables.fault import latched_table as latched_table
     from maglev_mj.tables.fidelity import fidelity_table as fidelity_table
     from maglev_mj.tables.fidelity import levels_table as levels_table
 else:
     _HOMES = {
-        "fault": "fault_table latched_table",
         "fidelity": "fidelity_table levels_table",
     }
     __getattr__, __dir__, __all__ = attach(__name__, _HOMES)
