@@ -192,8 +192,8 @@ class FaultRecord(Result):
     def table(self, *, whole: bool = False) -> Table:
         """Return the last cycles, with the faults and their meanings below.
 
-        A dash is an unknown value. Time is before the last cycle; currents are the largest of the six, the temperature is the highest, delay is at
-        the device and latency that of the answer.
+        A dash is an unknown value. Time is before the last cycle; currents are the largest of the six, the temperature
+        is the highest, delay is at the device and latency that of the answer.
 
         Args:
             whole: True for every cycle, else the last 20.
