@@ -21,8 +21,7 @@ from maglev_mj.parameters import number, numbers
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop
-from maglev_mj.theory.linearise import Linearised, linearise, loop_matrices
-from maglev_mj.theory.realisation import StateSpace, realised
+from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
 """Tolerances of a modulus, of gains beside their responses, and of a mean root."""
@@ -362,7 +361,7 @@ def _loop(near: Linearised, axes: tuple[int, ...], own: Array, seen: list[_Loop]
             return one._replace(near=near)
     memory = 1 + int(np.flatnonzero(own.any(axis=(1, 2))).max(initial=0))
     # the roots of a long response, cut off where it is small, are those of the cut
-    system = realised(own[:memory]) if memory > _SHORT and np.isfinite(near.response).all() else None
+    system = realise(own[:memory]) if memory > _SHORT and np.isfinite(near.response).all() else None
     moments = (own.sum(axis=0), np.tensordot(np.arange(len(own)), own, 1)) if system is None else system.moments()
     sizes = np.linalg.svd(np.nan_to_num(moments[0], neginf=1.0), compute_uv=False)
     still = int((sizes <= _FREE * max(np.abs(own).sum(axis=0).max(), _FREE)).sum())
@@ -447,7 +446,9 @@ def _roots(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[
             continue
         same.append(loop)
         if loop.system is not None:
-            matrix = loop.system.closed_loop(period=loop.near.period, delay=delay, inertia=body[list(loop.axes)])
+            period, inertia = loop.near.period, body[list(loop.axes)]
+            system = loop.system.with_units(period, inertia)
+            matrix = system.closed_loop(period=period, delay=delay, inertia=inertia)
             yield loop, np.linalg.eigvals(matrix).astype(np.complex128)
         else:
             memory = 1 + int(np.flatnonzero(loop.scaled.any(axis=(1, 2))).max(initial=0))
@@ -456,7 +457,7 @@ def _roots(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[
         chosen = list(axes)
         response = np.array([loop.near.response[:memory, chosen][:, :, chosen] for loop in different])
         period = different[0].near.period
-        matrices = loop_matrices(response, period=period, delay=delay, inertia=body[chosen])
+        matrices = StateSpace.of(response).closed_loop(period=period, delay=delay, inertia=body[chosen])
         yield from zip(different, np.linalg.eigvals(matrices).astype(np.complex128), strict=True)
 
 
