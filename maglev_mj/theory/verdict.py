@@ -359,7 +359,7 @@ def _loop(near: Linearised, axes: tuple[int, ...], own: Array, seen: list[_Loop]
     for one in seen:
         if one.axes == axes and one.settles == settles and _alike(one.scaled, own):
             return one._replace(near=near)
-    memory = 1 + int(np.flatnonzero(own.any(axis=(1, 2))).max(initial=0))
+    memory = _memory(own)
     # the roots of a long response, cut off where it is small, are those of the cut
     system = realise(own[:memory]) if memory > _SHORT and np.isfinite(near.response).all() else None
     moments = (own.sum(axis=0), np.tensordot(np.arange(len(own)), own, 1)) if system is None else system.moments()
@@ -434,31 +434,27 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
 
 
 def _roots(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[_Loop, NDArray[np.complex128]]]:
-    """Yield different loops with their eigenvalues.
-
-    Loops of one size are computed at once.
-    """
-    known: dict[tuple[int, ...], list[_Loop]] = {}
-    sizes: dict[tuple[tuple[int, ...], int], list[_Loop]] = {}
+    """Yield different loops with their eigenvalues; loops of one size are computed at once."""
+    seen: dict[tuple[int, ...], list[_Loop]] = {}
+    sizes: dict[tuple[tuple[int, ...], int], list[tuple[_Loop, StateSpace]]] = {}
     for loop in loops:
-        same = known.setdefault(loop.axes, [])
+        same = seen.setdefault(loop.axes, [])
         if any(_alike(one.scaled, loop.scaled) for one in same):
             continue
         same.append(loop)
-        if loop.system is not None:
-            period, inertia = loop.near.period, body[list(loop.axes)]
-            system = loop.system.with_units(period, inertia)
-            matrix = system.closed_loop(period=period, delay=delay, inertia=inertia)
-            yield loop, np.linalg.eigvals(matrix).astype(np.complex128)
-        else:
-            memory = 1 + int(np.flatnonzero(loop.scaled.any(axis=(1, 2))).max(initial=0))
-            sizes.setdefault((loop.axes, memory), []).append(loop)
-    for (axes, memory), different in sizes.items():
-        chosen = list(axes)
-        response = np.array([loop.near.response[:memory, chosen][:, :, chosen] for loop in different])
-        period = different[0].near.period
-        matrices = StateSpace.of(response).closed_loop(period=period, delay=delay, inertia=body[chosen])
+        system = loop.system or StateSpace.of(loop.scaled[: _memory(loop.scaled)])
+        sizes.setdefault((loop.axes, len(system.advance)), []).append((loop, system))
+    for (axes, _), group in sizes.items():
+        different, systems = zip(*group)
+        period, inertia = different[0].near.period, body[list(axes)]
+        system = StateSpace(*map(np.array, zip(*systems))).with_units(period, inertia)
+        matrices = system.closed_loop(period=period, delay=delay, inertia=inertia)
         yield from zip(different, np.linalg.eigvals(matrices).astype(np.complex128), strict=True)
+
+
+def _memory(response: Array) -> int:
+    """Return the number of samples up to the last answer."""
+    return 1 + int(np.flatnonzero(response.any(axis=(1, 2))).max(initial=0))
 
 
 def _coupled(scaled: Array) -> list[tuple[int, ...]]:
