@@ -18,7 +18,7 @@ from maglev_mj.recording.sample import Face
 from maglev_mj.result import Table, number_text, plain, with_unit
 from maglev_mj.trace import Trace
 
-HARDNESS_WINDOW = 0.005
+_HARDNESS_WINDOW = 0.005
 """Window of the force rise for the hardness [s]."""
 
 _REST = 0.1
@@ -276,16 +276,13 @@ def _friction(axes: Mapping[str, StickSlip]) -> Table:
     return Table("", ("friction", "slips", "longest stuck [ms]", "stuck at"), rows)
 
 
-def face_figures(
-    trace: Trace, face: Face, *, rest: float | None = None, window: float = HARDNESS_WINDOW
-) -> FaceFigures | None:
+def face_figures(trace: Trace, face: Face, *, rest: float | None = None) -> FaceFigures | None:
     """Return the figures of a wall, None if untouched.
 
     Args:
         trace: The motion.
         face: The wall: index into AXES, normal, edge.
         rest: Rest position of the flotor [m, rad]; its mean position over the last tenth by default.
-        window: Window of the force rise for the hardness [s].
     """
     axis, normal, edge = face
     line, begin = _facing(trace, axis, normal, edge), float(trace.time[0])
@@ -298,7 +295,7 @@ def face_figures(
     resting = float(tail.mean()) if rest is None else normal * (rest - edge)
     bounce = summarise_bounce(line, resting, axis=0)
     settled = float(bounce.settling_time)
-    hardness = _hardness(line, contacts, window)
+    hardness = _hardness(line, contacts)
     return FaceFigures(
         axis=AXES[axis],
         normal=float(normal),
@@ -314,14 +311,15 @@ def face_figures(
     )
 
 
-def _hardness(line: Trace, contacts: Sequence[Contact], window: float) -> Hardness:
+def _hardness(line: Trace, contacts: Sequence[Contact]) -> Hardness:
     """Return the hardness of the contact with fastest approach.
 
     A grazing contact has no hardness.
     """
     speeds = [contact.approach_speed for contact in contacts]
+    unknown = Hardness(np.array(np.nan), np.array(np.nan))
     if np.isnan(speeds).all():
-        return Hardness(np.array(np.nan), np.array(np.nan))
+        return unknown
     place = int(np.nanargmax(speeds))
     if place:  # from the middle between the previous contact and this one
         before, this = contacts[place - 1], contacts[place]
@@ -331,9 +329,8 @@ def _hardness(line: Trace, contacts: Sequence[Contact], window: float) -> Hardne
         time = np.append(0.0, line.time[rest] - start)
         parts = ((pose, line.pose), (twist, line.twist), (wrench, line.wrench))
         line = Trace(time, *(np.concatenate([first, part[rest]]) for first, part in parts))
-    if float(line.time[-1]) <= window:
-        return Hardness(np.array(np.nan), np.array(np.nan))
-    return perceived_hardness(line, window, axis=0)
+    known = float(line.time[-1]) > _HARDNESS_WINDOW
+    return perceived_hardness(line, _HARDNESS_WINDOW, axis=0) if known else unknown
 
 
 def _facing(trace: Trace, axis: int, normal: float, edge: float) -> Trace:

@@ -279,7 +279,7 @@ def fit(
     floor: float,
     fixed: Array,
 ) -> Fit:
-    """Return the fit of positions by forces.
+    """Return the fit of positions by forces, with its errors.
 
     Args:
         forces: The forces.
@@ -325,34 +325,10 @@ def fit(
             break
         delay += move
         values, left, where, slope = trial
-    late = (slope @ values)[:, :, None] * search
-    return _judged(
-        windows,
-        seen,
-        np.concatenate([where, late], axis=2),
-        free,
-        values,
-        delay,
-        left,
-        floor,
-        period if search else 0.0,
-    )
-
-
-def _judged(
-    windows: Windows,
-    seen: Array,
-    where: Array,
-    free: Mask,
-    values: Array,
-    delay: float,
-    left: Array,
-    floor: float,
-    period: float,
-) -> Fit:
-    """Return the fit with its errors."""
+    # the errors, with a column for the delay
+    where = np.concatenate([where, (slope @ values)[:, :, None] * search], axis=2)
     size = where.shape[2]
-    chosen = np.append(np.flatnonzero(free), size - 1 if period else []).astype(np.intp)
+    chosen = np.append(np.flatnonzero(free), size - 1 if search else []).astype(np.intp)
     columns = where[:, :, chosen].reshape(-1, len(chosen))
     gram, known = inverse(columns)
     count = int(windows.there.sum())
@@ -376,7 +352,7 @@ def _judged(
     unit = np.diag(gram) > 0.0
     alone = np.abs(columns @ (gram / np.where(unit, np.diag(gram), 1.0))).max(axis=0, initial=0.0)
     moves[chosen] = np.where(known & unit, alone, 0.0)
-    moves *= np.append(np.abs(values), period)
+    moves *= np.append(np.abs(values), period * search)
     return Fit(
         values=values,
         delay=delay,

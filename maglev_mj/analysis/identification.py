@@ -371,18 +371,22 @@ class _Axis:
         """Recorded mass or moment of inertia [kg, kg m²]."""
         return float(self.metadata.inertia[self.axis])
 
-    def _fit(self, parts: Array, rest: Array, *, delay: float, search: bool, mass: float | None = None) -> Fit:
+    def _fit(
+        self, *, delay: float, search: bool, mass: float | None = None, law: tuple[Array, Array] | None = None
+    ) -> Fit:
         """Fit the motion by forces of known shape.
 
         They are P parts of the command, the rest of the recorded forces, and a constant.
 
         Args:
-            parts: Parts of the command, each to be multiplied by a gain, (N, P).
-            rest: Command without them [N, N m], (N,).
             delay: First guess at the delay, or the delay [s].
             search: True to find the delay.
             mass: Moving mass or moment of inertia [kg, kg m²]; None to find it too.
+            law: Parts of the command, each to be multiplied by a gain, (N, P), and the command without them [N, N m],
+                (N,); None for no parts.
         """
+        whole = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
+        parts, rest = whole if law is None else law
         count, gains = parts.shape
         period, time, axis = self.metadata.period, self.stretch.time, self.axis
         nothing, none = np.zeros((count, gains)), np.zeros(count)
@@ -448,8 +452,7 @@ class _Axis:
 
         It has their common factor, a constant, and their delay.
         """
-        parts, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
-        return self._fit(parts, rest, delay=self.metadata.delay, search=True)
+        return self._fit(delay=self.metadata.delay, search=True)
 
     @property
     def pushed(self) -> bool:
@@ -496,8 +499,7 @@ class _Axis:
             inertia = Estimate.of(mass, mass**2 * motion.errors[0], motion.degrees, motion.residual)
             delay = self._late(motion)
         else:
-            nothing, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
-            motion = self._fit(nothing, rest, delay=self.metadata.delay, search=False, mass=mass)
+            motion = self._fit(delay=self.metadata.delay, search=False, mass=mass)
         slope = np.zeros(len(motion.errors))
         slope[:2] = -motion.values[1] * mass**2 * (not self._why), mass
         force = mass * motion.values[1] - float(self.metadata.load[self.axis])
@@ -538,7 +540,7 @@ class _Axis:
 
         The gain of each part is found from the motion.
         """
-        return self._fit(self.law.parts, self.law.rest, delay=self.motion.delay, search=True)
+        return self._fit(delay=self.motion.delay, search=True, law=(self.law.parts, self.law.rest))
 
     def _shown(self, name: tuple[str, int]) -> Estimate:
         """Return a gain as identified from the motion.

@@ -17,7 +17,7 @@ from maglev_mj.hand import RecordedHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
-from maglev_mj.recording import InvalidRecordingError, Rebuild, Recorder, RunMetadata, Stretch
+from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
 from maglev_mj.recording.recording import READ_STRETCH
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes import Scene
@@ -255,8 +255,6 @@ def analyse(
     flag("simulated", simulated)
     check_instance("stretch", stretch, Stretch, READ_STRETCH)
     metadata = stretch.metadata
-    if len(stretch.tick) < 2:
-        raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
     whole = reconstruct(stretch, metadata)
     first, last = _rows(whole, begin, end)
     comparison = other = None
