@@ -34,19 +34,19 @@ def trace(motion: Trace) -> Any:
     return _moving(motion.time, motion.pose, motion.wrench)
 
 
-def samples(found: Samples) -> Any:
+def samples(rows: Samples) -> Any:
     """Draw position and command of the moving axes over time.
 
     Raises:
         AttributeError: If time, position or command were not loaded.
         MissingPackageError: If matplotlib is not installed.
     """
-    return _moving(found.time, found.position, found.command)
+    return _moving(rows.time, rows.position, rows.command)
 
 
-def recording(found: Recording) -> Any:
+def recording(whole: Recording) -> Any:
     """Draw position and command over time; see `samples`."""
-    return samples(found.samples())
+    return samples(whole.samples())
 
 
 def _moving(time: Array, position: Array, force: Array) -> Any:
@@ -135,37 +135,37 @@ def sticks(run: Run, path: Path) -> Path:
     places = run.motion.trace.pose[run.motion.starts]
     anchors = np.full_like(places, np.nan) if run.anchors is None else run.anchors
     slips = {axis: friction.slips for axis, friction in run.figures.friction.items()}
-    said = {AXES.index(axis): f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
-    return staircases(run.motion.time, places, anchors, said or {0: "no friction"}, path)
+    titles = {AXES.index(axis): f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
+    return staircases(run.motion.time, places, anchors, titles or {0: "no friction"}, path)
 
 
-def staircases(time: Array, position: Array, anchors: Array, said: Mapping[int, str], path: Path) -> Path:
+def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int, str], path: Path) -> Path:
     """Draw position and stick position over time, by axis.
 
     Args:
         time: Of the samples [s], (K,).
         position: Positions [m, rad], (K, 6).
         anchors: Stick positions [m, rad], (K, 6); NaN where an axis does not stick.
-        said: Axes to draw, as indices into AXES, and what the title of each says.
+        titles: Words of each panel's title, by the index of its axis.
         path: File to write.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    columns = 1 if len(said) < 4 else 2
-    rows = -(-len(said) // columns)
+    columns = 1 if len(titles) < 4 else 2
+    rows = -(-len(titles) // columns)
     figure, panels = new_figure(rows, columns, 1.1 + 2.1 * rows, sharex=True)
     order = [panel for column in range(columns) for panel in panels[column::columns]]
-    for (axis, words), panel in zip(said.items(), order):
+    for (axis, words), panel in zip(titles.items(), order):
         panel.plot(time, position[:, axis] * 1e3, color=FIRST, linewidth=1.0, label="position")
         panel.step(time, anchors[:, axis] * 1e3, color=STUCK, linewidth=2.0, where="post", label="stick position")
         panel.set_title(f"{AXES[axis]} ({unit_of('mm', axis)}): {words}", **TITLE)
         panel.set_xlim(float(time[0]), float(time[-1]))
         _no_narrower(panel, 0.02)
-    for panel in order[len(said) :]:
+    for panel in order[len(titles) :]:
         panel.set_axis_off()
     for column in range(columns):
-        order[min((column + 1) * rows, len(said)) - 1].set_xlabel("time (s)")
+        order[min((column + 1) * rows, len(titles)) - 1].set_xlabel("time (s)")
     name_curves(figure, order[:1])
     return save(figure, path)
 
@@ -207,8 +207,8 @@ def _over_time(report: StretchReport, axis: int, path: Path | None, window: tupl
 
 
 def _describe(report: StretchReport) -> str:
-    said = "" if report.comparison is None else f"\n{report.comparison.sentence}"
-    return f"{report.run_named}{said}"
+    compared = "" if report.comparison is None else f"\n{report.comparison.sentence}"
+    return f"{report.run_named}{compared}"
 
 
 def _dots(panel: Any, run: Run, axis: int, window: tuple[float, float]) -> None:
@@ -225,11 +225,11 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
 
     As far as there is room beside one another.
     """
-    found = [(contact, face) for face in run.figures.faces if face.axis == AXES[axis] for contact in face.contacts]
-    found.sort(key=lambda one: -round(one[0].penetration, 9))
+    contacts = [(contact, face) for face in run.figures.faces if face.axis == AXES[axis] for contact in face.contacts]
+    contacts.sort(key=lambda one: -round(one[0].penetration, 9))
     room = _APART * (run.figures.end - run.figures.start)
     marked: list[float] = []
-    for contact, face in found:
+    for contact, face in contacts:
         if len(marked) == _MOST_MARKS or any(abs(contact.start - other) < room for other in marked):
             continue
         marked.append(contact.start)
@@ -243,7 +243,7 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
             fontsize=8.5,
             color=REFERENCE,
         )
-    if found:
+    if contacts:
         panel.margins(y=0.16)
 
 

@@ -165,8 +165,8 @@ class StretchReport(Result):
     @property
     def run_named(self) -> str:
         """Name, rate and delay of the run in a few words."""
-        known = self.metadata
-        return f"{known.name}, {1.0 / known.period:g} Hz, delay {known.delay * 1e3:g} ms"
+        run = self.metadata
+        return f"{run.name}, {1.0 / run.period:g} Hz, delay {run.delay * 1e3:g} ms"
 
     def table(self) -> Table:
         """Return the tables of figures, comparison and identified quantities.
@@ -358,13 +358,13 @@ def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:
     count = len(simulated.tick)
     gap = np.abs(simulated.position - stretch.position[:count])
     none = np.full(len(AXES), np.nan)
-    known = motion.jumps[np.isfinite(motion.jumps).all(axis=1)]
+    jumps = motion.jumps[np.isfinite(motion.jumps).all(axis=1)]
     return Comparison(
         same=bool(count == len(stretch.tick) and not gap.any()),
         rms=np.sqrt((gap**2).mean(axis=0)) if count else none,
         most=gap.max(axis=0) if count else none,
         when=motion.time[np.argmax(gap, axis=0)] if count else none,
-        one_step_rms=np.sqrt((known**2).mean(axis=0)) if len(known) else none,
+        one_step_rms=np.sqrt((jumps**2).mean(axis=0)) if len(jumps) else none,
         samples=len(stretch.tick),
         compared=count,
         device=stretch.setup["kind"] == "device",
