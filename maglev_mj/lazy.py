@@ -8,7 +8,7 @@ from types import ModuleType
 
 TYPE_CHECKING = False  # as in typing, whose import would take longer than all else before a program's first line
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable
     from typing import Any
 
 __all__ = ["attach", "mujoco"]
@@ -44,20 +44,22 @@ else:
     mujoco = _LazyModule("mujoco")  # recordings are read, and devices called, without it
 
 
-def attach(package: str, homes: Mapping[str, str]) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package.
 
-    A name must not be that of a module of the package: once loaded, the module would replace it.
+    Its names and their modules stand in the stub beside the file, one a line: `from MODULE import NAME as NAME`. A name
+    must not be that of a module of the package: once loaded, the module would replace it.
 
     Args:
         package: Its name.
-        homes: Exported names by their module, relative to the package: "find", or ".timeline" beside it.
+        file: Its `__file__`.
     """
-    home = {name: f".{module}" for module, names in homes.items() for name in names.split()}
+    with open(f"{file}i", encoding="utf-8") as stub:
+        home = {words[3]: words[1] for words in map(str.split, stub) if words[:1] == ["from"]}
 
     def load(name: str) -> Any:
         if name not in home:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        return getattr(import_module(home[name], package), name)
+        return getattr(import_module(home[name]), name)
 
     return load, lambda: sorted(home), sorted(home)

@@ -20,7 +20,7 @@ from maglev_mj.frames import AXES, Array
 from maglev_mj.hand import Hand
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.sensing.geometry import Beams
+from maglev_mj.sensing import Beams
 from maglev_mj.versions import MODELS
 
 __all__ = [

@@ -13,7 +13,6 @@ import numpy as np
 from maglev_mj import errors
 from maglev_mj.colours import GRID, REFERENCE, SERIES, WALL
 from maglev_mj.errors import check_one_of
-from maglev_mj.parameters import flag
 
 FIRST, SECOND = SERIES[:2]
 SHADE: dict[str, Any] = {"color": WALL, "alpha": 0.15, "linewidth": 0.0, "zorder": 0}
@@ -229,9 +228,6 @@ class Panel:
     top: float | None = None
     marked: bool = False
     outside: Sequence[Any] = ()
-
-    def __post_init__(self) -> None:
-        flag("marked", self.marked)
 
 
 def small_multiples(panels: Sequence[Panel], path: Path) -> Path:

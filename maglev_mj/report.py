@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,40 +16,67 @@ from maglev_mj.loop import drive
 from maglev_mj.model import COILS, Device, load_model
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.result import Result, Table
 from maglev_mj.shapes import envelope
 from maglev_mj.spec import GRAVITY, Spec
-from maglev_mj.terminal import WIDTH, wrapped
 
-__all__ = ["device_report", "device_table", "position_bandwidth"]
-
-
-@dataclass(frozen=True)
-class Row:
-    """One figure of the paper and of the model.
-
-    With its unit and a remark.
-    """
-
-    name: str
-    paper: str
-    model: str
-    unit: str
-    remark: str = ""
+_HEAD = "figure", "paper", "model", "unit", "remark"
 
 
-@dataclass(frozen=True)
-class DeviceReport:
-    """Table 1 with the figures of the model.
+@dataclass(frozen=True, eq=False)
+class DeviceReport(Result):
+    """Figures of the compiled device, beside those of Table 1.
 
     Attributes:
-        table: Rows of Table 1 and section 2.
         figures: Figures measured on the model, SI units.
-        contradictions: Contradictions within the paper.
     """
 
-    table: tuple[Row, ...]
-    figures: dict[str, Any]
-    contradictions: tuple[str, ...]
+    figures: Mapping[str, Any]
+    derived: ClassVar = ("contradictions",)
+
+    def columns(self) -> dict[str, Any]:
+        """Return the figures of Table 1 and of the model."""
+        return dict(zip(_HEAD, map(np.array, zip(*_rows(self.figures)))))
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column; each row has its own."""
+        return {}
+
+    @property
+    def contradictions(self) -> list[str]:
+        """Contradictions within the paper."""
+        return _contradictions(self.figures)
+
+    def table(self) -> Table:
+        """Return Table 1 beside the model, its largest wrenches and what the currents do."""
+        figures = self.figures
+        inertia = ", ".join(f"{value * 1e4:.2f}" for value in figures["inertia"])
+        note = (
+            f"inertia about x, y, z with handle {inertia} 1e-4 kg m² (assumed)\n"
+            f"hover current, each vertical coil {figures['hover_current']:.2f} A at {figures['moving_mass']:g} kg"
+        )
+        largest = [
+            (f"at {Spec.continuous_current.value:g} A", *figures["largest_at_continuous_current"]),
+            (f"at {figures['peak_current']:g} A", *figures["largest_at_peak_current"]),
+        ]
+        coils = [(axis, *row) for axis, row in zip(AXES, np.round(figures["wrench_map"], 12).tolist(), strict=True)]
+        condition = (
+            f"condition number {figures['condition_number']:.2f} (torques over the mean arm, "
+            f"{figures['mean_arm'] * 1e3:.1f} mm), {figures['condition_number_si']:.1f} in SI units"
+        )
+        below = [
+            Table("largest pure wrench [N, N m]", ("", *AXES), largest),
+            Table(
+                "wrench of one ampere in each coil [N/A, N m/A]; coil places are assumed",
+                ("", *COILS),
+                coils,
+                condition,
+            ),
+            Table("where the paper contradicts itself", (), (), "\n".join(self.contradictions)),
+        ]
+        title = "The UBC maglev joystick: what the paper prints, what the compiled model yields"
+        return Table(title, ("", *_HEAD[1:]), _rows(figures), note, below)
 
 
 def device_report() -> DeviceReport:
@@ -56,8 +84,7 @@ def device_report() -> DeviceReport:
 
     Source: Salcudean & Vlaar 1997, Table 1 and section 2.
     """
-    figures = _measure(load_model("maglev", lean=False))
-    return DeviceReport(_table(figures), figures, _contradictions(figures))
+    return DeviceReport(_measure(load_model("maglev", lean=False)))
 
 
 def _measure(device: Device) -> dict[str, Any]:
@@ -93,42 +120,34 @@ def _measure(device: Device) -> dict[str, Any]:
     }
 
 
-def _table(figures: dict[str, Any]) -> tuple[Row, ...]:
+def _rows(figures: Mapping[str, Any]) -> list[tuple[str, float | str, float, str, str]]:
+    """Return name, figure of the paper, of the model, unit and remark of each row."""
     spec, mm, option = Spec(), 1e3, "an option of the plants"
     moving, strong = figures["moving_mass"], figures["peak_current"]
     largest = figures["largest_at_peak_current"][2]
     hold = "hold 6000 N/m, 80 N s/m at 200 Hz, 1.5 ms"
-    return (
-        _row("envelope, radius", spec.radius.value * mm, figures["radius"] * mm, "mm"),
-        _row("envelope, height", spec.height.value * mm, figures["height"] * mm, "mm", "without handle"),
-        _row("stator mass", spec.stator_mass.value, figures["stator_mass"], "kg"),
-        _row("flotor mass", spec.flotor_mass.value, figures["flotor_mass"], "kg"),
-        _row("moving mass", spec.moving_mass.value, moving, "kg", "handle included"),
-        _row("payload, continuous", spec.payload.value, _payload(figures), "kg", "see below"),
-        _row("translation range ±", spec.translation_range.value * mm, figures["translation_range"] * mm, "mm"),
-        _row("rotation range ±", spec.rotation_range.value, figures["rotation_range"], "deg"),
-        _row("resolution, translation", "< 5", None, "µm", option),
-        _row("resolution, rotation", "< 10", None, "µrad", option),
-        _row("force frequency response", "> 3", figures["driver_bandwidth"] / 1e3, "kHz", "see below"),
-        _row("position response, translation", "> 30", figures["translation_bandwidth"], "Hz", hold),
-        _row("position response, rotation", "> 15", figures["rotation_bandwidth"], "Hz", "8 N m/rad, 0.1 N m s/rad"),
-        _row("actuator force constant", spec.force_constant.value, figures["force_constant"], "N/A"),
-        _row("continuous current, per coil", spec.continuous_current.value, None, "A", "a thermal limit"),
-        _row("peak current, per coil", spec.peak_current.value, strong, "A"),
-        _row("largest force along z", spec.largest_vertical_force.value, largest, "N", "section 2"),
-    )
+    return [
+        ("envelope, radius", spec.radius.value * mm, figures["radius"] * mm, "mm", ""),
+        ("envelope, height", spec.height.value * mm, figures["height"] * mm, "mm", "without handle"),
+        ("stator mass", spec.stator_mass.value, figures["stator_mass"], "kg", ""),
+        ("flotor mass", spec.flotor_mass.value, figures["flotor_mass"], "kg", ""),
+        ("moving mass", spec.moving_mass.value, moving, "kg", "handle included"),
+        ("payload, continuous", spec.payload.value, _payload(figures), "kg", "see below"),
+        ("translation range ±", spec.translation_range.value * mm, figures["translation_range"] * mm, "mm", ""),
+        ("rotation range ±", spec.rotation_range.value, figures["rotation_range"], "deg", ""),
+        ("resolution, translation", "< 5", math.nan, "µm", option),
+        ("resolution, rotation", "< 10", math.nan, "µrad", option),
+        ("force frequency response", "> 3", figures["driver_bandwidth"] / 1e3, "kHz", "see below"),
+        ("position response, translation", "> 30", figures["translation_bandwidth"], "Hz", hold),
+        ("position response, rotation", "> 15", figures["rotation_bandwidth"], "Hz", "8 N m/rad, 0.1 N m s/rad"),
+        ("actuator force constant", spec.force_constant.value, figures["force_constant"], "N/A", ""),
+        ("continuous current, per coil", spec.continuous_current.value, math.nan, "A", "a thermal limit"),
+        ("peak current, per coil", spec.peak_current.value, strong, "A", ""),
+        ("largest force along z", spec.largest_vertical_force.value, largest, "N", "section 2"),
+    ]
 
 
-def _row(name: str, paper: float | str, model: float | None, unit: str, remark: str = "") -> Row:
-    """Return a row; a dash for a missing figure.
-
-    A rigid-body model lacks some figures.
-    """
-    printed = paper if isinstance(paper, str) else f"{paper:g}"
-    return Row(name, printed, "-" if model is None else f"{model:.4g}", unit, remark)
-
-
-def _payload(figures: dict[str, Any]) -> float:
+def _payload(figures: Mapping[str, Any]) -> float:
     """Return the payload [kg] at the continuous current.
 
     It is in addition to the flotor's own mass.
@@ -136,19 +155,19 @@ def _payload(figures: dict[str, Any]) -> float:
     return float(figures["largest_at_continuous_current"][2] / GRAVITY - figures["flotor_mass"])
 
 
-def _contradictions(figures: dict[str, Any]) -> tuple[str, ...]:
+def _contradictions(figures: Mapping[str, Any]) -> list[str]:
     spec = Spec()
     load_ = (spec.payload.value + spec.flotor_mass.value) * GRAVITY
     per_ampere = figures["largest_at_continuous_current"][2] / spec.continuous_current.value
     payload, flotor, weak = spec.payload.value, spec.flotor_mass.value, spec.continuous_current.value
     needed = load_ / per_ampere
-    return (
+    return [
         f"A payload of {payload:g} kg with the flotor's {flotor:g} kg takes {needed:.2f} A in each vertical "
         f"coil, above the {weak:g} A continuous, at which the payload is {_payload(figures):.2f} kg.",
         "Table 1 gives a force response above 3 kHz; section 2 has the currents controlled to about 2 kHz. "
         "The model's driver lag follows section 2.",
         "Table 1 gives 10 A as the peak per coil; section 2 gives 10 A as the drivers' continuous maximum.",
-    )
+    ]
 
 
 def position_bandwidth(
@@ -191,39 +210,3 @@ def position_bandwidth(
     frequencies = np.fft.rfftfreq(8 * ticks, period)
     below = np.flatnonzero(response < math.sqrt(0.5))
     return float(frequencies[below[0]]) if below.size else math.nan
-
-
-def device_table(report: DeviceReport) -> str:
-    """Return the report as text for a terminal."""
-    lines = ["The UBC maglev joystick: what the paper prints, what the compiled model yields", ""]
-    lines.append(f"  {'':<32}{'paper':>8}{'model':>9}  unit")
-    for row in report.table:
-        line = f"  {row.name:<32}{row.paper:>8}{row.model:>9}  {row.unit:<5}".rstrip()
-        beside = f"{line:<58}   {row.remark}".rstrip()
-        lines += [beside] if len(beside) <= WIDTH else [line, f"    {row.remark}"]
-    figures = report.figures
-    inertia = ", ".join(f"{value * 1e4:.2f}" for value in figures["inertia"])
-    lines += [
-        "",
-        f"  inertia about x, y, z with handle  {inertia}  1e-4 kg m² (assumed)",
-        f"  hover current, each vertical coil  {figures['hover_current']:.2f} A at {figures['moving_mass']:g} kg",
-        "",
-        f"  {'largest pure wrench':<20}" + "".join(f"{axis:>8}" for axis in AXES),
-    ]
-    for name, key in (
-        (f"at {Spec.continuous_current.value:g} A", "largest_at_continuous_current"),
-        (f"at {figures['peak_current']:g} A", "largest_at_peak_current"),
-    ):
-        lines.append(f"  {name:<20}" + "".join(f"{value:>8.3g}" for value in figures[key]) + "  N, N m")
-    lines += ["", "  wrench of one ampere in each coil [N/A, N m/A]; coil places are assumed"]
-    lines.append(f"  {'':<6}" + "".join(f"{coil:>12}" for coil in COILS))
-    for axis, row in zip(AXES, figures["wrench_map"], strict=True):
-        lines.append(f"  {axis:<6}" + "".join(f"{value + 0.0:>12.4f}" for value in np.round(row, 12)))
-    lines += [
-        f"  condition number {figures['condition_number']:.2f} (torques over the mean arm, "
-        f"{figures['mean_arm'] * 1e3:.1f} mm), {figures['condition_number_si']:.1f} in SI units",
-        "",
-        "  where the paper contradicts itself",
-    ]
-    lines += [line for text in report.contradictions for line in wrapped(text, "  - ", "    ")]
-    return "\n".join(lines)

@@ -12,9 +12,12 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from maglev_mj.errors import MaglevError, require
+from maglev_mj.pictures import save
 from maglev_mj.terminal import WIDTH, printable, wrapped
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from numpy.typing import NDArray
     from pandas import DataFrame
 
@@ -142,17 +145,18 @@ class Result:
         frame.attrs["units"] = {name: unit for name, unit in self.units.items() if name in frame}
         return frame
 
-    def plot(self, **options: Any) -> Any:
-        """Return a picture, a matplotlib figure.
+    def plot(self, path: Path | None = None, **options: Any) -> Any:
+        """Return a picture, a matplotlib figure, or the path that it was written to.
 
         Args:
-            options: Those of the function that draws it, such as `path`, the file to write; see `drawn_by`.
+            path: File to write; None to return the figure.
+            options: Those of the function that draws it; see `drawn_by`.
 
         Raises:
             MissingPackageError: If matplotlib is not installed.
         """
         module, _, name = self.drawn_by.partition(":")
-        return getattr(import_module(module), name)(self, **options)
+        return save(getattr(import_module(module), name)(self, **options), path)
 
     def __repr__(self) -> str:
         try:

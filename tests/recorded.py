@@ -19,11 +19,11 @@ from maglev_mj.recording import Recording
 from maglev_mj.recording.mcap import STRETCH_NUMBER as NUMBER
 from maglev_mj.recording.mcap import layout_of, packed
 from maglev_mj.recording.sample import FIELDS, TOTALS
-from maglev_mj.replay import write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
+from maglev_mj.session.replay import write_run
 
 Message = dict[str, Any]
 Place = tuple[Any, ...]

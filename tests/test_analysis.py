@@ -30,20 +30,20 @@ from maglev_mj.display.curves import Ranges, curves
 from maglev_mj.energy import PassivityObserver
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.hand import SpringHand, Trajectory
-from maglev_mj.metrics import perceived_hardness, summarise_bounce
 from maglev_mj.plants import Timing
-from maglev_mj.playback import Replay
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, open_recording
-from maglev_mj.replay import rebuild, record_run, stick_positions_of
 from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.figures import perceived_hardness, summarise_bounce
 from maglev_mj.scenes.parts import INERTIA, MASS
 from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
+from maglev_mj.session.playback import Replay
+from maglev_mj.session.replay import rebuild, record_run, stick_positions_of
 from maglev_mj.spec import GRAVITY
 from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.plots import Plots

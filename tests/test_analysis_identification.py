@@ -28,12 +28,12 @@ from maglev_mj.frames import Array, Mask
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants.sensor import Sensor
 from maglev_mj.recording import ArrayFile, Stretch
-from maglev_mj.replay import record_run, stick_positions_of
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.session.replay import record_run, stick_positions_of
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory import largest_stable_stiffness
 

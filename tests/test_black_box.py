@@ -14,7 +14,6 @@ import pytest
 from maglev_mj.bridge import fault as fault_module
 from maglev_mj.bridge.fault import BlackBox, BlackBoxError, DeviceFault, FaultRecord, load_black_box
 from maglev_mj.bridge.fault_injection import InjectedFault
-from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command
@@ -116,7 +115,7 @@ def test_a_box_without_a_cycle_is_read_and_drawn(tmp_path: Path) -> None:
     assert record.time.shape == (0,) and record.six("pose").shape == (0, 6)
     said = str(record.table())
     assert "\x1b" not in said and said.startswith("at\\x1b[2J once\n") and not record.table().rows
-    last_cycles(record, tmp_path / "empty.png")
+    record.plot(tmp_path / "empty.png")
 
 
 def test_the_table_says_what_when_and_the_last_cycles(tmp_path: Path) -> None:
@@ -132,7 +131,7 @@ def test_the_table_says_what_when_and_the_last_cycles(tmp_path: Path) -> None:
     assert "the last 20 of 200 cycles" in record.table().note and len(record.table().rows) == 20
     lines = str(table).splitlines()
     assert max(map(len, lines)) <= 80 and sum(line.split()[:2] == ["time", "x"] for line in lines) == 1
-    picture = last_cycles(record, tmp_path / "fault.png")
+    picture = record.plot(tmp_path / "fault.png")
     assert picture.stat().st_size > 20_000
 
 

@@ -32,7 +32,7 @@ from maglev_mj.plants import Plant, SpotSensor
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.table import Table
+from maglev_mj.scenes.rooms import Table
 from tests.recorded import command_row
 
 COMMAND = [sys.executable, "-m", "maglev_mj"]

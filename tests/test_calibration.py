@@ -18,7 +18,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.model import beams, load_model
 from maglev_mj.plants import MuJoCoPlant
-from maglev_mj.sensing.geometry import Beams
+from maglev_mj.sensing import Beams
 
 _COILS = ("points", "directions", "force_constants", "wrench_per_current", "current_per_wrench")
 _BEAMS = ("leds", "directions", "diodes", "across")

@@ -12,8 +12,8 @@ import pytest
 
 from maglev_mj.cli import info, main
 from maglev_mj.cli.commands import COMMANDS
-from maglev_mj.replay import write_run
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.session.replay import write_run
 
 CLI = [sys.executable, "-m", "maglev_mj"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,19 +16,6 @@ from maglev_mj.scenes.scene import Scene
 
 DROP, PHASE = Drop(), 0.56
 ANALOG = "analog wall, 10 kHz filter"
-
-
-@pytest.fixture
-def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Return the list that every drawn figure is added to."""
-    drawn: list[Any] = []
-
-    def keep(figure: Any, path: Path) -> Path:
-        drawn.append(figure)
-        return path
-
-    monkeypatch.setattr("maglev_mj.scenes.pictures.save", keep)
-    return drawn
 
 
 def drops(drop: Drop, phase: float = PHASE, bands: int = Drop.drawn_phases) -> Variants:
@@ -47,9 +33,9 @@ def reach(band: Any) -> tuple[float, float]:
     return float(vertices[:, 1].min()), float(vertices[:, 1].max())
 
 
-def test_figure_3_has_a_column_for_each_reading(figures: list[Any]) -> None:
-    time_series(drops(DROP), Path("unused.png"))
-    heights, forces = figures[0].axes[:2], figures[0].axes[2:]
+def test_figure_3_has_a_column_for_each_reading() -> None:
+    figure = time_series(drops(DROP))
+    heights, forces = figure.axes[:2], figure.axes[2:]
     for upper, lower, title in zip(
         heights, forces, ("pulse 220 further: 300 N s/m", "pulse 220 in all: 220 N s/m"), strict=True
     ):
@@ -93,16 +79,16 @@ class Beside(Drop):
 
 
 @pytest.mark.parametrize("draw", [time_series, phase_plane, drop_phases])
-def test_laws_of_ones_own_have_lines_of_their_own_beside_published_ones(draw: Any, figures: list[Any]) -> None:
+def test_laws_of_ones_own_have_lines_of_their_own_beside_published_ones(draw: Any) -> None:
     found = drops(Beside(), bands=20)
-    draw(found, Path("unused.png"))
-    drawn = lines(figures[0].axes[0])
+    figure = draw(found)
+    drawn = lines(figure.axes[0])
     assert len({drawn[label].get_color() for label in found.runs}) == 3
     assert len({str(drawn[label]._unscaled_dash_pattern) for label in found.runs}) == 3
     if draw is not drop_phases:
-        said = figures[0].get_suptitle()
+        said = figure.get_suptitle()
         assert "shaded: all of 20 phases" in said and "N/m" not in said and "N s/m" not in said
-        assert [panel.get_title(loc="left") for panel in figures[0].axes] == [""] * len(figures[0].axes)
+        assert [panel.get_title(loc="left") for panel in figure.axes] == [""] * len(figure.axes)
 
 
 def test_a_scene_is_titled_by_its_own_docstring() -> None:
@@ -112,27 +98,27 @@ def test_a_scene_is_titled_by_its_own_docstring() -> None:
     assert Scene.describe(type("Bare", (Scene,), {})()) == "bare"
 
 
-def test_bands_reach_as_far_as_the_drop_at_any_phase(figures: list[Any]) -> None:
-    time_series(drops(DROP), Path("unused.png"))
+def test_bands_reach_as_far_as_the_drop_at_any_phase() -> None:
+    figure = time_series(drops(DROP))
     variants = DROP.variants()
     for column, label in enumerate(list(variants)[:2]):
         for place, variant in enumerate((variants[label], variants["no pulse"])):
             over_phases = run_phases(variant, 100, plant="exact").figures
-            depth, _ = reach(figures[0].axes[column].collections[place])
-            _, peak = reach(figures[0].axes[2 + column].collections[place])
+            depth, _ = reach(figure.axes[column].collections[place])
+            _, peak = reach(figure.axes[2 + column].collections[place])
             assert -depth == pytest.approx(over_phases["penetration"].max() * 1e3, abs=1e-3)
             assert peak == pytest.approx(over_phases["peak_force"].max(), rel=1e-9)
 
 
 @pytest.mark.parametrize("draw", [time_series, phase_plane])
 @pytest.mark.parametrize("phase", [0.0, 0.06, 0.9])
-def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float, figures: list[Any]) -> None:
-    draw(drops(DROP, phase), Path("unused.png"))
+def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float) -> None:
+    figure = draw(drops(DROP, phase))
     depth = run(DROP, plant="exact", phase=phase).figures["penetration"]
     others = run_phases(DROP, 100, plant="exact").figures["penetration"]
     share = int(np.argmin(np.abs(np.sort(others) - depth)))  # its rank among 100
     words = f"lines: phase {phase:g}, deeper than {share} % of the phases; shaded: all of 100 phases"
-    assert words in figures[0].get_suptitle()
+    assert words in figure.get_suptitle()
 
 
 def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
@@ -147,10 +133,9 @@ def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
     ("changes", "columns"),
     [({}, 2), ({"pulse": 150.0}, 1), ({"pulse": 0.0}, 1), ({"stiffness": 0.0, "damping": 0.0, "duration": 0.05}, 1)],
 )
-def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int, tmp_path: Path, figures: list[Any]) -> None:
+def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int) -> None:
     drop = DROP.replace(**changes)
-    time_series(drops(drop), tmp_path / "time.png")
-    phase_plane(drops(drop), tmp_path / "plane.png")
+    figures = [time_series(drops(drop)), phase_plane(drops(drop))]
     assert [len(figure.axes) for figure in figures] == [2 * columns, columns]
     for figure in figures:
         has_analog = any(ANALOG in lines(panel) for panel in figure.axes)

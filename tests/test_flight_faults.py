@@ -20,7 +20,7 @@ from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.cli import bridge
 from maglev_mj.frames import Sample
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.rooms import Joystick
 from tests.sweeps import sweep
 
 ANALYSIS = 80_000_000
@@ -189,7 +189,7 @@ def test_a_silent_serial_line_is_told_what_it_needs(
 
 SCENE = '''
 from maglev_mj import Hold
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.rooms import Joystick
 
 class Rooted(Hold):
     def __call__(self, *arguments):

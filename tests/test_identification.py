@@ -37,7 +37,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.laws import Bias
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
-from maglev_mj.sensing.solver import PoseTracker
+from maglev_mj.sensing import PoseTracker
 
 NOMINAL = Calibration.nominal()
 SLOW, FAST = (0.005, 0.0015), (0.001, 0.0003)

@@ -37,9 +37,9 @@ from maglev_mj.laws import (
 )
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA
-from maglev_mj.theory import Verdict, judge, largest_modulus, linearise, stability, stated_gains
+from maglev_mj.theory import Verdict, judge, largest_modulus, stability, stated_gains
 from maglev_mj.theory.closed_loop import SampledLoop
-from maglev_mj.theory.linearise import ClosedLoop
+from maglev_mj.theory.linearise import ClosedLoop, linearise
 from tests.sweeps import sweep
 
 T, DELAY = 0.005, 0.0015

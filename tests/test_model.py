@@ -18,9 +18,10 @@ from maglev_mj.frames import Array, quaternion
 from maglev_mj.hand import Hand, get_hand
 from maglev_mj.model import COILS, Device, load_model, model_path, scenes
 from maglev_mj.plants import Sensor
-from maglev_mj.report import device_report, device_table, position_bandwidth
+from maglev_mj.report import device_report, position_bandwidth
 from maglev_mj.shapes import envelope
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, Spec
+from maglev_mj.terminal import WIDTH
 
 SPEC = Spec()
 
@@ -355,14 +356,13 @@ def test_what_the_drop_keeps_does_change_an_answer() -> None:
 
 def test_report_prints_table_1_beside_the_model() -> None:
     report = device_report()
-    text = device_table(report)
+    text = str(report.table())
     for words in ("wrench of one ampere", "condition number", "hover current", "at 3 A", "at 10 A", "4.33 A", *COILS):
         assert words in text
-    assert all(len(line) <= 200 for line in text.splitlines())
-    names = [row.name for row in report.table]
-    assert len(names) == len(set(names)) == 17
+    assert all(len(line) <= WIDTH for line in text.splitlines())
+    rows = {row[0]: row[1:3] for row in report.table().rows}
+    assert len(rows) == len(report.table().rows) == 17
     assert report.figures["condition_number"] == pytest.approx(2.02, abs=0.01)
-    (payload,) = (row for row in report.table if row.name == "payload, continuous")
-    assert (payload.paper, payload.model) == ("2", "1.185")
-    echoed = {row.name for row in report.table if row.model == "-"}
+    assert rows["payload, continuous"] == (2.0, pytest.approx(1.185, abs=5e-4))
+    echoed = {name for name, (_, model) in rows.items() if math.isnan(model)}
     assert echoed == {"resolution, translation", "resolution, rotation", "continuous current, per coil"}

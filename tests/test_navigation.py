@@ -13,8 +13,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand
 from maglev_mj.loop import ControlLoop
-from maglev_mj.scenes.joystick import CENTRING, Joystick
 from maglev_mj.scenes.parts import WEIGHT
+from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import live_plant
 from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import INERTIA

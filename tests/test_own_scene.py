@@ -97,7 +97,7 @@ def test_it_is_swept_by_two_processes_as_by_this_one(folder: Path, say: Say) -> 
     for workers in ("0", "2"):
         status, _, wrong = say(*command, "--workers", workers, "--record", f"{workers}.jsonl", "--json", "all.json")
         assert status == 0 and "Error" not in wrong
-        cells.append([cell["result"] for cell in json.loads((folder / "all.json").read_text())["cells"]])
+        cells.append(json.loads((folder / "all.json").read_text())["results"])
     assert cells[0] == cells[1] and len({cell["peak_speed"] for cell in cells[0]}) == 3
 
 
@@ -115,8 +115,8 @@ def test_it_is_swept_by_a_cluster_that_knows_nothing_of_it(
         status, _, wrong = say(*command, "--scheduler", cluster.address, "--json", "far.json")
     assert status == 0 and "Error" not in wrong and hidden.exists()
     assert say(*command, "--record", "near.jsonl", "--json", "near.json")[0] == 0
-    far, near = (json.loads((folder / f"{name}.json").read_text())["cells"] for name in ("far", "near"))
-    assert [cell["result"] for cell in far] == [cell["result"] for cell in near] and len(far) == 2
+    far, near = (json.loads((folder / f"{name}.json").read_text())["results"] for name in ("far", "near"))
+    assert far == near and len(far) == 2
 
 
 def test_its_stability_is_told_and_warned_of(folder: Path, say: Say) -> None:

@@ -88,10 +88,10 @@ def test_a_changed_file_is_not_what_the_record_has(file: Path, tmp_path: Path) -
     record = tmp_path / "cells.jsonl"
     first = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
     again = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
-    assert (first.known, again.known) == (0, 6) and again.results == first.results
+    assert (first.resumed, again.resumed) == (0, 6) and again.results == first.results
     file.write_text(FILE.replace("FURTHER", "* 2.0"))
     changed = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
-    assert changed.known == 0 and first.figure("left").shape == (3, 2)
+    assert changed.resumed == 0 and first.figure("left").shape == (3, 2)
     np.testing.assert_array_equal(changed.figure("left"), 2.0 * first.figure("left"))
 
 
@@ -126,7 +126,7 @@ def test_the_command_sweeps_a_file_on_two_processes(file: Path, monkeypatch: Any
     assert "\n  0 of them already in magnet-sweep.jsonl" in said
     data = json.loads((file.parent / "all.json").read_text())
     assert data["scene"] == "magnet" and data["varied"] == {"stiffness": [500.0, 1000.0]}
-    assert [cell["cell"]["damping"] for cell in data["cells"]] == [20.0, 20.0]
+    assert [cell["damping"] for cell in data["cells"]] == [20.0, 20.0]
 
 
 def test_the_help_lists_the_parameters_of_the_scene(file: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.hand import Hand, motion, transition
 from maglev_mj.laws import Hold, Wall
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
-from maglev_mj.plants.axes import Amendment, DryFriction, HeldAxis, Lag
+from maglev_mj.plants.exact import Amendment, DryFriction, HeldAxis, Lag
 from maglev_mj.spec import INERTIA
 from maglev_mj.timeline import Timeline
 from maglev_mj.trace import TraceRecorder

@@ -16,9 +16,9 @@ from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Sample, Timing, Wall,
 from maglev_mj.energy import PassivityObserver, actuator_work
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import components
-from maglev_mj.hand.impedance import exponential
+from maglev_mj.hand import exponential
 from maglev_mj.laws import Law, ObserverWall, PassivityController, PredictiveWall
-from maglev_mj.metrics import perceived_hardness
+from maglev_mj.scenes.figures import perceived_hardness
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory import largest_modulus, least_dynamic_stiffness
 from maglev_mj.theory.closed_loop import Design, SampledLoop, rendered_stiffness

@@ -15,8 +15,8 @@ import pytest
 
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.frames import Array
+from maglev_mj.scenes.figures import HIT_FIGURES, PressSummary, summarise_press
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.press_figures import HIT_FIGURES, PressSummary, summarise_press
 from maglev_mj.scenes.run import Phases, RunResult, run, run_phases
 from maglev_mj.trace import Trace
 

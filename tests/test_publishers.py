@@ -30,8 +30,7 @@ from maglev_mj.laws.base import as_law
 from maglev_mj.live import LiveServer
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.box import Box
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.rooms import Box, Joystick
 from maglev_mj.session import Publishers, Session, Snapshot, Wish, unstable_loop
 from tests.test_bridge_processes import COMMAND, ended, said_by, twin
 

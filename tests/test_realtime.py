@@ -23,8 +23,7 @@ from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.cli import bridge
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.recording import Recording, open_recording
-from maglev_mj.scenes.joystick import Joystick
-from maglev_mj.scenes.table import Table
+from maglev_mj.scenes.rooms import Joystick, Table
 from maglev_mj.theory import stability
 
 SCHEDULED = hasattr(os, "sched_getscheduler")

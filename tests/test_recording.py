@@ -3,6 +3,7 @@
 Pictures of scenes without a window too.
 """
 
+import json
 import os
 import subprocess
 import sys
@@ -16,13 +17,13 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.loop import drive
-from maglev_mj.playback import Replay
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, best_suffix, open_recording, verify
-from maglev_mj.replay import rebuild, record_run
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, best_suffix, open_recording
+from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.run import run
 from maglev_mj.session import Pacer, Session
+from maglev_mj.session.playback import Replay
+from maglev_mj.session.replay import rebuild, record_run
 from maglev_mj.viewer.clip import write_clip, write_picture
 
 
@@ -30,20 +31,14 @@ from maglev_mj.viewer.clip import write_clip, write_picture
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 def test_any_run_is_recorded_and_checked(command: str, plant: str, tmp_path: Path, capsys: Any) -> None:
     path = tmp_path / "run.npz"
-    json = tmp_path / "run.json"
-    assert main([command, "--plant", plant, "--record", str(path), "--json", str(json)]) == 0
+    data = tmp_path / "run.json"
+    assert main([command, "--plant", plant, "--record", str(path), "--json", str(data)]) == 0
     capsys.readouterr()
     assert main(["replay", str(path), "--check"]) == 0
     said = capsys.readouterr().out
     ticks = Recording.load(path).ticks
     assert ticks > 50
     assert f"{ticks} of {ticks} the same: tick, time, position, command, pulse," in said
-
-
-def test_a_recording_holds_the_run_that_the_command_shows(tmp_path: Path) -> None:
-    (stretch,) = record_run(Drop(), plant="exact", phase=0.3).stretches
-    pose, _, _ = run(Drop(), plant="exact", phase=0.3).trace.at(stretch.time[:-1])
-    assert np.abs(pose - stretch.position[:-1]).max() < 1e-15
 
 
 def test_a_run_that_diverges_is_recorded_up_to_there(tmp_path: Path) -> None:
@@ -268,3 +263,25 @@ def test_a_session_records_to_what_can_be_written(tmp_path: Path, monkeypatch: p
     for missing in ("mcap", "foxglove"):
         monkeypatch.setattr("maglev_mj.recording.files.find_spec", lambda name, missing=missing: name != missing)
         assert best_suffix() == ".npz"
+
+
+@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+def test_a_recorded_run_is_the_run_of_the_table(
+    plant: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = list[Any]()
+    whole = Drop.plant
+
+    def plant_of(scene: Drop, *arguments: Any, **options: Any) -> Any:
+        made.append(whole(scene, *arguments, **options))
+        return made[-1]
+
+    monkeypatch.setattr(Drop, "plant", plant_of)
+    words = ["drop", "--plant", plant, "--phase", "0.3", "--duration", "0.1", "--record", str(tmp_path / "run.npz")]
+    assert main([*words, "--json", "-"]) == 0
+    assert len(made) == 1  # one run, recorded and told
+    said = json.loads(capsys.readouterr().out)
+    (stretch,) = Recording.load(tmp_path / "run.npz").stretches
+    trace = made[0].trace()
+    pose, _, _ = trace.at(stretch.time)
+    assert stretch.position.tolist() == pose.tolist() and said["parameters"]["phase"] == 0.3

@@ -51,13 +51,14 @@ from maglev_mj.laws import (
 )
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
-from maglev_mj.playback import Replay
-from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording, verify
-from maglev_mj.replay import expected, rebuild, write_run
+from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording
+from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import _module_of_text, find_scene
 from maglev_mj.scenes.parts import WEIGHT
 from maglev_mj.session import Pacer, Session
+from maglev_mj.session.playback import Replay
+from maglev_mj.session.replay import expected, rebuild, write_run
 from maglev_mj.versions import MODELS, differences, hash_of, versions
 from tests.golden.outputs import HERE
 from tests.recorded import arrays_in, npz_of, numbers_in, some_of

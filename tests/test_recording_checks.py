@@ -8,6 +8,7 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -19,10 +20,14 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict, verify
-from maglev_mj.replay import expected, rebuild
+from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict
+from maglev_mj.recording.mcap import McapStretch
+from maglev_mj.recording.sample import FIELDS, TOTALS
+from maglev_mj.recording.verify import verify
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.session.replay import expected, rebuild, record_run
 from maglev_mj.terminal import printable
 from tests.recorded import (
     FIELD,
@@ -758,3 +763,36 @@ def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
     part = stretch[2:6]
     assert "taken" not in part.arrays and part.setup is stretch.setup and len(part) == 4
     assert "taken" in stretch.replace(hand=stretch.hand).arrays
+
+
+def mcap_stretch() -> McapStretch:
+    """Return the stretch of a file, before its first sample."""
+    setup = dict(record_run(Drop(duration=0.05), plant="exact").stretches[0].setup)
+    return McapStretch({"setup": setup, **setup.pop("run")}, None)
+
+
+def block(first: int, count: int, **changes: float) -> dict[str, Array]:
+    """Return samples from a tick on, with some values that differ from zero."""
+    rows = {field.name: np.zeros((count, 6) if field.six else count) for field in (*FIELDS, *TOTALS)}
+    rows["tick"] = np.arange(first, first + count, dtype=np.float64)
+    rows["time"] = 0.005 * rows["tick"]
+    return rows | {name: np.full_like(rows[name], value) for name, value in changes.items()}
+
+
+def test_a_field_that_is_another_one_for_some_blocks_is_itself_in_all() -> None:
+    stretch = mcap_stretch()
+    for first, command, applied in ((0, 2.0, 2.0), (4, 3.0, 3.0), (8, 5.0, 4.0), (12, 6.0, 6.0)):
+        stretch.add(block(first, 4, command=command, applied=applied))
+    arrays = stretch.arrays()
+    assert len(stretch) == 16
+    assert arrays["command"][:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [5.0] * 4 + [6.0] * 4
+    assert arrays["applied"][:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [4.0] * 4 + [6.0] * 4
+    assert arrays["tick"].tolist() == [*range(16)] and not arrays["position"].any()
+
+
+@pytest.mark.parametrize(("first", "says"), [(4, ""), (3, "tick must go up, not from 3 to 3"), (1, "from 3 to 1")])
+def test_ticks_go_up_from_block_to_block(first: int, says: str) -> None:
+    stretch = mcap_stretch()
+    stretch.add(block(0, 4))
+    with pytest.raises(ParameterError, match=says) if says else nullcontext():
+        stretch.add(block(first, 4))

@@ -25,24 +25,17 @@ from maglev_mj.hand import Hand
 from maglev_mj.laws import Bias, Wall
 from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.playback import Replay
-from maglev_mj.recording import (
-    ArrayFile,
-    Recording,
-    RecordingError,
-    load_samples,
-    open_recording,
-    setup_of,
-    verify,
-)
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, load_samples, open_recording, setup_of
 from maglev_mj.recording.sample import ROW, TOTALS
+from maglev_mj.recording.verify import verify
 from maglev_mj.recording.writer import ROWS, Ring, RowReader
-from maglev_mj.replay import rebuild, record_run, write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
+from maglev_mj.session.playback import Replay
+from maglev_mj.session.replay import rebuild, record_run, write_run
 from maglev_mj.spec import INERTIA
 from maglev_mj.versions import versions
 from tests.recorded import messages_in

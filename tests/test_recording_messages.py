@@ -12,10 +12,10 @@ import pytest
 from maglev_mj.frames import ZERO, quaternion
 from maglev_mj.recording import Recording, mcap, open_recording
 from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, RunMetadata, Totals, as_table, named
-from maglev_mj.replay import write_run
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.session.replay import write_run
 from maglev_mj.shapes import ARROW, GRIP, shapes
 from tests.recorded import decoder, messages_in
 
@@ -98,7 +98,7 @@ def test_a_layout_is_read_from_its_first_message_or_refused() -> None:
 
 @pytest.mark.parametrize("scene", [Drop(), Press(hits=1), StickSlip(), StickSlip(axis="ry")])
 def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(scene: Any, tmp_path: Path) -> None:
-    from maglev_mj.replay import rebuild, stick_positions_of
+    from maglev_mj.session.replay import rebuild, stick_positions_of
 
     path = tmp_path / "run.mcap"
     write_run(path, scene, plant="exact")

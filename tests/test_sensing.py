@@ -10,7 +10,7 @@ from maglev_mj.errors import ModelError, ParameterError, SensingError
 from maglev_mj.frames import components, rotation_matrix
 from maglev_mj.model import beams
 from maglev_mj.plants import SpotSensor
-from maglev_mj.sensing.geometry import Beams
+from maglev_mj.sensing import Beams
 from maglev_mj.spec import Spec
 
 

@@ -10,7 +10,7 @@ import glfw
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, Controller, replay
+from maglev_mj import AXES, Controller
 from maglev_mj.energy import EnergyAccount
 from maglev_mj.errors import ParameterError
 from maglev_mj.hand import SpringHand
@@ -18,26 +18,28 @@ from maglev_mj.laws import Hold, Law, StickSlip, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import param
 from maglev_mj.plants import MuJoCoPlant, Timing
-from maglev_mj.recording import ArrayFile, Recording, verify
-from maglev_mj.replay import rebuild
+from maglev_mj.recording import ArrayFile, Recording
+from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, WEIGHT, wall
 from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import (
     EMERGENCY_STOP,
     Pacer,
     Session,
     Snapshot,
     Wish,
-    actions,
     device_controller,
     live_plant,
     real_time,
+    replay,
     settable,
 )
+from maglev_mj.session.actions import actions
 from maglev_mj.session.pacing import Due
+from maglev_mj.session.replay import rebuild
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.viewer.keys import help_rows, keys_of

@@ -14,7 +14,7 @@ from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import param
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import TIME_SCALES, Note, Pacer, Session
 
 FRAME = 1.0 / 60.0

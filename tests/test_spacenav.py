@@ -33,7 +33,7 @@ from maglev_mj.frames import Array
 from maglev_mj.hand import SpringHand, Trajectory
 from maglev_mj.parameters import param
 from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Session, Snapshot
 from maglev_mj.spacenav import (
     FULL,

@@ -28,7 +28,7 @@ from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.errors import PlantError
 from maglev_mj.net.udp import UdpServer
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Snapshot
 from tests.test_bridge_processes import said_by
 

@@ -9,7 +9,7 @@ import pytest
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.session import EMERGENCY_STOP, Pacer, Session, TourLine
-from maglev_mj.tour import STEPS, Step, Tour
+from maglev_mj.session.tour import STEPS, Step, Tour
 
 TICK = 0.02
 PUSH, WALL, PULSE, STICK, STIFF, BUZZ, DELAY, MEND = range(1, 9)

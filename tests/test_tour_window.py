@@ -32,8 +32,8 @@ import json, sys, time
 import numpy as np
 from pathlib import Path
 from maglev_mj.cli import main
-from maglev_mj.playback import Replay
-from maglev_mj.tour import Tour
+from maglev_mj.session.playback import Replay
+from maglev_mj.session.tour import Tour
 
 def telling(tick):
     def told(self, elapsed):

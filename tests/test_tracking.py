@@ -12,13 +12,12 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
+from maglev_mj import sensing
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.frames import Array, rotation_matrix
 from maglev_mj.model import beams
 from maglev_mj.plants import SpotReader, SpotSensor
-from maglev_mj.sensing import solver
-from maglev_mj.sensing.geometry import Beams
-from maglev_mj.sensing.solver import FARTHEST, MOST_TURNED, FastBeams, PoseTracker
+from maglev_mj.sensing import FARTHEST, MOST_TURNED, Beams, FastBeams, PoseTracker
 from maglev_mj.spec import Spec
 
 QUANTUM = 8e-7
@@ -124,14 +123,14 @@ def test_half_a_turn_gives_the_same_spots_and_is_not_taken() -> None:
 
 
 def test_newton_squares_its_error() -> None:
-    forms, start, constants = solver._forms(beams()), solver._UPRIGHT, []
+    forms, start, constants = sensing._forms(beams()), sensing._UPRIGHT, []
     for spots in beams().spots(poses(300, 9e-3, 20.0)):
         turning = forms.dot((*spots, 1.0)).tolist()[:30]
-        root = solver._turn(turning, start)
+        root = sensing._turn(turning, start)
         assert root is not None
         guess, errors = start, [math.hypot(*root)]
         while errors[-1] > 1e-7:
-            after = solver._turn(turning, guess, close=math.inf)  # one step
+            after = sensing._turn(turning, guess, close=math.inf)  # one step
             assert after is not None and len(errors) < 6
             guess = after
             errors.append(math.dist(guess, root))

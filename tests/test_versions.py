@@ -19,8 +19,8 @@ from maglev_mj.bridge.fault import BlackBox
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording
-from maglev_mj.replay import write_run
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.session.replay import write_run
 from maglev_mj.studies.cells import Record
 from maglev_mj.versions import differences, versions
 

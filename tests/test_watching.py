@@ -25,7 +25,7 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import Turn, param
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import SampledMotion, Session, Snapshot, device_actions
 from maglev_mj.viewer.keys import keys_of
 from maglev_mj.viewer.window import show

@@ -37,7 +37,7 @@ from maglev_mj.hand import SpringHand
 from maglev_mj.net.addresses import ListenError, listen
 from maglev_mj.parameters import Turn, param
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.shapes import Shape, shapes
 from maglev_mj.viewer.scenery import GRIP

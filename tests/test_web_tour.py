@@ -10,10 +10,10 @@ import pytest
 
 from browser import chromium
 from maglev_mj.hand import SpringHand
-from maglev_mj.playback import Replay
 from maglev_mj.recording import ArrayFile
 from maglev_mj.session import Pacer, Session
-from maglev_mj.tour import Tour
+from maglev_mj.session.playback import Replay
+from maglev_mj.session.tour import Tour
 from tests.test_web_browser import Run, opened, press, pull
 
 pytestmark = [

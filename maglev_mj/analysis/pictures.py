@@ -6,7 +6,6 @@ Figures 5, 6 and 9 of the paper.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from maglev_mj.analysis import Run, StretchReport
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
+from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure
 from maglev_mj.recording import Recording, Samples
 from maglev_mj.trace import Trace
 
@@ -85,13 +84,12 @@ def stretch_report(report: StretchReport, axis: str | None = None) -> Any:
     return whole_run(report, report.axis(axis))
 
 
-def first_contact(report: StretchReport, axis: int, path: Path | None = None) -> Any:
+def first_contact(report: StretchReport, axis: int) -> Any:
     """Draw 0.4 s around the first contact (figure 5).
 
     Args:
         report: The recording, and its simulation if there is one.
         axis: Index into AXES.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -102,10 +100,10 @@ def first_contact(report: StretchReport, axis: int, path: Path | None = None) ->
         contact.start for face in report.recorded.figures.faces if face.axis == AXES[axis] for contact in face.contacts
     ]
     start = max(min(min(contacts, default=begin) - _LEAD, end - _SHOWN), begin)
-    return _over_time(report, axis, path, (start, min(start + _SHOWN, end)), marks=False)
+    return _over_time(report, axis, (start, min(start + _SHOWN, end)), marks=False)
 
 
-def whole_run(report: StretchReport, axis: int, path: Path | None = None) -> Any:
+def whole_run(report: StretchReport, axis: int) -> Any:
     """Draw position and force of the whole run (figure 6).
 
     Each contact is marked with its depth.
@@ -113,21 +111,19 @@ def whole_run(report: StretchReport, axis: int, path: Path | None = None) -> Any
     Args:
         report: The recording, and its simulation if there is one.
         axis: Index into AXES.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     trace = report.recorded.motion.trace
-    return _over_time(report, axis, path, (float(trace.time[0]), float(trace.time[-1])), marks=True)
+    return _over_time(report, axis, (float(trace.time[0]), float(trace.time[-1])), marks=True)
 
 
-def sticks(run: Run, path: Path) -> Path:
+def sticks(run: Run) -> Any:
     """Draw position and stick position by axis (figure 9).
 
     Args:
         run: A recording with friction.
-        path: File to write.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -136,10 +132,10 @@ def sticks(run: Run, path: Path) -> Path:
     anchors = np.full_like(places, np.nan) if run.anchors is None else run.anchors
     slips = {axis: friction.slips for axis, friction in run.figures.friction.items()}
     titles = {AXES.index(axis): f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
-    return staircases(run.motion.time, places, anchors, titles or {0: "no friction"}, path)
+    return staircases(run.motion.time, places, anchors, titles or {0: "no friction"})
 
 
-def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int, str], path: Path) -> Path:
+def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int, str]) -> Any:
     """Draw position and stick position over time, by axis.
 
     Args:
@@ -147,7 +143,6 @@ def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int
         position: Positions [m, rad], (K, 6).
         anchors: Stick positions [m, rad], (K, 6); NaN where an axis does not stick.
         titles: Words of each panel's title, by the index of its axis.
-        path: File to write.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -167,10 +162,10 @@ def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int
     for column in range(columns):
         order[min((column + 1) * rows, len(titles)) - 1].set_xlabel("time (s)")
     name_curves(figure, order[:1])
-    return save(figure, path)
+    return figure
 
 
-def _over_time(report: StretchReport, axis: int, path: Path | None, window: tuple[float, float], *, marks: bool) -> Any:
+def _over_time(report: StretchReport, axis: int, window: tuple[float, float], *, marks: bool) -> Any:
     """Draw position and force over a time window [s].
 
     Of recording and simulation.
@@ -203,7 +198,7 @@ def _over_time(report: StretchReport, axis: int, path: Path | None, window: tupl
     lower.set_xlim(*window)
     name_curves(figure, [upper])
     upper.set_title(_describe(report), **TITLE)
-    return save(figure, path)
+    return figure
 
 
 def _describe(report: StretchReport) -> str:

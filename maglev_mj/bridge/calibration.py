@@ -18,7 +18,7 @@ from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import Array
 from maglev_mj.model import beams, load_model
 from maglev_mj.parameters import number, numbers
-from maglev_mj.sensing.geometry import Beams
+from maglev_mj.sensing import Beams
 from maglev_mj.spec import GRAVITY, INERTIA
 
 _FORMAT = "maglev_mj calibration 1"

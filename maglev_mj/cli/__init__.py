@@ -1,5 +1,5 @@
 """Command line: `maglev-mj` and its commands, one per module."""
 
-from maglev_mj.cli.program import main, parser
+from maglev_mj.lazy import attach
 
-__all__ = ["main", "parser"]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -8,7 +8,8 @@ from pathlib import Path
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.writable import check_outputs
-from maglev_mj.recording import EXPORTS, Recording, export
+from maglev_mj.recording import EXPORTS, Recording
+from maglev_mj.recording.export import export
 from maglev_mj.terminal import say
 
 

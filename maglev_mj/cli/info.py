@@ -6,8 +6,8 @@ import argparse
 
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_json
-from maglev_mj.cli.output import write_results
-from maglev_mj.report import device_report, device_table
+from maglev_mj.cli.output import write_result
+from maglev_mj.report import device_report
 
 
 def add_options(parser: Parser) -> None:
@@ -17,7 +17,5 @@ def add_options(parser: Parser) -> None:
 
 
 def _info(options: argparse.Namespace) -> int:
-    report = device_report()
-    data = {"figures": report.figures, "contradictions": report.contradictions}
-    write_results(options, lambda: data, lambda: device_table(report))
+    write_result(options, device_report())
     return 0

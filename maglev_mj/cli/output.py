@@ -72,6 +72,6 @@ def write_result(options: argparse.Namespace, result: Result, picture: str = "")
     """
 
     def draw(pictures: PictureFolder) -> Sequence[Path]:
-        return [result.plot(path=pictures.path(picture))]
+        return [result.plot(pictures.path(picture))]
 
     write_results(options, result.as_json, lambda: str(result.table()), draw)

@@ -10,16 +10,10 @@ from pathlib import Path
 from maglev_mj.cli.arguments import Container, Parser
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.web import add_web, chosen_page, show_session
-from maglev_mj.playback import Replay
-from maglev_mj.recording import (
-    InvalidRecordingError,
-    OwnCodeError,
-    Recording,
-    RecordingError,
-    verify,
-)
-from maglev_mj.recording.verify import first_other_answer
-from maglev_mj.replay import OwnCode, expected, rebuild, unmade_plant
+from maglev_mj.recording import InvalidRecordingError, OwnCodeError, Recording, RecordingError
+from maglev_mj.recording.verify import first_other_answer, verify
+from maglev_mj.session.playback import Replay
+from maglev_mj.session.replay import OwnCode, expected, rebuild, unmade_plant
 from maglev_mj.terminal import printable, say, wrapped
 from maglev_mj.versions import differences, versions, versions_read
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from contextlib import AbstractContextManager, nullcontext
 from inspect import getdoc
-
-import numpy as np
+from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser, offer
 from maglev_mj.cli.options import add_outputs, add_parameters, add_recording, count, number_option
@@ -16,8 +15,8 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
 from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.run import RunResult, run, run_variants
-from maglev_mj.scenes.scene import PLANTS, Scene
+from maglev_mj.scenes.run import Begin, run_variants
+from maglev_mj.scenes.scene import Scene
 
 
 def add_options(parser: Parser) -> None:
@@ -38,8 +37,8 @@ def add_options(parser: Parser) -> None:
 
 def _add_plant(parser: Parser, cls: type[Scene]) -> None:
     plants, group = cls.plants, parser.group("run")
-    told = f"{', '.join(plants)} (default {plants[0]})"
-    offer(group.add_argument("--plant", default=plants[0], metavar="NAME", help=told), plants)
+    described = f"{', '.join(plants)} (default {plants[0]})"
+    offer(group.add_argument("--plant", default=plants[0], metavar="NAME", help=described), plants)
     if cls.takes_phase:
         group.add_argument(
             "--phase",
@@ -57,24 +56,26 @@ def _run(options: argparse.Namespace) -> int:
     scene = chosen_scene(options)
     pictures = chosen_pictures(options)
     warn_of_instability(scene)
-    recorded = []
-    if options.record is not None:
-        from maglev_mj.replay import write_run  # with all that reads and writes recordings
-
-        with Progress("recording"):
-            recorded = write_run(options.record, scene, plant=options.plant, phase=options.phase)
     alone = options.json == "-" and pictures is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
     banded = pictures is not None and scene.drawn_phases and "exact" in scene.plants
     bands = (options.phases or scene.drawn_phases) if banded else None
+    written = list[Path]()
+    recording: AbstractContextManager[Begin | None] = nullcontext()
+    if options.record is not None:
+        from maglev_mj.session.replay import recorded_to  # with all that reads and writes recordings
+
+        recording = recorded_to(options.record, written)
     try:
-        with Progress(scene.name) as progress:
-            found = run_variants(
+        with Progress(scene.name) as progress, recording as begin:
+            results = run_variants(
                 variants,
                 plant=options.plant,
                 phase=options.phase,
                 phases=options.phases,
                 bands=bands,
+                begin=begin,
+                compare=options.json != "-",
                 progress=progress,
             )
     except DivergenceError as error:
@@ -82,23 +83,9 @@ def _run(options: argparse.Namespace) -> int:
         raise
     write_results(
         options,
-        found.as_json,
-        lambda: str(replace(found, gap=_gap(next(iter(found.runs.values())))).table()),
-        lambda folder: [found.plot(picture=name, path=folder.path(name)) for name in found.pictures],
-        recorded,
+        results.as_json,
+        lambda: str(results.table()),
+        lambda folder: [results.plot(folder.path(name), picture=name) for name in results.pictures],
+        written,
     )
     return 0
-
-
-def _gap(result: RunResult) -> float | None:
-    """Return the largest distance between two plants' motions.
-
-    In [m, rad]; None if the scene has one plant.
-    """
-    others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
-    if not others:
-        return None
-    with Progress(f"{result.scene.name} on the plant {others[0]}"):
-        twin = run(result.scene, plant=others[0], phase=result.phase)
-    time = result.times()
-    return float(np.abs(result.motion(time)[0] - twin.motion(time)[0]).max())

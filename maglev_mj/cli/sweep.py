@@ -67,10 +67,10 @@ def _sweep(options: argparse.Namespace) -> int:
     check_outputs(options)
     workers = chosen_workers(options, default=None)
     with cells_kept(path, path), Progress(f"sweep {cls.name}") as progress:
-        found = sweep(cls, fixed | varied, workers=workers, record=path, progress=progress)
-    found = replace(found, varied=varied)  # a set parameter is no dimension of the grid
-    tell_of_others("sweep", found.other_versions)
-    write_result(options, found)
+        result = sweep(cls, fixed | varied, workers=workers, record=path, progress=progress)
+    result = replace(result, varied=varied)  # a set parameter is no dimension of the grid
+    tell_of_others("sweep", result.other_versions)
+    write_result(options, result)
     return 0
 
 

@@ -12,7 +12,7 @@ from maglev_mj.cli.web import add_web, chosen_page, show_session
 from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
 from maglev_mj.session import Session
-from maglev_mj.tour import Tour
+from maglev_mj.session.tour import Tour
 
 
 def add_options(parser: Parser) -> None:

@@ -29,11 +29,11 @@ from maglev_mj.session import (
     Snapshot,
     SnapshotSource,
     Wish,
-    actions,
     own_code_refused,
     real_time,
     settable,
 )
+from maglev_mj.session.actions import actions
 
 _MOST_ROWS = 400
 _NAP = 0.001

@@ -3,6 +3,6 @@
 Other programs watch a scene and set its parameters.
 """
 
-from maglev_mj.live.server import PORT, LiveServer, LiveServerError
+from maglev_mj.lazy import attach
 
-__all__ = ["PORT", "LiveServer", "LiveServerError"]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

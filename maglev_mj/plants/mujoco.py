@@ -10,7 +10,7 @@ from typing import Any, TypeAlias, Unpack, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.coils import UPRIGHT, CoilMap
+from maglev_mj.coils import UPRIGHT, CoilDrive, CoilMap
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, rotation_vector
 from maglev_mj.hand import Hand
@@ -18,7 +18,6 @@ from maglev_mj.lazy import mujoco
 from maglev_mj.model import COILS, Model, load_model
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
-from maglev_mj.plants.currents import CoilDrive
 from maglev_mj.plants.engine import (
     CorrectedSteps,
     Drive,

@@ -16,8 +16,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.model import beams
 from maglev_mj.parameters import number, numbers, whole
-from maglev_mj.sensing.geometry import Beams
-from maglev_mj.sensing.solver import FastBeams, PoseTracker
+from maglev_mj.sensing import Beams, FastBeams, PoseTracker
 
 Measure: TypeAlias = Callable[[Sequence[Component]], list[Component]]
 """Function from true to measured pose components."""

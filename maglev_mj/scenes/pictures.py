@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -23,68 +22,65 @@ from maglev_mj.pictures import (
     name_curves,
     new_figure,
     new_grid,
-    save,
 )
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import Phases, RunResult, Variants, share_below
 from maglev_mj.spec import Spec
 
-Picture: TypeAlias = Callable[[Variants, Path | None], Any]
-"""Draws runs and their phases into a file, or returns the figure; see `series`."""
+Picture: TypeAlias = Callable[[Variants], Any]
+"""Draws runs and their phases, and returns the figure."""
 
 _FINE, _POINTS = 1e-4, 2001
 _MOST_PANELS = 4
 _NAMES = {"z": "height"}
 
 
-def draw_run(found: RunResult, picture: str | None = None, path: Path | None = None) -> Any:
+def draw_run(result: RunResult, picture: str | None = None) -> Any:
     """Draw one run; see `draw_variants`.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
         ParameterError: If there is no such picture, or the run is of several phases.
     """
-    found.times()  # several phases have no grid in common
-    return draw_variants(Variants({found.scene.name: found}), picture, path)
+    result.times()  # several phases have no grid in common
+    return draw_variants(Variants({result.scene.name: result}), picture)
 
 
-def draw_phases(found: Phases, path: Path | None = None) -> Any:
+def draw_phases(result: Phases) -> Any:
     """Draw each figure over the phase; see `spread`."""
-    return spread(Variants({}, {found.scene.name: found}), path)
+    return spread(Variants({}, {result.scene.name: result}))
 
 
-def draw_variants(found: Variants, picture: str | None = None, path: Path | None = None) -> Any:
+def draw_variants(variants: Variants, picture: str | None = None) -> Any:
     """Draw the runs of a scene's variants, or their phases.
 
     Args:
-        found: The runs.
-        picture: One of `found.pictures` by name; the first by default.
-        path: File to write; None to return the figure.
+        variants: The runs.
+        picture: One of `variants.pictures` by name; the first by default.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
         ParameterError: If there is no such picture.
     """
-    names = found.pictures
+    names = variants.pictures
     chosen = next(iter(names)) if picture is None else picture
     check_one_of("picture", names, chosen)
     module, _, name = names[chosen].partition(":")
     draw: Picture = getattr(import_module(module), name)
-    return draw(found, path)
+    return draw(variants)
 
 
-def series(found: Variants, path: Path | None = None) -> Any:
+def series(variants: Variants) -> Any:
     """Draw each series over time, one line a run.
 
     Args:
-        found: The runs.
-        path: File to write; None to return the figure.
+        variants: The runs.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    result = next(iter(found.runs.values()))
-    shown = {label: one.series(_FINE) for label, one in found.runs.items()}
+    result = variants.first
+    shown = {label: one.series(_FINE) for label, one in variants.runs.items()}
     first, units = next(iter(shown.values())), result.units
     names = [name for name, values in first.items() if name != "time" and values.dtype.kind in "fiu"][:_MOST_PANELS]
     figure, panels = new_figure(len(names), 1, 1.2 + 2.2 * len(names), sharex=True)
@@ -102,49 +98,47 @@ def series(found: Variants, path: Path | None = None) -> Any:
     )
     if len(shown) > 1:
         name_curves(figure, panels[:1])
-    return save(figure, path)
+    return figure
 
 
-def spread(found: Variants, path: Path | None = None) -> Any:
+def spread(variants: Variants) -> Any:
     """Draw each figure over the sampling phase.
 
     Args:
-        found: The runs, with their phases.
-        path: File to write; None to return the figure.
+        variants: The runs, with their phases.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    scene = found.first.scene
+    scene = variants.first.scene
     figure, panels = new_grid(len(scene.figures), 0.6, sharex=True)
     for panel, (name, one) in zip(panels, scene.figures.items()):
-        for place, (label, sweep) in enumerate(found.phases.items()):
+        for place, (label, sweep) in enumerate(variants.phases.items()):
             values = np.asarray(sweep.figures[name], dtype=np.float64).reshape(len(sweep.phases), -1) * one.scale
             lines = panel.plot(sweep.phases, values, color=SERIES[place % len(SERIES)])
             lines[0].set_label(label)
         panel.set_title(axis_label(name, unit_of(one.unit, scene.axis, one.along)), **TITLE)
         panel.set_xlim(0.0, 1.0)
         panel.set_xlabel("phase of the first sample")
-    if len(found.phases) > 1:
+    if len(variants.phases) > 1:
         name_curves(figure, panels[:1])
-    return save(figure, path)
+    return figure
 
 
-def time_series(found: Variants, path: Path | None = None) -> Any:
+def time_series(variants: Variants) -> Any:
     """Draw position and force over time, as figure 3 does.
 
     One column for each drop with a pulse; a drop without one and the analog wall stand in all of them. A band
     holds the drop at every phase of the sampler.
 
     Args:
-        found: The drops, with their bands if there are any.
-        path: File to write; None to return the figure.
+        variants: The drops, with their bands if there are any.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    time = _times(found)
-    columns = _columns(found, time)
+    time = _times(variants)
+    columns = _columns(variants, time)
     figure, panels = new_figure(2, len(columns), 6.4, sharex=True, sharey="row")
     heights, forces = panels[: len(columns)], panels[len(columns) :]
     analog = _analog(columns[0][0].scene, time)
@@ -164,26 +158,25 @@ def time_series(found: Variants, path: Path | None = None) -> Any:
         lower.set_xlabel("time after release (s)")
     heights[0].set(ylim=(bottom, None), xlim=(0.0, time[-1]), ylabel="height above the wall (mm)")
     forces[0].set_ylabel("force on the flotor (N)")
-    _explain(figure, heights, columns, found)
+    _explain(figure, heights, columns, variants)
     name_curves(figure, forces)
-    return save(figure, path)
+    return figure
 
 
-def phase_plane(found: Variants, path: Path | None = None) -> Any:
+def phase_plane(variants: Variants) -> Any:
     """Draw velocity over position beside the analog wall (figure 4).
 
     One panel for each drop with a pulse; a drop without one and the analog wall stand in all of them. Thin lines
     are the drop at other phases of the sampler.
 
     Args:
-        found: The drops, with their bands if there are any.
-        path: File to write; None to return the figure.
+        variants: The drops, with their bands if there are any.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    time = _times(found)
-    columns = _columns(found, time)
+    time = _times(variants)
+    columns = _columns(variants, time)
     figure, panels = new_figure(1, len(columns), 5.0, sharex=True, sharey=True)
     analog = _analog(columns[0][0].scene, time)
     for panel, column in zip(panels, columns, strict=True):
@@ -198,23 +191,22 @@ def phase_plane(found: Variants, path: Path | None = None) -> Any:
     for panel in panels:
         panel.axvspan(left, 0.0, **SHADE)
     panels[0].set(xlim=(left, None), ylabel="velocity (m/s)")
-    _explain(figure, panels, columns, found)
+    _explain(figure, panels, columns, variants)
     name_curves(figure, panels)
-    return save(figure, path)
+    return figure
 
 
-def drop_phases(found: Variants, path: Path | None = None) -> Any:
+def drop_phases(variants: Variants) -> Any:
     """Draw penetration, rebound and peak force over the phase.
 
     Args:
-        found: The drops, with their phases or bands.
-        path: File to write; None to return the figure.
+        variants: The drops, with their phases or bands.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
         ParameterError: If there are neither phases nor bands.
     """
-    shown = found.phases or {label: band.over_phases() for label, band in found.bands.items()}
+    shown = variants.phases or {label: band.over_phases() for label, band in variants.bands.items()}
     if not shown:
         raise ParameterError("phases must be run for their picture: see run_phases")
     figure, panels = new_figure(1, 3, 3.6, sharex=True)
@@ -230,7 +222,7 @@ def drop_phases(found: Variants, path: Path | None = None) -> Any:
         panel.set_xlabel("phase of the first sample\n(periods)")
     panels[2].axhline(Spec.largest_vertical_force.value, **_LIMIT)
     name_curves(figure, panels[2:])
-    return save(figure, path)
+    return figure
 
 
 _PULSED = FIRST, *SERIES[2:4]
@@ -267,15 +259,14 @@ def _styles(scenes: Mapping[str, Drop]) -> dict[str, dict[str, Any]]:
     return styles
 
 
-def _times(found: Variants) -> Array:
+def _times(variants: Variants) -> Array:
     """Return the times to draw [s].
 
     Until all drops have settled, and half as long again.
     """
-    end: float = found.first.scene.end
-    settled = 1.5 * float(
-        np.max([one.figures["settling_time"] for one in found.runs.values()])
-    )  # NaN if one never does
+    end: float = variants.first.scene.end
+    settling = [one.figures["settling_time"] for one in variants.runs.values()]
+    settled = 1.5 * float(np.max(settling))  # NaN if one never does
     return np.linspace(0.0, settled if settled < end else end, _POINTS)
 
 
@@ -288,13 +279,13 @@ class _Drop(NamedTuple):
     band: tuple[Array, Array, Array] | None
 
 
-def _columns(found: Variants, time: Array) -> list[list[_Drop]]:
+def _columns(variants: Variants, time: Array) -> list[list[_Drop]]:
     """Return the drops of each column, pulsed ones first."""
     pulsed: list[_Drop] = []
     plain: list[_Drop] = []
-    styles = _styles({label: result.scene for label, result in found.runs.items()})
-    for label, result in found.runs.items():
-        band = _shown(found.bands[label], time) if label in found.bands else None
+    styles = _styles({label: result.scene for label, result in variants.runs.items()})
+    for label, result in variants.runs.items():
+        band = _shown(variants.bands[label], time) if label in variants.bands else None
         drop = _Drop(result.scene, styles[label], _shown(result, time), band)
         (pulsed if styles[label]["linestyle"] == "-" else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
@@ -316,7 +307,7 @@ def _analog(scene: Drop, time: Array) -> tuple[Array, Array, Array] | None:
     return z * 1e3, velocity, force
 
 
-def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]], found: Variants) -> None:
+def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]], variants: Variants) -> None:
     """Add the titles, which name the phase of the lines."""
     for panel, (drop, *others) in zip(tops, columns, strict=True):
         wall = _published(drop.scene)
@@ -327,8 +318,8 @@ def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]
     common = walls.pop() if len(walls) == 1 else ()
     gains = "{:g} N/m and {:g} N s/m, ".format(*common) if common else ""
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
-    result, shaded = found.runs[label], ""
-    if (band := found.bands.get(label)) is not None:
+    result, shaded = variants.runs[label], ""
+    if (band := variants.bands.get(label)) is not None:
         share = 100.0 * share_below(band.figures["penetration"], result.figures["penetration"])
         shaded = f", deeper than {share:.0f} % of the phases; shaded: all of {len(band.phase)} phases"
     figure.suptitle(
@@ -350,22 +341,21 @@ def _describe(result: RunResult) -> str:
     )
 
 
-def figure_6(found: Variants, path: Path | None = None) -> Any:
+def figure_6(variants: Variants) -> Any:
     """Draw position and control force over time (figure 6).
 
     The hand's target is drawn too.
 
     Args:
-        found: The presses; the first is drawn in front.
-        path: File to write; None to return the figure.
+        variants: The presses; the first is drawn in front.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
-    first = next(iter(found.runs.values()))
-    styles = _styles({label: result.scene for label, result in found.runs.items()})
-    for label, result in found.runs.items():
+    first = variants.first
+    styles = _styles({label: result.scene for label, result in variants.runs.items()})
+    for label, result in variants.runs.items():
         motion, style = result.series(_FINE), styles[label] | {"linewidth": 1.4}
         upper.plot(motion["time"], motion["z"] * 1e3, **style)
         lower.step(motion["time"], motion["force"], where="post", **style)
@@ -388,21 +378,20 @@ def figure_6(found: Variants, path: Path | None = None) -> Any:
     lower.set_xlim(0.0, p.end)
     name_curves(figure, [upper])
     upper.set_title(_describe(first), **TITLE)
-    return save(figure, path)
+    return figure
 
 
-def stick_slip(found: Variants, path: Path | None = None) -> Any:
+def stick_slip(variants: Variants) -> Any:
     """Draw position and velocity against exact friction (figure 8).
 
     Args:
-        found: The pulls, the first of which is drawn.
-        path: File to write; None to return the figure.
+        variants: The pulls, the first of which is drawn.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
-    result = next(iter(found.runs.values()))
+    result = variants.first
     p, motion = result.scene, result.series(_FINE)
     time, length = motion["time"], unit_of("mm", p.axis)
     exact = p.exact(time)
@@ -422,4 +411,4 @@ def stick_slip(found: Variants, path: Path | None = None) -> Any:
         f"(SI), delay {p.delay * 1e3:g} ms ({result.plant})",
         **TITLE,
     )
-    return save(figure, path)
+    return figure

@@ -16,8 +16,8 @@ from maglev_mj.hand import GuidedHand, Hand, Trajectory, get_hand, motion
 from maglev_mj.laws import Law
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import Timing
-from maglev_mj.scenes.bench import WallScene, hold, others
-from maglev_mj.scenes.press_figures import PressSummary
+from maglev_mj.scenes.figures import PressSummary
+from maglev_mj.scenes.parts import WallScene, hold, others
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import ESCAPE
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Integral
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.controller import Controller
 from maglev_mj.errors import DivergenceError, ParameterError, check_one_of, not_one_of
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
-from maglev_mj.loop import drive
+from maglev_mj.loop import Record, drive
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.result import Result, Table, plain
@@ -31,7 +31,10 @@ _STEP = 1e-3
 _ROUNDING = 1.0 + 1e-9
 _UNITS = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "z": "m", "target": "m", "stick_position": "m"}
 
-Observe = Callable[[Sample, Command], object]
+Observe: TypeAlias = Callable[[Sample, Command], object]
+
+Begin: TypeAlias = Callable[[Scene, Any, Controller, int], Record]
+"""Function of scene, plant, controller and number of samples that begins a recording of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,19 +184,19 @@ class Phases(Result):
 
         A figure of several hits has a column for each hit.
         """
-        found = {"phase": self.phases}
+        columns = {"phase": self.phases}
         for name, values in self.figures.items():
             rows = values.reshape(len(self.phases), -1)
             names = [name] if values.ndim == 1 else [f"{name}.{index}" for index in range(rows.shape[1])]
-            found |= dict(zip(names, rows.T, strict=True))
-        return found
+            columns |= dict(zip(names, rows.T, strict=True))
+        return columns
 
     @property
     def units(self) -> dict[str, str]:
         """Unit of each column."""
         named: Mapping[str, Figure] = self.scene.figures
-        known = {name: unit_of(one.si_unit, self.scene.axis, one.along) for name, one in named.items()}
-        return {column: known[column.partition(".")[0]] for column in self.columns() if column != "phase"}
+        units = {name: unit_of(one.si_unit, self.scene.axis, one.along) for name, one in named.items()}
+        return {column: units[column.partition(".")[0]] for column in self.columns() if column != "phase"}
 
     def table(self) -> Table:
         """Return median and 5 to 95 % of each figure."""
@@ -246,9 +249,9 @@ class Variants(Result):
     drawn_by: ClassVar = "maglev_mj.scenes.pictures:draw_variants"
 
     @property
-    def first(self) -> RunResult | Phases:
-        """Result of the scene itself."""
-        return next(iter(self.runs.values())) if self.runs else next(iter(self.phases.values()))
+    def first(self) -> Any:
+        """Run of the scene itself, or its phases if it was not run alone."""
+        return next(iter((self.runs or self.phases).values()))
 
     @property
     def pictures(self) -> Mapping[str, str]:
@@ -261,56 +264,55 @@ class Variants(Result):
 
     def columns(self) -> dict[str, Array]:
         """Return the columns of the scene itself."""
-        return self.first.columns()
+        columns: dict[str, Array] = self.first.columns()
+        return columns
 
     @property
-    def units(self) -> dict[str, str]:
+    def units(self) -> Mapping[str, str]:
         """Unit of each column."""
-        return self.first.units
+        units: Mapping[str, str] = self.first.units
+        return units
 
     def as_json(self) -> dict[str, Any]:
         """Return the run of the scene itself and its phases, ready for JSON."""
-        runs, phases = list(self.runs.values()), list(self.phases.values())
-        return {**(runs[0].as_json() if runs else {}), **({"sweep": phases[0].as_json()} if phases else {})}
+        phases = [{"sweep": one.as_json()} for one in self.phases.values()]
+        return {**(self.first.as_json() if self.runs else {}), **(phases[0] if phases else {})}
 
     def table(self) -> Table:
         """Return the figures of each run, their spread over the phases, and what exceeds the device."""
         scene: Scene = self.first.scene
-        named: Mapping[str, Figure] = scene.figures
-        runs = {label: one.figures for label, one in self.runs.items()}
-        runs |= scene.compared(next(iter(self.runs.values()))) if runs else {}
-        values = {
-            label: {name: one.text(figures.get(name, math.nan)) for name, one in named.items()}
-            for label, figures in runs.items()
-        }
-        spreads = {
-            label: {name: one.spread(phases.figures[name]) for name, one in named.items()}
-            for label, phases in self.phases.items()
-        }
+        runs: dict[str, Mapping[str, Any]] = {label: one.figures for label, one in self.runs.items()}
+        runs |= scene.compared(self.first) if runs else {}
+        spreads = {label: one.figures for label, one in self.phases.items()}
         over = f"median (5 to 95 %) over {len(next(iter(self.phases.values())).phases)} phases" if spreads else ""
-        at = f"phase {self.first.phase:g}" if isinstance(self.first, RunResult) and scene.takes_phase else ""
+        at = f"phase {self.first.phase:g}" if runs and scene.takes_phase else ""
         where = ", ".join(filter(None, [f"plant {self.first.plant}", at if runs else over]))
         title = f"{Scene.describe(scene)}, {where}: {', '.join(_parameter_texts(scene))}"
-        table = _figures_table(title, scene, values or spreads, meaning=True)
-        if not (values and spreads):
-            return table._replace(note=self._remarks())
-        return table._replace(below=[_figures_table(over, scene, spreads)._replace(note=self._remarks())])
+        note = "\n".join(self._remarks())
+        if not runs:
+            return _figures_table(title, scene, spreads, Figure.spread)._replace(note=note)
+        table = _figures_table(title, scene, runs, Figure.text)
+        if not spreads:
+            return table._replace(note=note)
+        return table._replace(
+            below=[_figures_table(over, scene, spreads, Figure.spread, brief=True)._replace(note=note)]
+        )
 
-    def _remarks(self) -> str:
-        """Return a line for each rank, missing figure and excess over the device's limits."""
-        scene = self.first.scene
-        remarks = [*self._rank(), *self._missing(), *self._beyond_force(), *self._beyond_range()]
+    def _remarks(self) -> Iterator[str]:
+        """Yield a line for each rank, missing figure and excess over the device's limits."""
+        yield from self._rank()
+        yield from self._missing()
+        yield from self._beyond_force()
+        yield from self._beyond_range()
         if self.gap is not None:
-            remarks.append(f"MuJoCo and the exact plant differ by at most {self.gap:.1e} {unit_of('m', scene.axis)}")
-        return "\n".join(remarks)
+            yield f"MuJoCo and the exact plant differ by at most {self.gap:.1e} {unit_of('m', self.first.scene.axis)}"
 
     def _rank(self) -> Iterator[str]:
         """Yield the rank of the first run among its phases; one phase alone says little."""
-        for label, one in list(self.runs.items())[:1]:
-            for name in list(one.scene.figures)[:1] if label in self.phases else ():
-                if (values := self.phases[label].figures[name]).ndim == 1:
-                    share = 100.0 * share_below(values, one.figures[name])
-                    yield f"{label}: {name.replace('_', ' ')} above that of {share:.0f} % of the phases"
+        for label, name in zip([one for one in self.runs if one in self.phases], list(self.first.scene.figures)[:1]):
+            if (values := self.phases[label].figures[name]).ndim == 1:
+                share = 100.0 * share_below(values, self.runs[label].figures[name])
+                yield f"{label}: {name.replace('_', ' ')} above that of {share:.0f} % of the phases"
 
     def _missing(self) -> Iterator[str]:
         """Yield a line for each figure missing at some phases."""
@@ -347,20 +349,27 @@ class Variants(Result):
             yield f"Beyond the range of {_distances(np.where(left, limits, 0.0))}: {', '.join(texts)}"
 
 
-def _figures_table(title: str, scene: Scene, cells: Mapping[str, Mapping[str, str]], *, meaning: bool = False) -> Table:
-    """Return a table with a column for each label, and the meaning beside a single one."""
+def _figures_table(
+    title: str,
+    scene: Scene,
+    figures: Mapping[str, Mapping[str, Any]],
+    show: Callable[[Figure, Any], str],
+    *,
+    brief: bool = False,
+) -> Table:
+    """Return a row for each figure, and its meaning beside the column of a single label."""
     named: Mapping[str, Figure] = scene.figures
-    more = meaning and len(cells) == 1
+    meaning = len(figures) == 1 and not brief
     rows = [
         (
             name.replace("_", " "),
-            *(texts[name] for texts in cells.values()),
+            *(show(one, values.get(name, math.nan)) for values in figures.values()),
             unit_of(one.unit, scene.axis, one.along),
-            *([one.help] if more else []),
+            *([one.help] if meaning else []),
         )
         for name, one in named.items()
     ]
-    return Table(title, ("figure", *cells, "unit", *(["meaning"] if more else [])), rows)
+    return Table(title, ("figure", *figures, "unit", *(["meaning"] if meaning else [])), rows)
 
 
 def _parameter_texts(scene: Scene) -> list[str]:
@@ -392,6 +401,7 @@ def run(
     plant: str | None = None,
     phase: ArrayLike = 0.0,
     observe: Observe | None = None,
+    begin: Begin | None = None,
 ) -> RunResult:
     """Run a scene on one device or N devices.
 
@@ -402,6 +412,7 @@ def run(
         plant: Name from PLANTS; the scene's usual one by default.
         phase: The samples are at (k + phase) period, in [0, 1); (N,) for N devices, on the exact plant.
         observe: Function called with each sample and the command as applied.
+        begin: Begins a recording of the run, of one device; see `maglev_mj.session.replay.recorded`.
 
     Raises:
         ParameterError: If there is no such plant, or a phase is outside its bounds.
@@ -421,11 +432,13 @@ def run(
     if not single and plant != "exact":
         raise ParameterError(f"phase must be one number on {plant}, whose runs differ in length: see run_phases")
     at: Component = checked_phase(phase) if single else _phases(phase)
-    controller, told = scene.controller(), None
+    controller = scene.controller()
     with scene.plant(plant, phase=at, record=True) as device, engine_warnings_silenced():
         told = _Told(controller, observe, () if single else (np.size(at),))
+        ticks = scene.ticks(scene.timing(at))
+        record = None if begin is None else begin(scene, device, controller, ticks)
         try:
-            drive(device, controller, scene.ticks(scene.timing(at)), observe=told.observe)
+            drive(device, controller, ticks, observe=told.observe, record=record)
         except DivergenceError as error:
             trace = device.trace()
             if not _escaped_later(trace, scene.end):
@@ -482,6 +495,8 @@ def run_variants(
     phase: float = 0.0,
     phases: int | ArrayLike | None = None,
     bands: int | ArrayLike | None = None,
+    begin: Begin | None = None,
+    compare: bool = False,
     progress: Callable[[int, int], object] | None = None,
 ) -> Variants:
     """Run a scene and its variants, at one phase and at many.
@@ -492,6 +507,8 @@ def run_variants(
         phase: See `run`.
         phases: Phases at which the figures are taken too, see `run_phases`; None for none.
         bands: Phases at which the motion on the exact plant is kept too, for pictures; None for none.
+        begin: Begins a recording of the first run, see `run`.
+        compare: True to run the scene itself on its other plant too, for `gap`.
         progress: See `run_phases`.
 
     Raises:
@@ -500,18 +517,30 @@ def run_variants(
     runs: dict[str, RunResult] = {}
     swept: dict[str, Phases] = {}
     drawn: dict[str, RunResult] = {}
+    gap = None
     try:
         for label, variant in variants.items():
-            runs[label] = run(variant, plant=plant, phase=phase)
+            runs[label] = run(variant, plant=plant, phase=phase, begin=None if runs else begin)
         if phases is not None:
             swept = {one: run_phases(variants[one], phases, plant=plant, progress=progress) for one in variants}
         if bands is not None:
             drawn = {one: run(variants[one], plant="exact", phase=_phases(bands)) for one in variants}
+        if compare:
+            gap = _distance_of_plants(next(iter(runs.values())))
     except DivergenceError as error:
         if runs:
             error.partial = next(iter(runs.values()))  # the run itself is worth keeping
         raise
-    return Variants(runs, swept, drawn)
+    return Variants(runs, swept, drawn, gap)
+
+
+def _distance_of_plants(result: RunResult) -> float | None:
+    """Return the largest distance from the scene's other plant [m, rad]; None without one."""
+    others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
+    if not others:
+        return None
+    twin, time = run(result.scene, plant=others[0], phase=result.phase), result.times()
+    return float(np.abs(result.motion(time)[0] - twin.motion(time)[0]).max())
 
 
 def checked_plant(scene: Scene, plant: str | None) -> str:

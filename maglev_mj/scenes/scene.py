@@ -86,7 +86,7 @@ class Scene(Parameters):
         tolerance: Negligible displacement of a coil [m], as in `fidelity`.
         tolerance_reason: Reason for that value.
         model: MJCF file for display: a path, or the name of one of the package's.
-        plots: Own plots: name of the file, without ending -> "module:function", called with `Variants` and a path.
+        plots: Own plots: name of the file, without ending -> "module:function" that draws `Variants`.
         drawn_phases: Number of phases whose motion its own plots show around that of a run; 0 for none.
 
     Raises:

@@ -29,8 +29,8 @@ from maglev_mj.laws import (
 )
 from maglev_mj.laws import StickSlip as StickSlipFriction
 from maglev_mj.parameters import param
-from maglev_mj.scenes.bench import hold, others, stepped
 from maglev_mj.scenes.figures import changes
+from maglev_mj.scenes.parts import hold, others, stepped
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory.ideal import FrictionEvent, KarnoppMotion, karnopp

@@ -19,11 +19,10 @@ from maglev_mj.scenes import BUILT_IN, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
 from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, Action, actions, settable
-from maglev_mj.session.live import centred, lifted
 from maglev_mj.session.pacing import TIME_SCALES, Pacer, next_scale
 from maglev_mj.session.recorder import SessionRecorder
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
-from maglev_mj.session.stretch import LiveStretch
+from maglev_mj.session.stretch import LiveStretch, centred, lifted
 
 _OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", EMERGENCY_STOP
 _CHOOSES = "scene "

@@ -17,10 +17,10 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.hand import Hand, get_hand
 from maglev_mj.loop import drive
-from maglev_mj.metrics import summarise_bounce
 from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.result import Result, Table
+from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.studies.batches import along_z, around_wall, hum, wall_controller
 from maglev_mj.theory.design import Case, DesignedWall

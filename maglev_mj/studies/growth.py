@@ -20,7 +20,7 @@ from maglev_mj.laws import Law, Wall
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
-from maglev_mj.scenes.bench import along, hold, others
+from maglev_mj.scenes.parts import along, hold, others
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies.batches import wall_controller

@@ -20,7 +20,7 @@ from maglev_mj.loop import drive
 from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.result import Table
-from maglev_mj.scenes.bench import along, stepped
+from maglev_mj.scenes.parts import along, stepped
 from maglev_mj.spec import Spec
 from maglev_mj.studies.batches import along_z, wall_controller
 from maglev_mj.studies.cells import Cell, Record, Workers, run_cells
@@ -207,11 +207,11 @@ def run_drop_map(
     parts: list[Cell] = [head | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)]
     others = [] if record is None else record.others(parts)
 
-    def told(done: int, total: int) -> None:
+    def progress_of_walls(done: int, total: int) -> None:
         if progress is not None:
             progress(min(done * part, count), count)
 
-    results = run_cells(_judge_parts, parts, record=record, workers=workers, progress=told)
+    results = run_cells(_judge_parts, parts, record=record, workers=workers, progress=progress_of_walls)
     if lost := [result for result in results if "swing" not in result]:
         raise MaglevError(f"a part of the map has no verdicts: {lost[0]!r}")
     shape = stiffness.size, damping.size

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from maglev_mj.colours import REFERENCE, SERIES, STOP
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.pictures import FIRST, SECOND, TITLE, axis_label, name_curves, new_figure, new_grid, save
+from maglev_mj.pictures import FIRST, SECOND, TITLE, axis_label, name_curves, new_figure, new_grid
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
 from maglev_mj.studies.nonlinear import DropMap
@@ -36,7 +35,7 @@ def level_sets(panel: Any, x: Array, y: Array, modulus: Array) -> None:
     panel.contourf(x, y, modulus, levels=[0.0, *_LEVELS], cmap="GnBu_r", vmin=0.2, vmax=1.1)
     lines = panel.contour(x, y, modulus, levels=_LEVELS[:-1], colors=[REFERENCE], linewidths=0.7)
     extents = np.ptp(x), np.ptp(y)
-    wide = [level for level, found in zip(lines.levels, lines.allsegs) if _room(found, extents)]
+    wide = [level for level, segments in zip(lines.levels, lines.allsegs) if _room(segments, extents)]
     panel.clabel(lines, wide, fmt="%g", fontsize=8)
     panel.contour(x, y, modulus, levels=[1.0], colors=[FIRST], linewidths=2.2)
     panel.plot([], [], color=REFERENCE, linewidth=0.7, label="lines: largest modulus of the eigenvalues")
@@ -48,14 +47,13 @@ def _room(segments: Any, extents: tuple[float, float]) -> bool:
     return any(len(points) > 1 and (np.ptp(points, axis=0) > 0.15 * np.array(extents)).all() for points in segments)
 
 
-def stability_map(result: StabilityMap, path: Path | None = None) -> Any:
+def stability_map(result: StabilityMap) -> Any:
     """Draw the stability map.
 
     Level sets by theory, simulated verdicts as dots, the stiffest wall marked.
 
     Args:
         result: The map; its grid must have at least two values on each axis.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -86,17 +84,16 @@ def stability_map(result: StabilityMap, path: Path | None = None) -> Any:
         f"stiffest wall: {best.describe()}",
         **TITLE,
     )
-    return save(figure, path)
+    return figure
 
 
-def drop_map(result: DropMap, path: Path | None = None) -> Any:
+def drop_map(result: DropMap) -> Any:
     """Draw the final swing of drops over the gains.
 
     With theory's boundary, and that of the drops that settle.
 
     Args:
         result: The map; its grid must have at least two values on each axis.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -105,7 +102,7 @@ def drop_map(result: DropMap, path: Path | None = None) -> Any:
     figure, panels = new_figure(1, 1, 5.6)
     drop_panels(figure, panels, [result])
     panels[0].set_title(f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, {p.described}", **TITLE)
-    return save(figure, path)
+    return figure
 
 
 def drop_panels(figure: Any, panels: Sequence[Any], results: Sequence[DropMap]) -> None:
@@ -148,7 +145,7 @@ def _outer(values: Array) -> tuple[float, float]:
     return float(values[0] - half), float(values[-1] + half)
 
 
-def design_map(result: DesignResult, path: Path | None = None) -> Any:
+def design_map(result: DesignResult) -> Any:
     """Draw the largest modulus over mass and delay.
 
     The worst of the hands, with the worst case marked.
@@ -157,7 +154,6 @@ def design_map(result: DesignResult, path: Path | None = None) -> Any:
 
     Args:
         result: The design.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -198,10 +194,10 @@ def design_map(result: DesignResult, path: Path | None = None) -> Any:
         f"largest modulus over the hands {', '.join(needs.hands)}",
         **TITLE,
     )
-    return save(figure, path)
+    return figure
 
 
-def sweep(found: Sweep) -> Any:
+def sweep(result: Sweep) -> Any:
     """Draw each figure over the first varied parameter.
 
     Each combination of the others is a line.
@@ -209,38 +205,38 @@ def sweep(found: Sweep) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    first, *others = found.varied
-    lines = list(itertools.product(*(found.varied[name] for name in others)))
-    named = {name: found.shown(name) for name in found.names if found.is_number(name)}
+    first, *other_names = result.varied
+    lines = list(itertools.product(*(result.varied[name] for name in other_names)))
+    named = {name: result.shown(name) for name in result.names if result.is_number(name)}
     figure, panels = new_grid(len(named), 0.9)
     for panel, (name, one) in zip(panels, named.items()):
-        values = found.figure(name).reshape(len(found.varied[first]), -1) * one.scale
+        values = result.figure(name).reshape(len(result.varied[first]), -1) * one.scale
         for index, line in enumerate(lines):
-            label = ", ".join(map(_chosen, others, line, (found.units.get(other, "") for other in others)))
-            panel.plot(found.varied[first], values[:, index], "o-", color=SERIES[index % len(SERIES)], label=label)
-        panel.set_title(axis_label(name, found.unit_along(one.unit, one.along)), **TITLE)
-        panel.set_xlabel(axis_label(first, found.units.get(first)))
-    if others:
+            label = ", ".join(map(_chosen, other_names, line, (result.units.get(other, "") for other in other_names)))
+            panel.plot(result.varied[first], values[:, index], "o-", color=SERIES[index % len(SERIES)], label=label)
+        panel.set_title(axis_label(name, result.unit_along(one.unit, one.along)), **TITLE)
+        panel.set_xlabel(axis_label(first, result.units.get(first)))
+    if other_names:
         name_curves(figure, panels[:1])
     return figure
 
 
-def fidelity(found: FidelityResult) -> Any:
+def fidelity(result: FidelityResult) -> Any:
     """Draw each level's distance from those above.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, (panel,) = new_figure(1, 1, 4.2)
-    names, missing = found.columns()["level"], 1e6 * found.columns()["missing"]
+    names, missing = result.columns()["level"], 1e6 * result.columns()["missing"]
     panel.plot(missing[missing > 0.0], names[missing > 0.0], "o", color=SERIES[0], label="missing")
-    allowed = 1e6 * found.tolerance / MARGIN
+    allowed = 1e6 * result.tolerance / MARGIN
     panel.axvline(allowed, color=REFERENCE, linestyle="--", label=f"tolerance by the margin, {allowed:g} µm")
     panel.set_yticks(range(len(names)), names)
     panel.set_ylim(len(names) - 0.5, -0.5)
     panel.set_xscale("log")
     panel.set_xlabel("distance from the levels above (µm)")
-    panel.set_title(found.preset.name, **TITLE)
+    panel.set_title(result.preset.name, **TITLE)
     name_curves(panel)
     return figure
 

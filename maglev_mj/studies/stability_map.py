@@ -108,8 +108,8 @@ class GainMap(Result):
         The damping varies fastest.
         """
         stiffness, damping = np.meshgrid(self.stiffness, self.damping, indexing="ij")
-        found: dict[str, NDArray[Any]] = {"stiffness": stiffness, "damping": damping, **self.cells()}
-        return {name: values.ravel() for name, values in found.items()}
+        columns: dict[str, NDArray[Any]] = {"stiffness": stiffness, "damping": damping, **self.cells()}
+        return {name: values.ravel() for name, values in columns.items()}
 
     @property
     def units(self) -> dict[str, str]:
@@ -159,14 +159,14 @@ class StabilityMap(GainMap):
     def table(self) -> Table:
         """Return the stiffest wall beside published bounds, and the numbers of stable cells."""
         p, best, damping = self.parameters, float(self.maximum.stiffness), float(self.maximum.damping)
-        known = (
+        published = (
             ("Colgate & Schenkel", bounds.colgate(damping, period=p.period), "passive; none on a flotor"),
             ("Gil et al.", bounds.gil(damping, period=p.period, delay=p.delay), "stable, low damping"),
             ("Minsky et al.", bounds.minsky(damping, period=p.period), "stable, no delay, low damping"),
         )
         beside = "; at a damping slightly beside the jump, softer walls are unstable" if self.maximum.on_jump else ""
         rows = [("stiffest stable wall", best, 1.0, f"at {damping:.1f} N s/m{beside}" if best else "no wall is stable")]
-        rows += [(name, float(one), float(one) / best if best else math.nan, sense) for name, one, sense in known]
+        rows += [(name, float(one), float(one) / best if best else math.nan, sense) for name, one, sense in published]
         stable = theory.is_stable(self.modulus)
         note = [f"grid: {stable.sum()} of {stable.size} cells stable by theory"]
         if self.simulated is not None and self.misjudged is not None:

@@ -52,7 +52,7 @@ class Sweep(Result):
         varied: Values of the parameters that vary, by name, as given.
         cells: Parameters of each run, the last one varying fastest.
         results: Figures of each cell by name, or {"error": ...} of a run that failed.
-        known: Number of cells found in the record.
+        resumed: Number of cells whose results were in the record before.
         record: File of the record; None for none.
         other_versions: Other code behind cells of the record; see `Record.others`.
     """
@@ -61,7 +61,7 @@ class Sweep(Result):
     varied: Mapping[str, Sequence[Any]]
     cells: Sequence[Cell]
     results: Sequence[Mapping[str, Any]]
-    known: int = field(repr=False)  # JSON is the same whatever the record had
+    resumed: int = field(repr=False)  # JSON is the same whatever the record had
     record: str | None = field(repr=False)
     other_versions: Sequence[Mapping[str, Any]]
     drawn_by: ClassVar = "maglev_mj.studies.pictures:sweep"
@@ -72,13 +72,13 @@ class Sweep(Result):
         Figures are in SI units, NaN if missing; those of several hits are left out. `error` is there if a cell failed.
         """
         rows = list(itertools.product(*self.varied.values()))
-        found: dict[str, NDArray[Any]] = {
+        columns: dict[str, NDArray[Any]] = {
             name: np.array([row[place] for row in rows]) for place, name in enumerate(self.varied)
         }
-        found |= {name: self.figure(name).ravel() for name in self.names if self.is_number(name)}
+        columns |= {name: self.figure(name).ravel() for name in self.names if self.is_number(name)}
         if any("error" in result for result in self.results):
-            found["error"] = np.array([result.get("error", "") for result in self.results])
-        return found
+            columns["error"] = np.array([result.get("error", "") for result in self.results])
+        return columns
 
     @property
     def units(self) -> dict[str, str]:
@@ -100,11 +100,11 @@ class Sweep(Result):
         rows = []
         for name in filter(self.is_number, self.names):
             one, values = self.shown(name), self.figure(name).ravel()
-            if (known := values[np.isfinite(values)] * one.scale).size:
-                spread = np.percentile(known, _SHARES).tolist()
-                rows.append((name, *spread, self.unit_along(one.unit, one.along), known.size))
+            if (finite := values[np.isfinite(values)] * one.scale).size:
+                spread = np.percentile(finite, _SHARES).tolist()
+                rows.append((name, *spread, self.unit_along(one.unit, one.along), finite.size))
         choices = [name for name, values in self.varied.items() if any(isinstance(value, str) for value in values)]
-        notes = [f"{self.known} of them already in {self.record}"] if self.record else []
+        notes = [f"{self.resumed} of them already in {self.record}"] if self.record else []
         notes += [f"all values of {' and '.join(choices)} share a row"] if choices else []
         count = "1 cell" if len(failed) == 1 else f"{len(failed)} cells"
         notes += [f"{count} failed, the first because {failed[0]}"] if failed else []
@@ -115,8 +115,8 @@ class Sweep(Result):
     @property
     def names(self) -> list[str]:
         """Names of the figures of the cells."""
-        found = dict.fromkeys(name for result in self.results if "error" not in result for name in result)
-        return list(found or self.scene.figures)
+        names = dict.fromkeys(name for result in self.results if "error" not in result for name in result)
+        return list(names or self.scene.figures)
 
     def shown(self, name: str) -> Figure:
         """Return a figure with its unit, without one for an undeclared name."""
@@ -136,9 +136,9 @@ class Sweep(Result):
             ParameterError: If the scene has no such figure.
         """
         check_one_of("figure", self.names, name)
-        found = [result.get(name) for result in self.results]
-        values = np.array([math.nan if value is None else value for value in found], dtype=np.float64)
-        return values.reshape([len(given) for given in self.varied.values()])
+        results = [result.get(name) for result in self.results]
+        values = np.array([math.nan if value is None else value for value in results], dtype=np.float64)
+        return values.reshape([len(one) for one in self.varied.values()])
 
 
 def sweep(
@@ -175,19 +175,20 @@ def sweep(
         StudyInterrupted: On Ctrl-C; the cells done are in the record.
         WorkersError: If a cluster is gone, or one of its workers has other code.
     """
-    made = get_scene(scene)
+    chosen = get_scene(scene)
     if not vary:
         raise ParameterError("vary must give a list of values for at least one parameter, not {}; run() does one run")
-    cells = swept_cells(made, vary, plant=plant, phase=phase)
+    cells = swept_cells(chosen, vary, plant=plant, phase=phase)
     file = None if record is None else str(record)
-    kept = Record(None if record is None else Path(record))
-    known = 0 if record is None else sum(cell in kept for cell in cells)
-    hands = chosen_workers(workers)
-    function = partial(run_scene_cells, text=_text(type(made)))
-    together = _cells_a_job(len(cells) - known, hands.window, all(cell["plant"] == "exact" for cell in cells))
-    others = kept.others(cells)
-    results = run_cells(function, cells, record=kept, workers=hands, together=together, progress=progress)
-    return Sweep(type(made), {name: list(values) for name, values in vary.items()}, cells, results, known, file, others)
+    kept_cells = Record(None if record is None else Path(record))
+    resumed = 0 if record is None else sum(cell in kept_cells for cell in cells)
+    executor = chosen_workers(workers)
+    function = partial(run_scene_cells, text=_text(type(chosen)))
+    together = _cells_a_job(len(cells) - resumed, executor.window, all(cell["plant"] == "exact" for cell in cells))
+    others = kept_cells.others(cells)
+    results = run_cells(function, cells, record=kept_cells, workers=executor, together=together, progress=progress)
+    varied = {name: list(values) for name, values in vary.items()}
+    return Sweep(type(chosen), varied, cells, results, resumed, file, others)
 
 
 def _cells_a_job(missing: int, window: int, batches: bool) -> int:
@@ -243,17 +244,17 @@ def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict
         ParameterError: If there is no such scene, or its file fails.
     """
     runs = [_made(dict(cell), text) for cell in cells]
-    found: list[Mapping[str, Any] | None] = [None] * len(runs)
+    results: list[Mapping[str, Any] | None] = [None] * len(runs)
     plants = defaultdict(list)
     for index, (scene, plant, _) in enumerate(runs):
         plants[type(scene), plant].append(index)
     for (cls, plant), indices in plants.items():
         together = _together(cls, plant, [runs[index] for index in indices])
         for index, figures in zip(indices, together, strict=True):
-            found[index] = figures
+            results[index] = figures
     return [
         _alone(one, text is not None) if figures is None else plain(figures)
-        for one, figures in zip(runs, found, strict=True)
+        for one, figures in zip(runs, results, strict=True)
     ]
 
 
@@ -271,15 +272,15 @@ def _together(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Ma
     None for those that must be made alone.
     """
     try:
-        found = cls.figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
+        together = cls.figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
     except MaglevError:  # of any of them: its own run reports the error
         return [None] * len(runs)
-    done = [index for index, figures in enumerate(found) if figures is not None]
+    done = [index for index, figures in enumerate(together) if figures is not None]
     # a user's law may mix devices, which its interface forbids: two separate runs must give the same
     for index in () if _is_ours(cls) else {*done[:1], *done[-1:]}:
-        if not _same(found[index], _alone(runs[index], True)):
+        if not _same(together[index], _alone(runs[index], True)):
             return [None] * len(runs)
-    return found
+    return together
 
 
 def _same(figures: Mapping[str, Any] | None, alone: Mapping[str, Any]) -> bool:

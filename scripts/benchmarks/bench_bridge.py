@@ -35,9 +35,9 @@ from maglev_mj.loop import drive
 from maglev_mj.net.udp import Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.joystick import Joystick
 from maglev_mj.scenes.parts import INERTIA, WEIGHT
-from maglev_mj.sensing.solver import FastBeams, PoseTracker
+from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.sensing import FastBeams, PoseTracker
 from maglev_mj.spec import Spec
 
 PARTS = "host", "lockstep", "realtime"

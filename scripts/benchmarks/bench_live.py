@@ -39,7 +39,7 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.live import LiveServer
 from maglev_mj.net.udp import open_link
 from maglev_mj.process import SideProcess
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Session, real_time
 
 RATES = 200, 1000

@@ -35,7 +35,7 @@ from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load_s
 from maglev_mj.recording.files import row_of
 from maglev_mj.recording.sample import ROW, as_table
 from maglev_mj.recording.writer import LiveFile, McapWriter, Ring
-from maglev_mj.scenes.joystick import Joystick
+from maglev_mj.scenes.rooms import Joystick
 
 BLOCK = 200
 PERIOD = Joystick().period

@@ -5,7 +5,6 @@ The flotor falls on an emulated wall, with both readings of the braking pulse.
 
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.pictures import time_series
 from maglev_mj.scenes.run import run_variants
 
 pictures = script_options(__doc__).pictures
@@ -20,4 +19,4 @@ for label, result in found.runs.items():
         f"{label:>18}: {figures['penetration'] * 1e3:.2f} mm deep, rebound {figures['rebound'] * 1e3:.2f} mm, "
         f"peak {figures['peak_force']:.1f} N, settled after {figures['settling_time'] * 1e3:.0f} ms"
     )
-print("wrote", time_series(found, pictures.path("fig3_drop")))
+print("wrote", found.plot(pictures.path("fig3_drop"), picture="drop_time"))

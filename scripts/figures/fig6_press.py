@@ -4,7 +4,6 @@ A hand hits the wall several times, then presses against it.
 """
 
 from maglev_mj.cli.pictures import script_options
-from maglev_mj.scenes.pictures import figure_6
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run_variants
 
@@ -20,4 +19,4 @@ for label, result in found.runs.items():
         f"{label:>14}: hits {depths} mm deep, peak {figures['peak_force'].max():.1f} N, "
         f"pressed {figures['final_depth'] * 1e3:.3f} mm deep with {figures['final_force']:.3f} N"
     )
-print("wrote", figure_6(found, pictures.path("fig6_press")))
+print("wrote", found.plot(pictures.path("fig6_press")))

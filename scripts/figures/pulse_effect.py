@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.frames import Array
-from maglev_mj.metrics import perceived_hardness
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.figures import perceived_hardness
 from maglev_mj.scenes.run import run
 from maglev_mj.spec import Spec
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,9 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Sample
 from maglev_mj.hand import HandForce
 from maglev_mj.laws import Law
-from maglev_mj.loop import ControlLoop
+from maglev_mj.loop import Record
 from maglev_mj.parameters import param, whole
-from maglev_mj.plants import SampledPlant, engine_warnings_silenced
+from maglev_mj.plants import SampledPlant
 from maglev_mj.recording import (
     ArrayFile,
     Expected,
@@ -40,7 +40,7 @@ from maglev_mj.recording.sample import check_setup
 from maglev_mj.recording.setup import ALLOW, controller_again, plant_again, scripted
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
 from maglev_mj.scenes.find import SceneLike, defined_in, get_scene, object_of_text, recorded_scene, text_of
-from maglev_mj.scenes.run import checked_phase, checked_plant
+from maglev_mj.scenes.run import Begin, checked_phase, checked_plant, run
 from maglev_mj.session import begin_scene, device_controller
 from maglev_mj.versions import hash_of
 
@@ -51,6 +51,8 @@ __all__ = [
     "rebuild",
     "rebuild_for",
     "record_run",
+    "recorded",
+    "recorded_to",
     "shown_scene",
     "stick_positions",
     "stick_positions_of",
@@ -278,7 +280,7 @@ def record_run(scene: SceneLike, *, plant: str | None = None, phase: float = 0.0
         21
     """
     file = ArrayFile()
-    _run_into(file, scene, plant, phase)
+    _record(recorded(file), scene, plant, phase)
     return file.recording
 
 
@@ -311,27 +313,63 @@ def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, p
         >>> files[0].name, ticks
         ('run.npz', 21)
     """
+    written = list[Path]()
+    _record(recorded_to(path, written), scene, plant, phase)
+    return written
+
+
+@contextmanager
+def recorded(file: RecordingFile) -> Iterator[Begin]:
+    """Give `run` what begins a recording in a file.
+
+    A fault of the run is an event there.
+
+    Args:
+        file: The file; it is left open.
+    """
+    begun = list[Scene]()
+
+    def begin(scene: Scene, plant: Any, controller: Controller, samples: int) -> Record:
+        begun.append(scene)
+        return begin_scene(file, scene, plant, controller, samples=samples, name=scene.name)
+
+    try:
+        yield begin
+    except RecordingError:
+        raise
+    except MaglevError as error:
+        if begun:
+            file.event("fault", str(error))
+        raise
+
+
+@contextmanager
+def recorded_to(path: Path | str, written: list[Path]) -> Iterator[Begin]:
+    """Give `run` what begins a recording in a file of a path; see `recorded`.
+
+    Args:
+        path: The file.
+        written: List to which the file written is added; none without a sample.
+    """
     file = open_recording(path, wait=True)
     try:
-        _run_into(file, scene, plant, phase)
+        with recorded(file) as begin:
+            yield begin
     finally:
-        written = file.close()
-    return [] if written is None else [written]
+        if (done := file.close()) is not None:
+            written.append(done)
 
 
-def _run_into(file: RecordingFile, scene: SceneLike, plant: str | None, phase: float) -> None:
+def _record(recording: AbstractContextManager[Begin], scene: SceneLike, plant: str | None, phase: float) -> None:
     scene = get_scene(scene)
-    name, phase = checked_plant(scene, plant), checked_phase(phase)
-    device, controller = scene.plant(name, phase=phase, record=True), scene.controller()
-    ticks = scene.ticks(scene.timing(phase))
-    record = begin_scene(file, scene, device, controller, samples=ticks, name=scene.name)
-    with device, engine_warnings_silenced():
-        try:
-            ControlLoop(device, controller, record=record).cycle(ticks)
-        except RecordingError:
-            raise
-        except MaglevError as error:  # the run itself reports the error
-            file.event("fault", str(error))
+    options: dict[str, Any] = {"plant": checked_plant(scene, plant), "phase": checked_phase(phase)}
+    try:
+        with recording as begin:
+            run(scene, **options, begin=begin)
+    except RecordingError:
+        raise
+    except MaglevError:
+        pass  # the recording has it
 
 
 def shown_scene(setup: Setup, metadata: RunMetadata, own: OwnCode | None = None) -> Scene:

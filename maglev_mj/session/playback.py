@@ -16,8 +16,8 @@ from maglev_mj.hand import SpringHand
 from maglev_mj.model import load_model
 from maglev_mj.parameters import number
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
-from maglev_mj.replay import OwnCode, rebuild_for, shown_scene, stick_positions
 from maglev_mj.session import SHOWN, TIME_SCALES, Snapshot, next_scale
+from maglev_mj.session.replay import OwnCode, rebuild_for, shown_scene, stick_positions
 
 __all__ = ["ACTIONS", "Replay"]
 

@@ -1,0 +1,2 @@
+from maglev_mj.cli.program import main as main
+from maglev_mj.cli.program import parser as parser

@@ -1,0 +1,13 @@
+from maglev_mj.plants.base import Plant as Plant
+from maglev_mj.plants.base import SampledPlant as SampledPlant
+from maglev_mj.plants.batch import MuJoCoBatchPlant as MuJoCoBatchPlant
+from maglev_mj.plants.engine import INTEGRATORS as INTEGRATORS
+from maglev_mj.plants.engine import engine_warnings_silenced as engine_warnings_silenced
+from maglev_mj.plants.engine import one_step as one_step
+from maglev_mj.plants.exact import ExactPlant as ExactPlant
+from maglev_mj.plants.mujoco import MuJoCoPlant as MuJoCoPlant
+from maglev_mj.plants.sensor import PoseSensor as PoseSensor
+from maglev_mj.plants.sensor import Sensor as Sensor
+from maglev_mj.plants.sensor import SpotReader as SpotReader
+from maglev_mj.plants.sensor import SpotSensor as SpotSensor
+from maglev_mj.timeline import Timing as Timing

@@ -1,1 +1,0 @@
-"""Pose sensor: geometry and real-time solver."""
