@@ -2,7 +2,7 @@
 
 A recording allows two fits. Commands over measured positions give the law, exactly if it is a spring and a damper.
 Positions under recorded forces give mass, delay and constant forces, and with springs and dampers of unknown gain the
-actual stiffness of a wall; see `output_error`.
+actual stiffness of a wall; see `fit`.
 """
 
 from __future__ import annotations

@@ -354,9 +354,9 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         unstable = ~is_stable(replace(wide, delay=grid).modulus(k, b))
         first = np.argmax(unstable, axis=-1)
         pick = np.stack([np.maximum(first - 1, 0), first], axis=-1)
-        found = unstable.any(axis=-1) & np.isinf(high)
+        bracketed = unstable.any(axis=-1) & np.isinf(high)
         below, above = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
-        low, high = np.where(found, below, low), np.where(found, above, high)
+        low, high = np.where(bracketed, below, low), np.where(bracketed, above, high)
         if np.isfinite(high).all():
             break
     some = np.isfinite(high)

@@ -203,11 +203,11 @@ def karnopp(
     position, velocity, stuck = np.zeros_like(times), np.zeros_like(times), np.ones(times.shape, dtype=np.bool_)
     events: list[FrictionEvent] = []
     x, v, sticks = 0.0, 0.0, True
-    for place, (start, target) in enumerate(zip(starts, ends, strict=True)):
+    for index, (start, target) in enumerate(zip(starts, ends, strict=True)):
         if start > end:
             break
         # samples on a jump belong to the interval that begins there
-        stop = starts[place + 1] if place + 1 < len(starts) else math.inf
+        stop = starts[index + 1] if index + 1 < len(starts) else math.inf
         now = start
         if sticks and abs(k * (target - x)) > limit:
             sticks = False
@@ -278,12 +278,12 @@ def _first_rest(
         _, speed = move(grid)
         held = rests(grid)
         turns = np.append(speed[:-1] * speed[1:] < 0.0, False)
-        for place in np.flatnonzero(held | turns):
-            low = high = grid[place : place + 1]
-            if held[place]:
+        for index in np.flatnonzero(held | turns):
+            low = high = grid[index : index + 1]
+            if held[index]:
                 low = np.maximum(high - scan, 0.0)
             else:
-                turned = functools.partial(_has_turned, move, float(speed[place]))
+                turned = functools.partial(_has_turned, move, float(speed[index]))
                 high = bisect(turned, low, low + scan, _HALVINGS)
                 if not rests(high)[0]:
                     continue

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
-from maglev_mj.frames import AXES, Array, Mask, Sample, components
+from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA
@@ -70,19 +70,17 @@ class Linearised(Result):
 
         `z.x` is the force along z to a displacement along x.
         """
-        found: dict[str, Array] = {"time": np.linspace(0.0, (len(self.response) - 1) * self.period, len(self.response))}
+        count = len(self.response)
+        columns: dict[str, Array] = {"time": np.linspace(0.0, (count - 1) * self.period, count)}
         for to, come in zip(*np.nonzero(self.response.any(axis=0))):
-            found[f"{AXES[to]}.{AXES[come]}"] = self.response[:, to, come]
-        return found
+            columns[f"{AXES[to]}.{AXES[come]}"] = self.response[:, to, come]
+        return columns
 
     @property
     def units(self) -> dict[str, str]:
         """Unit of each column."""
-        force = {to: "N" if to in AXES[:3] else "N m" for to in AXES}
-        pairs = [(to, come) for to in AXES for come in AXES]
-        return {"time": "s"} | {
-            f"{to}.{come}": f"{force[to]}/{'m' if come in AXES[:3] else 'rad'}" for to, come in pairs
-        }
+        pairs = ((to, come) for to in AXES for come in AXES)
+        return {"time": "s"} | {f"{to}.{come}": f"{unit_of('N', to)}/{unit_of('m', come)}" for to, come in pairs}
 
     def table(self) -> Table:
         """Return stiffness and damping of each axis."""
@@ -178,8 +176,8 @@ class ClosedLoop(Result):
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
         """Eigenvalues of the matrix, the largest modulus first, (S,)."""
-        found = np.linalg.eigvals(self.matrix).astype(np.complex128)
-        return found[np.argsort(-np.abs(found))]
+        poles = np.linalg.eigvals(self.matrix).astype(np.complex128)
+        return poles[np.argsort(-np.abs(poles))]
 
     @property
     def modulus(self) -> float:
@@ -304,15 +302,15 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
     moved = still + np.tile(shift, (len(rest), 1))
     rows = _answers(controller, still, moved)
     # the actual change of a coordinate, rounding included
-    change, axes, found = (moved - still).reshape(len(rest), 13, 6), np.arange(6), []
+    change, axes, linearised = (moved - still).reshape(len(rest), 13, 6), np.arange(6), []
     for index, pose in enumerate(rest):
         forces = rows[:, index]
         difference = forces[:, 1:] - forces[:, :1]
         up, down = difference[:, :6].swapaxes(1, 2), difference[:, 6:].swapaxes(1, 2)  # [j, to, from]
         step, back = change[index, 1 + axes, axes], change[index, 7 + axes, axes]
-        found.append(_near(pose, controller.period, up / step, down / back))
-    kept = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in found)
-    return [replace(near, response=near.response[:kept]) for near in found]
+        linearised.append(_near(pose, controller.period, up / step, down / back))
+    kept = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
+    return [replace(near, response=near.response[:kept]) for near in linearised]
 
 
 def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:

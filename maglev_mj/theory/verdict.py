@@ -147,12 +147,12 @@ class Verdict(Result):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Remarks on omitted poses, one line each."""
-        found = (
+        omitted = (
             (self.unknown, "the controller remembers for longer than 512 samples"),
             (self.jumps, "the wrench jumps or bends"),
             (self.away, "the laws push away from the pose"),
         )
-        return tuple(f"not judged at {len(poses)} poses, where {why}" for poses, why in found if len(poses))
+        return tuple(f"not judged at {len(poses)} poses, where {why}" for poses, why in omitted if len(poses))
 
 
 class Judged(Protocol):
@@ -271,12 +271,12 @@ def stated_gains(controller: Controller) -> dict[tuple[str, ...], tuple[Array, A
         return None
     always = sums.pop("always")
     states = sorted(state for state, gains in sums.items() if gains.any())
-    found = {}
+    totals = {}
     for acts in product((False, True), repeat=len(states)):
         acting = tuple(compress(states, acts))
         stiffness, damping = sum((sums[state] for state in acting), always)
-        found[acting] = stiffness, damping
-    return None if any((gains < 0.0).any() for both in found.values() for gains in both) else found
+        totals[acting] = stiffness, damping
+    return None if any((gains < 0.0).any() for both in totals.values() for gains in both) else totals
 
 
 def _by_gains(
@@ -284,7 +284,7 @@ def _by_gains(
 ) -> Verdict:
     """Return the verdict from stated gains, in closed form."""
     loop: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
-    found: dict[tuple[Any, ...], list[str]] = {}
+    kinds: dict[tuple[Any, ...], list[str]] = {}
     for index, axis in enumerate(AXES):
         own = {acting: (float(both[0][index]), float(both[1][index])) for acting, both in gains.items()}
         here = [acting[0] for acting in gains if len(acting) == 1 and own[acting] != own[()]]
@@ -294,8 +294,8 @@ def _by_gains(
             roots = np.linalg.eigvals(SampledLoop(mass=body[index], **loop).matrix(stiffness, damping))
             others = tuple(name for name in here if name not in acting)
             kind = acting, others, round(_modulus(roots, free), 12), free > 0
-            found.setdefault(kind, []).append(axis)
-    states = tuple(LoopState(tuple(axes), *kind) for kind, axes in found.items())
+            kinds.setdefault(kind, []).append(axis)
+    states = tuple(LoopState(tuple(axes), *kind) for kind, axes in kinds.items())
     worst = max(states, key=lambda state: state.modulus)
     index, (stiff, damp) = AXES.index(worst.axes[0]), gains[worst.acting]
     around = SampledLoop(mass=body[index], **loop)
@@ -346,10 +346,10 @@ class _Loop(NamedTuple):
 
     def gains(self, body: Array) -> tuple[Array, Array]:
         """Return stiffness and damping, (6, 6) each."""
-        place, root = np.ix_(self.axes, self.axes), np.sqrt(body[list(self.axes)])
+        block, root = np.ix_(self.axes, self.axes), np.sqrt(body[list(self.axes)])
         stiffness, damping = self.near.stiffness.copy(), self.near.damping.copy()
         size = np.outer(root, root) / self.near.period**2
-        stiffness[place], damping[place] = -size * self.moments[0], self.near.period * size * self.moments[1]
+        stiffness[block], damping[block] = -size * self.moments[0], self.near.period * size * self.moments[1]
         return stiffness, damping
 
 
@@ -409,20 +409,20 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
     # an axis without a stable equilibrium is judged at the unstable ones
     lost = [loop for loop in away if not judged.issuperset(loop.axes)]
     nowhere = set(range(len(AXES))) - judged - {axis for loop in lost for axis in loop.axes}
-    found: _Loop | None = None
+    worst: _Loop | None = None
     modulus, eigenvalues = np.nan, np.empty(0, dtype=np.complex128)
     for loop, roots in _roots(loops + lost, delay, body):
         own = _own_modulus(roots, loop.still)
-        if found is None or own > modulus * (1.0 + _ROUNDING):
-            found, modulus, eigenvalues = loop, own, roots
+        if worst is None or own > modulus * (1.0 + _ROUNDING):
+            worst, modulus, eigenvalues = loop, own, roots
     unstable = modulus >= 1.0 - _ROUNDING
     known = unstable or not (unknown or nowhere)
-    stiffness, damping = np.full((2, 6, 6), np.nan) if found is None else found.gains(body)
+    stiffness, damping = np.full((2, 6, 6), np.nan) if worst is None else worst.gains(body)
     return Verdict(
         stable=not unstable if known else None,
         modulus=modulus,
-        axes=() if found is None else tuple(AXES[axis] for axis in found.axes),
-        pose=pose if found is None else found.near.pose,
+        axes=() if worst is None else tuple(AXES[axis] for axis in worst.axes),
+        pose=pose if worst is None else worst.near.pose,
         stiffness=stiffness,
         damping=damping,
         eigenvalues=eigenvalues,
