@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import errno
 import json
-import math
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,12 +14,10 @@ import pytest
 from maglev_mj.bridge import fault as fault_module
 from maglev_mj.bridge.fault import BlackBox, BlackBoxError, DeviceFault, FaultRecord, load_black_box
 from maglev_mj.bridge.fault_injection import InjectedFault
-from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command
 from maglev_mj.net.links import LinkError
-from maglev_mj.tables import fault_table
 from tests.test_bridge import CENTRE, Rig
 
 HOST_DOWN = OSError(errno.EHOSTDOWN, "Host is down")
@@ -47,7 +43,7 @@ def test_a_black_box_holds_what_was_measured_and_when_it_was_answered(tmp_path: 
     assert measured.shape == (200, 6) and (measured[-3:, 2] == 0.0).all() and (np.abs(held[-3:, 2]) > 1.0).all()
     assert measured[1:-4] == pytest.approx(held[:-5], abs=1e-6)  # each sample measures the answer before
     assert (np.diff(record.six("temperature")[:, 0]) > 0.0).all()
-    assert record.columns["delay"][5:-3] == pytest.approx(0.0015) and (record.columns["latency"] >= 0.0).all()
+    assert record.values["delay"][5:-3] == pytest.approx(0.0015) and (record.values["latency"] >= 0.0).all()
     assert np.isfinite(record.six("pose")[:-1]).all() and np.diff(record.time) == pytest.approx(0.005)
 
 
@@ -76,35 +72,11 @@ def test_latency_is_from_the_samples_arrival_to_its_answer(tmp_path: Path) -> No
     assert rig.plant.answer_latency == pytest.approx(1.25e-3)
 
 
-def as_old(told: dict[str, Any]) -> dict[str, Any]:
-    """Return a black box as format 1 had it."""
-    count = told["columns"].index("width") + 1
-    cycles = [row[:count] for row in told["cycles"]]
-    kept = {name: value for name, value in told.items() if name not in ("first", "fault_time_ns")}
-    return {**kept, "format": "maglev_mj fault 1", "columns": told["columns"][:count], "cycles": cycles}
-
-
-def test_the_former_format_is_read_too(tmp_path: Path) -> None:
-    _, error = flown(tmp_path)
-    assert error.path is not None
-    new, told = load_black_box(error.path), json.loads(error.path.read_text())
-    path = tmp_path / "old.json"
-    path.write_text(json.dumps(as_old(told)))
-    old = load_black_box(path)
-    assert old.first == old.faults and math.isnan(old.fault_time)
-    for name, values in new.columns.items():
-        fresh = name.startswith(("measured", "temperature", "delay", "latency"))
-        np.testing.assert_array_equal(old.columns[name], np.full(200, np.nan) if fresh else values)
-    for table in (fault_table(one, whole=True) for one in (old, new)):
-        assert len(re.findall(r"(?m)^ +-?\d+\.\d( +\S+){11}$", table)) == 200
-    last_cycles(old, tmp_path / "old.png")
-
-
 BROKEN: list[tuple[str, Any]] = [
     ("is not JSON", "{"),
     ("is not JSON", "[" * 100_000),
     ("is not JSON", b"\xff\xfe"),
-    ("format must be 'maglev_mj fault 2' or 'maglev_mj fault 1', not 'list'", []),
+    ("format must be 'maglev_mj fault 2', not 'list'", []),
     ("format must be .*, not 'calibration'", {"format": "calibration"}),
     ("columns must be those of", {"columns": ["sample"]}),
     ("columns must be those of", {"columns": None}),
@@ -141,32 +113,33 @@ def test_a_box_without_a_cycle_is_read_and_drawn(tmp_path: Path) -> None:
     assert path is not None
     record = load_black_box(path)
     assert record.time.shape == (0,) and record.six("pose").shape == (0, 6)
-    assert "\x1b" not in fault_table(record) and fault_table(record).count("\n") == 4
-    last_cycles(record, tmp_path / "empty.png")
+    said = str(record.table())
+    assert "\x1b" not in said and said.startswith("at\\x1b[2J once\n") and not record.table().rows
+    record.plot(tmp_path / "empty.png")
 
 
 def test_the_table_says_what_when_and_the_last_cycles(tmp_path: Path) -> None:
     rig, error = flown(tmp_path)
     assert error.path is not None
     record = load_black_box(error.path)
-    lines = fault_table(record, whole=True).splitlines()
-    said = f"faults COIL_NOT_FOLLOWING; first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s of the device's clock"
-    assert " ".join(f"{lines[1]} {lines[2]}".split()) == said
-    assert max(map(len, lines)) <= 80
-    states = [line for line in lines if ", from sample " in line]
-    assert len(lines) == 206 + len(states)
-    samples = rig.plant.samples.tick
-    assert states[-1] == f"  fault, from sample {samples} on" and "  active, from sample " in states[-2]
-    assert [line.split()[0] for line in (lines[-3], lines[-1])] == ["-5.0", "0.0"]
-    picture = last_cycles(record, tmp_path / "fault.png")
+    table = record.table(whole=True)
+    first = f"first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s of the device's clock"
+    assert f"faults COIL_NOT_FOLLOWING; {first}" in table.note.splitlines()
+    assert table.title == record.message and "COIL_NOT_FOLLOWING: a measured current" in table.note
+    assert f", fault from sample {rig.plant.samples.tick} on" in table.note and "active from sample " in table.note
+    assert [row[0] for row in (table.rows[-2], table.rows[-1])] == ["-5.0", "0.0"] and len(table.rows) == 200
+    assert "the last 20 of 200 cycles" in record.table().note and len(record.table().rows) == 20
+    lines = str(table).splitlines()
+    assert max(map(len, lines)) <= 80 and sum(line.split()[:2] == ["time", "x"] for line in lines) == 1
+    picture = record.plot(tmp_path / "fault.png")
     assert picture.stat().st_size > 20_000
 
 
 def test_a_pulse_is_commanded_too_while_it_has_a_width(tmp_path: Path) -> None:
     record = load_black_box(flown(tmp_path)[1].path or "")
-    columns = {name: values.copy() for name, values in record.columns.items()}
-    columns["pulsed3"][-3:], columns["width"][-3:] = [-7.5, 0.25, -7.5], [0.003, 0.003, 0.0]
-    shown = [line.split()[7] for line in fault_table(replace(record, columns=columns)).splitlines() if " -" in line]
+    values = {name: column.copy() for name, column in record.values.items()}
+    values["pulsed3"][-3:], values["width"][-3:] = [-7.5, 0.25, -7.5], [0.003, 0.003, 0.0]
+    shown = [row[7] for row in replace(record, values=values).table().rows]
     held = [f"{value:.2f}" for value in np.abs(record.six("held")).max(axis=-1)[-3:]]
     assert shown[-3:] == ["7.50", *held[1:]]
 

@@ -10,7 +10,6 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
-from maglev_mj.terminal import WIDTH
 
 from maglev_mj import Command, Controller, Hold, MuJoCoPlant, Timing, Wall, drive, model
 from maglev_mj.coils import CoilMap
@@ -20,6 +19,7 @@ from maglev_mj.hand import Hand, get_hand
 from maglev_mj.model import COILS, Device, load_model, model_path, scenes
 from maglev_mj.plants import Sensor
 from maglev_mj.report import device_report, position_bandwidth
+from maglev_mj.result import WIDTH
 from maglev_mj.shapes import envelope
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, Spec
 

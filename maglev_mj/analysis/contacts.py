@@ -18,7 +18,7 @@ from maglev_mj.result import Table, number_text, plain, with_unit
 from maglev_mj.scenes.figures import Hardness, perceived_hardness, summarise_bounce
 from maglev_mj.trace import Trace
 
-HARDNESS_WINDOW = 0.005
+_HARDNESS_WINDOW = 0.005
 """Window of the force rise for the hardness [s]."""
 
 _REST = 0.1
@@ -269,23 +269,20 @@ def _friction(axes: Mapping[str, StickSlip]) -> Table:
     rows = []
     for axis, friction in axes.items():
         longest = number_text(max(stick.duration for stick in friction.sticks) * 1e3, 3, 2)
-        places = [f"{stick.position * 1e3:.3f}" for stick in friction.sticks[:_STICKS_SHOWN]]
-        more = len(friction.sticks) - len(places)
-        stuck = f"{', '.join(places)}{f' and {more} more' if more else ''} {unit_of('mm', axis)}"
+        positions = [f"{stick.position * 1e3:.3f}" for stick in friction.sticks[:_STICKS_SHOWN]]
+        more = len(friction.sticks) - len(positions)
+        stuck = f"{', '.join(positions)}{f' and {more} more' if more else ''} {unit_of('mm', axis)}"
         rows.append((axis, friction.slips, longest, stuck))
     return Table("", ("friction", "slips", "longest stuck [ms]", "stuck at"), rows)
 
 
-def face_figures(
-    trace: Trace, face: Face, *, rest: float | None = None, window: float = HARDNESS_WINDOW
-) -> FaceFigures | None:
+def face_figures(trace: Trace, face: Face, *, rest: float | None = None) -> FaceFigures | None:
     """Return the figures of a wall, None if untouched.
 
     Args:
         trace: The motion.
         face: The wall: index into AXES, normal, edge.
         rest: Rest position of the flotor [m, rad]; its mean position over the last tenth by default.
-        window: Window of the force rise for the hardness [s].
     """
     axis, normal, edge = face
     line, begin = _facing(trace, axis, normal, edge), float(trace.time[0])
@@ -298,7 +295,7 @@ def face_figures(
     resting = float(tail.mean()) if rest is None else normal * (rest - edge)
     bounce = summarise_bounce(line, resting, axis=0)
     settled = float(bounce.settling_time)
-    hardness = _hardness(line, contacts, window)
+    hardness = _hardness(line, contacts)
     return FaceFigures(
         axis=AXES[axis],
         normal=float(normal),
@@ -314,26 +311,26 @@ def face_figures(
     )
 
 
-def _hardness(line: Trace, contacts: Sequence[Contact], window: float) -> Hardness:
+def _hardness(line: Trace, contacts: Sequence[Contact]) -> Hardness:
     """Return the hardness of the contact with fastest approach.
 
     A grazing contact has no hardness.
     """
     speeds = [contact.approach_speed for contact in contacts]
+    unknown = Hardness(np.array(np.nan), np.array(np.nan))
     if np.isnan(speeds).all():
-        return Hardness(np.array(np.nan), np.array(np.nan))
-    place = int(np.nanargmax(speeds))
-    if place:  # from the middle between the previous contact and this one
-        before, this = contacts[place - 1], contacts[place]
+        return unknown
+    index = int(np.nanargmax(speeds))
+    if index:  # from the middle between the previous contact and this one
+        before, this = contacts[index - 1], contacts[index]
         start = 0.5 * (before.start + before.duration + this.start)
         pose, twist, wrench = line.at(start)
         rest = line.time > start
         time = np.append(0.0, line.time[rest] - start)
         parts = ((pose, line.pose), (twist, line.twist), (wrench, line.wrench))
         line = Trace(time, *(np.concatenate([first, part[rest]]) for first, part in parts))
-    if float(line.time[-1]) <= window:
-        return Hardness(np.array(np.nan), np.array(np.nan))
-    return perceived_hardness(line, window, axis=0)
+    known = float(line.time[-1]) > _HARDNESS_WINDOW
+    return perceived_hardness(line, _HARDNESS_WINDOW, axis=0) if known else unknown
 
 
 def _facing(trace: Trace, axis: int, normal: float, edge: float) -> Trace:
@@ -352,7 +349,7 @@ class _Curve(NamedTuple):
     """
 
     time: Array
-    place: Array
+    position: Array
     speed: Array
     force: Array
     inside: Mask
@@ -361,44 +358,44 @@ class _Curve(NamedTuple):
     def of(cls, line: Trace) -> _Curve:
         """Return the curve of a trace of one axis."""
         turn_time, turn = (part[:, 0] for part in line.turning_points())
-        knots, place, speed = line.time, line.pose[:, 0], line.twist[:, 0]
+        knots, position, speed = line.time, line.pose[:, 0], line.twist[:, 0]
         turned = speed[:-1] * speed[1:] < 0.0
-        times, places = _woven(knots, turn_time), _woven(place, turn)
+        times, positions = _woven(knots, turn_time), _woven(position, turn)
         speeds = _woven(speed, np.where(turned, 0.0, speed[:-1]))
-        return cls(times, places, speeds, np.repeat(line.wrench[:, 0], 2)[:-1], places <= 0.0)
+        return cls(times, positions, speeds, np.repeat(line.wrench[:, 0], 2)[:-1], positions <= 0.0)
 
     def contacts(self) -> list[Contact]:
         """Return every contact, in order."""
         changes = np.flatnonzero(self.inside[1:] != self.inside[:-1])
-        crossings = [self._crossing(int(place)) for place in changes]
-        entered = [(int(place) + 1, *crossing) for place, crossing in zip(changes, crossings) if self.inside[place + 1]]
-        left = [(int(place), when) for place, (when, _) in zip(changes, crossings) if self.inside[place]]
+        crossings = [self._crossing(int(index)) for index in changes]
+        entered = [(int(index) + 1, *crossing) for index, crossing in zip(changes, crossings) if self.inside[index + 1]]
+        left = [(int(index), when) for index, (when, _) in zip(changes, crossings) if self.inside[index]]
         if self.inside[0]:
             entered.insert(0, (0, float(self.time[0]), math.nan))
         if self.inside[-1]:
             left.append((len(self.time) - 1, float(self.time[-1])))
         contacts = []
         for (first, start, speed), (last, end) in zip(entered, left, strict=True):
-            depth = -float(self.place[first : last + 1].min())
+            depth = -float(self.position[first : last + 1].min())
             # from the piece on in which the wall is entered
             force = float(np.abs(self.force[max(first - 1, 0) : max(last, first) + 1]).max())
             contacts.append(Contact(start, end - start, speed, depth, force))
         return contacts
 
-    def _crossing(self, place: int) -> tuple[float, float]:
+    def _crossing(self, index: int) -> tuple[float, float]:
         """Return time and speed of an edge crossing.
 
         It is after a given point: v² = v0² - 2 a x0, exact on a parabola.
         """
-        width = self.time[place + 1] - self.time[place]
-        start, speed = float(self.place[place]), float(self.speed[place])
+        width = self.time[index + 1] - self.time[index]
+        start, speed = float(self.position[index]), float(self.speed[index])
         if width <= 0.0:
-            return float(self.time[place]), abs(speed)
-        push = (self.speed[place + 1] - speed) / width
+            return float(self.time[index]), abs(speed)
+        push = (self.speed[index + 1] - speed) / width
         crossing = math.sqrt(max(speed * speed - 2.0 * push * start, 0.0))
         mean = 0.5 * (abs(speed) + crossing)
         elapsed = min(abs(start) / mean, width) if mean > 0.0 else 0.0
-        return float(self.time[place] + elapsed), crossing
+        return float(self.time[index] + elapsed), crossing
 
 
 def _woven(knots: Array, between: Array) -> Array:
@@ -449,9 +446,9 @@ def _energy(motion: Motion, metadata: RunMetadata, hand: Array) -> Energy:
     Each force is paired with the displacement during its action.
     """
     taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, metadata.carried), axis=0)])
-    places = motion.trace.pose[motion.starts]
-    work = hand_work(places, hand).sum(axis=0) if metadata.hand_recorded else np.full(len(AXES), np.nan)
-    return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * np.diff(places, axis=0)).sum(axis=0))
+    positions = motion.trace.pose[motion.starts]
+    work = hand_work(positions, hand).sum(axis=0) if metadata.hand_recorded else np.full(len(AXES), np.nan)
+    return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * np.diff(positions, axis=0)).sum(axis=0))
 
 
 def _stick_slip(time: Array, stuck: Mask, anchors: Array) -> StickSlip:

@@ -155,7 +155,7 @@ class Windows(NamedTuple):
         basis, _ = np.linalg.qr(np.stack([there.astype(np.float64), since], axis=-1)) if rows.size else (since, None)
         return cls(rows, there, basis)
 
-    def choose(self, place: Array, most: int) -> Windows:
+    def choose(self, position: Array, most: int) -> Windows:
         """Return the windows with the least straight motion.
 
         They have at most `most` samples in all; the motion is (N,).
@@ -163,7 +163,7 @@ class Windows(NamedTuple):
         count = max(most // max(self.rows.shape[1], 1), 1)
         if len(self.rows) <= count:
             return self
-        bent = np.square(self.project(place[self.rows][:, :, None])).sum(axis=(1, 2))
+        bent = np.square(self.project(position[self.rows][:, :, None])).sum(axis=(1, 2))
         chosen = np.sort(np.argsort(-bent, kind="stable")[:count])
         return Windows(self.rows[chosen], self.there[chosen], self.basis[chosen])
 
@@ -231,8 +231,8 @@ class Forces:
         def summed(fast: Array, far: Array) -> Array:
             fast, far = fast[steps] * on, far[steps] * on
             before = np.cumsum(fast, axis=1) - fast
-            place = np.cumsum(far + width[steps] * before, axis=1)
-            return np.concatenate([np.zeros_like(place[:, :1]), place], axis=1)
+            position = np.cumsum(far + width[steps] * before, axis=1)
+            return np.concatenate([np.zeros_like(position[:, :1]), position], axis=1)
 
         return summed(speed, way), summed(by_speed, by_way)
 
@@ -267,11 +267,23 @@ class Fit:
     whiteness: float
     share: float
 
+    def estimate(self, value: float, error: float) -> Estimate:
+        """Return an estimate from the fit."""
+        return Estimate.of(value, error, self.degrees, self.residual)
+
+    def error_of(self, weights: Array) -> float:
+        """Return the standard error of a sum of values and delay by weights, (P + 1,)."""
+        white = np.sqrt(np.diag(self.covariance))
+        # enlarged if the residuals are not white
+        ratio = np.where(white > 0.0, self.errors / np.where(white > 0.0, white, 1.0), 1.0)
+        scaled = np.asarray(weights) * ratio
+        return math.sqrt(max(float(scaled @ self.covariance @ scaled), 0.0))
+
 
 def fit(
     forces: Forces,
     windows: Windows,
-    place: Array,
+    position: Array,
     delay: float,
     *,
     period: float,
@@ -279,21 +291,21 @@ def fit(
     floor: float,
     fixed: Array,
 ) -> Fit:
-    """Return the fit of positions by forces.
+    """Return the fit of positions by forces, with its errors.
 
     Args:
         forces: The forces.
         windows: Windows of the samples.
-        place: Positions at the samples [m], (N,).
+        position: Positions at the samples [m], (N,).
         delay: First guess at the delay [s], or the delay.
         period: Sample period [s].
         search: True to find the delay.
         floor: Least error of a position, such as that of rounding [m].
         fixed: Known values, (P,); NaN for values to be found.
     """
-    seen = windows.project(place[windows.rows][:, :, None])[:, :, 0]
+    seen = windows.project(position[windows.rows][:, :, None])[:, :, 0]
     free = np.isnan(fixed)
-    given = np.where(free, 0.0, fixed)
+    fixed_values = np.where(free, 0.0, fixed)
 
     def at(late: float) -> tuple[Array, Array, Array, Array]:
         """Return values, residuals and columns at a delay.
@@ -301,13 +313,13 @@ def fit(
         The columns are the displacements and their derivatives with respect to the delay.
         """
         where, slope = (windows.project(part) for part in forces.moved(windows, late))
-        target = seen - where @ given
+        target = seen - where @ fixed_values
         columns = where[:, :, free].reshape(-1, int(free.sum()))
         gram, _ = inverse(columns)
-        found = gram @ (columns.T @ target.ravel())
-        values = given.copy()
-        values[free] = found
-        return values, target - (where[:, :, free] @ found), where, slope
+        factors = gram @ (columns.T @ target.ravel())
+        values = fixed_values.copy()
+        values[free] = factors
+        return values, target - (where[:, :, free] @ factors), where, slope
 
     values, left, where, slope = at(delay)
     for _ in range(_ROUNDS if search else 0):
@@ -325,34 +337,10 @@ def fit(
             break
         delay += move
         values, left, where, slope = trial
-    late = (slope @ values)[:, :, None] * search
-    return _judged(
-        windows,
-        seen,
-        np.concatenate([where, late], axis=2),
-        free,
-        values,
-        delay,
-        left,
-        floor,
-        period if search else 0.0,
-    )
-
-
-def _judged(
-    windows: Windows,
-    seen: Array,
-    where: Array,
-    free: Mask,
-    values: Array,
-    delay: float,
-    left: Array,
-    floor: float,
-    period: float,
-) -> Fit:
-    """Return the fit with its errors."""
+    # the errors, with a column for the delay
+    where = np.concatenate([where, (slope @ values)[:, :, None] * search], axis=2)
     size = where.shape[2]
-    chosen = np.append(np.flatnonzero(free), size - 1 if period else []).astype(np.intp)
+    chosen = np.append(np.flatnonzero(free), size - 1 if search else []).astype(np.intp)
     columns = where[:, :, chosen].reshape(-1, len(chosen))
     gram, known = inverse(columns)
     count = int(windows.there.sum())
@@ -376,7 +364,7 @@ def _judged(
     unit = np.diag(gram) > 0.0
     alone = np.abs(columns @ (gram / np.where(unit, np.diag(gram), 1.0))).max(axis=0, initial=0.0)
     moves[chosen] = np.where(known & unit, alone, 0.0)
-    moves *= np.append(np.abs(values), period)
+    moves *= np.append(np.abs(values), period * search)
     return Fit(
         values=values,
         delay=delay,
@@ -417,9 +405,9 @@ class CommandedLaw(NamedTuple):
     rest: Array
 
 
-def is_inside(place: Array, face: Face) -> Mask:
+def is_inside(position: Array, face: Face) -> Mask:
     """Return True for positions (N,) in a wall."""
-    return np.asarray(face[1] * (place - face[2]) <= 0.0)
+    return np.asarray(face[1] * (position - face[2]) <= 0.0)
 
 
 def fit_law(
@@ -437,16 +425,16 @@ def fit_law(
         anchors: Stick positions of the axis [m, rad], (N,); None without friction.
         used: True for samples that count, (N,).
     """
-    tick, place, period = stretch.tick, stretch.position[:, axis], metadata.period
-    speed = np.append(0.0, np.diff(place) / (np.diff(tick) * period))
+    tick, position, period = stretch.tick, stretch.position[:, axis], metadata.period
+    speed = np.append(0.0, np.diff(position) / (np.diff(tick) * period))
     names: list[tuple[str, int]] = []
     parts: list[Array] = []
-    outside = np.ones(len(place), dtype=np.bool_)
+    outside = np.ones(len(position), dtype=np.bool_)
     for number, face in enumerate(faces):
-        inside = is_inside(place, face)
+        inside = is_inside(position, face)
         outside &= ~inside
         names += [("stiffness", number), ("damping", number)]
-        parts += [inside * (face[2] - place), inside * -speed]
+        parts += [inside * (face[2] - position), inside * -speed]
     stated = stretch.command[:, axis]
     applied = stretch.applied[:, axis]
     command = np.where(np.isfinite(stated), stated, applied) - metadata.carried[axis]
@@ -455,12 +443,12 @@ def fit_law(
         stuck = np.isfinite(anchors)
         last = anchors[np.maximum.accumulate(np.where(stuck, np.arange(len(stuck)), np.argmax(stuck)))]
         names += [("stuck", 0), ("sliding", 0)]
-        parts += [np.where(stuck, anchors - place, 0.0), ~stuck * np.sign(last - place)]
+        parts += [np.where(stuck, anchors - position, 0.0), ~stuck * np.sign(last - position)]
     largest = float(np.abs(command).max())
     if anchors is not None or (outside.any() and np.ptp(command[outside]) > _NOTHING * largest):
         names += [("spring", 0), ("damper", 0)]
-        parts += [-place, -speed]
-    columns = np.column_stack([*parts, np.ones(len(place))][: len(parts) + bool(outside.sum() > 1)])
+        parts += [-position, -speed]
+    columns = np.column_stack([*parts, np.ones(len(position))][: len(parts) + bool(outside.sum() > 1)])
     moved = used & np.append(False, np.diff(tick) > 0)
     gram, separate = inverse(columns[moved])
     gains = gram @ (columns[moved].T @ command[moved])
@@ -483,15 +471,15 @@ def fit_law(
     )
 
 
-def estimate_quantum(place: Array) -> Estimate:
+def estimate_quantum(position: Array) -> Estimate:
     """Return the sensor resolution from positions [m, rad].
 
     It is the step of a lattice with all positions on it.
 
     Args:
-        place: Positions, (N,).
+        position: Positions, (N,).
     """
-    values = np.unique(place)
+    values = np.unique(position)
     steps = np.diff(values)
     size = float(np.abs(values).max())
     steps = steps[steps > 1e3 * _TINY * size]

@@ -2,7 +2,7 @@
 
 A recording allows two fits. Commands over measured positions give the law, exactly if it is a spring and a damper.
 Positions under recorded forces give mass, delay and constant forces, and with springs and dampers of unknown gain the
-actual stiffness of a wall; see `output_error`.
+actual stiffness of a wall; see `fit`.
 """
 
 from __future__ import annotations
@@ -355,34 +355,38 @@ class _Axis:
         return free
 
     @cached_property
-    def place(self) -> Array:
+    def position(self) -> Array:
         """Positions [m, rad], (N,)."""
         return np.ascontiguousarray(self.stretch.position[:, self.axis])
 
     @cached_property
     def used(self) -> Mask:
         """True for samples in a window, (N,)."""
-        found = np.zeros(len(self.place), dtype=np.bool_)
-        found[self.windows.rows[self.windows.there]] = True
-        return found
+        used = np.zeros(len(self.position), dtype=np.bool_)
+        used[self.windows.rows[self.windows.there]] = True
+        return used
 
     @property
     def inertia(self) -> float:
         """Recorded mass or moment of inertia [kg, kg m²]."""
         return float(self.metadata.inertia[self.axis])
 
-    def _fit(self, parts: Array, rest: Array, *, delay: float, search: bool, mass: float | None = None) -> Fit:
+    def _fit(
+        self, *, delay: float, search: bool, mass: float | None = None, law: tuple[Array, Array] | None = None
+    ) -> Fit:
         """Fit the motion by forces of known shape.
 
         They are P parts of the command, the rest of the recorded forces, and a constant.
 
         Args:
-            parts: Parts of the command, each to be multiplied by a gain, (N, P).
-            rest: Command without them [N, N m], (N,).
             delay: First guess at the delay, or the delay [s].
             search: True to find the delay.
             mass: Moving mass or moment of inertia [kg, kg m²]; None to find it too.
+            law: Parts of the command, each to be multiplied by a gain, (N, P), and the command without them [N, N m],
+                (N,); None for no parts.
         """
+        whole = np.zeros((len(self.position), 0)), self.stretch.applied[:, self.axis]
+        parts, rest = whole if law is None else law
         count, gains = parts.shape
         period, time, axis = self.metadata.period, self.stretch.time, self.axis
         nothing, none = np.zeros((count, gains)), np.zeros(count)
@@ -406,11 +410,11 @@ class _Axis:
                 np.append(fixed, [np.nan] * 2),
             )
         forces = Forces(time=time, switch=switch, late=levels, before=before, speed=speed, way=way)
-        floor = ROUNDING * float(np.abs(self.place).max())
+        floor = ROUNDING * float(np.abs(self.position).max())
         return fit(
             forces,
             self.windows,
-            self.place,
+            self.position,
             delay,
             period=period,
             search=search,
@@ -426,20 +430,20 @@ class _Axis:
         """
         motion, axis = reconstruct(self.stretch, self.metadata), self.axis
         trace, ends = motion.trace.along(axis), motion.starts
-        knots, place, speed = trace.time, trace.pose[:-1, 0], trace.twist[:-1, 0]
+        knots, position, speed = trace.time, trace.pose[:-1, 0], trace.twist[:-1, 0]
         width = np.diff(knots)
-        bend = trace.pose[1:, 0] - place - speed * width
+        bend = trace.pose[1:, 0] - position - speed * width
         # of the parabola between two knots, and of its product with the time since the first
-        whole = width * (place + 0.5 * width * speed + bend / 3.0)
-        later = width**2 * (place / 2.0 + width * speed / 3.0 + bend / 4.0)
+        whole = width * (position + 0.5 * width * speed + bend / 3.0)
+        later = width**2 * (position / 2.0 + width * speed / 3.0 + bend / 4.0)
         period = np.searchsorted(ends, np.arange(len(width)), side="right") - 1
         inside = period >= 0
         left = knots[ends[period + 1]] - knots[:-1]
-        count = len(self.place) - 1
+        count = len(self.position) - 1
         one, two = np.zeros((2, count))
         np.add.at(one, period[inside], whole[inside])
         np.add.at(two, period[inside], (left * whole - later)[inside])
-        start, end = self.place[:-1], self.place[1:]
+        start, end = self.position[:-1], self.position[1:]
         return [(-one, -two), (start - end, np.diff(self.stretch.time) * start - one)]
 
     @cached_property
@@ -448,8 +452,7 @@ class _Axis:
 
         It has their common factor, a constant, and their delay.
         """
-        parts, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
-        return self._fit(parts, rest, delay=self.metadata.delay, search=True)
+        return self._fit(delay=self.metadata.delay, search=True)
 
     @property
     def pushed(self) -> bool:
@@ -481,33 +484,33 @@ class _Axis:
     def estimates(self) -> AxisEstimates:
         """Quantities identified from the motion, independent of the law."""
         motion = self.motion
-        quantum = estimate_quantum(self.place[self.used])
+        quantum = estimate_quantum(self.position[self.used])
         if self.disturbed:
             unknown = Estimate(why=self._why, residual=motion.residual)
             return AxisEstimates(**_every(AxisEstimates, unknown) | {"quantum": quantum})
         step = quantum.value if quantum.known else 0.0
         rows = self.windows.rows
-        moving = np.abs(self.place[np.minimum(rows + 1, len(self.place) - 1)] - self.place[np.maximum(rows - 1, 0)])
+        after, before = np.minimum(rows + 1, len(self.position) - 1), np.maximum(rows - 1, 0)
+        moving = np.abs(self.position[after] - self.position[before])
         noise = estimate_noise(motion, self.windows.there, moving > 2.0 * step, step)
         inertia = delay = Estimate(why=self._why)
         mass = self.inertia
         if not self._why:
             mass = 1.0 / motion.values[0]
-            inertia = Estimate.of(mass, mass**2 * motion.errors[0], motion.degrees, motion.residual)
+            inertia = motion.estimate(mass, mass**2 * motion.errors[0])
             delay = self._late(motion)
         else:
-            nothing, rest = np.zeros((len(self.place), 0)), self.stretch.applied[:, self.axis]
-            motion = self._fit(nothing, rest, delay=self.metadata.delay, search=False, mass=mass)
+            motion = self._fit(delay=self.metadata.delay, search=False, mass=mass)
         slope = np.zeros(len(motion.errors))
         slope[:2] = -motion.values[1] * mass**2 * (not self._why), mass
         force = mass * motion.values[1] - float(self.metadata.load[self.axis])
-        error = Estimate.of(force, _error(motion, slope), motion.degrees, motion.residual)
+        error = motion.estimate(force, motion.error_of(slope))
         return AxisEstimates(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
 
-    def _late(self, found: Fit) -> Estimate:
-        if found.moves[-1] < _CLEAR * found.residual or found.errors[-1] > _MOST_DELAY * self.metadata.period:
+    def _late(self, motion: Fit) -> Estimate:
+        if motion.moves[-1] < _CLEAR * motion.residual or motion.errors[-1] > _MOST_DELAY * self.metadata.period:
             return Estimate(why="the force switches too little")
-        return Estimate.of(found.delay, found.errors[-1], found.degrees, found.residual)
+        return motion.estimate(motion.delay, motion.errors[-1])
 
     # -- the law --------------------------------------------------------------------------------------------------
 
@@ -515,7 +518,7 @@ class _Axis:
     def faces(self) -> list[Face]:
         """Touched walls of the axis."""
         faces = [face for face in self.metadata.faces if face[0] == self.axis]
-        return [face for face in faces if (is_inside(self.place, face) & self.used).sum() >= _LEAST_INSIDE]
+        return [face for face in faces if (is_inside(self.position, face) & self.used).sum() >= _LEAST_INSIDE]
 
     @cached_property
     def law(self) -> CommandedLaw:
@@ -538,7 +541,7 @@ class _Axis:
 
         The gain of each part is found from the motion.
         """
-        return self._fit(self.law.parts, self.law.rest, delay=self.motion.delay, search=True)
+        return self._fit(delay=self.motion.delay, search=True, law=(self.law.parts, self.law.rest))
 
     def _shown(self, name: tuple[str, int]) -> Estimate:
         """Return a gain as identified from the motion.
@@ -549,19 +552,17 @@ class _Axis:
             return Estimate(why=self._why, residual=self.motion.residual)
         if not (commanded := self._commanded(name)).known:
             return commanded
-        index, found = self.law.names.index(name), self.rendered
-        if found.degrees < _LEAST_DEGREES:
+        index, rendered = self.law.names.index(name), self.rendered
+        if rendered.degrees < _LEAST_DEGREES:
             return Estimate(why="too few samples for all that acts on the axis")
-        if found.moves[index] < _CLEAR * found.residual:
+        if rendered.moves[index] < _CLEAR * rendered.residual:
             return Estimate(why="it moves the flotor too little")
-        return Estimate.of(
-            self.inertia * found.values[index], self.inertia * found.errors[index], found.degrees, found.residual
-        )
+        return rendered.estimate(self.inertia * rendered.values[index], self.inertia * rendered.errors[index])
 
     def wall(self, face: Face) -> WallEstimates:
         """Return the identified quantities of a wall."""
         if face not in self.faces:
-            count = int((is_inside(self.place, face) & self.used).sum())
+            count = int((is_inside(self.position, face) & self.used).sum())
             unknown = Estimate(why=f"only {count} samples in it" if count else "it was not touched")
             return WallEstimates.of(face, **_every(WallEstimates, unknown))
         spring, damper = (("stiffness", self.faces.index(face)), ("damping", self.faces.index(face)))
@@ -582,14 +583,14 @@ class _Axis:
         for one in gains:
             if not (shown := self._shown(one)).known:
                 return shown
-        found, names, mass = self.rendered, self.law.names, self.inertia
-        period, last = self.metadata.period, len(found.values)
+        rendered, names, mass = self.rendered, self.law.names, self.inertia
+        period, last = self.metadata.period, len(rendered.values)
         weights = np.zeros((3, last + 1))
         for row, name, other in zip(weights, gains, (("spring", 0), ("damper", 0))):
             row[[names.index(one) for one in (name, other) if one in names]] = mass
         weights[2, last] = 1.0
-        stiffness, damping, delay = weights @ np.append(found.values, found.delay)
-        errors = np.array([_error(found, weight) for weight in weights])
+        stiffness, damping, delay = weights @ np.append(rendered.values, rendered.delay)
+        errors = np.array([rendered.error_of(weight) for weight in weights])
         # the boundary at the identified damping and delay, and one standard error to either side of each
         aside = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * errors[1:]
         dampings, delays = np.maximum(np.array([damping, delay]) + aside, 0.0).T
@@ -606,7 +607,7 @@ class _Axis:
         share = stiffness / most[0]
         reach = np.maximum(2.0 * errors[1:], np.finfo(np.float64).tiny)
         slopes = np.array([1.0 / most[0], *(-share / most[0] * (most[1::2] - most[2::2]) / reach)])
-        return Estimate.of(float(share), _error(found, slopes @ weights), found.degrees, found.residual)
+        return rendered.estimate(float(share), rendered.error_of(slopes @ weights))
 
     # -- friction -------------------------------------------------------------------------------------------------
 
@@ -642,22 +643,10 @@ class _Axis:
         if not stiffness.value > 0.0:
             return Estimate(why="it does not stick")
         held = float(force[stuck & self.used].max())
-        broke = float((stiffness.value * np.abs(anchors[last] - self.place[last + 1])).min())
+        broke = float((stiffness.value * np.abs(anchors[last] - self.position[last + 1])).min())
         middle, width = 0.5 * (held + broke), abs(broke - held)
         reach = 0.485 * width + stiffness.standard_error / stiffness.value * middle
         error = width / math.sqrt(12.0)
         return Estimate(
             value=middle, standard_error=error, low=middle - reach, high=middle + reach, residual=law.residual
         )
-
-
-def _error(found: Fit, weights: Array) -> float:
-    """Return the standard error of a weighted sum.
-
-    The weights are those of the fitted values, then of the delay.
-    """
-    white = np.sqrt(np.diag(found.covariance))
-    # enlarged if the residuals are not white
-    ratio = np.where(white > 0.0, found.errors / np.where(white > 0.0, white, 1.0), 1.0)
-    scaled = np.asarray(weights) * ratio
-    return math.sqrt(max(float(scaled @ found.covariance @ scaled), 0.0))

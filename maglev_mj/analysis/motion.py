@@ -114,16 +114,16 @@ def _pieces(stretch: Stretch, metadata: RunMetadata, time: Array) -> _Pieces:
     inside = when[(when > time[0]) & (when < time[-1])]
     knots = np.unique(np.concatenate([time, inside]))[:-1]
     period = np.searchsorted(time, knots, side="right") - 1
-    place = np.arange(len(knots)) - np.searchsorted(period, period)
-    shape = (len(time) - 1, int(place.max()) + 1)
+    slot = np.arange(len(knots)) - np.searchsorted(period, period)
+    shape = (len(time) - 1, int(slot.max()) + 1)
     there, width, forces = np.zeros(shape, dtype=np.bool_), np.zeros(shape), np.zeros((*shape, 6))
-    there[period, place] = True
-    width[period, place] = np.diff(knots, append=time[-1])
-    forces[period, place] = np.vstack([metadata.before, force])[np.searchsorted(when, knots, side="right")]
+    there[period, slot] = True
+    width[period, slot] = np.diff(knots, append=time[-1])
+    forces[period, slot] = np.vstack([metadata.before, force])[np.searchsorted(when, knots, side="right")]
     return _Pieces(there, width, forces, time[:-1])
 
 
-def _through(place: Array, pieces: _Pieces, steady: Array, inertia: Array) -> tuple[Array, Array, Array]:
+def _through(position: Array, pieces: _Pieces, steady: Array, inertia: Array) -> tuple[Array, Array, Array]:
     """Return pose and twist at the start of each piece.
 
     (M, S, 6) each; the twist at the end of each period is returned too.
@@ -134,9 +134,9 @@ def _through(place: Array, pieces: _Pieces, steady: Array, inertia: Array) -> tu
     speed = np.concatenate([np.zeros_like(gained[:, :1]), gained[:, :-1]], axis=1)
     way = np.cumsum(width * (speed + 0.5 * width * push), axis=1)
     gone = np.cumsum(width, axis=1)
-    start = (np.diff(place, axis=0) - way[:, -1]) / gone[:, -1]
+    start = (np.diff(position, axis=0) - way[:, -1]) / gone[:, -1]
     before, elapsed = (np.concatenate([np.zeros_like(part[:, :1]), part[:, :-1]], axis=1) for part in (way, gone))
-    pose = place[:-1, None, :] + before + elapsed * start[:, None, :]
+    pose = position[:-1, None, :] + before + elapsed * start[:, None, :]
     return pose, speed + start[:, None, :], start + gained[:, -1]
 
 
@@ -151,7 +151,7 @@ def _held(at_samples: Array, periods: int) -> Array:
 
 
 def _joined(
-    place: Array, pieces: _Pieces, pose: Array, twist: Array, end: Array, finish: float
+    position: Array, pieces: _Pieces, pose: Array, twist: Array, end: Array, finish: float
 ) -> tuple[Trace, Numbers]:
     """Return one curve, with each sample's knot index."""
     there = np.column_stack([pieces.there, np.ones(len(end), dtype=np.bool_)])
@@ -160,7 +160,7 @@ def _joined(
     knots = np.column_stack([time[:-1], time[:-1, None] + elapsed[:, :-1], time[1:]])
     last = pieces.there.sum(axis=1) - 1
     wrench = np.concatenate([pieces.force, pieces.force[np.arange(len(end)), last][:, None]], axis=1)
-    poses = np.concatenate([pose, place[1:, None, :]], axis=1)
+    poses = np.concatenate([pose, position[1:, None, :]], axis=1)
     twists = np.concatenate([twist, end[:, None, :]], axis=1)
     counts = there.sum(axis=1)
     total = int(counts.sum())
@@ -179,4 +179,4 @@ def _from_release(trace: Trace, metadata: RunMetadata) -> Trace:
     pose = trace.pose[0] - ahead * (twist + 0.5 * ahead * push)
     rows = (np.zeros(1), pose[None], twist[None], metadata.before[None])
     old = (trace.time, trace.pose, trace.twist, trace.wrench)
-    return Trace(*(np.concatenate([first, others]) for first, others in zip(rows, old, strict=True)))
+    return Trace(*(np.concatenate([row, rest]) for row, rest in zip(rows, old, strict=True)))

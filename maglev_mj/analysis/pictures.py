@@ -6,7 +6,6 @@ Figures 5, 6 and 9 of the paper.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ import numpy as np
 from maglev_mj.analysis import Run, StretchReport
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure, save
+from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure
 from maglev_mj.recording import Recording, Samples
 from maglev_mj.trace import Trace
 
@@ -34,19 +33,19 @@ def trace(motion: Trace) -> Any:
     return _moving(motion.time, motion.pose, motion.wrench)
 
 
-def samples(found: Samples) -> Any:
+def samples(rows: Samples) -> Any:
     """Draw position and command of the moving axes over time.
 
     Raises:
         AttributeError: If time, position or command were not loaded.
         MissingPackageError: If matplotlib is not installed.
     """
-    return _moving(found.time, found.position, found.command)
+    return _moving(rows.time, rows.position, rows.command)
 
 
-def recording(found: Recording) -> Any:
+def recording(whole: Recording) -> Any:
     """Draw position and command over time; see `samples`."""
-    return samples(found.samples())
+    return samples(whole.samples())
 
 
 def _moving(time: Array, position: Array, force: Array) -> Any:
@@ -85,13 +84,12 @@ def stretch_report(report: StretchReport, axis: str | None = None) -> Any:
     return whole_run(report, report.axis(axis))
 
 
-def first_contact(report: StretchReport, axis: int, path: Path | None = None) -> Any:
+def first_contact(report: StretchReport, axis: int) -> Any:
     """Draw 0.4 s around the first contact (figure 5).
 
     Args:
         report: The recording, and its simulation if there is one.
         axis: Index into AXES.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -102,10 +100,10 @@ def first_contact(report: StretchReport, axis: int, path: Path | None = None) ->
         contact.start for face in report.recorded.figures.faces if face.axis == AXES[axis] for contact in face.contacts
     ]
     start = max(min(min(contacts, default=begin) - _LEAD, end - _SHOWN), begin)
-    return _over_time(report, axis, path, (start, min(start + _SHOWN, end)), marks=False)
+    return _over_time(report, axis, (start, min(start + _SHOWN, end)), marks=False)
 
 
-def whole_run(report: StretchReport, axis: int, path: Path | None = None) -> Any:
+def whole_run(report: StretchReport, axis: int) -> Any:
     """Draw position and force of the whole run (figure 6).
 
     Each contact is marked with its depth.
@@ -113,21 +111,19 @@ def whole_run(report: StretchReport, axis: int, path: Path | None = None) -> Any
     Args:
         report: The recording, and its simulation if there is one.
         axis: Index into AXES.
-        path: File to write; None to return the figure.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     trace = report.recorded.motion.trace
-    return _over_time(report, axis, path, (float(trace.time[0]), float(trace.time[-1])), marks=True)
+    return _over_time(report, axis, (float(trace.time[0]), float(trace.time[-1])), marks=True)
 
 
-def sticks(run: Run, path: Path) -> Path:
+def sticks(run: Run) -> Any:
     """Draw position and stick position by axis (figure 9).
 
     Args:
         run: A recording with friction.
-        path: File to write.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
@@ -135,42 +131,41 @@ def sticks(run: Run, path: Path) -> Path:
     places = run.motion.trace.pose[run.motion.starts]
     anchors = np.full_like(places, np.nan) if run.anchors is None else run.anchors
     slips = {axis: friction.slips for axis, friction in run.figures.friction.items()}
-    said = {AXES.index(axis): f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
-    return staircases(run.motion.time, places, anchors, said or {0: "no friction"}, path)
+    titles = {AXES.index(axis): f"{count} slip{'' if count == 1 else 's'}" for axis, count in slips.items()}
+    return staircases(run.motion.time, places, anchors, titles or {0: "no friction"})
 
 
-def staircases(time: Array, position: Array, anchors: Array, said: Mapping[int, str], path: Path) -> Path:
+def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int, str]) -> Any:
     """Draw position and stick position over time, by axis.
 
     Args:
         time: Of the samples [s], (K,).
         position: Positions [m, rad], (K, 6).
         anchors: Stick positions [m, rad], (K, 6); NaN where an axis does not stick.
-        said: Axes to draw, as indices into AXES, and what the title of each says.
-        path: File to write.
+        titles: Words of each panel's title, by the index of its axis.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    columns = 1 if len(said) < 4 else 2
-    rows = -(-len(said) // columns)
+    columns = 1 if len(titles) < 4 else 2
+    rows = -(-len(titles) // columns)
     figure, panels = new_figure(rows, columns, 1.1 + 2.1 * rows, sharex=True)
     order = [panel for column in range(columns) for panel in panels[column::columns]]
-    for (axis, words), panel in zip(said.items(), order):
+    for (axis, words), panel in zip(titles.items(), order):
         panel.plot(time, position[:, axis] * 1e3, color=FIRST, linewidth=1.0, label="position")
         panel.step(time, anchors[:, axis] * 1e3, color=STUCK, linewidth=2.0, where="post", label="stick position")
         panel.set_title(f"{AXES[axis]} ({unit_of('mm', axis)}): {words}", **TITLE)
         panel.set_xlim(float(time[0]), float(time[-1]))
         _no_narrower(panel, 0.02)
-    for panel in order[len(said) :]:
+    for panel in order[len(titles) :]:
         panel.set_axis_off()
     for column in range(columns):
-        order[min((column + 1) * rows, len(said)) - 1].set_xlabel("time (s)")
+        order[min((column + 1) * rows, len(titles)) - 1].set_xlabel("time (s)")
     name_curves(figure, order[:1])
-    return save(figure, path)
+    return figure
 
 
-def _over_time(report: StretchReport, axis: int, path: Path | None, window: tuple[float, float], *, marks: bool) -> Any:
+def _over_time(report: StretchReport, axis: int, window: tuple[float, float], *, marks: bool) -> Any:
     """Draw position and force over a time window [s].
 
     Of recording and simulation.
@@ -203,12 +198,12 @@ def _over_time(report: StretchReport, axis: int, path: Path | None, window: tupl
     lower.set_xlim(*window)
     name_curves(figure, [upper])
     upper.set_title(_describe(report), **TITLE)
-    return save(figure, path)
+    return figure
 
 
 def _describe(report: StretchReport) -> str:
-    said = "" if report.comparison is None else f"\n{report.comparison.sentence}"
-    return f"{report.run_named}{said}"
+    compared = "" if report.comparison is None else f"\n{report.comparison.sentence}"
+    return f"{report.run_named}{compared}"
 
 
 def _dots(panel: Any, run: Run, axis: int, window: tuple[float, float]) -> None:
@@ -225,11 +220,11 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
 
     As far as there is room beside one another.
     """
-    found = [(contact, face) for face in run.figures.faces if face.axis == AXES[axis] for contact in face.contacts]
-    found.sort(key=lambda one: -round(one[0].penetration, 9))
+    contacts = [(contact, face) for face in run.figures.faces if face.axis == AXES[axis] for contact in face.contacts]
+    contacts.sort(key=lambda one: -round(one[0].penetration, 9))
     room = _APART * (run.figures.end - run.figures.start)
     marked: list[float] = []
-    for contact, face in found:
+    for contact, face in contacts:
         if len(marked) == _MOST_MARKS or any(abs(contact.start - other) < room for other in marked):
             continue
         marked.append(contact.start)
@@ -243,7 +238,7 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
             fontsize=8.5,
             color=REFERENCE,
         )
-    if found:
+    if contacts:
         panel.margins(y=0.16)
 
 

@@ -17,7 +17,7 @@ from maglev_mj.hand import RecordedHand
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
-from maglev_mj.recording import InvalidRecordingError, Rebuild, Recorder, RunMetadata, Stretch
+from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
 from maglev_mj.recording.recording import READ_STRETCH
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes import Scene
@@ -165,8 +165,8 @@ class StretchReport(Result):
     @property
     def run_named(self) -> str:
         """Name, rate and delay of the run in a few words."""
-        known = self.metadata
-        return f"{known.name}, {1.0 / known.period:g} Hz, delay {known.delay * 1e3:g} ms"
+        run = self.metadata
+        return f"{run.name}, {1.0 / run.period:g} Hz, delay {run.delay * 1e3:g} ms"
 
     def table(self) -> Table:
         """Return the tables of figures, comparison and identified quantities.
@@ -255,8 +255,6 @@ def analyse(
     flag("simulated", simulated)
     check_instance("stretch", stretch, Stretch, READ_STRETCH)
     metadata = stretch.metadata
-    if len(stretch.tick) < 2:
-        raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
     whole = reconstruct(stretch, metadata)
     first, last = _rows(whole, begin, end)
     comparison = other = None
@@ -360,13 +358,13 @@ def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:
     count = len(simulated.tick)
     gap = np.abs(simulated.position - stretch.position[:count])
     none = np.full(len(AXES), np.nan)
-    known = motion.jumps[np.isfinite(motion.jumps).all(axis=1)]
+    jumps = motion.jumps[np.isfinite(motion.jumps).all(axis=1)]
     return Comparison(
         same=bool(count == len(stretch.tick) and not gap.any()),
         rms=np.sqrt((gap**2).mean(axis=0)) if count else none,
         most=gap.max(axis=0) if count else none,
         when=motion.time[np.argmax(gap, axis=0)] if count else none,
-        one_step_rms=np.sqrt((known**2).mean(axis=0)) if len(known) else none,
+        one_step_rms=np.sqrt((jumps**2).mean(axis=0)) if len(jumps) else none,
         samples=len(stretch.tick),
         compared=count,
         device=stretch.setup["kind"] == "device",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,24 +9,23 @@ import numpy as np
 from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.frames import AXES, Array
-from maglev_mj.pictures import BESIDE, TITLE, new_figure, save
+from maglev_mj.pictures import BESIDE, TITLE, new_figure
 from maglev_mj.result import printable
 
 
-def last_cycles(record: FaultRecord, path: Path) -> Path:
+def last_cycles(record: FaultRecord) -> Any:
     """Draw the last cycles before a fault.
 
     Currents measured are lines, those commanded dots; a vertical line is where the fault came first.
 
     Args:
         record: The black box.
-        path: File to write.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
     figure, axes = new_figure(4, 1, 8.6, sharex=True, height_ratios=[2, 2, 3, 2])
-    time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.columns
+    time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.values
     _curves(axes[0], time, pose[:, :3], AXES[:3], "position (mm)")
     _curves(axes[1], time, pose[:, 3:], AXES[3:], "angle (mrad)")
     coils, label = [f"coil {place}" for place in range(6)], "current (A)\n—— measured   · · commanded"
@@ -42,7 +40,7 @@ def last_cycles(record: FaultRecord, path: Path) -> Path:
             axis.axvline(first, color=REFERENCE, linewidth=1.0, linestyle="--")
     axes[3].set_xlabel("time before the last cycle (ms)")
     axes[0].set_title(f"{_shortened(record.faults)}\n{_shortened(record.message)}", **TITLE)
-    return save(figure, path)
+    return figure
 
 
 def _curves(axis: Any, time: Array, values: Array, names: Any, label: str) -> None:

@@ -17,7 +17,7 @@ from maglev_mj.cli.replay import add_own_scene, own_code
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import axis_indices, number
-from maglev_mj.pictures import PictureFolder
+from maglev_mj.pictures import PictureFolder, save
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
 from maglev_mj.result import printable, wrapped
 from maglev_mj.session.replay import OwnCode, rebuild_for, stick_positions_of, unmade_plant
@@ -118,13 +118,13 @@ def _found(stretch: Stretch, options: argparse.Namespace, own: OwnCode | None) -
 
 def _draw(analysed: StretchReport, axis: int, pictures: PictureFolder, stem: str) -> list[str]:
     """Draw a stretch; return lines about written and missing pictures."""
-    wrote = [f"wrote {whole_run(analysed, axis, pictures.path(f'{stem}run'))}"]
+    wrote = [f"wrote {save(whole_run(analysed, axis), pictures.path(f'{stem}run'))}"]
     if any(face.axis == AXES[axis] for face in analysed.recorded.figures.faces):
-        wrote.insert(0, f"wrote {first_contact(analysed, axis, pictures.path(f'{stem}contact'))}")
+        wrote.insert(0, f"wrote {save(first_contact(analysed, axis), pictures.path(f'{stem}contact'))}")
     else:
         wrote.append(f"no wall was touched on {AXES[axis]}: no picture of a contact")
     if analysed.recorded.anchors is not None:
-        wrote.append(f"wrote {sticks(analysed.recorded, pictures.path(f'{stem}sticks'))}")
+        wrote.append(f"wrote {save(sticks(analysed.recorded), pictures.path(f'{stem}sticks'))}")
     else:
         wrote.append("there is no friction: no picture of where it sticks")
     return wrote

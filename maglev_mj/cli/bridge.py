@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
@@ -13,13 +14,13 @@ from pathlib import Path
 import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.fault import DeviceFault, HandshakeError
+from maglev_mj.bridge.fault import DeviceFault, HandshakeError, fault_meanings
 from maglev_mj.bridge.flight import LANDING_TIME, Flight, StopSwitch, expected_delay
 from maglev_mj.bridge.identification import collect, excitation, identify
 from maglev_mj.bridge.realtime import interrupt, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
-from maglev_mj.bridge.wire import Fault
+from maglev_mj.bridge.wire import Fault, fault_names
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, add_parameters, add_recording, chosen, chosen_key, number_option
 from maglev_mj.cli.progress import Progress
@@ -34,7 +35,6 @@ from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.result import say, wrapped
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot, device_actions
-from maglev_mj.tables import latched_table
 
 _IDENTIFYING = 10.0
 _FLYING = "record", "view", "web", "seconds", "spacenav", "foxglove"
@@ -100,7 +100,7 @@ def _bridge(options: argparse.Namespace) -> int:
         _opened(options, calibration, key, limits) as plant,
     ):
         if options.reset:
-            print(latched_table(plant), flush=True)
+            print(_latched(plant), flush=True)
             if plant.faults:
                 plant.reset()
                 print("  reset; the next flight is a command of its own")
@@ -173,6 +173,14 @@ def _fly(
                         print(text, flush=True)
                 raise
             print(report, flight.timing.table(flight.warning), sep="\n", flush=True)
+
+
+def _latched(plant: RemotePlant) -> str:
+    """Return the faults latched at the handshake, with their meanings."""
+    if not plant.faults:
+        return f"  no fault is latched; the device is {plant.state.name.lower()}"
+    meanings = [wrapped(meaning, "    ", "      ") for meaning in fault_meanings(fault_names(plant.faults))]
+    return "\n".join(itertools.chain(wrapped(plant.latched), *meanings))
 
 
 def _warn(text: str) -> None:

@@ -6,10 +6,8 @@ import argparse
 from pathlib import Path
 
 from maglev_mj.bridge.fault import load_black_box
-from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.pictures import add_pictures, chosen_pictures
-from maglev_mj.tables import fault_table
 
 
 def add_options(parser: Parser) -> None:
@@ -25,7 +23,7 @@ def add_options(parser: Parser) -> None:
 def _fault(options: argparse.Namespace) -> int:
     pictures = chosen_pictures(options)
     record = load_black_box(options.file)
-    print(fault_table(record, whole=options.all))
+    print(record.table(whole=options.all))
     if pictures is not None:
-        print(f"  wrote {last_cycles(record, pictures.path(options.file.stem))}")
+        print(f"  wrote {record.plot(path=pictures.path(options.file.stem))}")
     return 0

@@ -83,10 +83,10 @@ def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]
     edges = np.pad(crossed, ((0, 0), (1, 1)), constant_values=(0.0, _HIGHEST))
     edges = edges * np.broadcast_to(stiff, damping.shape)[:, None]
     low, high = edges[:, :-1], edges[:, 1:]
-    rows, place = np.nonzero(high > low)
+    rows, column = np.nonzero(high > low)
     good = np.zeros(low.shape, dtype=bool)
-    middle = 0.5 * (low + high)[rows, place]
-    good[rows, place] = is_stable(loop.part(damping.shape, rows).modulus(middle, damping[rows]), limit)
+    middle = 0.5 * (low + high)[rows, column]
+    good[rows, column] = is_stable(loop.part(damping.shape, rows).modulus(middle, damping[rows]), limit)
     return edges, good
 
 
@@ -173,7 +173,7 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     rows = np.arange(len(edges))
     last = np.minimum(first, apart.shape[-1] - 1)
     low, high = apart[rows, np.maximum(last - 1, 0)], apart[rows, last]
-    found = (first > 0) & (first < good.shape[-1])
+    bracketed = (first > 0) & (first < good.shape[-1])
     # the crossing is exact to rounding except for a slow one; the eigenvalues decide
     near = np.clip(rough[:, None] * (1.0 + _NEAR), low[:, None], high[:, None])
     middle = np.concatenate([low[:, None], near, high[:, None]], axis=1)
@@ -184,7 +184,7 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
         part = np.where(steady.all(axis=-1), steady.shape[-1], np.argmin(steady, axis=-1))
         low, high = middle[rows, part], middle[rows, part + 1]
         below, above = moduli[rows, part], moduli[rows, part + 1]
-        if not (found & (high - low > 1e-13 * high) & (above - below > _ALIKE)).any():
+        if not (bracketed & (high - low > 1e-13 * high) & (above - below > _ALIKE)).any():
             break
         # closely around the point of modulus 1 by linear interpolation; evenly, because the modulus is not linear
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -192,7 +192,7 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
         shares = np.where(np.isfinite(crossing), crossing, 0.5)[:, None] + _CLOSE
         shares = np.sort(np.concatenate([np.clip(shares, 0.0, 1.0), np.tile(_EVEN, (rows.size, 1))], axis=1))
         middle = low[:, None] + (high - low)[:, None] * shares
-    return np.where(found, low, rough).reshape(shape)
+    return np.where(bracketed, low, rough).reshape(shape)
 
 
 def first_end(edges: Array, good: Mask) -> tuple[Array, Array]:
@@ -225,8 +225,8 @@ def stiffest_of(loop: SampledLoop) -> StiffestWall:
 
     See `stiffest_wall`.
     """
-    found = [_stiffest(loop.part(loop.shape, index)) for index in range(math.prod(loop.shape))]
-    stiffness, damping, on_jump = np.moveaxis(np.array(found).reshape(*loop.shape, 3), -1, 0)
+    walls = [_stiffest(loop.part(loop.shape, index)) for index in range(math.prod(loop.shape))]
+    stiffness, damping, on_jump = np.moveaxis(np.array(walls).reshape(*loop.shape, 3), -1, 0)
     return StiffestWall(stiffness, damping, on_jump.astype(bool))
 
 
@@ -261,7 +261,7 @@ def maxima(function: Callable[[Array], Array], grid: Array, finest: float, peaks
     values = function(grid)
     sides = np.pad(values, 1, constant_values=-1.0)
     tops = np.flatnonzero((values > sides[:-2]) & (values >= sides[2:]))
-    found = []
+    places = []
     for best in tops[np.argsort(-values[tops], kind="stable")[:peaks]]:
         finer, heights = grid, values
         while True:
@@ -272,8 +272,8 @@ def maxima(function: Callable[[Array], Array], grid: Array, finest: float, peaks
             finer = np.unique([*np.linspace(low, high, _FINER), finer[best]])
             heights = function(finer)
             best = int(np.argmax(heights))
-        found.append(finer[best])
-    return np.array(found)
+        places.append(finer[best])
+    return np.array(places)
 
 
 class Characteristic(NamedTuple):

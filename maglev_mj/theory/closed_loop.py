@@ -145,25 +145,8 @@ class SampledLoop:
         design = self.design or pd(self.velocity, self.prediction)
         law = design(k, b, np.asarray(self.period))
         phi, old, new, whole, waiting = self.flotor()
-        first, size = phi.shape[-1], phi.shape[-1] + waiting + law.advance.shape[-1]
-        own = slice(first + waiting, size)
-        shape = np.broadcast_shapes(law.give.shape[:-1], law.direct.shape, law.advance.shape[:-2], self.shape)
-        m = np.zeros((*shape, size, size))
-        command = np.zeros((*shape, size))
-        command[..., 0], command[..., own] = law.direct, law.give
-        m[..., :first, :first] = phi
-        for age in range(waiting + 1):  # the command `age` samples old
-            share = np.where((whole == age)[..., None], new, 0.0) + np.where((whole + 1 == age)[..., None], old, 0.0)
-            if age == 0:
-                m[..., :first, :] += share[..., :, None] * command[..., None, :]
-            else:
-                m[..., :first, first + age - 1] += share
-        if waiting:
-            m[..., first, :] = command
-            for place in range(first + 1, first + waiting):
-                m[..., place, place - 1] = 1.0
-        m[..., own, 0], m[..., own, own] = law.take, law.advance
-        return m
+        system = law.advance, law.take[..., None], law.give[..., None, :], law.direct[..., None, None]
+        return loop_matrix(phi, old[..., None], new[..., None], whole, waiting, *system)
 
     def compliances(self, stiffness: ArrayLike, damping: ArrayLike, frequencies: Sequence[float]) -> Iterator[Array]:
         """Yield position over hand force at each frequency [m/N].
@@ -250,8 +233,67 @@ class SampledLoop:
         return np.asarray(np.asarray(self.mass) + held)
 
 
-_HALVINGS = 45
+def loop_matrix(
+    phi: Array,
+    old: Array,
+    new: Array,
+    whole: Array,
+    waiting: int,
+    advance: Array,
+    take: Array,
+    give: Array,
+    direct: Array,
+) -> Array:
+    """Return the closed loop of a flotor's n positions and a linear controller, (..., S, S).
+
+    The state is the flotor's, positions first, then the delayed commands, newest first, n of each, then the
+    controller's.
+
+    Args:
+        phi: Flotor's state transition over a period, (..., f, f).
+        old: Share of the commands in effect before the switch, (..., f, n).
+        new: Share of those in effect after it, (..., f, n).
+        whole: Whole periods in the delay, (...,).
+        waiting: Largest number of delayed commands.
+        advance: Controller's transition, (..., s, s).
+        take: Its input matrix of the positions, (..., s, n).
+        give: Its output matrix, (..., n, s).
+        direct: Commands at once per position, (..., n, n).
+    """
+    first, n = old.shape[-2:]
+    late = slice(first, first + n * waiting)
+    own = slice(late.stop, late.stop + advance.shape[-1])
+    shape = np.broadcast_shapes(*(part.shape[:-2] for part in (phi, old, new, advance, give, direct)), whole.shape)
+    m = np.zeros((*shape, own.stop, own.stop))
+    command = np.zeros((*shape, n, own.stop))
+    command[..., :n], command[..., own] = direct, give
+    m[..., :first, :first] = phi
+    for age in range(waiting + 1):  # the command `age` samples old
+        now, before = ((whole == age)[..., None, None], (whole + 1 == age)[..., None, None])
+        share = np.where(now, new, 0.0) + np.where(before, old, 0.0)
+        if age:
+            m[..., :first, first + n * (age - 1) : first + n * age] += share
+        else:
+            for axis in range(n):
+                m[..., :first, :] += share[..., axis, None] * command[..., None, axis, :]
+    if waiting:
+        m[..., first : first + n, :] = command
+        m[..., first + n : late.stop, first : late.stop - n] = np.eye(n * (waiting - 1))
+    m[..., own, :n], m[..., own, own] = take, advance
+    return m
+
+
 ROUNDING = 1e-12
+_HALVINGS = 45
+
+
+def bisect(holds: Callable[[Array], Mask], low: Array, high: Array, halvings: int) -> Array:
+    """Return the start of a condition that is true at `high`, (...,)."""
+    for _ in range(halvings):
+        middle = 0.5 * (low + high)
+        true = holds(middle)
+        low, high = np.where(true, low, middle), np.where(true, middle, high)
+    return high
 
 
 def is_stable(modulus: ArrayLike, limit: float = 1.0) -> Mask:
@@ -312,18 +354,19 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         unstable = ~is_stable(replace(wide, delay=grid).modulus(k, b))
         first = np.argmax(unstable, axis=-1)
         pick = np.stack([np.maximum(first - 1, 0), first], axis=-1)
-        found = unstable.any(axis=-1) & np.isinf(high)
+        bracketed = unstable.any(axis=-1) & np.isinf(high)
         below, above = np.moveaxis(np.take_along_axis(grid, pick, axis=-1), -1, 0)
-        low, high = np.where(found, below, low), np.where(found, above, high)
+        low, high = np.where(bracketed, below, low), np.where(bracketed, above, high)
         if np.isfinite(high).all():
             break
-    unstable = np.isfinite(high)
-    high = np.where(unstable, high, 0.0)
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (low + high)
-        good = is_stable(replace(wide, delay=middle[..., None]).modulus(k, b)[..., 0])
-        low, high = np.where(good, middle, low), np.where(good, high, middle)
-    return np.where(unstable, high, np.inf)
+    some = np.isfinite(high)
+    high = bisect(
+        lambda delay: ~is_stable(replace(wide, delay=delay[..., None]).modulus(k, b)[..., 0]),
+        low,
+        np.where(some, high, 0.0),
+        _HALVINGS,
+    )
+    return np.where(some, high, np.inf)
 
 
 def least_dynamic_stiffness(

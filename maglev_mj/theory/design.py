@@ -31,7 +31,7 @@ GOALS = ("static", "dynamic")
 _POLES = (0.0, 0.2, 0.4, 0.6)
 _DAMPINGS = np.array([0.0, *np.geomspace(1e-4, 8.0, 60)])
 _DENSE = np.array([0.0, *np.geomspace(1e-4, 8.0, 1000)])
-_GRID, _RANDOM, _ROUNDS, _MAP, _STARTS, _YIELDING = 9, 200, 8, 33, 3, 5
+_GRID, _RANDOM, _ROUNDS, _MAP, _STARTS, _COARSE = 9, 200, 8, 33, 3, 5
 _GOOD, _NEAR = 1e-3, 1e-6
 _SOFTER = 1.0 - np.array([0.0, 1e-6, 1e-5, 1e-4, 1e-3])
 
@@ -253,7 +253,7 @@ def _design(requirements: WallRequirements, law: str, pole: float | None) -> Des
     return lambda stiffness, damping, period: wall.linear(stiffness, damping)
 
 
-def _rendered(design: Design | None, period: float, stiffness: Array, damping: Array) -> Array:
+def _static_stiffness(design: Design | None, period: float, stiffness: Array, damping: Array) -> Array:
     if design is None:
         return stiffness
     return rendered_stiffness(design(stiffness, damping, np.asarray(period)))
@@ -292,14 +292,14 @@ def design_wall(
     best: tuple[_Gains, float | None] | None = None
     cases = _first_cases(requirements)
     for chosen in poles:
-        gains = _bearing(requirements, _design(requirements, law, chosen), goal, cases)
+        gains = _robust_gains(requirements, _design(requirements, law, chosen), goal, cases)
         if gains is not None and (best is None or gains.figure > best[0].figure):
             best = gains, chosen
     if best is None:
         raise ParameterError(
             f"modulus must be above {requirements.modulus:g} here: no {law} wall keeps to that in all of the cases"
         )
-    return _examined(requirements, law, *best)
+    return _evaluated(requirements, law, *best)
 
 
 def _first_cases(requirements: WallRequirements) -> list[Case]:
@@ -310,19 +310,19 @@ def _first_cases(requirements: WallRequirements) -> list[Case]:
     return list(dict.fromkeys([*requirements.grid(2), *(Case(*requirements.nominal, h) for h in requirements.hands)]))
 
 
-def _bearing(requirements: WallRequirements, design: Design | None, goal: str, cases: list[Case]) -> _Gains | None:
+def _robust_gains(requirements: WallRequirements, design: Design | None, goal: str, cases: list[Case]) -> _Gains | None:
     """Return the best gains for all cases; None for none.
 
     Worse cases found on the way are added to `cases`.
     """
     best = _Gains(0.0, 0.0, 0.0)
-    grid, limit = requirements.grid(_YIELDING), requirements.modulus * (1.0 + 1e-9)
+    grid, limit = requirements.grid(_COARSE), requirements.modulus * (1.0 + 1e-9)
     for _ in range(_ROUNDS):
-        found = (_stiffest if goal == "static" else _least_yielding)(requirements, design, cases)
-        if found is None:
+        stiffest = (_stiffest_static if goal == "static" else _stiffest_dynamic)(requirements, design, cases)
+        if stiffest is None:
             break
         for share in _SOFTER:  # a crossing of the limit is exact to about 1e-6
-            gains = found._replace(stiffness=found.stiffness * share, figure=found.figure * share)
+            gains = stiffest._replace(stiffness=stiffest.stiffness * share, figure=stiffest.figure * share)
             modulus, case = worst_case(requirements, gains.stiffness, gains.damping, design)
             if not limit < modulus < limit * (1.0 + _NEAR):
                 break
@@ -331,48 +331,48 @@ def _bearing(requirements: WallRequirements, design: Design | None, goal: str, c
             continue
         if goal == "static":
             return gains
-        yields = _dynamic(requirements, design, grid, np.asarray(gains.stiffness), np.asarray(gains.damping))
-        if yields.min() > best.figure:
-            best = gains._replace(figure=float(yields.min()))
-        if yields.min() >= 0.99 * gains.figure:
+        least = _dynamic_stiffness(requirements, design, grid, np.asarray(gains.stiffness), np.asarray(gains.damping))
+        if least.min() > best.figure:
+            best = gains._replace(figure=float(least.min()))
+        if least.min() >= 0.99 * gains.figure:
             return best
-        cases.append(grid[int(np.argmin(yields))])
+        cases.append(grid[int(np.argmin(least))])
     if best.figure or goal == "static":
         return best if best.figure else None
-    stiffest = _bearing(requirements, design, "static", cases)  # better than none
-    return None if stiffest is None else stiffest._replace(figure=0.0)
+    static = _robust_gains(requirements, design, "static", cases)  # better than none
+    return None if static is None else static._replace(figure=0.0)
 
 
-def _admitted(requirements: WallRequirements, design: Design | None, cases: Sequence[Case], damping: Array) -> Array:
+def _common_stiffness(
+    requirements: WallRequirements, design: Design | None, cases: Sequence[Case], damping: Array
+) -> Array:
     """Return the largest common stiffness at each damping [N/m].
 
     (B,): it meets the limit in all cases; 0 for none.
     """
-    lows, highs, caps = [], [], []
+    ranges, caps = [], []
     for _, loop in requirements.loops(cases, design):
         flat, b, shape = flattened(loop, damping[:, None])
         edges, good = spans(flat, b, requirements.modulus)
-        lows.append(np.where(good, edges[:, :-1], np.inf).reshape(*shape, -1))
-        highs.append(np.where(good, edges[:, 1:], -np.inf).reshape(*shape, -1))
-        stable = edges, good
-        if requirements.modulus < 1.0:
-            stable = spans(flat, b, 1.0)
+        ends = np.stack([edges[:, :-1], edges[:, 1:]], axis=-1)
+        ranges.append(np.where(good[..., None], ends, np.nan).reshape(*shape, -1, 2))
+        stable = (edges, good) if requirements.modulus == 1.0 else spans(flat, b, 1.0)
         caps.append(first_end(*stable)[0].reshape(shape))
     most = np.concatenate(caps, axis=1).min(axis=1)
-    width = max(part.shape[-1] for part in lows)
-    pad = [((0, 0), (0, 0), (0, width - part.shape[-1])) for part in lows]
-    low = np.concatenate([np.pad(part, by, constant_values=np.inf) for part, by in zip(lows, pad)], axis=1)
-    high = np.concatenate([np.pad(part, by, constant_values=-np.inf) for part, by in zip(highs, pad)], axis=1)
+    width = max(part.shape[2] for part in ranges)
+    pads = [((0, 0), (0, 0), (0, width - part.shape[2]), (0, 0)) for part in ranges]
+    padded = [np.pad(part, pad, constant_values=np.nan) for part, pad in zip(ranges, pads)]
+    low, high = np.moveaxis(np.concatenate(padded, axis=1), -1, 0)
     result = np.zeros(damping.size)
     for row, cap in enumerate(most):
         tops = np.unique(np.minimum(high[row], cap))
         tops = tops[tops > 0.0]
-        borne = ((low[row] <= tops[:, None, None]) & (tops[:, None, None] <= high[row])).any(axis=-1).all(axis=-1)
-        result[row] = tops[borne].max(initial=0.0)
+        stable = ((low[row] <= tops[:, None, None]) & (tops[:, None, None] <= high[row])).any(axis=-1).all(axis=-1)
+        result[row] = tops[stable].max(initial=0.0)
     return result
 
 
-def _stiffest(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
+def _stiffest_static(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
     """Return the gains of the largest static stiffness.
 
     The stiffness is explicit at each damping. Only where a grid of dampings admits none, a dense one is searched.
@@ -380,20 +380,20 @@ def _stiffest(requirements: WallRequirements, design: Design | None, cases: Sequ
     unit = requirements.nominal[0] / requirements.period
 
     def figure(damping: Array) -> Array:
-        stiffness = _admitted(requirements, design, cases, damping)
-        return _rendered(design, requirements.period, stiffness, damping) * (stiffness > 0.0)
+        stiffness = _common_stiffness(requirements, design, cases, damping)
+        return _static_stiffness(design, requirements.period, stiffness, damping) * (stiffness > 0.0)
 
     for grid in (_DAMPINGS * unit, _DENSE * unit):
         damping = maxima(figure, grid, _GOOD)
         figures = figure(damping)
         best = int(np.argmax(figures))
         if figures[best] > 0.0:
-            stiffness = _admitted(requirements, design, cases, damping)
+            stiffness = _common_stiffness(requirements, design, cases, damping)
             return _Gains(float(stiffness[best]), float(damping[best]), float(figures[best]))
     return None
 
 
-def _least_yielding(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
+def _stiffest_dynamic(requirements: WallRequirements, design: Design | None, cases: Sequence[Case]) -> _Gains | None:
     """Return the gains of the largest least dynamic stiffness.
 
     A grid is searched, then finer ones around its best points.
@@ -404,15 +404,15 @@ def _least_yielding(requirements: WallRequirements, design: Design | None, cases
 
         For shares of the largest stiffness at each damping.
         """
-        stiffness = share[:, None] * _admitted(requirements, design, cases, damping)
-        yields = _dynamic(requirements, design, cases, stiffness, np.broadcast_to(damping, stiffness.shape))
-        return stiffness, yields.min(axis=0)
+        stiffness = share[:, None] * _common_stiffness(requirements, design, cases, damping)
+        least = _dynamic_stiffness(requirements, design, cases, stiffness, np.broadcast_to(damping, stiffness.shape))
+        return stiffness, least.min(axis=0)
 
     unit = requirements.nominal[0] / requirements.period
     shares = np.linspace(0.05, 1.0, 20)
     dampings = np.array([0.0, *np.geomspace(1e-3, 0.1, 6, endpoint=False), *np.linspace(0.1, 3.0, 24)]) * unit
     _, coarse = search(shares, dampings)
-    found = _Gains(0.0, 0.0, 0.0)
+    most = _Gains(0.0, 0.0, 0.0)
     for _ in range(_STARTS):
         row, column = np.unravel_index(int(coarse.argmax()), coarse.shape)
         coarse[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] = 0.0  # excluded from the next start
@@ -421,17 +421,17 @@ def _least_yielding(requirements: WallRequirements, design: Design | None, cases
         for _ in range(6):
             share, damping = (centre + size * np.linspace(-1.0, 1.0, 7) for centre, size in zip(at, wide))
             share, damping = np.clip(share, 0.0, 1.0), np.maximum(damping, 0.0)
-            stiffness, yields = search(share, damping)
-            row, column = np.unravel_index(int(yields.argmax()), yields.shape)
-            if yields[row, column] > best:
-                at, best = np.array([share[row], damping[column]]), float(yields[row, column])
-            if best > found.figure:
-                found = _Gains(float(stiffness[row, column]), float(damping[column]), best)
+            stiffness, least = search(share, damping)
+            row, column = np.unravel_index(int(least.argmax()), least.shape)
+            if least[row, column] > best:
+                at, best = np.array([share[row], damping[column]]), float(least[row, column])
+            if best > most.figure:
+                most = _Gains(float(stiffness[row, column]), float(damping[column]), best)
             wide *= 0.6
-    return found if found.figure > 0.0 else None
+    return most if most.figure > 0.0 else None
 
 
-def _dynamic(
+def _dynamic_stiffness(
     requirements: WallRequirements, design: Design | None, cases: Sequence[Case], stiffness: Array, damping: Array
 ) -> Array:
     """Return each case's least dynamic stiffness [N/m], (C, ...).
@@ -460,7 +460,7 @@ def worst_case(
     """
     cases = [*requirements.grid(_GRID), *requirements.random(_RANDOM)]
     moduli = requirements.moduli(cases, stiffness, damping, design)
-    worst, found = cases[int(np.argmax(moduli))], float(moduli.max())
+    worst, largest = cases[int(np.argmax(moduli))], float(moduli.max())
     for hand in requirements.hands:  # from the worst case of each hand in decreasing steps
         place = max((index for index, case in enumerate(cases) if case.hand == hand), key=lambda at: moduli[at])
         centre, size, modulus = cases[place], 1.0 / _GRID, float(moduli[place])
@@ -474,21 +474,21 @@ def worst_case(
             if around.max() > modulus:
                 centre, modulus = near[int(np.argmax(around))], float(around.max())
             size *= 0.5
-        if modulus > found:
-            worst, found = centre, modulus
-    return found, worst
+        if modulus > largest:
+            worst, largest = centre, modulus
+    return largest, worst
 
 
-def _examined(requirements: WallRequirements, law: str, gains: _Gains, pole: float | None) -> DesignedWall:
+def _evaluated(requirements: WallRequirements, law: str, gains: _Gains, pole: float | None) -> DesignedWall:
     """Return the designed wall with its figures.
 
     They are over the whole product of the requirements.
     """
     design = _design(requirements, law, pole)
     modulus, worst = worst_case(requirements, gains.stiffness, gains.damping, design)
-    cases = [*requirements.grid(_YIELDING), worst]
+    cases = [*requirements.grid(_COARSE), worst]
     k, b = np.asarray(gains.stiffness), np.asarray(gains.damping)
-    yields = _dynamic(requirements, design, cases, k, b)
+    least = _dynamic_stiffness(requirements, design, cases, k, b)
     islands = [
         low
         for _, loop in requirements.loops(_first_cases(requirements), design)
@@ -502,11 +502,11 @@ def _examined(requirements: WallRequirements, law: str, gains: _Gains, pole: flo
         stiffness=gains.stiffness,
         damping=gains.damping,
         pole=pole,
-        rendered=float(_rendered(design, requirements.period, k, b)),
+        rendered=float(_static_stiffness(design, requirements.period, k, b)),
         modulus=modulus,
         worst=worst,
-        dynamic_stiffness=float(yields.min()),
-        softest=cases[int(np.argmin(yields))],
+        dynamic_stiffness=float(least.min()),
+        softest=cases[int(np.argmin(least))],
         island=min(islands, default=None),
     )
 

@@ -18,6 +18,9 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
 from maglev_mj.parameters import number, numbers
 from maglev_mj.spec import GRAVITY
+from maglev_mj.theory.closed_loop import bisect
+
+_HALVINGS = 60
 
 
 def analog_wall(
@@ -118,8 +121,9 @@ def _next_crossing(motion: Motion, state: Array, scan: float, longest: float, in
         grid = start + scan * np.arange(1, 258)
         out = np.flatnonzero(sign * motion(state, grid)[:, 0] < 0.0)
         if out.size:
-            high = float(grid[out[0]])
-            return min(_bisect(lambda time: bool(sign * motion(state, time)[0, 0] < 0.0), high - scan, high), longest)
+            high = grid[out[:1]]
+            crossing = bisect(lambda time: sign * motion(state, time)[:, 0] < 0.0, high - scan, high, _HALVINGS)
+            return min(float(crossing[0]), longest)
     return longest
 
 
@@ -199,11 +203,11 @@ def karnopp(
     position, velocity, stuck = np.zeros_like(times), np.zeros_like(times), np.ones(times.shape, dtype=np.bool_)
     events: list[FrictionEvent] = []
     x, v, sticks = 0.0, 0.0, True
-    for place, (start, target) in enumerate(zip(starts, ends, strict=True)):
+    for index, (start, target) in enumerate(zip(starts, ends, strict=True)):
         if start > end:
             break
         # samples on a jump belong to the interval that begins there
-        stop = starts[place + 1] if place + 1 < len(starts) else math.inf
+        stop = starts[index + 1] if index + 1 < len(starts) else math.inf
         now = start
         if sticks and abs(k * (target - x)) > limit:
             sticks = False
@@ -274,34 +278,20 @@ def _first_rest(
         _, speed = move(grid)
         held = rests(grid)
         turns = np.append(speed[:-1] * speed[1:] < 0.0, False)
-        for place in np.flatnonzero(held | turns):
-            low, high = float(grid[place]), float(grid[place])
-            if held[place]:
-                low = max(high - scan, 0.0)
+        for index in np.flatnonzero(held | turns):
+            low = high = grid[index : index + 1]
+            if held[index]:
+                low = np.maximum(high - scan, 0.0)
             else:
-                turned = functools.partial(_has_turned, move, float(speed[place]))
-                high = _bisect(turned, low, low + scan)
-                if not rests(np.array([high]))[0]:
+                turned = functools.partial(_has_turned, move, float(speed[index]))
+                high = bisect(turned, low, low + scan, _HALVINGS)
+                if not rests(high)[0]:
                     continue
-            first = _bisect(lambda t: bool(rests(t)[0]), low, high)
+            first = float(bisect(rests, low, high, _HALVINGS)[0])
             return first if first <= longest else math.inf
     return math.inf
 
 
-def _has_turned(move: Callable[[Array], tuple[Array, Array]], speed: float, time: Array) -> bool:
+def _has_turned(move: Callable[[Array], tuple[Array, Array]], speed: float, time: Array) -> Mask:
     """Return True if the velocity has changed its sign."""
-    return bool(move(time)[1][0] * speed <= 0.0)
-
-
-def _bisect(holds: Callable[[Array], bool], low: float, high: float) -> float:
-    """Return the start of a condition, by bisection to rounding.
-
-    The condition is true at `high`.
-    """
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if holds(np.array([middle])):
-            high = middle
-        else:
-            low = middle
-    return high
+    return np.asarray(move(time)[1] * speed <= 0.0)

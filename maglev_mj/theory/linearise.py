@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
-from maglev_mj.frames import AXES, Array, Mask, Sample, components
+from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.parameters import axis_indices, numbers
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.closed_loop import SampledLoop, loop_matrix
 
 _SPEED = np.array([2e-5] * 3 + [2e-4] * 3)
 """Largest speed of a test displacement [m/s, rad/s].
@@ -38,6 +38,11 @@ _CUT, _BENT = 1e-9, 1e-3
 """Relative thresholds of zero and of nonlinearity.
 
 Shares of the largest answer: below the first an answer counts as zero, above the second it is not linear.
+"""
+_RANK, _FIT, _MOST, _INTEGRATES = 1e-7, 1e-6, 24, 1e-7
+"""Least singular value, largest error, most states, and distance of an integrator's root.
+
+They are those of a realisation. Responses are known to 1e-9 of their largest value.
 """
 
 
@@ -65,19 +70,17 @@ class Linearised(Result):
 
         `z.x` is the force along z to a displacement along x.
         """
-        found: dict[str, Array] = {"time": np.linspace(0.0, (len(self.response) - 1) * self.period, len(self.response))}
+        count = len(self.response)
+        columns: dict[str, Array] = {"time": np.linspace(0.0, (count - 1) * self.period, count)}
         for to, come in zip(*np.nonzero(self.response.any(axis=0))):
-            found[f"{AXES[to]}.{AXES[come]}"] = self.response[:, to, come]
-        return found
+            columns[f"{AXES[to]}.{AXES[come]}"] = self.response[:, to, come]
+        return columns
 
     @property
     def units(self) -> dict[str, str]:
         """Unit of each column."""
-        force = {to: "N" if to in AXES[:3] else "N m" for to in AXES}
-        pairs = [(to, come) for to in AXES for come in AXES]
-        return {"time": "s"} | {
-            f"{to}.{come}": f"{force[to]}/{'m' if come in AXES[:3] else 'rad'}" for to, come in pairs
-        }
+        pairs = ((to, come) for to in AXES for come in AXES)
+        return {"time": "s"} | {f"{to}.{come}": f"{unit_of('N', to)}/{unit_of('m', come)}" for to, come in pairs}
 
     def table(self) -> Table:
         """Return stiffness and damping of each axis."""
@@ -130,7 +133,7 @@ class Linearised(Result):
             raise ParameterError(f"inertia must be (6,), not {body.shape}")
         body = body[chosen]
         response = self.response[:, chosen][:, :, chosen]
-        matrix = loop_matrices(response[None], period=self.period, delay=delay, inertia=body)[0]
+        matrix = StateSpace.of(response).closed_loop(period=self.period, delay=delay, inertia=body)
         enters, seen = np.zeros((len(matrix), len(chosen))), np.zeros((len(chosen), len(matrix)))
         for slot, mass in enumerate(body):
             enters[slot, slot], enters[len(chosen) + slot, slot] = 0.5 * self.period**2 / mass, self.period / mass
@@ -147,11 +150,8 @@ class Linearised(Result):
         Raises:
             MissingPackageError: If python-control is not installed.
         """
-        response = self.response if len(self.response) > 1 else np.concatenate([self.response, np.zeros((1, 6, 6))])
-        size = 6 * (len(response) - 1)
-        advance, take = np.eye(size, k=-6), np.eye(size, 6)
-        give = np.concatenate(response[1:], axis=1)
-        return _statespace(advance, take, give, response[0], self.period)
+        none = max(2 - len(self.response), 0)
+        return _statespace(*StateSpace.of(np.pad(self.response, ((0, none), (0, 0), (0, 0)))), self.period)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +176,8 @@ class ClosedLoop(Result):
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
         """Eigenvalues of the matrix, the largest modulus first, (S,)."""
-        found = np.linalg.eigvals(self.matrix).astype(np.complex128)
-        return found[np.argsort(-np.abs(found))]
+        poles = np.linalg.eigvals(self.matrix).astype(np.complex128)
+        return poles[np.argsort(-np.abs(poles))]
 
     @property
     def modulus(self) -> float:
@@ -209,6 +209,62 @@ class ClosedLoop(Result):
         return _statespace(
             self.matrix, self.enters, self.seen, np.zeros((len(self.seen), self.enters.shape[1])), self.period
         )
+
+
+class StateSpace(NamedTuple):
+    """Linear controller of n coupled axes, with or without units.
+
+    q[k+1] = advance q[k] + take x[k], and force[k] = give q[k] + direct x[k].
+
+    Without units, positions are times sqrt(inertia), forces times T²/sqrt(inertia).
+    """
+
+    advance: Array
+    take: Array
+    give: Array
+    direct: Array
+
+    @classmethod
+    def of(cls, response: Array) -> StateSpace:
+        """Return the controller with an impulse response; its states are the previous positions, newest first.
+
+        Args:
+            response: Force at sample j after a unit displacement at sample 0 alone, (..., M, n, n): [j, to, from].
+        """
+        memory, n = response.shape[-3:-1]
+        size = n * (memory - 1)
+        give = np.moveaxis(response[..., 1:, :, :], -3, -2).reshape(*response.shape[:-3], n, size)
+        return cls(np.eye(size, k=-n), np.eye(size, n), give, response[..., 0, :, :])
+
+    def with_units(self, period: float, inertia: Array) -> StateSpace:
+        """Return the controller with units, for a period [s] and inertia [kg, kg m²], (n,)."""
+        root = np.sqrt(inertia)
+        size = root[:, None] / period**2
+        return StateSpace(self.advance, self.take * root, self.give * size, self.direct * size * root)
+
+    def moments(self) -> tuple[Array, Array]:
+        """Return the sums of the response and of age times response, (n, n) each.
+
+        The first is infinite if the controller integrates.
+        """
+        still = np.eye(len(self.advance)) - self.advance
+        if (np.abs(np.linalg.eigvals(still)) < _INTEGRATES).any():
+            return np.full_like(self.direct, -np.inf), np.zeros_like(self.direct)
+        once = np.linalg.solve(still, self.take)
+        return self.direct + self.give @ once, self.give @ np.linalg.solve(still, once)
+
+    def closed_loop(self, *, period: float, delay: float, inertia: Array) -> Array:
+        """Return the closed loop's matrix; see `loop_matrix`.
+
+        Args:
+            period: Sample period [s].
+            delay: Transport delay [s], up to 10 periods.
+            inertia: Mass or moments of inertia [kg, kg m²], (n,).
+        """
+        phi, old, new, whole, waiting = SampledLoop(period=period, delay=delay, mass=inertia).flotor()
+        body = np.block([[np.diag(phi[:, row, column]) for column in (0, 1)] for row in (0, 1)])
+        before, after = (np.vstack([np.diag(part[:, row]) for row in (0, 1)]) for part in (old, new))
+        return loop_matrix(body, before, after, whole, waiting, *self)
 
 
 def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
@@ -246,15 +302,15 @@ def linearise(controller: Controller, poses: ArrayLike) -> list[Linearised]:
     moved = still + np.tile(shift, (len(rest), 1))
     rows = _answers(controller, still, moved)
     # the actual change of a coordinate, rounding included
-    change, axes, found = (moved - still).reshape(len(rest), 13, 6), np.arange(6), []
+    change, axes, linearised = (moved - still).reshape(len(rest), 13, 6), np.arange(6), []
     for index, pose in enumerate(rest):
         forces = rows[:, index]
         difference = forces[:, 1:] - forces[:, :1]
         up, down = difference[:, :6].swapaxes(1, 2), difference[:, 6:].swapaxes(1, 2)  # [j, to, from]
         step, back = change[index, 1 + axes, axes], change[index, 7 + axes, axes]
-        found.append(_near(pose, controller.period, up / step, down / back))
-    kept = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in found)
-    return [replace(near, response=near.response[:kept]) for near in found]
+        linearised.append(_near(pose, controller.period, up / step, down / back))
+    kept = 1 + max(np.flatnonzero(near.response.any(axis=(1, 2))).max(initial=0) for near in linearised)
+    return [replace(near, response=near.response[:kept]) for near in linearised]
 
 
 def _near(pose: Array, period: float, up: Array, down: Array) -> Linearised:
@@ -335,107 +391,12 @@ def _together(controller: Controller, still: Sequence[Any], moved: Sequence[Any]
     return rows
 
 
-def loop_matrices(response: Array, *, period: float, delay: float, inertia: Array) -> Array:
-    """Return closed-loop matrices of n coupled axes, (Q, S, S).
-
-    The state is the positions, the velocities, the previous positions, newest first, and the delayed commands, newest
-    first, n of each.
-
-    Args:
-        response: Impulse responses [j, to, from], (Q, M, n, n).
-        period: Sample period [s].
-        delay: Transport delay [s], up to 10 periods.
-        inertia: Mass or moments of inertia [kg, kg m²], (n,).
-    """
-    phi, old, new, whole, waiting = SampledLoop(period=period, delay=delay, mass=inertia).flotor()
-    count, memory, n = response.shape[:3]
-    first_command = n * (1 + memory)
-    size = first_command + n * waiting
-    command = np.zeros((count, n, size))
-    command[:, :, :n] = response[:, 0]
-    for age in range(1, memory):
-        command[:, :, n * (1 + age) : n * (2 + age)] = response[:, age]
-    m = np.zeros((count, size, size))
-    axes = np.arange(n)
-    for row in (0, 1):  # position and velocity
-        for column in (0, 1):
-            m[:, row * n + axes, column * n + axes] = phi[..., row, column]
-        for age in range(waiting + 1):  # the command `age` samples old
-            share = np.where(whole == age, new[..., row], 0.0) + np.where(whole + 1 == age, old[..., row], 0.0)
-            if age == 0:
-                m[:, row * n + axes] += share[:, None] * command
-            else:
-                m[:, row * n + axes, first_command + (age - 1) * n + axes] += share
-    for age in range(1, memory):
-        source = 0 if age == 1 else n * age
-        m[:, n * (1 + age) + axes, source + axes] = 1.0
-    if waiting:
-        m[:, first_command : first_command + n] = command
-        for age in range(1, waiting):
-            m[:, first_command + n * age + axes, first_command + n * (age - 1) + axes] = 1.0
-    return m
-
-
-def _statespace(*system: Any) -> Any:
-    require(("control",), "control", "to_statespace() needs python-control")
-    import control
-
-    return control.ss(*system)
-
-
-_RANK, _FIT, _MOST, _INTEGRATES = 1e-7, 1e-6, 24, 1e-7
-"""Least singular value, largest error, most states, and distance of an integrator's root.
-
-Responses are known to 1e-9 of their largest value.
-"""
-
-
-class StateSpace(NamedTuple):
-    """Linear controller without units.
-
-    q[k+1] = advance q[k] + take x[k], and force[k] = give q[k] + direct x[k].
-
-    Positions times sqrt(inertia), forces times T²/sqrt(inertia).
-    """
-
-    advance: Array
-    take: Array
-    give: Array
-    direct: Array
-
-    def moments(self) -> tuple[Array, Array]:
-        """Return the sums of the response and of age times response, (n, n) each.
-
-        The first is infinite if the controller integrates.
-        """
-        still = np.eye(len(self.advance)) - self.advance
-        if (np.abs(np.linalg.eigvals(still)) < _INTEGRATES).any():
-            return np.full_like(self.direct, -np.inf), np.zeros_like(self.direct)
-        once = np.linalg.solve(still, self.take)
-        return self.direct + self.give @ once, self.give @ np.linalg.solve(still, once)
-
-    def closed_loop(self, *, period: float, delay: float, inertia: Array) -> Array:
-        """Return the closed loop's matrix; see `loop_matrices`.
-
-        Args:
-            period: Sample period [s].
-            delay: Transport delay [s], up to 10 periods.
-            inertia: Mass or moments of inertia [kg, kg m²], (n,).
-        """
-        root, n = np.sqrt(inertia), len(inertia)
-        size = np.outer(root, root) / period**2
-        unit = np.array([self.direct * size, np.eye(n), np.zeros((n, n))])[:, None]
-        body, driven, alone = loop_matrices(unit, period=period, delay=delay, inertia=inertia)
-        force = (driven - alone)[:, :n] @ (self.give * root[:, None] / period**2)
-        enters = np.zeros((len(self.take), len(body)))
-        enters[:, :n] = self.take * root
-        return np.block([[body, force], [enters, self.advance]])
-
-
-def realised(response: Array) -> StateSpace | None:
+def realise(response: Array) -> StateSpace | None:
     """Return the least controller with an impulse response, or None.
 
-    None is for a response of no linear law with few states.
+    Its states are those that the response needs, by Ho and Kalman's method: the response's block Hankel matrix has
+    their number as its rank, and its column space the same one sample later. None is for a response of no linear law
+    with few states.
 
     Args:
         response: Answer at sample j to a unit displacement at sample 0 alone, (M, n, n): [j, to, from].
@@ -457,3 +418,10 @@ def realised(response: Array) -> StateSpace | None:
     if not fits <= _FIT * np.abs(response).max():
         return None
     return StateSpace(advance, reached[:, :n], seen[:n], direct)
+
+
+def _statespace(*system: Any) -> Any:
+    require(("control",), "control", "to_statespace() needs python-control")
+    import control
+
+    return control.ss(*system)

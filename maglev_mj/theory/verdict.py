@@ -21,7 +21,7 @@ from maglev_mj.parameters import number, numbers
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop
-from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, loop_matrices, realised
+from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
 """Tolerances of a modulus, of gains beside their responses, and of a mean root."""
@@ -147,12 +147,12 @@ class Verdict(Result):
     @property
     def remarks(self) -> tuple[str, ...]:
         """Remarks on omitted poses, one line each."""
-        found = (
+        omitted = (
             (self.unknown, "the controller remembers for longer than 512 samples"),
             (self.jumps, "the wrench jumps or bends"),
             (self.away, "the laws push away from the pose"),
         )
-        return tuple(f"not judged at {len(poses)} poses, where {why}" for poses, why in found if len(poses))
+        return tuple(f"not judged at {len(poses)} poses, where {why}" for poses, why in omitted if len(poses))
 
 
 class Judged(Protocol):
@@ -271,12 +271,12 @@ def stated_gains(controller: Controller) -> dict[tuple[str, ...], tuple[Array, A
         return None
     always = sums.pop("always")
     states = sorted(state for state, gains in sums.items() if gains.any())
-    found = {}
+    totals = {}
     for acts in product((False, True), repeat=len(states)):
         acting = tuple(compress(states, acts))
         stiffness, damping = sum((sums[state] for state in acting), always)
-        found[acting] = stiffness, damping
-    return None if any((gains < 0.0).any() for both in found.values() for gains in both) else found
+        totals[acting] = stiffness, damping
+    return None if any((gains < 0.0).any() for both in totals.values() for gains in both) else totals
 
 
 def _by_gains(
@@ -284,7 +284,7 @@ def _by_gains(
 ) -> Verdict:
     """Return the verdict from stated gains, in closed form."""
     loop: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
-    found: dict[tuple[Any, ...], list[str]] = {}
+    kinds: dict[tuple[Any, ...], list[str]] = {}
     for index, axis in enumerate(AXES):
         own = {acting: (float(both[0][index]), float(both[1][index])) for acting, both in gains.items()}
         here = [acting[0] for acting in gains if len(acting) == 1 and own[acting] != own[()]]
@@ -294,8 +294,8 @@ def _by_gains(
             roots = np.linalg.eigvals(SampledLoop(mass=body[index], **loop).matrix(stiffness, damping))
             others = tuple(name for name in here if name not in acting)
             kind = acting, others, round(_modulus(roots, free), 12), free > 0
-            found.setdefault(kind, []).append(axis)
-    states = tuple(LoopState(tuple(axes), *kind) for kind, axes in found.items())
+            kinds.setdefault(kind, []).append(axis)
+    states = tuple(LoopState(tuple(axes), *kind) for kind, axes in kinds.items())
     worst = max(states, key=lambda state: state.modulus)
     index, (stiff, damp) = AXES.index(worst.axes[0]), gains[worst.acting]
     around = SampledLoop(mass=body[index], **loop)
@@ -346,10 +346,10 @@ class _Loop(NamedTuple):
 
     def gains(self, body: Array) -> tuple[Array, Array]:
         """Return stiffness and damping, (6, 6) each."""
-        place, root = np.ix_(self.axes, self.axes), np.sqrt(body[list(self.axes)])
+        block, root = np.ix_(self.axes, self.axes), np.sqrt(body[list(self.axes)])
         stiffness, damping = self.near.stiffness.copy(), self.near.damping.copy()
         size = np.outer(root, root) / self.near.period**2
-        stiffness[place], damping[place] = -size * self.moments[0], self.near.period * size * self.moments[1]
+        stiffness[block], damping[block] = -size * self.moments[0], self.near.period * size * self.moments[1]
         return stiffness, damping
 
 
@@ -359,9 +359,9 @@ def _loop(near: Linearised, axes: tuple[int, ...], own: Array, seen: list[_Loop]
     for one in seen:
         if one.axes == axes and one.settles == settles and _alike(one.scaled, own):
             return one._replace(near=near)
-    memory = 1 + int(np.flatnonzero(own.any(axis=(1, 2))).max(initial=0))
+    memory = _memory(own)
     # the roots of a long response, cut off where it is small, are those of the cut
-    system = realised(own[:memory]) if memory > _SHORT and np.isfinite(near.response).all() else None
+    system = realise(own[:memory]) if memory > _SHORT and np.isfinite(near.response).all() else None
     moments = (own.sum(axis=0), np.tensordot(np.arange(len(own)), own, 1)) if system is None else system.moments()
     sizes = np.linalg.svd(np.nan_to_num(moments[0], neginf=1.0), compute_uv=False)
     still = int((sizes <= _FREE * max(np.abs(own).sum(axis=0).max(), _FREE)).sum())
@@ -409,20 +409,20 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
     # an axis without a stable equilibrium is judged at the unstable ones
     lost = [loop for loop in away if not judged.issuperset(loop.axes)]
     nowhere = set(range(len(AXES))) - judged - {axis for loop in lost for axis in loop.axes}
-    found: _Loop | None = None
+    worst: _Loop | None = None
     modulus, eigenvalues = np.nan, np.empty(0, dtype=np.complex128)
     for loop, roots in _roots(loops + lost, delay, body):
         own = _own_modulus(roots, loop.still)
-        if found is None or own > modulus * (1.0 + _ROUNDING):
-            found, modulus, eigenvalues = loop, own, roots
+        if worst is None or own > modulus * (1.0 + _ROUNDING):
+            worst, modulus, eigenvalues = loop, own, roots
     unstable = modulus >= 1.0 - _ROUNDING
     known = unstable or not (unknown or nowhere)
-    stiffness, damping = np.full((2, 6, 6), np.nan) if found is None else found.gains(body)
+    stiffness, damping = np.full((2, 6, 6), np.nan) if worst is None else worst.gains(body)
     return Verdict(
         stable=not unstable if known else None,
         modulus=modulus,
-        axes=() if found is None else tuple(AXES[axis] for axis in found.axes),
-        pose=pose if found is None else found.near.pose,
+        axes=() if worst is None else tuple(AXES[axis] for axis in worst.axes),
+        pose=pose if worst is None else worst.near.pose,
         stiffness=stiffness,
         damping=damping,
         eigenvalues=eigenvalues,
@@ -434,29 +434,27 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
 
 
 def _roots(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[_Loop, NDArray[np.complex128]]]:
-    """Yield different loops with their eigenvalues.
-
-    Loops of one size are computed at once.
-    """
-    known: dict[tuple[int, ...], list[_Loop]] = {}
-    sizes: dict[tuple[tuple[int, ...], int], list[_Loop]] = {}
+    """Yield different loops with their eigenvalues; loops of one size are computed at once."""
+    seen: dict[tuple[int, ...], list[_Loop]] = {}
+    sizes: dict[tuple[tuple[int, ...], int], list[tuple[_Loop, StateSpace]]] = {}
     for loop in loops:
-        same = known.setdefault(loop.axes, [])
+        same = seen.setdefault(loop.axes, [])
         if any(_alike(one.scaled, loop.scaled) for one in same):
             continue
         same.append(loop)
-        if loop.system is not None:
-            matrix = loop.system.closed_loop(period=loop.near.period, delay=delay, inertia=body[list(loop.axes)])
-            yield loop, np.linalg.eigvals(matrix).astype(np.complex128)
-        else:
-            memory = 1 + int(np.flatnonzero(loop.scaled.any(axis=(1, 2))).max(initial=0))
-            sizes.setdefault((loop.axes, memory), []).append(loop)
-    for (axes, memory), different in sizes.items():
-        chosen = list(axes)
-        response = np.array([loop.near.response[:memory, chosen][:, :, chosen] for loop in different])
-        period = different[0].near.period
-        matrices = loop_matrices(response, period=period, delay=delay, inertia=body[chosen])
+        system = loop.system or StateSpace.of(loop.scaled[: _memory(loop.scaled)])
+        sizes.setdefault((loop.axes, len(system.advance)), []).append((loop, system))
+    for (axes, _), group in sizes.items():
+        different, systems = zip(*group)
+        period, inertia = different[0].near.period, body[list(axes)]
+        system = StateSpace(*map(np.array, zip(*systems))).with_units(period, inertia)
+        matrices = system.closed_loop(period=period, delay=delay, inertia=inertia)
         yield from zip(different, np.linalg.eigvals(matrices).astype(np.complex128), strict=True)
+
+
+def _memory(response: Array) -> int:
+    """Return the number of samples up to the last answer."""
+    return 1 + int(np.flatnonzero(response.any(axis=(1, 2))).max(initial=0))
 
 
 def _coupled(scaled: Array) -> list[tuple[int, ...]]:

@@ -307,9 +307,8 @@ def in_real_time(seconds: float) -> None:
                 flown = flight.run(seconds)
             served, answered = twin.end()
         print(f"real time at {rate} Hz, {'; '.join(refused) or 'nothing refused'}")
-        lost = f"{served.missed} periods stalled, {flown.lost} lost, {flown.skipped} skipped by the host"
-        print(f"  {served.ticks} samples, {lost}")
-        sampling = served.latency
+        sampling, lost = served.latency, f"{flown.lost} lost, {flown.skipped} skipped by the host"
+        print(f"  {served.ticks} samples, {served.missed} periods stalled, {lost}")
         print(f"  sampled late by {sampling.p50 * 1e6:.0f} µs in the median, {sampling.p99 * 1e6:.0f} µs at 99 %")
         print("  answer at the device after its sample's instant:", histogram(answered), sep="\n")
 

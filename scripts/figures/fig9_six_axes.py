@@ -11,6 +11,7 @@ from maglev_mj import AXES
 from maglev_mj.analysis.pictures import staircases
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array
+from maglev_mj.pictures import save
 from maglev_mj.spec import INERTIA, RANGE
 from six_axes import run_six_axes
 
@@ -47,4 +48,5 @@ for index, steps in enumerate(result.steps()):
     between = f", resting places {steps.min() * 1e3:.2g} to {steps.max() * 1e3:.2g} apart" if steps.size else ""
     said[index] = f"{int(result.slips[index])} slips{between}"
 anchors = np.where(result.stuck, result.anchor, np.nan)
-print("wrote", staircases(result.time, result.position, anchors, said, options.pictures.path("fig9_six_axes")))
+figure = staircases(result.time, result.position, anchors, said)
+print("wrote", save(figure, options.pictures.path("fig9_six_axes")))
