@@ -70,7 +70,9 @@ def test_every_result_has_a_frame_with_units_a_picture_and_a_table(name: str) ->
     assert found.plot()._repr_png_().startswith(b"\x89PNG")
     table, html = found.table(), found._repr_html_()
     assert html.startswith(f"<table><caption>{table.title.split('<')[0][:20]}")
-    assert all(len(row) == len(table.head) for row in table.rows) and html.count("<tr>") == len(table.rows) + 1
+    tables = [table, *table.below]
+    assert all(len(row) == len(one.head) for one in tables for row in one.rows)
+    assert html.count("<tr>") == sum(len(one.rows) + 1 for one in tables)
     assert "style" not in html and "nan" not in html
 
 
@@ -135,8 +137,9 @@ def test_a_choice_of_model_draws_the_distance_of_each_level() -> None:
         "cost": "s",
     }
     table = found.table()
-    assert table.head[2] == "missing [µm]" and table.head[4] == "cost [s]"
-    assert [row[2] for row in table.rows] == missing.tolist() and found.level.level in table.note
+    assert table.head[2] == "worst [µm]" and table.head[5] == "cost [µs]"
+    worst = [1e6 * row.worst for row in found.levels]
+    assert [row[2] for row in table.rows] == pytest.approx(worst, abs=5e-4) and found.level.level in table.note
 
 
 def test_a_run_that_turns_has_units_of_rotations() -> None:

@@ -8,8 +8,6 @@ if TYPE_CHECKING:
     from maglev_mj.tables.analysis import analysis_table as analysis_table
     from maglev_mj.tables.fault import fault_table as fault_table
     from maglev_mj.tables.fault import latched_table as latched_table
-    from maglev_mj.tables.fidelity import fidelity_table as fidelity_table
-    from maglev_mj.tables.fidelity import levels_table as levels_table
     from maglev_mj.tables.sessions import flown_table as flown_table
     from maglev_mj.tables.sessions import served_table as served_table
     from maglev_mj.tables.sessions import show_table as show_table
@@ -20,7 +18,6 @@ else:
     _HOMES = {
         "analysis": "analysis_table",
         "fault": "fault_table latched_table",
-        "fidelity": "fidelity_table levels_table",
         "sessions": "flown_table served_table show_table timing_table verdict_table",
         "stability": "loop_table",
     }
