@@ -355,7 +355,10 @@ class _Study:
         self.dead: dict[bytes, Any] = {}
 
     def run(self, jobs: deque[list[Cell]]) -> None:
-        """Run all jobs, and then each cell lost with a worker alone, so that its death has one cause."""
+        """Run all jobs, and then each cell lost with a worker alone.
+
+        Its death then has one cause.
+        """
         lost: list[Cell] = []
         while jobs:
             lost += self._run_in_pool(jobs, self.workers.window)
