@@ -17,10 +17,16 @@ from maglev_mj.hand import HANDS, get_hand
 from maglev_mj.laws import LowPass, VelocityEstimator, Window
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import MuJoCoBatchPlant, Timing
-from maglev_mj.studies import growth as growing
-from maglev_mj.studies.growth import Growth, RestingWall, grow_together, measure_growth
+from maglev_mj.studies import stability_map as growing
 from maglev_mj.studies.levels import SteppedLoop, boundary_shift
-from maglev_mj.studies.stability_map import StabilityParameters, run_stability
+from maglev_mj.studies.stability_map import (
+    Growth,
+    RestingWall,
+    StabilityParameters,
+    grow_together,
+    measure_growth,
+    run_stability,
+)
 from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.boundary import boundary_of, stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop

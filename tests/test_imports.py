@@ -60,7 +60,6 @@ FLOORS = {
     "viewer": 8,
     "web": 8,
     "hand_devices": 8.5,
-    "tables": 9,
     "conformance": 9,
     "cli": 10,
     "__main__": 11,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -26,7 +27,7 @@ from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.free import LetGo, SixAxes, Twist
 from maglev_mj.scenes.interactive import WEIGHT, InteractiveScene
 from maglev_mj.spec import Spec
-from maglev_mj.studies import fidelity
+from maglev_mj.studies import levels
 from maglev_mj.studies.fidelity import (
     COMPARED,
     DEAR,
@@ -44,7 +45,6 @@ from maglev_mj.studies.fidelity import (
     measure_steps,
     preset_of,
     run_levels,
-    screen_levels,
     stepping_name,
     worst_of,
 )
@@ -67,8 +67,8 @@ from maglev_mj.studies.levels import (
     run_together,
     scattered_cases,
     scene_at,
+    screen_levels,
 )
-from maglev_mj.tables import fidelity_table
 from maglev_mj.theory.closed_loop import SampledLoop
 
 LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
@@ -108,7 +108,7 @@ class Pocket(Scene):
         return [Bias(WEIGHT), walls, Hold.critically_damped(("y", "rx", "ry", "rz"), period=0.005, delay=0.0015)]
 
 
-POINTS, SEEDS = fidelity._POINTS, fidelity._SEEDS
+POINTS, SEEDS = levels._POINTS, levels._SEEDS
 
 
 @pytest.fixture(autouse=True)
@@ -120,8 +120,8 @@ def briefly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("maglev_mj.studies.levels._SHORT", 1e-9)
     if request.node.get_closest_marker("study") is None:
         monkeypatch.setattr("maglev_mj.studies.levels._LONG", 0.0)
-        monkeypatch.setattr(fidelity, "_POINTS", 16)
-        monkeypatch.setattr(fidelity, "_SEEDS", 2)
+        monkeypatch.setattr(levels, "_POINTS", 16)
+        monkeypatch.setattr(levels, "_SEEDS", 2)
 
 
 def test_4096_cases_are_screened() -> None:
@@ -218,7 +218,7 @@ def test_an_own_scene_of_several_walls_is_screened_and_holds_in_unseen_cases() -
     assert result.screened == 32 and not result.unscreened and result.furthest is not None
     found = unseen_distances(result, 4)
     assert (found <= result.furthest).all() and (found <= Pocket.tolerance).all()
-    said = " ".join(fidelity_table(result).split())
+    said = " ".join(str(result.table()).split())
     assert "and 32 on the exact plant" in said and "in 0.99 of the cases, the margin" in said
 
 
@@ -475,12 +475,12 @@ def test_a_cost_is_of_a_simulated_second() -> None:
 
 
 def test_all_cases_keep_a_tolerance_only_if_each_does() -> None:
-    shares = {1.0: "all", 4095 / 4096: "99.98%", 0.9995: "99.95%", 1.0 - 1e-9: "99.99%", 0.0: "0.00%"}
+    shares = {1.0: "100", 4095 / 4096: "99.98", 0.9995: "99.95", 1.0 - 1e-9: "99.99", 0.0: "0"}
     row = LevelResult("body", "", 0.0, 0.0, 0.0, 1.0, 0, 0.0, 1.0)
     for share, text in shares.items():
         rows = (row._replace(keeps=share),)
         result = FidelityResult(preset_of("drop"), 1e-3, Range(), (itself(),), 4096, 0.0, 0, rows, None, (), None)
-        line = next(line for line in fidelity_table(result).splitlines() if line.startswith("    body"))
+        line = next(line for line in str(result.table()).splitlines() if line.startswith("  body"))
         assert line.split()[-3] == text
 
 
@@ -549,8 +549,8 @@ def test_a_step_that_diverges_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> N
 def test_an_unstable_wall_has_no_model() -> None:
     wall = SixAxes(stiffness=400000.0, damping=80.0)
     result = measure_fidelity(wall, over=Range(phases=1, around=0.0))
-    assert result.level is None and result.levels[0].diverged and "diverges in 1" in fidelity_table(result)
-    assert "the loop diverges on the exact plant" in fidelity_table(result)
+    assert result.level is None and result.levels[0].diverged and "diverges in 1" in str(result.table())
+    assert "the loop diverges on the exact plant" in str(result.table())
     json.dumps(result.as_json(), allow_nan=False)
 
 
@@ -570,11 +570,10 @@ def test_the_command_prints_and_writes_the_levels(tmp_path: Path, capsys: pytest
     out = tmp_path / "fidelity.json"
     assert main(["fidelity", "twist", "--tolerance", "1e-5", "--phases", "1", "--json", str(out)]) == 0
     said = " ".join(capsys.readouterr().out.split())
-    assert (
-        "> body " in said and "take body with" in said and "the margin of 1.25 included; none expected beyond" in said
-    )
+    assert re.search(r" body [-. \d]+ chosen ", said) and "take body with" in said
+    assert "the margin of 1.25 included; none expected beyond" in said
     data = json.loads(out.read_text())
-    assert data["level"] == "body" and data["cheapest"]["error"] < 1e-5 and data["margin"] == MARGIN
+    assert data["level"]["level"] == "body" and data["cheapest"]["error"] < 1e-5 and data["margin"] == MARGIN
     assert [row["level"] for row in data["levels"]] == [level.name for level in LEVELS]
 
 
@@ -647,7 +646,7 @@ def test_laws_that_take_one_device_alone_are_not_screened_and_promise_less(branc
         screen_levels(scene, 0.1)
     result = measure_fidelity(scene, 1e-3, Range(phases=1))
     assert result.unscreened.startswith(reason) and result.screened == 0 and result.furthest is None
-    said = " ".join(fidelity_table(result).split())
+    said = " ".join(str(result.table()).split())
     assert f"none on the exact plant, which takes many devices at once: {reason}" in said
     assert "in 0.99 of 5 cases of the whole device" in said and "how far others go is not known" in said
     data = result.as_json()
@@ -657,7 +656,7 @@ def test_laws_that_take_one_device_alone_are_not_screened_and_promise_less(branc
 def test_a_level_that_the_exact_plant_says_nothing_on_promises_less() -> None:
     result = measure_fidelity("twist", 1e-5, Range(phases=3))
     assert result.screened and result.unscreened == "the exact plant says nothing on the level body"
-    said = " ".join(fidelity_table(result).split())
+    said = " ".join(str(result.table()).split())
     assert f"in 0.99 of 3 cases of the whole device alone, as {result.unscreened}, the margin" in said
     assert result.furthest is not None and "none expected beyond" in said
     assert "on the exact plant in the same range" in said
@@ -673,7 +672,7 @@ def test_where_the_level_below_jumps_its_share_of_the_screen_is_told(monkeypatch
         "the exact plant says nothing on the level filter (jitter, below it, misses the tolerance in 0.17 of its cases"
     )
     assert result.unscreened.startswith(told)
-    assert "in 0.99 of 4 cases of the whole device alone" in " ".join(fidelity_table(result).split())
+    assert "in 0.99 of 4 cases of the whole device alone" in " ".join(str(result.table()).split())
 
 
 def test_laws_of_two_kinds_do_not_run_together() -> None:
@@ -706,11 +705,11 @@ def test_a_distance_beyond_the_range_is_no_promise() -> None:
     step = StepResult("rk4", None, 0.0, 1.0, 0.0, 1e-6)
     result = FidelityResult(preset_of("drop"), 1e-3, Range(), (itself(),), 4096, 3e-3, 0, (row,), row, (step,), step)
     assert result.furthest == pytest.approx(MARGIN * 3e-3)  # of the jump
-    assert "none expected beyond 3750 µm, where a sample" in " ".join(fidelity_table(result).split())
+    assert "none expected beyond 3750 µm, where a sample" in " ".join(str(result.table()).split())
     for far in (4e-3, math.inf):  # the flotor has 4.5 mm
         lost = replace(result, jump=far)
         assert lost.furthest is None and lost.as_json()["furthest"] is None
-        assert "how far others go is not known" in " ".join(fidelity_table(lost).split())
+        assert "how far others go is not known" in " ".join(str(lost.table()).split())
 
 
 def test_an_interactive_scene_runs_at_many_phases_as_at_each(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -136,8 +136,9 @@ def test_a_choice_of_model_draws_the_distance_of_each_level() -> None:
         "cost": "s",
     }
     table = found.table()
-    assert table.head[2] == "missing [µm]" and table.head[4] == "cost [s]"
-    assert [row[2] for row in table.rows] == missing.tolist() and found.level.level in table.note
+    assert table.head[2] == "worst [µm]" and table.head[5] == "cost [µs]"
+    worst = [1e6 * row.worst for row in found.levels]
+    assert [row[2] for row in table.rows] == pytest.approx(worst, abs=5e-4) and found.level.level in table.note
 
 
 def test_a_run_that_turns_has_units_of_rotations() -> None:

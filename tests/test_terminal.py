@@ -31,9 +31,8 @@ from maglev_mj.cli.commission import _coil_row
 from maglev_mj.cli.progress import Progress
 from maglev_mj.result import wrapped
 from maglev_mj.scenes.names import BUILT_IN
-from maglev_mj.studies.fidelity import COMPARED, LevelResult
+from maglev_mj.studies.fidelity import COMPARED, LevelResult, levels_table
 from maglev_mj.studies.levels import LEVELS
-from maglev_mj.tables import levels_table
 from tests.golden.outputs import cases, kept
 
 PROGRAM = [sys.executable, "-m", "maglev_mj"]
@@ -61,7 +60,7 @@ def test_tables_of_devices_and_models_fit_80_columns(tmp_path: Path) -> None:
     box = BlackBox(tmp_path).write(Fault.SENSOR_OUT_OF_RANGE | Fault.COIL_OVERTEMP, "a text " * 20, BOX)
     assert box is not None
     rows = [LevelResult(one.name, one.adds, 12.345e-3, 0.0, 0.0, 1.0, 0, 0.0, 9.87) for one in LEVELS]
-    table = levels_table(dict.fromkeys(COMPARED, rows))
+    table = str(levels_table(dict.fromkeys(COMPARED, rows)))
     coil = CoilCheck(5, -10.0, -10.0, 0.01, np.full(6, -123e-6), np.zeros(6), np.full(6, -20.5), "as calibrated")
     for text in (str(load_black_box(box).table()), table, _coil_row(coil)):
         assert max(map(len, text.splitlines())) <= 80

@@ -18,7 +18,7 @@ from maglev_mj.scenes import together
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.together import law_kind, stacked
 from maglev_mj.studies import sweep as sweeping
-from maglev_mj.studies.growth import RestingWall
+from maglev_mj.studies.stability_map import RestingWall
 from maglev_mj.studies.sweep import run_scene_cells, swept_cells
 from maglev_mj.studies.sweep import sweep as run_sweep
 

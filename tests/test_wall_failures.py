@@ -14,7 +14,7 @@ from maglev_mj.hand import Hand, get_hand
 from maglev_mj.laws import Wall
 from maglev_mj.spec import RANGE
 from maglev_mj.studies.designed_wall import hum
-from maglev_mj.studies.growth import RestingWall, measure_growth
+from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness
 from maglev_mj.theory.bounds import gil
 

@@ -6,13 +6,20 @@ import argparse
 
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_json, chosen, count, number_option
-from maglev_mj.cli.output import write_results
+from maglev_mj.cli.output import write_result, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.result import plain
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.studies.fidelity import COMPARED, MARGIN, Range, measure_fidelity, measure_levels, preset_of
-from maglev_mj.tables import fidelity_table, levels_table
+from maglev_mj.studies.fidelity import (
+    COMPARED,
+    MARGIN,
+    Range,
+    levels_table,
+    measure_fidelity,
+    measure_levels,
+    preset_of,
+)
 
 _RANGE = "what the answer is to hold for"
 _BY_LEVEL = ("quantize",)
@@ -99,7 +106,7 @@ def _fidelity(options: argparse.Namespace) -> int:
     over = Range(options.phases, options.around, options.share, options.boundary_tolerance)
     with Progress("fidelity") as progress:
         result = measure_fidelity(preset, options.tolerance, over, phase=options.phase, progress=progress)
-    write_results(options, result.as_json, lambda: fidelity_table(result))
+    write_result(options, result)
     return 0
 
 
@@ -110,5 +117,5 @@ def _all(options: argparse.Namespace) -> int:
             found[name] = measure_levels(name)
             progress(place + 1, len(COMPARED))
     data = {name: plain(rows) for name, rows in found.items()}
-    write_results(options, lambda: data, lambda: levels_table(found))
+    write_results(options, lambda: data, lambda: str(levels_table(found)))
     return 0

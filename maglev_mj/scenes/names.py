@@ -25,7 +25,7 @@ BUILT_IN: Mapping[str, str] = {
     "twist": "maglev_mj.scenes.free:Twist",
     "let-go": "maglev_mj.scenes.free:LetGo",
     "six-axes": "maglev_mj.scenes.free:SixAxes",
-    "wall": "maglev_mj.studies.growth:RestingWall",
+    "wall": "maglev_mj.studies.stability_map:RestingWall",
 }
 """Built-in scenes: name -> module and class.
 

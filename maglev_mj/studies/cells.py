@@ -34,7 +34,7 @@ from maglev_mj.versions import Versions, differences, versions, versions_read
 Cell: TypeAlias = dict[str, Any]
 """Values of a cell by the parameter's name."""
 
-_ATTEMPTS, _STOPPING, _CONNECTING = 2, 1.0, 5.0  # times in [s]
+_STOPPING, _CONNECTING = 1.0, 5.0  # [s]
 _BEGINNING = '{"cell": {'
 
 
@@ -305,8 +305,8 @@ def run_cells(
         progress: Function called with the number of cells done and the number of all.
 
     Returns:
-        A result per cell, in order. A cell that kills its worker twice when it runs alone gets {"error": ...}, which
-        is not recorded, so that a rerun tries again.
+        A result per cell, in order. A cell whose worker dies, and dies again when it runs alone, gets {"error": ...},
+        which is not recorded, so that a rerun tries again.
 
     Raises:
         ParameterError: If a cell is not JSON, or `function` is not a function that returns a result for each cell.
@@ -355,22 +355,18 @@ class _Study:
         self.dead: dict[bytes, Any] = {}
 
     def run(self, jobs: deque[list[Cell]]) -> None:
-        """Run all jobs, and cells lost with a worker again.
+        """Run all jobs, and then each cell lost with a worker alone.
 
-        These run one at a time, so that a death has one cause.
+        Its death then has one cause.
         """
-        suspects: deque[list[Cell]] = deque()
-        deaths: Counter[bytes] = Counter()
-        while jobs or suspects:
-            alone = bool(suspects)
-            for cell in self._run_in_pool(suspects, 1) if alone else self._run_in_pool(jobs, self.workers.window):
-                key = _key(cell)
-                deaths[key] += alone
-                if deaths[key] < _ATTEMPTS:
-                    suspects.append([cell])
-                else:
-                    self.dead[key] = {"error": f"its worker died {deaths[key]} times"}
-                    self._count(1)
+        lost: list[Cell] = []
+        while jobs:
+            lost += self._run_in_pool(jobs, self.workers.window)
+        for cell in lost:
+            alone = deque([[cell]])
+            if self._run_in_pool(alone, 1) or alone:
+                self.dead[_key(cell)] = {"error": "its worker died 2 times"}
+                self._count(1)
 
     def landed(self, cells: Sequence[Cell]) -> list[tuple[Cell, Any]]:
         """Return the finished cells with their results."""

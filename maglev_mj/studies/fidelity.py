@@ -16,26 +16,23 @@ from typing import Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import PlantError, check_instance
+from maglev_mj.errors import check_instance
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
-from maglev_mj.result import Result, Table, plain
+from maglev_mj.result import Result, Table, number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import get_scene
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.run import checked_phase, parameters_json
+from maglev_mj.scenes.run import checked_phase
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
 from maglev_mj.studies.levels import (
     LEVELS,
     Case,
-    Level,
     Motion,
-    apart,
     boundary_shift,
     choice_cases,
     distance,
-    exact_options,
     has_gains,
     itself,
     level_index,
@@ -43,9 +40,7 @@ from maglev_mj.studies.levels import (
     loop_of,
     measure_costs,
     run_case,
-    run_together,
-    scattered_cases,
-    scene_at,
+    screen_levels,
     step_of,
 )
 from maglev_mj.theory.closed_loop import SampledLoop
@@ -56,10 +51,10 @@ MARGIN = 1.25
 It covers cases not simulated.
 """
 
-_POINTS, _SEEDS = 256, 16
 _JUMP = 100.0
 _REFERENCE_STEP = 2e-5
 _ROUNDING = 1e-12
+_STEPS_SHOWN = 12
 
 STEPPINGS: tuple[tuple[str, float | None], ...] = tuple(
     (integrator, step)
@@ -255,13 +250,98 @@ class FidelityResult(Result):
         return {**dict.fromkeys(("changes", "worst", "missing"), "m"), "force": "N", "cost": "s"}
 
     def table(self) -> Table:
-        """Return distance, share and cost of each level."""
-        rows = [(row.level, row.adds, 1e6 * row.missing, row.keeps, row.cost) for row in self.levels]
-        chosen = "none keeps it" if self.level is None else f"the least that keeps it: {self.level.level}"
-        if self.cheapest is not None:
-            chosen += f", cheapest as {stepping_name(*self.cheapest[:2])}"
-        head = ("level", "adds", "missing [µm]", "keeps", "cost [s]")
-        return Table(f"{self.preset.name}, tolerance {1e6 * self.tolerance:g} µm", head, rows, chosen)
+        """Return the levels, their additions, and the integrators and steps on the chosen level."""
+        preset, chosen, last = self.preset, self.level, self.levels[-1]
+        own = f" ({preset.reason})" if self.tolerance == preset.tolerance else ""
+        title = (
+            f"Fidelity of {preset.name}: {preset.scene.describe()}; to be kept: {_micro(self.tolerance):g} µm, as the "
+        )
+        remarks = {row.level: f"diverges in {row.diverged}" if row.diverged else "" for row in self.levels}
+        below = [_added(self.levels)]
+        if chosen is None:
+            unstable = "; the loop diverges on the exact plant at these gains or near them"
+            notes = [f"no level keeps the tolerance{unstable if math.isinf(last.worst) else ''}"]
+        else:
+            remarks[chosen.level] = "chosen"
+            notes = self._advice(chosen)
+            below.append(self._steps_table(chosen))
+        rows = [
+            (
+                row.level,
+                *map(_micro, (row.changes, row.worst)),
+                100.0 * (row.keeps if row.keeps == 1.0 else min(row.keeps, 0.9999)),
+                round(row.force, 2),
+                1e3 * row.cost,
+                remarks[row.level],
+            )
+            for row in self.levels
+        ]
+        legend = (
+            "each level adds to those above it; changes and force: in the scene itself; worst: over all cases, from "
+            "any line below it; keeps: share of the cases that keep the tolerance with the margin; cost: of a "
+            "simulated ms"
+        )
+        head = "level", "changes [µm]", "worst [µm]", "keeps [%]", "force [N]", "cost [µs]", ""
+        note = "\n".join([*self._range_lines(), legend, *notes])
+        return Table(f"{title}greatest displacement of a coil{own}", head, rows, note, below)
+
+    def _range_lines(self) -> list[str]:
+        """Return remarks about the cases: kinds, numbers, contact with stops."""
+        over, count, scene = self.over, len(self.cases), self.preset.scene
+        whole = f"{count} cases of the whole device: {over.phases} "
+        whole += "phases with a jitter seed each" if scene.takes_phase else "jitter seeds"
+        if has_gains(scene) and over.around:
+            whole += f", times 5 pairs of gains (given, and {over.around:.3g} of each up and down)"
+        exact = f"and {self.screened} on the exact plant in the same range: lag, limit, sensor's steps, jitter"
+        if not self.screened:
+            exact = f"none on the exact plant, which takes many devices at once: {self.unscreened}"
+        kept = f"kept if {MARGIN:g} times the worst of {over.share:.4g} of these is: the margin for cases not looked at"
+        stops = (
+            f"THE MOTION MEETS THE METAL STOPS of the model in {self.met_stops} of {count} cases: levels without stops "
+            "are those of another motion"
+        )
+        return [whole, exact, kept, *([stops] if self.met_stops else [])]
+
+    def _steps_table(self, chosen: LevelResult) -> Table:
+        rows = [
+            (
+                step.integrator,
+                math.nan if step.step is None else 1e3 * step.step,
+                _micro(step.error),
+                math.nan if step.shift is None else round(100.0 * step.shift, 1),
+                math.nan if step.missing is None else _micro(step.missing),
+                1e3 * step.cost,
+                "chosen" if step is self.cheapest else "",
+            )
+            for step in self.steps[:_STEPS_SHOWN]
+        ]
+        diverged = sum(not math.isfinite(step.error) for step in self.steps)
+        title = (
+            f"On the level {chosen.level}, cheapest first: longest step (- for that of a segment), error against 20 µs "
+            f"of RK4, shift of the stability boundary (at most {100.0 * self.over.boundary:.3g} % allowed), worst over "
+            "all cases"
+        )
+        head = "integrator", "step [ms]", "error [µm]", "shift [%]", "worst [µm]", "cost [µs]", ""
+        return Table(title, head, rows, f"{diverged} diverge" if diverged else "")
+
+    def _advice(self, chosen: LevelResult) -> list[str]:
+        """Return the step to take, and how far its model goes."""
+        best = self.cheapest
+        if best is None:
+            return [f"no integrator keeps tolerance and boundary on the level {chosen.level}"]
+        cases = "the cases"
+        if self.unscreened:
+            count = min(len(self.cases), DEAR_CASES) if level_index(chosen.level) >= DEAR else len(self.cases)
+            cases = f"{count} cases of the whole device{f' alone, as {self.unscreened}' if self.screened else ''}"
+        others = "how far others go is not known"
+        if self.furthest is not None:
+            jumps = ", where a sample just meets the wall or misses it" if self.jump else ""
+            others = f"none expected beyond {_micro(self.furthest):.4g} µm{jumps}"
+        return [
+            f"take {chosen.level} with {stepping_name(best.integrator, best.step)}: {1e3 * best.cost:.1f} µs a ms",
+            f"within {_micro(MARGIN * (best.missing or 0.0)):.3g} µm in {self.over.share:.4g} of {cases}, the margin "
+            f"of {MARGIN:g} included; {others}",
+        ]
 
     @property
     def furthest(self) -> float | None:
@@ -275,29 +355,31 @@ class FidelityResult(Result):
         return most if most <= Spec.translation_range.value else None
 
     def as_json(self) -> dict[str, Any]:
-        """Return everything, ready for JSON.
+        """Return every field, the margin and the furthest distance, ready for JSON."""
+        return {**super().as_json(), "margin": MARGIN, "furthest": self.furthest}
 
-        Null for infinite or missing values.
-        """
-        values: dict[str, Any] = {
-            "scene": self.preset.name,
-            "parameters": parameters_json(self.preset.scene, self.preset.scene.plants[0], self.cases[0].phase),
-            "tolerance": self.tolerance,
-            "margin": MARGIN,
-            **self.over._asdict(),
-            "cases": plain(self.cases),
-            "screened": self.screened,
-            "unscreened": self.unscreened or None,
-            "jump": self.jump,
-            "furthest": self.furthest,
-            "met_stops": self.met_stops,
-            "levels": plain(self.levels),
-            "level": None if self.level is None else self.level.level,
-            "steps": plain(self.steps),
-            "cheapest": plain(self.cheapest),
-        }
-        found: dict[str, Any] = plain(values)
-        return found
+
+def levels_table(found: Mapping[str, Sequence[LevelResult]]) -> Table:
+    """Return the effect of each level in several scenes, by the scene's name."""
+    rows = []
+    for each in zip(*found.values(), strict=True):
+        costs = [1e3 * row.cost for row in each]
+        cost = f"{number_text(min(costs), 3, 2)} to {number_text(max(costs), 3, 2)}"
+        rows.append((each[0].level, *(_micro(row.changes) for row in each), cost))
+    title = (
+        "What each level changes in each scene, against the level below: greatest displacement of a coil [µm]; and the "
+        "cost of a simulated ms [µs]"
+    )
+    return Table(title, ("level", *found, "cost"), rows, below=[_added(next(iter(found.values())))])
+
+
+def _added(levels: Sequence[LevelResult]) -> Table:
+    return Table("", ("", ""), [(row.level, row.adds) for row in levels])
+
+
+def _micro(value: float) -> float:
+    """Return a length in micrometres, without those below a nanometre."""
+    return round(1e6 * value, 3)
 
 
 def measure_fidelity(
@@ -498,69 +580,6 @@ def level_results(
             )
         )
     return tuple(rows)
-
-
-def screen_levels(scene: Scene, around: float) -> Array:
-    """Return each level's distance from those above it [m].
-
-    (levels, cases): 4096 cases on the exact plant; 16 of a scene with neither gains nor phases to vary.
-
-    The exact plant has the lag, the current limit along z, the sensor's steps and the jitter, for many devices at
-    once. It lacks turning coils, falloff, spots, stops and the handle's swing. A rare jump, of a sample that just meets
-    the wall, is found here and not in a few cases of the whole device.
-
-    Args:
-        scene: The scene.
-        around: Largest relative change of a gain.
-
-    Returns:
-        The distances; infinite throughout if a case diverges.
-
-    Raises:
-        ParameterError: If a law does not declare its gains; an `if` on a coordinate raises ValueError.
-    """
-    count = _POINTS if has_gains(scene) or scene.takes_phase else 1
-    points = [scene_at(scene, case) for case in scattered_cases(scene, count, around, seed=0)]
-    try:
-        return _screen(points)
-    except PlantError:  # one diverged, and with it the batch
-        return np.full((len(LEVELS), len(points) * _SEEDS), math.inf)
-
-
-def _screen(points: Sequence[tuple[Scene, float]]) -> Array:
-    steady: dict[str, Array] = {}
-    found = []
-    for seed in range(_SEEDS):
-        motions: list[Array] = []
-        for place, level in enumerate(LEVELS):
-            below = LEVELS[max(place - 1, 0)]
-            if place and _seen_alike(level, below):
-                motions.append(motions[-1])
-            elif level.jitter:
-                motions.append(run_together(points, level.name, seed))
-            else:
-                if level.name not in steady:
-                    steady[level.name] = run_together(points, level.name, seed)
-                motions.append(steady[level.name])
-        found.append(_distances(motions))
-    return np.concatenate(found, axis=1)
-
-
-def _seen_alike(one: Level, other: Level) -> bool:
-    """Return True for two equal levels on the exact plant."""
-    return (exact_options(one.name), *one[3:]) == (exact_options(other.name), *other[3:])
-
-
-def _distances(motions: Sequence[Array]) -> Array:
-    """Return each motion's largest distance from those above [m].
-
-    (levels, N), from poses (K, N, 6).
-    """
-    found = np.zeros((len(motions), motions[0].shape[1]))
-    for place, motion in enumerate(motions):
-        different = {id(above): above for above in motions[place + 1 :] if above is not motion}
-        found[place] = np.max([apart(motion, above) for above in different.values()], axis=0, initial=0.0)
-    return found
 
 
 def measure_steps(

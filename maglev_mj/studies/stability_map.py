@@ -1,36 +1,289 @@
-"""Stability map over the gains, by theory and simulation.
+"""Stability map over the gains, by theory and by growth in simulation.
 
-It includes the map of figure 2.
+In a simulated wall the flotor rests and is displaced slightly; the samples tell if the motion settles or grows.
 """
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, ClassVar
+from functools import lru_cache, partial
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 import maglev_mj
 import maglev_mj.theory as theory
-from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import Array, Mask
-from maglev_mj.hand import get_hand
-from maglev_mj.parameters import Parameters, interval, param
+from maglev_mj.controller import Controller
+from maglev_mj.errors import MaglevError, ParameterError, check_one_of
+from maglev_mj.frames import Array, Command, Mask, Sample
+from maglev_mj.hand import HANDS, Hand, get_hand
+from maglev_mj.laws import Law, Wall
+from maglev_mj.loop import ControlLoop
+from maglev_mj.parameters import Parameters, interval, number, param
+from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.result import Result, Table
-from maglev_mj.spec import Spec
+from maglev_mj.scenes.bench import along, hold, others, wall_controller
+from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
+from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies.cells import Cell, Record, Workers, run_cells
-from maglev_mj.studies.growth import HAND_HELP, RestingWall, grow_together, stiffest_in
 from maglev_mj.theory import bounds
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 
+_MOVED = 1e-6
+_DECIDED = 1e4
+_BLOCK = 16
+_FEW = 48
+_FAR = (1e15, 1.0)
+HAND_HELP = f"{', '.join(HANDS)} or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]"
+"""Help text of the hand parameter."""
+
+_GAINS = "stiffness", "damping"
+_PATIENCE = (128, 512, 2048, 8192)
+_BATCHES: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoBatchPlant}
 _NEAR = 0.005
 _TOGETHER = 240
 _AT_ONCE = 50_000
 _AROUND = ("plant", "period", "delay", "mass", "hand")
+
+
+class Growth(NamedTuple):
+    """Growth of the motion in each loop, (N,) each.
+
+    Attributes:
+        stable: True if the motion decays.
+        rate: Growth factor from one sample to the next, from the largest values; rough if only a few samples decide.
+        ticks: Number of samples until the decision.
+    """
+
+    stable: Mask
+    rate: Array
+    ticks: Array
+
+
+class RestingWall(Scene):
+    """Rest the flotor in a wall and check its stability.
+
+    The wall fills z <= 0, the five other axes are held. The plant "none" is theory alone; on the others the flotor
+    starts displaced from its equilibrium by a millionth of its depth.
+    """
+
+    name: ClassVar[str] = "wall"
+    plants: ClassVar[Sequence[str]] = ("none", *PLANTS)
+    takes_phase: ClassVar[bool] = False
+
+    # the bound is in periods: see `check`
+    delay: float = param(
+        "from a sample to its command taking effect", "s", default=Spec.transport_delay.value, at_least=0.0
+    )
+    stiffness: float = param("wall stiffness", "N/m", default=6000.0, above=0.0, at_most=1e8)
+    damping: float = param("wall damping", "N s/m", default=80.0, at_least=0.0, at_most=1e6)
+    mass: float = param("moving mass", "kg", default=Spec.moving_mass.value, at_least=1e-3, at_most=1e3)
+    hand: str = param(HAND_HELP, default="none")
+
+    def check(self) -> None:
+        """See `Scene`."""
+        number("delay", self.delay, at_least=0.0, at_most=MOST_PERIODS * self.period)
+        get_hand(self.hand)
+
+    def laws(self) -> list[Law]:
+        """Return the wall and the hold of the other axes."""
+        wall = Wall(axes="z", lower=0.0, stiffness=self.stiffness, damping=self.damping)
+        return [wall, hold(self, others("z"), self.mass)]
+
+    def start(self) -> Start:
+        """Return a flotor displaced slightly from its equilibrium.
+
+        The displacement is a millionth of the depth; the wall's force carries the flotor.
+        """
+        pose = along("z", self.rest * (1.0 + _MOVED)).tolist()
+        return Start(pose=pose, wrench=along("z", -self.stiffness * self.rest).tolist())
+
+    def plant_options(self) -> dict[str, Any]:
+        """See `Scene`."""
+        return {"mass": self.mass, "hand": self.impedance, "escape": _FAR}
+
+    @property
+    def impedance(self) -> Hand | None:
+        """Hand on the flotor; None for none."""
+        return get_hand(self.hand)
+
+    @property
+    def rest(self) -> float:
+        """Equilibrium of weight, wall and arm [m]."""
+        hand = self.impedance
+        arm = 0.0 if hand is None else float(hand.static_stiffness)
+        return -self.mass * GRAVITY / (self.stiffness + arm)
+
+    @property
+    def loop(self) -> LoopKeywords:
+        """Keywords of the theory besides the gains."""
+        return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": self.impedance}
+
+    def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
+        """Return the figures of theory and simulation.
+
+        There is no simulation on the plant "none".
+        """
+        return self.figures_together([self], plant, [phase])[0]
+
+    @classmethod
+    def figures_together(
+        cls, scenes: Sequence[Self], plant: str, phases: Sequence[float]
+    ) -> Sequence[Mapping[str, Any]]:
+        """Return the figures of many walls; see `Scene`.
+
+        Walls that differ in their gains alone are one batch.
+        """
+        found: list[dict[str, Any]] = [{}] * len(scenes)
+        for indices in _alike(scenes).values():
+            walls = [scenes[index] for index in indices]
+            stiffness, damping = (np.array([getattr(wall, name) for wall in walls]) for name in _GAINS)
+            first = walls[0]
+            stiffest = stiffest_in(first.period, first.delay, first.mass, first.hand)
+            columns = {
+                "modulus": theory.largest_modulus(stiffness, damping, **first.loop),
+                "largest_stiffness": theory.largest_stable_stiffness(damping, **first.loop),
+                "stiffest_wall": np.full(len(walls), stiffest.stiffness),
+                "at_damping": np.full(len(walls), stiffest.damping),
+            }
+            if plant != "none":
+                growth = measure_growth(walls, plant)
+                columns |= {"simulated_rate": growth.rate, "simulated_stable": growth.stable}
+            for index, row in zip(indices, zip(*(column.tolist() for column in columns.values()), strict=True)):
+                found[index] = dict(zip(columns, row, strict=True))
+        return found
+
+
+@lru_cache(maxsize=1024)
+def stiffest_in(period: float, delay: float, mass: float, hand: str) -> theory.StiffestWall:
+    """Return the stiffest wall, cached for all gains."""
+    return theory.stiffest_wall(period=period, delay=delay, mass=mass, hand=get_hand(hand))
+
+
+def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:
+    """Return indices of walls, grouped by loop.
+
+    Walls of a group differ in their gains alone.
+    """
+    alike: dict[tuple[Any, ...], list[int]] = defaultdict(list)
+    for index, wall in enumerate(walls):
+        alike[wall.period, wall.delay, wall.mass, wall.hand].append(index)
+    return alike
+
+
+def grow_together(walls: Sequence[RestingWall], plant: str) -> Growth:
+    """Measure the growth of any walls, batched by loop.
+
+    They may differ in period, delay, mass and hand too.
+    """
+    grown = [
+        (indices, measure_growth([walls[index] for index in indices], plant)) for indices in _alike(walls).values()
+    ]
+    order = np.argsort(np.concatenate([indices for indices, _ in grown]))
+    return Growth(*(np.concatenate(parts)[order] for parts in zip(*(growth for _, growth in grown), strict=True)))
+
+
+def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keywords: Any) -> Growth:
+    """Simulate walls with a resting flotor; measure the growth.
+
+    The growth is that of a small displacement in closed loop.
+
+    The flotor starts displaced from its equilibrium under gravity by a millionth of its depth. A loop is decided when
+    the displacement has become ten thousand times larger or smaller, so that the wall's edge and rounding are both far
+    away. A loop undecided after 8192 samples is unstable if its last quarter is not smaller than its second.
+
+    Args:
+        walls: The walls, which differ in their gains alone.
+        plant: "exact" or "mujoco"; the latter by corrected Euler where that is exact, otherwise by RK4.
+        keywords: Further keywords of `Scene.plant`, such as another timing, and of the plant.
+
+    Raises:
+        ParameterError: If there is no such plant, or a value is outside its bounds.
+    """
+    check_one_of("plant", _BATCHES, plant)
+    count = len(walls)
+    stable, rate, spent = np.zeros(count, dtype=bool), np.full(count, np.nan), np.zeros(count)
+    undecided = np.arange(count)
+    for ticks in _PATIENCE:
+        if undecided.size:
+            some = [walls[index] for index in undecided.tolist()]
+            starts = [wall.start() for wall in some]
+            pose, wrench = (np.array(parts) for parts in zip(*((start.pose, start.wrench) for start in starts)))
+            options = {**_engine(some, keywords), **keywords} if plant == "mujoco" else keywords
+            device = some[0].plant(_BATCHES[plant], pose=pose, wrench=wrench, **options)
+            sizes = _sizes(device, _controller(some), np.array([wall.rest for wall in some]), ticks)
+            growth, decided = _judge(sizes, last=ticks == _PATIENCE[-1])
+            done = undecided[decided]
+            stable[done], rate[done], spent[done] = (part[decided] for part in growth)
+            undecided = undecided[~decided]
+    return Growth(stable, rate, spent)
+
+
+def _engine(walls: Sequence[RestingWall], keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the cheapest exact engine options for some walls.
+
+    Threads are used for many walls.
+    """
+    # the force of a hand, and that of lagging drivers, changes within a step
+    changes = keywords.get("driver_lag", False) or any(wall.impedance for wall in walls)
+    return {"integrator": "rk4" if changes else "corrected", "threads": int(len(walls) < _FEW)}
+
+
+def _controller(walls: Sequence[RestingWall]) -> Controller:
+    """Return one controller of many walls."""
+    first, stiffness, damping = walls[0], [wall.stiffness for wall in walls], [wall.damping for wall in walls]
+    around: Any = {"period": first.period, "delay": first.delay, "mass": first.mass}
+    return wall_controller(stiffness=stiffness, damping=damping, velocity=first.velocity_estimator(), **around)
+
+
+def _sizes(plant: SampledPlant, controller: Controller, rest: Array, ticks: int) -> Array:
+    """Return relative displacements from equilibrium, (blocks, N).
+
+    The largest in each block of samples, divided by that at the start.
+
+    The run ends when all loops are decided.
+    """
+    blocks = np.zeros((ticks // _BLOCK, rest.size))
+
+    def observe(sample: Sample, _: Command) -> None:
+        row = blocks[sample.tick // _BLOCK]
+        np.maximum(row, np.abs(sample.position[2] / rest - 1.0) / _MOVED, out=row)
+
+    with plant, engine_warnings_silenced():
+        loop = ControlLoop(plant, controller, observe=observe)
+        for end in range(1, len(blocks) + 1):
+            loop.cycle(_BLOCK)
+            if _either(blocks[:end]).any(axis=0).all():
+                break
+    return blocks[:end]
+
+
+def _either(sizes: Array) -> Mask:
+    return (sizes < 1.0 / _DECIDED) | (sizes > _DECIDED)
+
+
+def _judge(sizes: Array, *, last: bool) -> tuple[Growth, Mask]:
+    """Return the growth by block sizes, and a decided mask."""
+    either = _either(sizes)
+    decided: Mask = np.any(either, axis=0)
+    pick = np.where(decided, np.argmax(either, axis=0), len(sizes) - 1)
+    column = np.arange(sizes.shape[1])
+    stable = sizes[pick, column] < 1.0 / _DECIDED
+    with np.errstate(divide="ignore"):
+        # from the first block to the one that decides; within the first, from the start
+        since = np.where(pick > 0, sizes[0], 1.0)
+        rate = np.exp(np.log(sizes[pick, column] / since) / np.where(pick > 0, pick, 1.0) / _BLOCK)
+    if last and not decided.all():
+        quarter = len(sizes) // 4
+        early, late = sizes[quarter : 2 * quarter].max(axis=0), sizes[-quarter:].max(axis=0)
+        stable = np.where(decided, stable, late < early)
+        rate = np.where(decided, rate, (late / early) ** (1.0 / (2 * quarter * _BLOCK)))
+        decided = np.ones(column.size, dtype=bool)
+    return Growth(stable, rate, (pick + 1.0) * _BLOCK), decided
 
 
 class StabilityParameters(Parameters):

@@ -21,7 +21,7 @@ from maglev_mj.laws import Law, ObserverWall
 from maglev_mj.pictures import Panel, small_multiples
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.studies.designed_wall import hum
-from maglev_mj.studies.growth import RestingWall, measure_growth
+from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import largest_modulus, stiffest_wall
 from maglev_mj.versions import versions
 

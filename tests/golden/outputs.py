@@ -92,8 +92,6 @@ def outcome(line: str) -> dict[str, Any]:
                 status = stop.code
         files = {path.name: content(path) for path in sorted(Path().iterdir()) if path.name not in given}
     said = out.getvalue().splitlines()
-    if words[0] == "fidelity":
-        said = [one.replace(" > ", "   ") for one in said if not one.startswith("  take ")]
     if words[0] == "replay" and status in (0, 1) and not before:  # a recording of another machine
         status, said = "0 or 1", [one for one in said if not _EQUALITY.match(one)]
     failed = [part for part in re.split(r"[\r\n]+", err.getvalue()) if not _PROGRESS.fullmatch(part)]
