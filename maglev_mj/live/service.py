@@ -11,6 +11,7 @@ import socket
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from typing import Any
@@ -23,7 +24,7 @@ from maglev_mj.live.guard import forward
 from maglev_mj.live.settings import Answer, Requests, State, Verdict, check_requests, values_of
 from maglev_mj.process import SideProcess
 from maglev_mj.recording.messages import Messages
-from maglev_mj.recording.writer import ROWS, RowReader
+from maglev_mj.recording.writer import ROWS, RowReader, log_in_order
 from maglev_mj.scenes import Scene
 from maglev_mj.session import UnstableLoop
 
@@ -59,7 +60,7 @@ class _Service(ServerListener):
     def __init__(self, line: Connection, rows: RowReader, listener: socket.socket) -> None:
         foxglove.set_log_level(logging.CRITICAL)  # errors of clients are not for the user's terminal
         self._line, self._rows, self._requests, self._greet = line, rows, Requests(), False
-        self._orders: deque[tuple[Any, ...]] = deque()
+        self._orders: deque[Sequence[Any]] = deque()
         self._place = 0
         self._know(State())
         self._checker, self._until, self._next_checker = SideProcess(check_requests), math.inf, 0.0
@@ -98,11 +99,7 @@ class _Service(ServerListener):
         if self._greet:
             self._greet = False
             self._messages.greet()
-        for place, row in rows:
-            self._obey(place)
-            self._messages.row(row)
-            self._place = place + 1
-        self._obey(self._place)
+        self._place = log_in_order(self._messages, rows, self._orders, self._place)
         self._check()
 
     def _hear(self) -> None:
@@ -120,12 +117,6 @@ class _Service(ServerListener):
             self._show(*arguments)
         else:
             self._orders.append((place, what, *arguments))
-
-    def _obey(self, place: int) -> None:
-        """Log the messages that precede a row."""
-        while self._orders and self._orders[0][0] <= place:
-            _, what, *arguments = self._orders.popleft()
-            getattr(self._messages, what)(*arguments)
 
     def _show(self, state: State, answer: Answer | None) -> None:
         """Publish the present scene and the control loop's answer."""

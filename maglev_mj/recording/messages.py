@@ -34,7 +34,7 @@ from foxglove.messages import (
 
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, STRETCH, STRETCH_NUMBER, descriptor, packed
-from maglev_mj.recording.sample import FIELDS, Field, Row, RunMetadata, Setup, Totals, as_rows, named, schema
+from maglev_mj.recording.sample import FIELDS, Field, Row, RunMetadata, Setup, Totals, as_rows, schema
 from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
 
 FRAMES, SCENE, LOG = "/tf", "/maglev/scene", "/log"
@@ -156,18 +156,14 @@ class Messages:
         """
         self._stick = position
 
-    def row(self, row: Row) -> None:
-        """Log a sample, its values in FIELDS order."""
-        assert self._totals is not None
-        self._log_sample(row, self._totals.add(named(row)))
-
     def rows(self, rows: Sequence[Row]) -> None:
-        """Log samples, one or more; see `row`."""
+        """Log one or more samples, their values in FIELDS order."""
         assert self._totals is not None
-        for row, totals in zip(rows, self._totals.take(as_rows(rows)).tolist()):
-            self._log_sample(row, totals)
+        table = as_rows(rows)
+        for row, values, totals in zip(rows, table, self._totals.take(table).tolist()):
+            self._log_sample(row, values, totals)
 
-    def _log_sample(self, row: Row, totals: Row) -> None:
+    def _log_sample(self, row: Row, values: np.void, totals: Row) -> None:
         tick, time = row[0], row[1]
         if self._first is None:
             self._first = time
@@ -177,7 +173,7 @@ class Messages:
         turn = math.floor((time - self._first) * _SHOWN + 1e-6)
         if turn > self._shown:
             self._shown = turn
-            self._show(named(row))
+            self._show(values)
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Log an event.
@@ -200,7 +196,7 @@ class Messages:
         log = Log(timestamp=_stamp(self._now), level=level, message=text, name="maglev_mj")
         self._log.log(log, log_time=self._now)
 
-    def _show(self, values: Mapping[str, Any]) -> None:
+    def _show(self, values: np.void) -> None:
         """Log the frames, and the forces as arrows."""
         position, stamp = values["position"], _stamp(self._now)
         frames = [("stator", "flotor", position[:3], quaternion(position[3:])), ("flotor", "hand", GRIP, _UPRIGHT)]

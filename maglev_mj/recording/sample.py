@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, Protocol, Self, TypeAlias
 
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.controller import Controller
 from maglev_mj.energy import HandWork, PassivityObserver
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, ZERO, Array, Command, Sample
+from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import axis_indices, flag, number, numbers
 from maglev_mj.result import printable
 from maglev_mj.spec import GRAVITY, INERTIA
@@ -203,21 +203,6 @@ def as_rows(values: Any, fields: Sequence[Field] = FIELDS) -> Rows:
 def as_table(rows: Rows) -> Array:
     """Return a structured array (N,) as numbers, (N, columns)."""
     return np.ascontiguousarray(rows).view(np.float64).reshape(len(rows), rows.dtype.itemsize // 8)
-
-
-def _places() -> Iterator[tuple[str, int | slice]]:
-    start = 0
-    for field in FIELDS:
-        yield field.name, slice(start, start + 6) if field.six else start
-        start += len(field.units)
-
-
-_PLACES = dict(_places())
-
-
-def named(row: Row) -> dict[str, Any]:
-    """Return a sample's values by name, six components as sequence."""
-    return {name: row[place] for name, place in _PLACES.items()}
 
 
 def schema(field: Field) -> dict[str, Any]:
@@ -441,29 +426,17 @@ class Totals:
         """Count missed samples without a gap in the ticks."""
         self._missed += count
 
-    def add(self, row: Mapping[str, Any]) -> tuple[float, float, int]:
-        """Return the totals at a sample given by name.
-
-        Energy absorbed by the rendered world [J], work of the hand [J], missed samples.
-        """
-        force, width = np.array(row["applied"]) - self._carried, row["applied_pulse_width"]
-        command = Command(force.tolist(), row["applied_pulse"], width) if width else Command(force.tolist())
-        self._observer(Sample(int(row["tick"]), row["time"], row["position"]), command)
-        self._hand.add(np.array(row["position"]), row["hand"])
-        if self._tick is not None:  # a device counts on from stretch to stretch
-            self._missed += max(int(row["tick"] - self._tick) - 1, 0)
-        self._tick = row["tick"]
-        return float(self._observer.energy.sum()), self._hand.total, self._missed
-
     def take(self, rows: Rows | Mapping[str, Array]) -> Array:
         """Return the totals at N samples, (N, 3).
 
-        Bitwise equal to those of `add`.
+        Energy absorbed by the rendered world [J], work of the hand [J], missed samples. The bits are the same in blocks
+        of any size.
         """
         poses, force = np.ascontiguousarray(rows["position"]), rows["applied"] - self._carried
         energy = self._observer.take(poses, force, rows["applied_pulse"], rows["applied_pulse_width"])
         work = self._hand.take(poses, np.ascontiguousarray(rows["hand"]))
         ticks = rows["tick"]
+        # a device counts on from stretch to stretch
         gaps = np.diff(ticks, prepend=ticks[:1] - 1.0 if self._tick is None else self._tick)
         missed = self._missed + np.add.accumulate(np.maximum(np.trunc(gaps) - 1.0, 0.0))
         self._tick, self._missed = float(ticks[-1]), int(missed[-1])

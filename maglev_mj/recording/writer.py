@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
@@ -203,7 +203,7 @@ class LiveFile:
         """Begin a stretch; return the loop's recording function."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
         attach_parts(self, plant, controller)
-        self._say(begin=[whole, time.time_ns()])
+        self._say("begin", whole, time.time_ns())
         self._controller, self._stuck = controller, repr(None)
         put = self._ring.record(plant)
         if not self._waits:
@@ -220,14 +220,14 @@ class LiveFile:
 
         `missed` is the number of samples missed with it.
         """
-        self._say(event=[kind, text, missed])
+        self._say("event", kind, text, missed)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file; see `RecordingFile.attach`."""
         if name in self._attached:
             return
         self._attached.add(name)
-        self._say(attach=[name, media_type, base64.b64encode(data).decode()])
+        self._say("attach", name, media_type, base64.b64encode(data).decode())
 
     def check(self) -> None:
         """Check that the recording is being written.
@@ -250,7 +250,7 @@ class LiveFile:
         told = None if stuck is None else stuck.tolist()
         if repr(told) != self._stuck:  # which NaN does not differ from itself in
             self._stuck = repr(told)
-            self._say(stick=[told])
+            self._say("stick", told)
 
     def close(self) -> Path | None:
         """Finish writing; return the file, or None without samples.
@@ -295,11 +295,11 @@ class LiveFile:
                 env={**os.environ, "PYTHONPATH": path},
             )
 
-    def _say(self, **what: Any) -> None:
+    def _say(self, method: str, *arguments: Any) -> None:
         """Send a message to the writer before the next row."""
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):  # it is gone: `check` and `close` say so
-            self._process.stdin.write(json.dumps({"at": self._ring.count, **what}) + "\n")
+            self._process.stdin.write(json.dumps([self._ring.count, method, *arguments]) + "\n")
             self._process.stdin.flush()
 
 
@@ -406,7 +406,7 @@ class _Orders:
     def __init__(self, descriptor: int) -> None:
         os.set_blocking(descriptor, False)
         self._descriptor, self._rest, self.over = descriptor, b"", False
-        self.waiting: deque[Mapping[str, Any]] = deque()
+        self.waiting: deque[Sequence[Any]] = deque()
 
     def listen(self) -> None:
         """Read the messages that have arrived."""
@@ -420,19 +420,40 @@ class _Orders:
             self.waiting.extend(json.loads(line) for line in lines)
 
 
+def log_in_order(log: Any, rows: Iterable[tuple[int, Row]], messages: deque[Sequence[Any]], place: int) -> int:
+    """Log rows in blocks, each message before the row that it belongs to.
+
+    Args:
+        log: Object with `rows` and the methods that messages name.
+        rows: Rows with their numbers.
+        messages: Number of the following row, method and arguments of each; those logged are taken out.
+        place: Number of the next row.
+
+    Returns:
+        The number of the next row.
+    """
+    waiting = deque(rows)
+    while True:
+        place = waiting[0][0] if waiting else place
+        while messages and messages[0][0] <= place:
+            _, method, *arguments = messages.popleft()
+            getattr(log, method)(*arguments)
+        if not waiting:
+            return place
+        end = messages[0][0] if messages else math.inf
+        block = []
+        while waiting and waiting[0][0] < end:
+            place, row = waiting.popleft()
+            block.append(row)
+        log.rows(block)
+        place += 1
+
+
 def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[], object]) -> None:
     """Write until the pipe ends.
 
     `first` is called at the first row.
     """
-
-    def obey(place: int) -> None:
-        while orders.waiting and orders.waiting[0]["at"] <= place:
-            order = orders.waiting.popleft()
-            for name in ("begin", "event", "stick", "attach"):
-                if name in order:
-                    getattr(mcap, name)(*order[name])
-
     place = 0
     while True:
         over = orders.over
@@ -441,16 +462,7 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
         orders.listen()
         if rows and place == 0:
             first()
-        waiting = deque(rows)
-        while waiting:
-            obey(waiting[0][0])
-            block = [waiting.popleft()]
-            said = orders.waiting[0]["at"] if orders.waiting else math.inf
-            while waiting and waiting[0][0] < said:
-                block.append(waiting.popleft())
-            mcap.rows([row for _, row in block])
-            place = block[-1][0] + 1
-        obey(place)
+        place = log_in_order(mcap, rows, orders.waiting, place)
         mcap.flush()
         if over and not rows:
             return

@@ -203,10 +203,6 @@ def throughput(samples: int) -> float:
 
 def write(writer: Any, rows: Sequence[Sequence[float]]) -> None:
     """Write rows as the process that writes a recording does."""
-    if not hasattr(writer, "rows"):  # of before: one by one
-        for row in rows:
-            writer.row(row)
-        return
     for start in range(0, len(rows), TOGETHER):
         writer.rows(rows[start : start + TOGETHER])
 
@@ -217,15 +213,10 @@ class _Totals:
     def __init__(self, values: Sequence[Sequence[float]]) -> None:
         self._values, self._place = values, 0
 
-    def add(self, row: Any) -> tuple[float, float, int]:
-        """Return the next."""
-        self._place += 1
-        taken, work = self._values[self._place % len(self._values)]
-        return taken, work, 0
-
     def take(self, rows: Any) -> Any:
         """Return the next ones."""
-        return np.array([self.add(row) for row in rows])
+        first, self._place = self._place, self._place + len(rows)
+        return np.array([(*self._values[(first + row) % len(self._values)], 0) for row in range(len(rows))])
 
 
 def make_file(path: Path, samples: int) -> None:
