@@ -177,15 +177,16 @@ def with_value(data: bytes, row: int, column: str, value: float) -> bytes:
     return with_messages(data, new)
 
 
-def mcap_of(messages: list[tuple[str, Message]], *, compressed: bool = True) -> bytes:
+def mcap_of(messages: list[tuple[str, Message]], *, compressed: bool = True, chunk_size: int = 1 << 20) -> bytes:
     """Return a complete file of messages about a run.
 
-    Numbers outside JSON are written as Python does.
+    Its chunks have at least `chunk_size` bytes. Numbers outside JSON are written as Python does.
     """
     from mcap.writer import CompressionType, Writer
 
     file = BytesIO()
-    writer = Writer(file, compression=CompressionType.ZSTD if compressed else CompressionType.NONE)
+    compression = CompressionType.ZSTD if compressed else CompressionType.NONE
+    writer = Writer(file, chunk_size, compression=compression)
     writer.start()
     writer.add_metadata("maglev_mj", {"format": "2"})
     schema = writer.register_schema(name="any", encoding="jsonschema", data=b"{}")

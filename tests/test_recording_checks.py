@@ -8,7 +8,6 @@ import subprocess
 import sys
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -20,15 +19,12 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.controller import Controller
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import ZERO, Array, Command, Sample
+from maglev_mj.frames import AXES, ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict
-from maglev_mj.recording.mcap import McapStretch
-from maglev_mj.recording.sample import FIELDS, TOTALS
-from maglev_mj.recording.verify import verify
-from maglev_mj.result import printable
-from maglev_mj.scenes.drop import Drop
-from maglev_mj.session.replay import expected, rebuild, record_run
+from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict, verify
+from maglev_mj.recording.sample import check_rows
+from maglev_mj.session.replay import expected, rebuild
+from maglev_mj.terminal import printable
 from tests.recorded import (
     FIELD,
     KINDS,
@@ -188,15 +184,15 @@ def test_what_is_no_finite_number_is_no_number_of_a_file(kind: str, every: int, 
 @pytest.mark.parametrize(
     ("row", "place", "bad", "words"),
     [
-        (0, ("stretch",), -1, "stretch must be a finite number at least 0 and at most 0, not -1"),
-        (0, ("stretch",), False, "stretch must be a finite number at least 0 and at most 0, not False"),
+        (0, ("stretch",), -1, "stretch must be 0, not -1"),
+        (0, ("stretch",), False, "stretch must be 0, not False"),
         (0, ("period",), "1", "period must be a finite number above 0 and at most 1000, not '1'"),
         (0, ("delay",), math.nan, "numbers must be finite, not NaN"),
         (0, ("inertia", "rx"), None, "inertia.rx must be a finite number at least 1e-12 and at most 1e+12, not None"),
         (0, ("hand_recorded",), 1, "hand_recorded must be true or false, not 1"),
         (0, ("setup", "kind"), [], "kind must be a text, not a list"),
         (0, ("setup", "plant", "mass"), 10**400, "setup plant.mass must be a finite number, not 1000"),
-        (-1, ("tick",), 0, "tick must be a finite number at least 19 and at most 19, not 0"),
+        (-1, ("tick",), 0, "tick must be 19, not 0"),
         (-1, ("missed",), -1, "missed must be a finite number at least 0"),
         (-1, ("missed",), 1.5, "missed must be a whole number, not 1.5"),
         (-1, ("kind",), {}, "kind must be a text, not an object"),
@@ -742,7 +738,7 @@ def test_the_name_of_a_run_cannot_steer_a_terminal(tmp_path: Path, capsys: Any) 
     path.write_bytes(mcap_of([(messages[0][0], {**messages[0][1], "name": ESCAPES}), *messages[1:]]))
     assert main(["analyse", str(path)]) == 0
     said = capsys.readouterr().out
-    assert said.startswith("\\x1b[2J") and all(one.isprintable() for one in said.replace("\n", ""))
+    assert "Recording of \\x1b[2J" in said and all(one.isprintable() for one in said.replace("\n", ""))
 
 
 def test_printable_texts_stay_as_they_are() -> None:
@@ -765,34 +761,56 @@ def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
     assert "taken" in stretch.replace(hand=stretch.hand).arrays
 
 
-def mcap_stretch() -> McapStretch:
-    """Return the stretch of a file, before its first sample."""
-    setup = dict(record_run(Drop(duration=0.05), plant="exact").stretches[0].setup)
-    return McapStretch({"setup": setup, **setup.pop("run")}, None)
+def in_blocks(samples: list[Message], folder: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
+    """Return a recording of changed samples of a drop, read in blocks of four."""
+    sizes = list[int]()
+
+    def counted(rows: Mapping[str, Any], *row: int) -> None:
+        sizes.append(len(rows["tick"]))
+        check_rows(rows, *row)
+
+    monkeypatch.setattr("maglev_mj.recording.mcap._BLOCK", 4)
+    monkeypatch.setattr("maglev_mj.recording.mcap.check_rows", counted)
+    begins, (_, sample), *_ = messages_in(made("drop", ".mcap"))
+    changes = [{"time": 0.005 * one["tick"], **one} for one in samples]
+    data = mcap_of([begins, *((SAMPLE, {**sample, **change}) for change in changes)], chunk_size=1)
+    try:
+        return load(data, folder, ".mcap")
+    finally:
+        assert sizes == [4, *[5] * (len(sizes) - 1)] and len(sizes) > 1  # with the last of the block before
 
 
-def block(first: int, count: int, **changes: float) -> dict[str, Array]:
-    """Return samples from a tick on, with some values that differ from zero."""
-    rows = {field.name: np.zeros((count, 6) if field.six else count) for field in (*FIELDS, *TOTALS)}
-    rows["tick"] = np.arange(first, first + count, dtype=np.float64)
-    rows["time"] = 0.005 * rows["tick"]
-    return rows | {name: np.full_like(rows[name], value) for name, value in changes.items()}
+def test_a_field_that_is_another_one_for_some_blocks_is_itself_in_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    values = [(2.0, 2.0), (3.0, 3.0), (5.0, 4.0), (6.0, 6.0)]
+    samples: list[Message] = [
+        {"tick": tick, "command": dict.fromkeys(AXES, command), "applied": dict.fromkeys(AXES, applied)}
+        for tick, (command, applied) in enumerate(one for one in values for _ in range(4))
+    ]
+    (stretch,) = in_blocks(samples, tmp_path, monkeypatch).stretches
+    assert stretch.command[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [5.0] * 4 + [6.0] * 4
+    assert stretch.applied[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [4.0] * 4 + [6.0] * 4
+    assert stretch.tick.tolist() == [*range(16)] and (stretch.position == stretch.position[0]).all()
 
 
-def test_a_field_that_is_another_one_for_some_blocks_is_itself_in_all() -> None:
-    stretch = mcap_stretch()
-    for first, command, applied in ((0, 2.0, 2.0), (4, 3.0, 3.0), (8, 5.0, 4.0), (12, 6.0, 6.0)):
-        stretch.add(block(first, 4, command=command, applied=applied))
-    arrays = stretch.arrays()
-    assert len(stretch) == 16
-    assert arrays["command"][:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [5.0] * 4 + [6.0] * 4
-    assert arrays["applied"][:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [4.0] * 4 + [6.0] * 4
-    assert arrays["tick"].tolist() == [*range(16)] and not arrays["position"].any()
-
-
-@pytest.mark.parametrize(("first", "says"), [(4, ""), (3, "tick must go up, not from 3 to 3"), (1, "from 3 to 1")])
-def test_ticks_go_up_from_block_to_block(first: int, says: str) -> None:
-    stretch = mcap_stretch()
-    stretch.add(block(0, 4))
-    with pytest.raises(ParameterError, match=says) if says else nullcontext():
-        stretch.add(block(first, 4))
+@pytest.mark.parametrize(
+    ("first", "begins", "says"),
+    [
+        (4, 0.02, ""),
+        (3, 0.02, "tick must go up, not from 3 to 3"),
+        (1, 0.02, "tick must go up, not from 3 to 1"),
+        (4, 0.015, "time must go up from sample to sample"),
+        (4, 0.001, "time must go up from sample to sample"),
+    ],
+)
+def test_ticks_and_times_go_up_from_block_to_block(
+    first: int, begins: float, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    samples: list[Message] = [{"tick": tick} for tick in range(4)]
+    samples += [{"tick": first + count, "time": begins + 0.005 * count} for count in range(4)]
+    if not says:
+        assert in_blocks(samples, tmp_path, monkeypatch).ticks == 8
+        return
+    with pytest.raises(InvalidRecordingError, match=rf"changed\.mcap' is not a whole recording: {says}$"):
+        in_blocks(samples, tmp_path, monkeypatch)

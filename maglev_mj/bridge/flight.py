@@ -21,8 +21,7 @@ from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number
-from maglev_mj.recording import Mechanics, RecordingError, RecordingFile
-from maglev_mj.result import Table, wrapped
+from maglev_mj.recording import RecordingError, RecordingFile
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.interactive import WEIGHT
@@ -332,9 +331,9 @@ class Flight:
         plant, controller, scene, record = self._plant, self._controller, self._scene, None
         if self._file is not None:
             weight = (0.0, 0.0, -self._inertia[2] * GRAVITY, 0.0, 0.0, 0.0)
-            mechanics = Mechanics(inertia=self._inertia, load=weight, before=self._force)
-            known = {"name": f"{scene.name} on a device", "mechanics": mechanics}
-            record = begin_scene(self._file, scene, plant, controller, kind="device", **known)
+            known = {"inertia": self._inertia, "load": weight, "before": self._force}
+            name = f"{scene.name} on a device"
+            record = begin_scene(self._file, scene, plant, controller, kind="device", name=name, **known)
         loop, samples = ControlLoop(plant, controller, observe=self._observe(controller), record=record), plant.samples
         while not self.switch.landing and self._wanted is None and (last is None or samples.tick < last):
             loop.cycle()

@@ -12,7 +12,6 @@ from maglev_mj.recording.recording import RecordingError as RecordingError
 from maglev_mj.recording.recording import Samples as Samples
 from maglev_mj.recording.recording import Stretch as Stretch
 from maglev_mj.recording.recording import load_samples as load_samples
-from maglev_mj.recording.sample import Mechanics as Mechanics
 from maglev_mj.recording.sample import RunMetadata as RunMetadata
 from maglev_mj.recording.sample import Setup as Setup
 from maglev_mj.recording.setup import OwnCodeError as OwnCodeError

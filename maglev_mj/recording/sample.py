@@ -241,42 +241,24 @@ Its entry `run` holds the metadata.
 """
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Mechanics:
-    """Mass, constant load and initial wrench of a plant.
+_MECHANICS: Mapping[str, ArrayLike] = {
+    "inertia": INERTIA,
+    "load": (0.0, 0.0, -INERTIA[2] * GRAVITY, 0.0, 0.0, 0.0),
+    "before": ZERO,
+}
+"""The published device's, for a plant that does not state its own."""
 
-    They determine the energy balance. The defaults are the published device's.
 
-    Attributes:
-        inertia: Mass and moments of inertia [kg, kg m²], (6,).
-        load: Constant wrench besides the actuators', the weight [N, N m], (6,).
-        before: Wrench of the actuators until the first command takes effect [N, N m], (6,).
+def mechanics(plant: Any) -> dict[str, Array]:
+    """Return inertia, load and initial wrench of a plant, by default the device's; see `RunMetadata`.
 
-    Raises:
-        ParameterError: If a value is not finite, or an inertia is not above 0.
+    The mass of a hand in a rigid grip moves with the flotor.
     """
-
-    inertia: ArrayLike = INERTIA
-    load: ArrayLike = (0.0, 0.0, -INERTIA[2] * GRAVITY, 0.0, 0.0, 0.0)
-    before: ArrayLike = ZERO
-
-    def __post_init__(self) -> None:
-        numbers("inertia", self.inertia, at_least=1e-12)
-        numbers("load", self.load)
-        numbers("before", self.before)
-
-    @classmethod
-    def of(cls, plant: Any) -> Self:
-        """Return the mechanics of a plant, by default the device's.
-
-        The mass of a hand in a rigid grip moves with the flotor.
-        """
-        known = {name: getattr(plant, name) for name in ("inertia", "load", "before") if hasattr(plant, name)}
-        hand = getattr(plant, "hand", None)
-        if hand is not None and not hand.soft:
-            known["inertia"] = np.array(known["inertia"], dtype=np.float64)
-            known["inertia"][list(hand.indices)] += float(np.asarray(hand.mass))
-        return cls(**known)
+    known = {name: np.array(getattr(plant, name, usual), np.float64) for name, usual in _MECHANICS.items()}
+    hand = getattr(plant, "hand", None)
+    if hand is not None and not hand.soft:
+        known["inertia"][list(hand.indices)] += float(np.asarray(hand.mass))
+    return known
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -325,8 +307,8 @@ class RunMetadata:
         name: str = "own run",
         axis: str | None = None,
         delay: float | None = None,
-        mechanics: Mechanics | None = None,
         hand_recorded: bool | None = None,
+        **stated: ArrayLike,
     ) -> Self:
         """Return the metadata of a plant and its controller.
 
@@ -336,21 +318,26 @@ class RunMetadata:
             name: Name of the run.
             axis: The axis that matters most; by default that of the first wall, or z.
             delay: Time from a sample to its command's effect [s]; the plant's by default.
-            mechanics: Mass and constant wrenches; the plant's by default.
             hand_recorded: True if the hand's wrench is recorded; by default if the plant has a hand.
+            stated: `inertia`, `load` and `before` in place of the plant's.
 
         Raises:
-            ParameterError: If the plant has no delay and none is given.
+            ParameterError: If the plant has no delay and none is given, a value is not finite, or an inertia is not
+                above 0.
         """
         known = getattr(plant, "timing", plant)
         late = getattr(known, "delay", None) if delay is None else delay
         if late is None:
             raise ParameterError("delay must be given for a plant that has neither timing nor delay, not None")
-        masses, faces, hand = mechanics or Mechanics.of(plant), controller.faces, getattr(plant, "hand", None)
+        faces, hand, least = controller.faces, getattr(plant, "hand", None), {"inertia": 1e-12}
+        parts = {
+            part: numbers(part, value, at_least=least.get(part, -math.inf))
+            for part, value in {**mechanics(plant), **stated}.items()
+        }
         return cls(
             period=controller.period,
             delay=number("delay", late, at_least=0.0),
-            **{part: np.broadcast_to(getattr(masses, part), 6) for part in ("inertia", "load", "before")},
+            **{part: np.broadcast_to(value, 6) for part, value in parts.items()},
             carried=controller.carried,
             faces=faces,
             name=name,

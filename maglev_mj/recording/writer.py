@@ -20,7 +20,7 @@ import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from itertools import islice
 from pathlib import Path
 from typing import IO, Any
@@ -186,18 +186,14 @@ class LiveFile:
         self._stuck = repr(None)
         self._versions = versions()  # here, for a stretch may begin in real time
         self._aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
-        self._aside.open("wb").close()
-        try:
-            self._ring = _ring(self.check if wait else None)
-            try:
-                self._process = self._start()
-            except BaseException:
-                self._ring.close()
-                raise
-        except BaseException:
-            self._aside.unlink(missing_ok=True)
-            raise
         self._result: Path | None = None
+        self._aside.open("wb").close()
+        with ExitStack() as undo:
+            undo.callback(self._aside.unlink, missing_ok=True)
+            self._ring = _ring(self.check if wait else None)
+            undo.callback(self._ring.close)
+            self._process = self._start()
+            undo.pop_all()
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
         """Begin a stretch; return the loop's recording function."""

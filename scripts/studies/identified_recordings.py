@@ -25,8 +25,8 @@ from maglev_mj.hand import HANDS, Hand, Trajectory
 from maglev_mj.laws import Bias, StickSlip
 from maglev_mj.loop import ControlLoop
 from maglev_mj.plants.sensor import Sensor
-from maglev_mj.recording import ArrayFile, Mechanics, Stretch, setup_of
-from maglev_mj.result import plain
+from maglev_mj.recording import ArrayFile, Stretch, setup_of
+from maglev_mj.recording.sample import mechanics
 from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.theory import largest_stable_stiffness, stiffest_wall
 from maglev_mj.versions import versions
@@ -141,11 +141,10 @@ def record(case: Case) -> tuple[Stretch, Array]:
         sensor=sensor,
         wrench=carried,
     )
-    known = Mechanics.of(plant)
-    inertia = np.array(known.inertia) + np.array([MASS - case.mass] * 3 + [0.0] * 3)
-    stated = Mechanics(inertia=inertia, load=(0.0, 0.0, -MASS * GRAVITY, 0.0, 0.0, 0.0), before=known.before)
+    inertia = mechanics(plant)["inertia"] + np.array([MASS - case.mass] * 3 + [0.0] * 3)
+    stated = {"inertia": inertia, "load": (0.0, 0.0, -MASS * GRAVITY, 0.0, 0.0, 0.0)}
     file = ArrayFile()
-    keep = file.begin(plant, controller, setup_of(plant, controller, delay=case.stated_delay, mechanics=stated))
+    keep = file.begin(plant, controller, setup_of(plant, controller, delay=case.stated_delay, **stated))
     anchors: list[Array] = []
 
     def look(sample: Sample, command: Command) -> None:
