@@ -30,6 +30,7 @@ from maglev_mj.recording.sample import (
     check_rows,
     check_setup,
     parsed,
+    shown,
     value_in,
 )
 
@@ -468,6 +469,13 @@ class McapStretch:
         return {name: found[twins.get(name, name) if name in copies else name] for name in (*found, *copies)}
 
 
+def _check_same(message: Any, name: str, number: int) -> None:
+    """Check that a message has the number that the messages before it imply."""
+    value = value_in(message, name)
+    if type(value) is not int or value != number:
+        raise ParameterError(f"{name} must be {number}, not {shown(value)}")
+
+
 def _same(one: Array, other: Array) -> bool:
     """Return True if two arrays are bitwise equal."""
     return bool((one.view(np.int64) == other.view(np.int64)).all())
@@ -646,14 +654,12 @@ class McapContent:
     def _begin(self, message: Any) -> None:
         if not self.about:
             raise ParameterError(f"format must be {FORMAT}, not missing")
-        number = len(self.stretches)
-        whole("stretch", value_in(message, "stretch"), at_least=number, at_most=number)
+        _check_same(message, "stretch", len(self.stretches))
         self.stretches.append(McapStretch(message, self._names))
 
     def _event(self, message: Any) -> None:
-        last = len(self.stretches) - 1
-        whole("stretch", value_in(message, "stretch"), at_least=last, at_most=last)
-        whole("tick", value_in(message, "tick"), at_least=self._tick, at_most=self._tick)
+        _check_same(message, "stretch", len(self.stretches) - 1)
+        _check_same(message, "tick", self._tick)
         missed = whole("missed", value_in(message, "missed"))
         self.events.append(f"{value_in(message, 'kind', str)}: {value_in(message, 'text', str)}")
         self.event_samples.append(sum(map(len, self.stretches)))

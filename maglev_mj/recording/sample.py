@@ -459,7 +459,7 @@ def value_in(holder: Any, name: str, kind: type | None = None) -> Any:
         raise ParameterError(f"a message must have {name}")
     value = holder[name]
     if kind is not None and not isinstance(value, kind):
-        raise ParameterError(f"{name} must be {_KINDS[kind]}, not {_shown(value)}")
+        raise ParameterError(f"{name} must be {_KINDS[kind]}, not {shown(value)}")
     return value
 
 
@@ -535,7 +535,7 @@ def _check_count(values: Array, name: str) -> None:
         raise ParameterError(f"{name} must be whole numbers of at least 0, not {values[~good][0]:g}")
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """Return a value of any size as a short text."""
     if isinstance(value, dict | list):
         return "an object" if isinstance(value, dict) else "a list"
