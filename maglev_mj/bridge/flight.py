@@ -22,6 +22,7 @@ from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingError, RecordingFile
+from maglev_mj.result import Table, wrapped
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.interactive import WEIGHT

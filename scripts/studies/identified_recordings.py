@@ -27,6 +27,7 @@ from maglev_mj.loop import ControlLoop
 from maglev_mj.plants.sensor import Sensor
 from maglev_mj.recording import ArrayFile, Stretch, setup_of
 from maglev_mj.recording.sample import mechanics
+from maglev_mj.result import plain
 from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.theory import largest_stable_stiffness, stiffest_wall
 from maglev_mj.versions import versions
