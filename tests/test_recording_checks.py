@@ -739,7 +739,7 @@ def test_the_name_of_a_run_cannot_steer_a_terminal(tmp_path: Path, capsys: Any) 
     path.write_bytes(mcap_of([(messages[0][0], {**messages[0][1], "name": ESCAPES}), *messages[1:]]))
     assert main(["analyse", str(path)]) == 0
     said = capsys.readouterr().out
-    assert "Recording of \\x1b[2J" in said and all(one.isprintable() for one in said.replace("\n", ""))
+    assert said.startswith("\\x1b[2J") and all(one.isprintable() for one in said.replace("\n", ""))
 
 
 def test_printable_texts_stay_as_they_are() -> None:

@@ -41,7 +41,7 @@ They depend on revision, date or speed of the machine.
 """
 
 _CHOSEN_BY_COST = {"cheapest", "furthest", "steps"}
-_ROUNDING_NOISE = {"comparison", "growing", "digest", "standard_error", "low", "high", "residual"}
+_ROUNDING_NOISE = {"comparison", "growing", "grows", "digest", "standard_error", "low", "high", "residual"}
 """JSON names of differences at rounding level.
 
 Differences between equal runs, growing walls at the limit, digests, errors of exact fits.
