@@ -20,10 +20,8 @@ from maglev_mj.plants import MuJoCoBatchPlant, Timing
 from maglev_mj.studies import stability_map as growing
 from maglev_mj.studies.levels import SteppedLoop, boundary_shift
 from maglev_mj.studies.stability_map import (
-    Growth,
     RestingWall,
     StabilityParameters,
-    grow_together,
     measure_growth,
     run_stability,
 )
@@ -351,15 +349,9 @@ def test_a_loop_that_no_block_decides_is_judged_by_its_trend(rate: float) -> Non
     assert decided.tolist() == [False, True, True]
 
 
-def test_walls_of_several_loops_have_their_own_growth_in_their_own_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    def measured(walls: Any, plant: str) -> Growth:
-        assert plant == "exact" and len({wall.period for wall in walls}) == 1
-        values = np.array([wall.stiffness for wall in walls])
-        return Growth(values > 3000.0, values, values)
-
-    monkeypatch.setattr(growing, "measure_growth", measured)
+def test_walls_of_several_loops_have_their_own_growth_in_their_own_place() -> None:
     periods = (0.005, 0.004, 0.003, 0.005, 0.004)
-    walls = [RestingWall(stiffness=1000.0 * (1 + place), period=period) for place, period in enumerate(periods)]
-    found = grow_together(walls, "exact")
-    assert found.rate.tolist() == [1000.0, 2000.0, 3000.0, 4000.0, 5000.0]
-    assert found.stable.tolist() == [False, False, False, True, True]
+    walls = [RestingWall(stiffness=4000.0 * (1 + place), period=period) for place, period in enumerate(periods)]
+    found, alone = measure_growth(walls), [measure_growth([wall]) for wall in walls]
+    assert found.rate == pytest.approx([one.rate[0] for one in alone], rel=1e-9) and len(set(found.rate)) == 5
+    assert found.stable.tolist() == [one.stable[0] for one in alone] and len(set(found.stable)) == 2

@@ -40,21 +40,17 @@ def _found(text: str) -> Scene | None:
     return None if text == "all" else preset_of(text).scene
 
 
-def _add_phase(parser: Parser, cls: type[Scene]) -> None:
+def _add_range(parser: Parser, cls: type[Scene]) -> None:
+    """Add the options of the range of validity."""
+    usual, group = Range(), parser.group(_RANGE)
     parser.set_defaults(phase=0.0)
     if cls.takes_phase:
-        parser.group(_RANGE).add_argument(
+        group.add_argument(
             "--phase",
             type=number_option,
             metavar="X",
             help="the samples are at (k + phase) period, in [0, 1) (default 0)",
         )
-
-
-def _add_range(parser: Parser, cls: type[Scene]) -> None:
-    """Add the options of the range of validity."""
-    _add_phase(parser, cls)
-    usual, group = Range(), parser.group(_RANGE)
     parser.epilog = (
         "Figures are the worst over phases, jitter seeds and gains of the whole device, and over 4096 cases more on "
         f"the exact plant. A model keeps a tolerance if {MARGIN:g} times its figure does, in all cases of the former "

@@ -446,7 +446,12 @@ def measure_fidelity(
     cheapest = None
     if level is not None:
         index = level_index(level.level)
-        check = partial(_missing_of, scene, cases, motions[index:], level.level, over.share)
+
+        def distances_of(row: StepResult, level: str = level.level) -> list[float]:
+            options: Any = {"integrator": row.integrator, "longest_step": row.step}
+            moved = {case: run_case(scene, level, cases[case], **options) for case in motions[index]}
+            return list(distances_above([moved, *motions[index:]], 0).values())
+
         beyond = worst_of(screen[index], over.share)
         if not unscreened and screen[index].max() < _ROUNDING:
             unscreened = f"the exact plant says nothing on the level {level.level}"
@@ -458,7 +463,7 @@ def measure_fidelity(
             step_of(scene, level.level),
             lambda value: MARGIN * value <= kept,
             over.boundary,
-            lambda row: max(check(row), beyond),
+            lambda row: max(worst_of(distances_of(row), over.share), beyond),
         )
     jump = largest_jump(screen)
     return FidelityResult(preset, kept, over, cases, screened, jump, met, levels, level, steps, cheapest, unscreened)
@@ -611,20 +616,6 @@ def measure_steps(
     ]
     costs = dict(zip(sound, measure_costs(makers, list(sound.values()), repeats), strict=True))
     return tuple(StepResult(*key, distance(motion, truth), costs.get(key, math.inf)) for key, motion in motions.items())
-
-
-def _missing_of(
-    scene: Scene, cases: Sequence[Case], motions: Motions, level: str, share: float, row: StepResult
-) -> float:
-    """Return a step's distance from the level and above [m].
-
-    Distance of its motions from those of the level and of the levels above it, in the worst case of the share.
-    """
-    found = []
-    for index in motions[0]:
-        motion = run_case(scene, level, cases[index], integrator=row.integrator, longest_step=row.step)
-        found.append(max(distance(motion, above[index]) for above in motions if index in above))
-    return worst_of(found, share)
 
 
 def _choose(

@@ -82,29 +82,13 @@ LEVELS: tuple[Level, ...] = (
     Level("coils", "six coils that do not turn, 10 A each", {"current_limit": Spec.peak_current.value}),
     Level("turning", "coils that turn with the flotor", {"coils": True}),
     Level("lag", "drivers of 2 kHz, as 80 µs more of delay", {}, _LAG),
-    Level(
-        "falloff",
-        "a tenth of the force lost at the end of the range",
-        {"force_falloff": 0.1},
-        _LAG,
-    ),
+    Level("falloff", "a tenth of the force lost at the end of the range", {"force_falloff": 0.1}, _LAG),
     Level("steps", "a sensor of 5 µm and 10 µrad", {"sensor": _STEPS}, _LAG),
-    Level(
-        "spots",
-        "LEDs and diodes of 0.8 µm, the pose by Newton",
-        {"sensor": _SPOTS},
-        _LAG,
-    ),
+    Level("spots", "LEDs and diodes of 0.8 µm, the pose by Newton", {"sensor": _SPOTS}, _LAG),
     Level("jitter", "conversions that vary by 0.1 ms either way", {}, _LAG, _JITTER),
     Level("stops", "metal stops", {"stops": True}, _LAG, _JITTER),
     Level("filter", "the drivers' lag as the filter that it is", {"driver_lag": True}, 0.0, _JITTER),
-    Level(
-        "flexible",
-        "a handle that swings at 1 kHz",
-        {"flexible": True},
-        0.0,
-        _JITTER,
-    ),
+    Level("flexible", "a handle that swings at 1 kHz", {"flexible": True}, 0.0, _JITTER),
 )
 """Model levels in order, each including those below."""
 

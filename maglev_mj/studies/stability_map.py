@@ -175,18 +175,6 @@ def _alike(walls: Sequence[RestingWall]) -> Mapping[tuple[Any, ...], list[int]]:
     return alike
 
 
-def grow_together(walls: Sequence[RestingWall], plant: str) -> Growth:
-    """Measure the growth of any walls, batched by loop.
-
-    They may differ in period, delay, mass and hand too.
-    """
-    grown = [
-        (indices, measure_growth([walls[index] for index in indices], plant)) for indices in _alike(walls).values()
-    ]
-    order = np.argsort(np.concatenate([indices for indices, _ in grown]))
-    return Growth(*(np.concatenate(parts)[order] for parts in zip(*(growth for _, growth in grown), strict=True)))
-
-
 def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keywords: Any) -> Growth:
     """Simulate walls with a resting flotor; measure the growth.
 
@@ -197,7 +185,7 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
     away. A loop undecided after 8192 samples is unstable if its last quarter is not smaller than its second.
 
     Args:
-        walls: The walls, which differ in their gains alone.
+        walls: The walls; those that differ in their gains alone are one batch.
         plant: "exact" or "mujoco"; the latter by corrected Euler where that is exact, otherwise by RK4.
         keywords: Further keywords of `Scene.plant`, such as another timing, and of the plant.
 
@@ -207,9 +195,10 @@ def measure_growth(walls: Sequence[RestingWall], plant: str = "exact", **keyword
     check_one_of("plant", _BATCHES, plant)
     count = len(walls)
     stable, rate, spent = np.zeros(count, dtype=bool), np.full(count, np.nan), np.zeros(count)
-    undecided = np.arange(count)
-    for ticks in _PATIENCE:
-        if undecided.size:
+    for undecided in map(np.array, _alike(walls).values()):
+        for ticks in _PATIENCE:
+            if not undecided.size:
+                break
             some = [walls[index] for index in undecided.tolist()]
             starts = [wall.start() for wall in some]
             pose, wrench = (np.array(parts) for parts in zip(*((start.pose, start.wrench) for start in starts)))
@@ -522,7 +511,7 @@ def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:
     Each cell has plant, period, delay, mass, hand, stiffness and damping; they share the plant.
     """
     names = (*_AROUND[1:], "stiffness", "damping")
-    growth = grow_together([RestingWall(**{name: cell[name] for name in names}) for cell in cells], cells[0]["plant"])
+    growth = measure_growth([RestingWall(**{name: cell[name] for name in names}) for cell in cells], cells[0]["plant"])
     return [
         {"stable": stable, "rate": rate, "ticks": int(ticks)}
         for stable, rate, ticks in zip(*(part.tolist() for part in growth), strict=True)
