@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.frames import ZERO, Command
-from maglev_mj.hand import SpringHand
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import Recording
 from maglev_mj.recording.mcap import STRETCH_NUMBER as NUMBER
 from maglev_mj.recording.mcap import layout_of, packed

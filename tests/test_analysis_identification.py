@@ -23,9 +23,9 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.cli import main
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import ControlLoop
 from maglev_mj.frames import Array, Mask
-from maglev_mj.loop import ControlLoop
 from maglev_mj.plants.sensor import Sensor
 from maglev_mj.recording import ArrayFile, Stretch
 from maglev_mj.scenes.drop import Drop

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from maglev_mj.control.laws import LinearController, LowPass, ObserverWall, Window
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.hand import Hand, get_hand
-from maglev_mj.laws import LinearController, LowPass, ObserverWall, Window
+from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.theory import boundary, is_stable, largest_stable_stiffness, stable_ranges
 from maglev_mj.theory.boundary import boundary_of, first_end, ranges_of, scales, spans, stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop, pd

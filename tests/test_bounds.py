@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import Hand
+from maglev_mj.plants.hand import Hand
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory import bounds, largest_stable_stiffness, stiffest_wall
 

@@ -26,12 +26,12 @@ from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Fault, State
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Bias, FiniteDifference, Hold
+from maglev_mj.control.loop import Plant, drive
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.hand import HandForce, SpringHand, Trajectory
-from maglev_mj.laws import Bias, FiniteDifference, Hold
-from maglev_mj.loop import drive
-from maglev_mj.plants import MuJoCoPlant, Plant, SpotSensor
+from maglev_mj.plants import MuJoCoPlant, SpotSensor
+from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 from tests.recorded import command_row

@@ -27,8 +27,9 @@ from maglev_mj.bridge.realtime import RealtimeError, realtime
 from maglev_mj.bridge.simulated_links import Impairment, UdpProxy
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.bridge.wire import StateReport
+from maglev_mj.control.loop import Plant
 from maglev_mj.net.links import UdpLink, UdpServer
-from maglev_mj.plants import Plant, SpotSensor
+from maglev_mj.plants import SpotSensor
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop

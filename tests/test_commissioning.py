@@ -15,8 +15,8 @@ from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, Effect, InjectedFa
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.cli.twin import foam
-from maglev_mj.coils import CoilMap
 from maglev_mj.errors import ParameterError
+from maglev_mj.plants.coils import CoilMap
 
 KNOWN = Calibration.nominal()
 COILS = range(6)

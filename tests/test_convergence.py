@@ -13,8 +13,8 @@ import pytest
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
-from maglev_mj.hand import Hand
 from maglev_mj.plants import INTEGRATORS, MuJoCoBatchPlant
+from maglev_mj.plants.hand import Hand
 from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.spec import INERTIA

@@ -17,7 +17,7 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import HANDS, get_hand
+from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall, growing_cases, hardest_contact
 from maglev_mj.theory import Case, DesignedWall, WallRequirements, design_wall, is_stable, worst_case
 from maglev_mj.theory.boundary import ranges_of

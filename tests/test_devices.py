@@ -19,12 +19,12 @@ import pytest
 from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.twin import Twin, TwinParameters
-from maglev_mj.coils import CoilDrive, CoilMap
-from maglev_mj.energy import EnergyAccount, HandWork, PassivityObserver, actuator_work, hand_work
 from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, Sample, quaternion
-from maglev_mj.model import load_model, model_path
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
+from maglev_mj.plants.coils import CoilDrive, CoilMap
+from maglev_mj.plants.energy import EnergyAccount, HandWork, PassivityObserver, actuator_work, hand_work
+from maglev_mj.plants.model import load_model, model_path
 from maglev_mj.spec import GRAVITY, INERTIA
 
 PERIOD = 0.005

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import STOCK, BounceSummary, perceived_hardness
 from maglev_mj.scenes.run import run, run_phases
-from maglev_mj.trace import Trace
 from tests.sweeps import sweep
 
 G = 9.81

@@ -11,9 +11,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller, Sample
-from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.frames import Array, components
-from maglev_mj.laws import (
+from maglev_mj.control.laws import (
     AdaptiveWindow,
     Dahl,
     ElastoPlastic,
@@ -26,6 +24,8 @@ from maglev_mj.laws import (
     StickSlip,
     Wall,
 )
+from maglev_mj.errors import DivergenceError, ParameterError
+from maglev_mj.frames import Array, components
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.stick_slip import LAWS
 from maglev_mj.scenes.stick_slip import StickSlip as StickSlipScene

@@ -12,11 +12,11 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from failures import random_delay_rate
+from maglev_mj.control.laws import LowPass, VelocityEstimator, Window
+from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import HANDS, get_hand
-from maglev_mj.laws import LowPass, VelocityEstimator, Window
-from maglev_mj.loop import ControlLoop
 from maglev_mj.plants import MuJoCoBatchPlant, Timing
+from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.studies import stability_map as growing
 from maglev_mj.studies.levels import SteppedLoop, boundary_shift
 from maglev_mj.studies.stability_map import (

@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose
 from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Component, rotation_matrix
-from maglev_mj.hand import (
+from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant
+from maglev_mj.plants.hand import (
     HANDS,
     GuidedHand,
     Hand,
@@ -20,7 +21,6 @@ from maglev_mj.hand import (
     Trajectory,
     get_hand,
 )
-from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant
 from maglev_mj.spec import INERTIA
 
 MASS, TILT = INERTIA[0], INERTIA[3]

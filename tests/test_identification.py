@@ -13,7 +13,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj.beams import PoseTracker
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.identification import (
     LINES,
@@ -32,12 +31,13 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin as BridgeTwin
 from maglev_mj.bridge.twin import TwinParameters
-from maglev_mj.coils import CoilMap
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Bias
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.laws import Bias
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
+from maglev_mj.plants.beams import PoseTracker
+from maglev_mj.plants.coils import CoilMap
 
 NOMINAL = Calibration.nominal()
 SLOW, FAST = (0.005, 0.0015), (0.001, 0.0003)

@@ -16,11 +16,11 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Scene, Start, Timing, drive, run
 from maglev_mj.cli import main
+from maglev_mj.control.laws import AxisLaw, Bias, Hold, Law, Wall, gain
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command
-from maglev_mj.hand import get_hand
-from maglev_mj.laws import AxisLaw, Bias, Hold, Law, Wall, gain
 from maglev_mj.parameters import param
+from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene

@@ -10,9 +10,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from maglev_mj import AXES, Controller, ExactPlant, Sample, Timing, drive
-from maglev_mj.errors import ParameterError
-from maglev_mj.frames import components
-from maglev_mj.laws import (
+from maglev_mj.control.laws import (
     AxisLaw,
     Bias,
     Dahl,
@@ -31,6 +29,8 @@ from maglev_mj.laws import (
     check_law,
     gain,
 )
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import components
 
 T = 0.005
 GAINS: dict[str, Any] = {"stiffness": 3000.0, "damping": 30.0}

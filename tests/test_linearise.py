@@ -12,8 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from maglev_mj import AXES, Controller, ExactPlant, Timing, Wall, drive
-from maglev_mj.errors import MissingPackageError, ParameterError
-from maglev_mj.laws import (
+from maglev_mj.control.laws import (
     AdaptiveWindow,
     AxisLaw,
     Bias,
@@ -35,6 +34,7 @@ from maglev_mj.laws import (
     Window,
     gain,
 )
+from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory import Verdict, judge, largest_modulus, stability, stated_gains

@@ -33,10 +33,10 @@ from websockets.typing import Origin, Subprotocol
 from live_client import LiveClient
 from maglev_mj import AXES
 from maglev_mj.errors import MissingPackageError, ParameterError
-from maglev_mj.hand import SpringHand
 from maglev_mj.live import LiveServer, LiveServerError, guard
 from maglev_mj.live.guard import forward, objection
 from maglev_mj.live.settings import NICE, Answer, Requests, State, checked, values_of
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
 from maglev_mj.recording import ArrayFile, tee
 from maglev_mj.recording.writer import Ring, RowReader
@@ -781,7 +781,7 @@ def test_a_scene_goes_on_where_the_process_of_its_server_does_not(end: signal.Si
 
 ODD = """
 import os, time
-from maglev_mj.laws import Hold
+from maglev_mj.control.laws import Hold
 from maglev_mj.parameters import param
 from maglev_mj.scenes import Scene
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, drive
+from maglev_mj.control.laws import AdaptiveWindow, FiniteDifference, Law, LowPass, StickSlip, VelocityEstimator, Window
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError
-from maglev_mj.laws import AdaptiveWindow, FiniteDifference, Law, LowPass, StickSlip, VelocityEstimator, Window
 
 
 class Recorder(ExactPlant):

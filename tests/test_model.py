@@ -11,16 +11,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj import Command, Controller, Hold, MuJoCoPlant, Timing, Wall, drive, model
-from maglev_mj.coils import CoilMap
+from maglev_mj import Command, Controller, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, quaternion
-from maglev_mj.hand import Hand, get_hand
-from maglev_mj.model import COILS, Device, load_model, model_path, scenes
-from maglev_mj.plants import Sensor
-from maglev_mj.report import device_report, position_bandwidth
+from maglev_mj.plants import Sensor, model
+from maglev_mj.plants.coils import CoilMap
+from maglev_mj.plants.hand import Hand, get_hand
+from maglev_mj.plants.model import COILS, Device, load_model, model_path, scenes
+from maglev_mj.plants.report import device_report, position_bandwidth
+from maglev_mj.plants.shapes import envelope
 from maglev_mj.result import WIDTH
-from maglev_mj.shapes import envelope
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, Spec
 
 SPEC = Spec()

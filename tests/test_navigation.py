@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.hand import SpringHand
-from maglev_mj.loop import ControlLoop
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import live_plant

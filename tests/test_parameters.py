@@ -11,10 +11,10 @@ import pytest
 import maglev_mj
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.errors import ParameterError
-from maglev_mj.model import load_model
 from maglev_mj.parameters import flag, number, numbers, parsed_number
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.base import PlantKeywords
+from maglev_mj.plants.model import load_model
 
 OURS = {"ExactPlant.six", "MuJoCoPlant.six"}
 """Methods that the package calls itself."""

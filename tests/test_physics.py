@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
-from maglev_mj.energy import actuator_work
 from maglev_mj.errors import ParameterError
+from maglev_mj.plants.energy import actuator_work
+from maglev_mj.plants.trace import Trace
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory.ideal import analog_wall
-from maglev_mj.trace import Trace
 from tests.closed_loop import largest_modulus, pd_matrix
 
 M, G, T = 0.7, 9.81, 0.005

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Timing, drive
+from maglev_mj.control.laws import Hold, Wall
+from maglev_mj.control.timeline import Timeline
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
-from maglev_mj.hand import Hand, motion, transition
-from maglev_mj.laws import Hold, Wall
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
 from maglev_mj.plants.exact import Amendment, DryFriction, HeldAxis, Lag
+from maglev_mj.plants.hand import Hand, motion, transition
+from maglev_mj.plants.trace import TraceRecorder
 from maglev_mj.spec import INERTIA
-from maglev_mj.timeline import Timeline
-from maglev_mj.trace import TraceRecorder
 from tests.sweeps import sweep
 
 T = 0.005
@@ -103,7 +103,7 @@ def test_a_jittering_answer_with_the_request_is_as_one_before_it(
 ) -> None:
     # Where the switch falls on the sample itself too, which leaves one segment of one device.
     if draw is not None:
-        monkeypatch.setattr("maglev_mj.timeline._draws", lambda seed, block: (draw,) * 256)
+        monkeypatch.setattr("maglev_mj.control.timeline._draws", lambda seed, block: (draw,) * 256)
     made = Timing(period=T, delay=delay, jitter=jitter)
     direct, queued = Timeline(made, 0), Timeline(made, 0)
     for tick in range(1, 600):

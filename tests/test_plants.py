@@ -13,16 +13,16 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing, drive
-from maglev_mj.coils import limited_wrench
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Hold, Wall
 from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
-from maglev_mj.hand import Hand
-from maglev_mj.laws import Hold, Wall
 from maglev_mj.plants import SampledPlant, Sensor
+from maglev_mj.plants.coils import limited_wrench
+from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.sensor import Measure
+from maglev_mj.plants.trace import Trace
 from maglev_mj.spec import INERTIA
-from maglev_mj.trace import Trace
 
 PLANTS: list[type[Any]] = [ExactPlant, MuJoCoPlant]
 both = pytest.mark.parametrize("plant_type", PLANTS)

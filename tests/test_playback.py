@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import SpringHand
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import Recording
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.playback import ACTIONS, Replay

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from impacts import limited_drop
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Sample, Timing, Wall, drive
-from maglev_mj.energy import PassivityObserver, actuator_work
+from maglev_mj.control.laws import Law, ObserverWall, PassivityController, PredictiveWall
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import components
-from maglev_mj.hand import exponential
-from maglev_mj.laws import Law, ObserverWall, PassivityController, PredictiveWall
+from maglev_mj.plants.energy import PassivityObserver, actuator_work
+from maglev_mj.plants.hand import exponential
 from maglev_mj.scenes.figures import perceived_hardness
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory import largest_modulus, least_dynamic_stiffness

@@ -26,7 +26,7 @@ from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight, StopSwitch
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.wire import Fault
-from maglev_mj.laws.base import as_law
+from maglev_mj.control.laws.base import as_law
 from maglev_mj.live import LiveServer
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene

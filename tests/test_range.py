@@ -15,12 +15,12 @@ import pytest
 
 from maglev_mj import AXES, cli
 from maglev_mj.frames import Array
+from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import Variants, run, run_phases
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import RANGE, Spec
-from maglev_mj.trace import Trace
 from tests.sweeps import sweep
 
 LINE = re.compile(r"  Beyond the range of (.*): (.*)")

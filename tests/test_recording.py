@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import main
-from maglev_mj.loop import drive
+from maglev_mj.control.loop import drive
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, best_suffix, open_recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop

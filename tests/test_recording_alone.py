@@ -20,13 +20,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import laws
 from maglev_mj.cli import main
 from maglev_mj.cli import replay as command
-from maglev_mj.controller import Controller
-from maglev_mj.frames import AXES
-from maglev_mj.hand import GuidedHand, Hand, SpringHand, Trajectory
-from maglev_mj.laws import (
+from maglev_mj.control import laws
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import (
     AdaptiveWindow,
     AxisLaw,
     Bias,
@@ -49,8 +47,10 @@ from maglev_mj.laws import (
     Wall,
     Window,
 )
-from maglev_mj.loop import drive
+from maglev_mj.control.loop import drive
+from maglev_mj.frames import AXES
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
+from maglev_mj.plants.hand import GuidedHand, Hand, SpringHand, Trajectory
 from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
@@ -779,7 +779,7 @@ def test_the_source_of_a_scene_without_a_law_of_its_own_is_attached(folder: Path
 
 
 OWN = """
-from maglev_mj.laws import AxisLaw, gain
+from maglev_mj.control.laws import AxisLaw, gain
 from maglev_mj.parameters import param
 from maglev_mj.scenes.scene import Scene, Start
 

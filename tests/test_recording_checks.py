@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import main
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
@@ -492,7 +492,7 @@ def refusing(answer: float) -> type[Controller]:
     ],
 )
 def test_no_number_is_the_same_as_one(recorded: float, answered: float, same: bool) -> None:
-    from maglev_mj.loop import ControlLoop
+    from maglev_mj.control.loop import ControlLoop
     from maglev_mj.recording import ArrayFile
 
     file, plant = ArrayFile(), ExactPlant(Timing())
@@ -687,7 +687,7 @@ def test_what_unpacks_to_a_gigabyte_is_one_line_and_little_memory(slow: int, tmp
 
 def test_a_recording_of_many_samples_is_within_what_may_be_unpacked(tmp_path: Path) -> None:
     """A flotor at rest packs best of all."""
-    from maglev_mj.loop import drive
+    from maglev_mj.control.loop import drive
     from maglev_mj.recording import open_recording
 
     path = tmp_path / "run.mcap"

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import main, view
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Wall
+from maglev_mj.control.loop import drive
 from maglev_mj.display.remote import ShowReport
-from maglev_mj.laws import Wall
-from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import Recording, RecordingError, load_samples, open_recording, setup_of
 from maglev_mj.recording.files import row_of

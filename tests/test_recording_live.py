@@ -18,13 +18,13 @@ import pytest
 
 from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Bias, Wall
+from maglev_mj.control.loop import drive
 from maglev_mj.errors import MissingPackageError, ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.hand import Hand
-from maglev_mj.laws import Bias, Wall
-from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.plants.hand import Hand
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, load_samples, open_recording, setup_of
 from maglev_mj.recording.sample import ROW, TOTALS
 from maglev_mj.recording.verify import verify
@@ -205,7 +205,7 @@ RUN = """
 import sys, time
 from pathlib import Path
 from maglev_mj.session import Session, Pacer
-from maglev_mj.hand import SpringHand
+from maglev_mj.plants.hand import SpringHand
 session = Session(hand=SpringHand(), folder=Path(sys.argv[1]))
 session.act("friction"); session.act("record")
 session.hand.target = [0.012, 0.003, 0.0, 0.0, 0.1, 0.0]
@@ -655,8 +655,8 @@ def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
 
 
 OWN = """
-from maglev_mj.hand import Hand
-from maglev_mj.laws import Bias, Wall
+from maglev_mj.plants.hand import Hand
+from maglev_mj.control.laws import Bias, Wall
 from maglev_mj.parameters import param
 from maglev_mj.scenes.scene import Scene, Start
 

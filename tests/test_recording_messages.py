@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from maglev_mj.frames import ZERO, quaternion
+from maglev_mj.plants.shapes import ARROW, GRIP, shapes
 from maglev_mj.recording import Recording, mcap, open_recording
 from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, RunMetadata, Totals
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session.replay import write_run
-from maglev_mj.shapes import ARROW, GRIP, shapes
 from tests.recorded import decoder, messages_in
 
 TOPICS = ("/maglev/stretch", "/maglev/sample", "/maglev/event", "/tf", "/maglev/scene", "/log")
@@ -156,8 +156,8 @@ def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path
 
 
 def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
-    from maglev_mj.controller import Controller
-    from maglev_mj.loop import drive
+    from maglev_mj.control.controller import Controller
+    from maglev_mj.control.loop import drive
     from maglev_mj.plants import ExactPlant, Timing
     from maglev_mj.recording.messages import _EVENT_FIELDS
 

@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from maglev_mj.control.laws import Bias, Hold, Law
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.frames import AXES, Command, Component, Sample
-from maglev_mj.hand import GuidedHand, Hand, HandForce, Trajectory
-from maglev_mj.laws import Bias, Hold, Law
 from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
+from maglev_mj.plants.hand import GuidedHand, Hand, HandForce, Trajectory
 from maglev_mj.result import plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import STOCK, Figure, figure, figures_named

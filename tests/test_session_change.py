@@ -10,8 +10,8 @@ import pytest
 
 from maglev_mj.display.banner import Banner, banner
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import param
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Joystick

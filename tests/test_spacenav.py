@@ -30,8 +30,8 @@ from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.hand import SpringHand, Trajectory
 from maglev_mj.parameters import param
+from maglev_mj.plants.hand import SpringHand, Trajectory
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Session, Snapshot

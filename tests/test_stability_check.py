@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES
+from maglev_mj.control.laws import AxisLaw, Hold, Law, StickSlip, gain
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Sample
-from maglev_mj.laws import AxisLaw, Hold, Law, StickSlip, gain
-from maglev_mj.model import model_path
 from maglev_mj.parameters import param
+from maglev_mj.plants.model import model_path
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import INERTIA, MASS, InteractiveScene

@@ -10,7 +10,7 @@ import pytest
 from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.safety import Limits, OutputLimiter, ThermalModel
-from maglev_mj.timeline import Timeline, recorded_switches, split_delay
+from maglev_mj.control.timeline import Timeline, recorded_switches, split_delay
 
 T = 0.005
 

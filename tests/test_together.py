@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from maglev_mj import find_scene
+from maglev_mj.control.laws import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.errors import ParameterError
-from maglev_mj.laws import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.scenes import together
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.together import law_kind, stacked

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from maglev_mj.hand import SpringHand
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.session import Pacer, Session
 from tests.virtual_screen import VirtualScreen, waited
 

@@ -5,7 +5,7 @@ import pytest
 
 from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ParameterError
-from maglev_mj.trace import Trace
+from maglev_mj.plants.trace import Trace
 
 
 def bounce(**options: object) -> Trace:

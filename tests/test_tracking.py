@@ -12,12 +12,12 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from maglev_mj import beams as sensing
-from maglev_mj.beams import FARTHEST, MOST_TURNED, Beams, FastBeams, PoseTracker
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.frames import Array, rotation_matrix
-from maglev_mj.model import beams
 from maglev_mj.plants import SpotReader, SpotSensor
+from maglev_mj.plants import beams as sensing
+from maglev_mj.plants.beams import FARTHEST, MOST_TURNED, Beams, FastBeams, PoseTracker
+from maglev_mj.plants.model import beams
 from maglev_mj.spec import Spec
 
 QUANTUM = 8e-7

@@ -23,7 +23,8 @@ import pytest
 
 from live_client import LiveClient
 from maglev_mj.frames import AXES, Array
-from maglev_mj.hand import SpringHand
+from maglev_mj.plants.hand import SpringHand
+from maglev_mj.plants.shapes import GRIP
 from maglev_mj.recording import Recording, RecordingError
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import Scene
@@ -31,7 +32,6 @@ from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import EMERGENCY_STOP, device_actions
 from maglev_mj.session import Session as LiveSession
 from maglev_mj.session.replay import rebuild
-from maglev_mj.shapes import GRIP
 from maglev_mj.viewer.framing import Framing
 from maglev_mj.viewer.keys import AXIS, CAMERA, KEYS, SCREENSHOT, help_rows, key_of, keys_of
 from maglev_mj.viewer.layout import Area

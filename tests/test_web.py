@@ -33,13 +33,13 @@ from maglev_mj.cli.web import PORT, chosen_page
 from maglev_mj.display.glide import SILENCE, Glide
 from maglev_mj.display.remote import RemoteSession, RemoteViewer
 from maglev_mj.errors import MaglevError
-from maglev_mj.hand import SpringHand
 from maglev_mj.net.addresses import ListenError, listen
 from maglev_mj.parameters import Turn, param
+from maglev_mj.plants.hand import SpringHand
+from maglev_mj.plants.shapes import GRIP, Shape, shapes
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
-from maglev_mj.shapes import GRIP, Shape, shapes
 from maglev_mj.web.controls import Choice, Slider, Switch, control
 from maglev_mj.web.grab import Grab
 from maglev_mj.web.guard import Door

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from browser import chromium
-from maglev_mj.hand import SpringHand
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import ArrayFile
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.playback import Replay

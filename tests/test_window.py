@@ -23,11 +23,11 @@ from maglev_mj.display.stability_map import margin
 from maglev_mj.display.stops import met_stops
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
+from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import Note, Pacer, Session, Snapshot, device_actions
-from maglev_mj.shapes import GRIP
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
 from maglev_mj.viewer.framing import Framing, directions
 from maglev_mj.viewer.keys import AXIS, KEYS, help_rows

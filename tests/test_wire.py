@@ -45,8 +45,8 @@ from maglev_mj.bridge.wire import (
     newer,
 )
 from maglev_mj.errors import ParameterError
-from maglev_mj.model import COILS
 from maglev_mj.net.links import cobs_encode
+from maglev_mj.plants.model import COILS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = (ROOT / "docs" / "reference" / "protocol.md").read_text(encoding="utf-8")

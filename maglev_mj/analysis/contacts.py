@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj.analysis.motion import Motion
-from maglev_mj.energy import actuator_work, hand_work
 from maglev_mj.frames import AXES, Array, Mask, unit_of
+from maglev_mj.plants.energy import actuator_work, hand_work
+from maglev_mj.plants.trace import Trace
 from maglev_mj.recording import RunMetadata
 from maglev_mj.recording.sample import Face
 from maglev_mj.result import Table, number_text, plain, with_unit
 from maglev_mj.scenes.figures import Hardness, perceived_hardness, summarise_bounce
-from maglev_mj.trace import Trace
 
 _HARDNESS_WINDOW = 0.005
 """Window of the force rise for the hardness [s]."""

@@ -32,6 +32,7 @@ from maglev_mj.analysis.fit import (
     is_inside,
 )
 from maglev_mj.analysis.motion import reconstruct
+from maglev_mj.control.timeline import recorded_switches, split_delay
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.recording import RunMetadata, Stretch
@@ -40,7 +41,6 @@ from maglev_mj.recording.sample import Face
 from maglev_mj.result import Table, plain
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.closed_loop import MOST_PERIODS
-from maglev_mj.timeline import recorded_switches, split_delay
 
 _MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6
 _CLEAR = 10.0

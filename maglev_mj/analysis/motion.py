@@ -8,10 +8,10 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from maglev_mj.control.timeline import recorded_switches
 from maglev_mj.frames import Array, Mask
+from maglev_mj.plants.trace import Trace
 from maglev_mj.recording import InvalidRecordingError, RunMetadata, Stretch
-from maglev_mj.timeline import recorded_switches
-from maglev_mj.trace import Trace
 
 _ROUNDING = 1e-9
 

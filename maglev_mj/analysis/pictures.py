@@ -14,8 +14,8 @@ from maglev_mj.analysis import Run, StretchReport
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure
+from maglev_mj.plants.trace import Trace
 from maglev_mj.recording import Recording, Samples
-from maglev_mj.trace import Trace
 
 _STILL = 1e-6
 _SHOWN, _LEAD, _POINTS = 0.4, 0.1, 2001

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from maglev_mj.analysis.contacts import StretchFigures, axis_row, by_axis, stretch_figures
 from maglev_mj.analysis.identification import Identification, identify
 from maglev_mj.analysis.motion import Motion, reconstruct
+from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.hand import RecordedHand
-from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
+from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
 from maglev_mj.recording.recording import READ_STRETCH
 from maglev_mj.result import Result, Table, plain

@@ -16,10 +16,10 @@ import numpy as np
 from maglev_mj.bridge.realtime import LatencyHistogram, interrupt
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.takeoff import LandingReport
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingError, RecordingFile
 from maglev_mj.result import Table, wrapped

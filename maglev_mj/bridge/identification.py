@@ -30,15 +30,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.coils import CoilMap
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import AxisLaw, Bias, Hold, Law, gain
+from maglev_mj.control.loop import Answers, ControlLoop, Plant
+from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample
-from maglev_mj.laws import AxisLaw, Bias, Hold, Law, gain
-from maglev_mj.loop import Answers, ControlLoop
 from maglev_mj.parameters import number, numbers
-from maglev_mj.plants import Plant
-from maglev_mj.timeline import split_delay
+from maglev_mj.plants.coils import CoilMap
 
 LINES = np.array([[4.5 + axis, 10.5 + axis] for axis in range(6)])
 """Excitation frequencies, two per axis [Hz], (6, 2).

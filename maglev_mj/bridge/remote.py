@@ -10,7 +10,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn, Self
 
-from maglev_mj.beams import PoseTracker
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
@@ -28,10 +27,11 @@ from maglev_mj.bridge.safety import (
 from maglev_mj.bridge.takeoff import LandingReport, Leader, Motion, off_stop, shown
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Fault, Frame, Operation, State, StateReport, fault_names
+from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.loop import ControlLoop
 from maglev_mj.net.links import Link, LinkError, open_link
+from maglev_mj.plants.beams import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
 _NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.wire import Fault
-from maglev_mj.coils import CoilMap, limited_wrench
+from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, clipped
 from maglev_mj.parameters import Parameters, numbers, param
+from maglev_mj.plants.coils import CoilMap, limited_wrench
 from maglev_mj.spec import Spec
-from maglev_mj.timeline import Timeline, Timing
 
 WARNING_RISE = 0.8
 """Temperature rise of a warning, as share of the limit."""

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Bias, Hold
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.hand import Trajectory
-from maglev_mj.laws import Bias, Hold
 from maglev_mj.parameters import number
+from maglev_mj.plants.hand import Trajectory
 from maglev_mj.spec import Spec
 
 _ASIDE, _ASKEW = 0.002, math.radians(3.0)

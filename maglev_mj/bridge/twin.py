@@ -25,10 +25,10 @@ from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.wire import Codec, Fault, State, StateReport, fault_names
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import ZERO, Array
-from maglev_mj.hand import HandForce
 from maglev_mj.net.links import Address, Server
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
+from maglev_mj.plants.hand import HandForce
 from maglev_mj.result import wrapped
 from maglev_mj.spec import Spec
 

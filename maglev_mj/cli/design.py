@@ -13,7 +13,7 @@ from maglev_mj.cli.pictures import chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import HANDS
+from maglev_mj.plants.hand import HANDS
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.theory import GOALS, LAWS, WallRequirements, design_wall

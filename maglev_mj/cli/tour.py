@@ -9,8 +9,8 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.hand_device import add_hand_device, chosen_hand_device
 from maglev_mj.cli.options import number_option
 from maglev_mj.cli.web import add_web, chosen_page, show_session
-from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.session import Session
 from maglev_mj.session.tour import Tour
 

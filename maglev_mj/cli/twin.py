@@ -23,16 +23,16 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, beside_inverse, chosen_key, count, number_option
 from maglev_mj.cli.publishers import add_foxglove, chosen_foxglove
 from maglev_mj.cli.web import add_web, chosen_front
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
 from maglev_mj.display.remote import RemoteViewer
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Command, Sample
-from maglev_mj.hand import HandForce, SpringHand
 from maglev_mj.live import LiveServer
 from maglev_mj.net.addresses import check_host, parse_url
 from maglev_mj.net.links import Server, UdpServer
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.hand import HandForce, SpringHand
 from maglev_mj.recording import setup_of
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.interactive import WEIGHT

@@ -11,8 +11,8 @@ from maglev_mj.cli.options import add_recording, number_option
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.cli.web import add_web, chosen_page, show_session
-from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import number
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.session import Session
 
 

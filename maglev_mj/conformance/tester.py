@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any, NoReturn, TypeAlias
 
-from maglev_mj.beams import PoseTracker
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
@@ -23,6 +22,7 @@ from maglev_mj.bridge.wire import Fault, Flag, HelloStatus, Operation, State, fa
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Sample
 from maglev_mj.net.links import Link
+from maglev_mj.plants.beams import PoseTracker
 
 WRAP = 0xFFFFFFFF
 _AGAIN, _PATIENCE, _TAKEOVER = 0.02, 2.0, 1.0  # [s]

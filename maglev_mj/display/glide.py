@@ -9,7 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 
-from maglev_mj.hand import SpringHand
+from maglev_mj.plants.hand import SpringHand
 
 SILENCE = 0.5
 """Silence after which the hand is released [s].

@@ -16,9 +16,9 @@ import numpy as np
 
 from maglev_mj.display.glide import SILENCE, Glide
 from maglev_mj.errors import MaglevError
-from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
 from maglev_mj.scenes import Scene
 from maglev_mj.session import (

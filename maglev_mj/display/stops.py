@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from maglev_mj.frames import AXES
+from maglev_mj.plants.shapes import LEAST_FORCE
 from maglev_mj.session import Snapshot
-from maglev_mj.shapes import LEAST_FORCE
 
 _LEAST_TORQUE = 1e-3
 """Below this no stop is met [N m]."""

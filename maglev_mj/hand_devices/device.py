@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from maglev_mj.frames import AXES
-from maglev_mj.hand import SpringHand
 from maglev_mj.hand_devices.reading import BUTTONS, InputDevice
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.session import Snapshot
 from maglev_mj.spacenav import AxisMapping
 from maglev_mj.spec import RANGE

@@ -7,10 +7,10 @@ import time
 from collections import deque
 from typing import Any
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import Record
 from maglev_mj.errors import MaglevError, require
 from maglev_mj.live.settings import NICE, Answer, State
-from maglev_mj.loop import Record
 from maglev_mj.net.addresses import ListenError, check_port, listen
 from maglev_mj.process import SideProcess
 from maglev_mj.recording import Setup

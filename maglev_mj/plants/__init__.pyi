@@ -1,4 +1,4 @@
-from maglev_mj.plants.base import Plant as Plant
+from maglev_mj.control.timeline import Timing as Timing
 from maglev_mj.plants.base import SampledPlant as SampledPlant
 from maglev_mj.plants.batch import MuJoCoBatchPlant as MuJoCoBatchPlant
 from maglev_mj.plants.engine import INTEGRATORS as INTEGRATORS
@@ -10,4 +10,3 @@ from maglev_mj.plants.sensor import PoseSensor as PoseSensor
 from maglev_mj.plants.sensor import Sensor as Sensor
 from maglev_mj.plants.sensor import SpotReader as SpotReader
 from maglev_mj.plants.sensor import SpotSensor as SpotSensor
-from maglev_mj.timeline import Timing as Timing

@@ -9,44 +9,21 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from math import isfinite
-from typing import Any, Protocol, Self, TypedDict
+from typing import Any, Self, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.timeline import Segment, Timeline, Timing
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError, check_instance
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, clipped, components, join
-from maglev_mj.hand import Hand, HandForce
 from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
+from maglev_mj.plants.trace import Trace, TraceRecorder
 from maglev_mj.spec import ESCAPE
-from maglev_mj.timeline import Segment, Timeline, Timing
-from maglev_mj.trace import Trace, TraceRecorder
 
 _NO_EFFORT: Sequence[Component] = (0.0,) * 6
-
-
-class Plant(Protocol):
-    """Interface of a plant to the control loop."""
-
-    @property
-    def period(self) -> float:
-        """Sample period [s]."""
-
-    def read(self) -> Sample:
-        """Wait for the next sampling instant and return its measurement."""
-
-    def write(self, command: Command) -> Command:
-        """Send the answer to the last sample.
-
-        Returns the command as applied, after every limit.
-        """
-
-    def close(self) -> None:
-        """Release the plant.
-
-        Safe at any time, and more than once.
-        """
 
 
 class PlantKeywords(TypedDict, total=False):
@@ -97,7 +74,7 @@ class SampledPlant(ABC):
         made = super().__new__(cls)
         made.given = {**dict(zip(("timing",), timing)), **options}
         check_instance("timing", made.given.get("timing"), Timing | None, "a Timing, such as Timing(period=0.005)")
-        check_instance("hand", made.given.get("hand"), Hand | None, "a Hand, as maglev_mj.hand.get_hand('arm') returns")
+        check_instance("hand", made.given.get("hand"), Hand | None, "a Hand, as get_hand('arm') returns")
         check_instance("hand_force", made.given.get("hand_force"), Callable | None, "a function (tick, time, state)")
         return made
 

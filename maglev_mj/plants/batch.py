@@ -8,14 +8,13 @@ from typing import TypeAlias, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.coils import UPRIGHT, CoilMap
+from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Component, components, join, rotation_vector
-from maglev_mj.hand import Hand
 from maglev_mj.lazy import mujoco
-from maglev_mj.model import COILS, Model
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
+from maglev_mj.plants.coils import UPRIGHT, CoilMap
 from maglev_mj.plants.engine import (
     NOTHING,
     effort_addresses,
@@ -25,8 +24,9 @@ from maglev_mj.plants.engine import (
     turned_back,
     turned_work,
 )
+from maglev_mj.plants.hand import Hand
+from maglev_mj.plants.model import COILS, Model
 from maglev_mj.spec import GRAVITY
-from maglev_mj.timeline import Timing
 
 Drive: TypeAlias = tuple[Array, Array]
 """Wrenches (N, 6) and engine controls (N, 6)."""

@@ -14,10 +14,10 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ModelError, ParameterError, check_one_of
 from maglev_mj.frames import AXES, Array, Component, quaternion
-from maglev_mj.hand import Hand
 from maglev_mj.lazy import mujoco
-from maglev_mj.model import COILS, Device, Model, load_model
 from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.plants.hand import Hand
+from maglev_mj.plants.model import COILS, Device, Model, load_model
 from maglev_mj.spec import GRAVITY
 
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]

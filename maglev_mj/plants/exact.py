@@ -10,14 +10,14 @@ from typing import Any, Protocol, TypeAlias, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
-from maglev_mj.hand import Hand, motion, transition
-from maglev_mj.model import Model, load_model
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
+from maglev_mj.plants.hand import Hand, motion, transition
+from maglev_mj.plants.model import Model, load_model
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
-from maglev_mj.timeline import Timing
 
 Drive: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
 """Accelerations with gravity [m/s², rad/s²], and forces [N, N m].

@@ -10,14 +10,13 @@ from typing import Any, TypeAlias, Unpack, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.coils import UPRIGHT, CoilDrive, CoilMap
+from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, rotation_vector
-from maglev_mj.hand import Hand
 from maglev_mj.lazy import mujoco
-from maglev_mj.model import COILS, Model, load_model
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
+from maglev_mj.plants.coils import UPRIGHT, CoilDrive, CoilMap
 from maglev_mj.plants.engine import (
     CorrectedSteps,
     Drive,
@@ -29,9 +28,10 @@ from maglev_mj.plants.engine import (
     start_state,
     turned_work,
 )
+from maglev_mj.plants.hand import Hand
+from maglev_mj.plants.model import COILS, Model, load_model
 from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
-from maglev_mj.timeline import Timing
 
 _Kept: TypeAlias = tuple[Sequence[float], Sequence[float], Drive]
 """Snapshot: position and quaternion, velocity, acting drive.

@@ -12,11 +12,11 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.beams import Beams, FastBeams, PoseTracker
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
-from maglev_mj.model import beams
 from maglev_mj.parameters import number, numbers, whole
+from maglev_mj.plants.beams import Beams, FastBeams, PoseTracker
+from maglev_mj.plants.model import beams
 
 Measure: TypeAlias = Callable[[Sequence[Component]], list[Component]]
 """Function from true to measured pose components."""

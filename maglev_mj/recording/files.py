@@ -12,10 +12,10 @@ from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import Record
 from maglev_mj.errors import ParameterError, file_path
 from maglev_mj.frames import Command, Sample
-from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.recording.mcap import require_mcap
 from maglev_mj.recording.recording import Recording, RecordingError, Stretch

@@ -33,9 +33,9 @@ from foxglove.messages import (
 )
 
 from maglev_mj.frames import Array, quaternion, rotation_matrix
+from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
 from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, STRETCH, STRETCH_NUMBER, descriptor, packed
 from maglev_mj.recording.sample import FIELDS, Field, Row, RunMetadata, Setup, Totals, as_rows, schema
-from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
 
 FRAMES, SCENE, LOG = "/tf", "/maglev/scene", "/log"
 
@@ -92,7 +92,7 @@ class Messages:
 
     Args:
         context: Destination; all files and servers attached to it get every message.
-        model: Model of the drawn device, as of `maglev_mj.model.load_model`.
+        model: Model of the drawn device, as of `maglev_mj.plants.model.load_model`.
 
     Raises:
         ModelError: If the model cannot be used.

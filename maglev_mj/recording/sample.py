@@ -14,14 +14,14 @@ from typing import Any, NamedTuple, Protocol, Self, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.controller import Controller
-from maglev_mj.energy import HandWork, PassivityObserver
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import axis_indices, flag, number, numbers
+from maglev_mj.plants.energy import HandWork, PassivityObserver
 from maglev_mj.result import printable
 from maglev_mj.spec import GRAVITY, INERTIA
-from maglev_mj.timeline import Timing
 
 Row: TypeAlias = Sequence[float]
 """Values of one sample in FIELDS order, components flattened."""

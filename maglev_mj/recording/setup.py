@@ -14,14 +14,14 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from maglev_mj import laws as _laws
-from maglev_mj.controller import Controller
+from maglev_mj.control import laws as _laws
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws.base import FunctionLaw
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
-from maglev_mj.hand import GuidedHand, Hand, HandForce, SpringHand, Trajectory
-from maglev_mj.laws.base import FunctionLaw
-from maglev_mj.model import model_files, model_names
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing, engine_warnings_silenced
+from maglev_mj.plants.hand import GuidedHand, Hand, HandForce, SpringHand, Trajectory
+from maglev_mj.plants.model import model_files, model_names
 from maglev_mj.recording.recording import InvalidRecordingError
 from maglev_mj.recording.sample import RunMetadata, Setup, check_setup, value_in
 from maglev_mj.versions import file_of, hash_of

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
-from maglev_mj.hand import HandForce, RecordedHand
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
+from maglev_mj.plants.hand import HandForce, RecordedHand
 from maglev_mj.recording.files import row_of
 from maglev_mj.recording.recording import READ, Recording, Stretch
 from maglev_mj.recording.sample import (

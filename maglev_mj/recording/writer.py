@@ -25,9 +25,9 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, Any
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import Record
 from maglev_mj.frames import Command, Sample
-from maglev_mj.loop import Record
 from maglev_mj.parameters import flag
 from maglev_mj.process import interrupts_held
 from maglev_mj.recording.mcap import FORMAT, METADATA, require_mcap

@@ -9,9 +9,9 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar, Self
 
+from maglev_mj.control.laws import Law
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.laws import Law
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import WallScene, hold, others
 from maglev_mj.scenes.scene import Start

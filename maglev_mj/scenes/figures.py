@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.energy import actuator_work
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import flag, number
+from maglev_mj.plants.energy import actuator_work
+from maglev_mj.plants.trace import Trace
 from maglev_mj.result import number_text
-from maglev_mj.trace import Trace
 
 if TYPE_CHECKING:
     from maglev_mj.scenes.run import RunResult

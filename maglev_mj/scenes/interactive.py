@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj import spec
+from maglev_mj.control.laws import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.errors import ParameterError, check_one_of, named
 from maglev_mj.frames import AXES, ZERO, Array
-from maglev_mj.hand import SpringHand, Trajectory
-from maglev_mj.laws import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.parameters import Turn, axis_indices, number, param
+from maglev_mj.plants.hand import SpringHand, Trajectory
 from maglev_mj.scenes.scene import DELAY, RATE, Scene, Start
 from maglev_mj.spec import GRAVITY, RANGE, Spec
 

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
+from maglev_mj.control.laws import Wall
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import Array, unit_of
-from maglev_mj.laws import Wall
 from maglev_mj.pictures import (
     FIRST,
     SECOND,

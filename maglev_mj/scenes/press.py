@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from maglev_mj.control.laws import Law
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.hand import GuidedHand, Hand, Trajectory, get_hand, motion
-from maglev_mj.laws import Law
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import Timing
+from maglev_mj.plants.hand import GuidedHand, Hand, Trajectory, get_hand, motion
 from maglev_mj.scenes.bench import WallScene, hold, others
 from maglev_mj.scenes.figures import PressSummary
 from maglev_mj.scenes.scene import Start

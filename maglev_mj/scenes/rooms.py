@@ -5,10 +5,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from maglev_mj.control.laws import Law
 from maglev_mj.frames import AXES
-from maglev_mj.hand import Trajectory
-from maglev_mj.laws import Law
 from maglev_mj.parameters import param
+from maglev_mj.plants.hand import Trajectory
 from maglev_mj.scenes.bench import hold
 from maglev_mj.scenes.interactive import InteractiveScene, contacts, friction, spring, weight
 

@@ -12,18 +12,18 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import Record, drive
 from maglev_mj.errors import DivergenceError, ParameterError, check_one_of, not_one_of
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
-from maglev_mj.loop import Record, drive
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.trace import Trace
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.spec import ESCAPE, RANGE, Spec
-from maglev_mj.trace import Trace
 
 _MOST_PHASES = 10_000
 _TOGETHER = 64

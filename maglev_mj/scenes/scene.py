@@ -15,14 +15,14 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Law, VelocityEstimator
 from maglev_mj.errors import ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Array, Component
-from maglev_mj.hand import HandForce
-from maglev_mj.laws import Law, VelocityEstimator
 from maglev_mj.parameters import Parameters, Turn, axis_indices, param
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.base import PlantKeywords
+from maglev_mj.plants.hand import HandForce
 from maglev_mj.scenes.figures import figures_named
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from numpy.typing import ArrayLike
 
 from maglev_mj import theory
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Sample, components, unit_of
 from maglev_mj.parameters import numbers

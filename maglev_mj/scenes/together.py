@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Law, VelocityEstimator
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Command, Mask, Sample, components
-from maglev_mj.hand import HandForce
-from maglev_mj.laws import Law, VelocityEstimator
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.plants.hand import HandForce
 from maglev_mj.scenes.run import figures_of_each, run
 from maglev_mj.scenes.scene import Scene, SideBySide
 

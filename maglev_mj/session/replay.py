@@ -14,14 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Law
+from maglev_mj.control.loop import Record
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Sample
-from maglev_mj.hand import HandForce
-from maglev_mj.laws import Law
-from maglev_mj.loop import Record
 from maglev_mj.parameters import param, whole
 from maglev_mj.plants import SampledPlant
+from maglev_mj.plants.hand import HandForce
 from maglev_mj.recording import (
     ArrayFile,
     Expected,

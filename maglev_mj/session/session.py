@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
-from maglev_mj.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.parameters import number
+from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.recording import RecordingFile
 from maglev_mj.scenes import BUILT_IN, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene

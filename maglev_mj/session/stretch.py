@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.controller import Controller
-from maglev_mj.energy import EnergyAccount
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Bias
+from maglev_mj.control.loop import ControlLoop, Record
 from maglev_mj.frames import ZERO, Array, Command, Sample
-from maglev_mj.hand import HandForce
-from maglev_mj.laws import Bias
-from maglev_mj.loop import ControlLoop, Record
 from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.plants.energy import EnergyAccount
+from maglev_mj.plants.hand import HandForce
 from maglev_mj.recording import RecordingFile, setup_of
 from maglev_mj.recording.setup import attach_model, attach_source
 from maglev_mj.scenes import Scene

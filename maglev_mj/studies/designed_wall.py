@@ -13,20 +13,20 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Law
+from maglev_mj.control.loop import drive
+from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.hand import Hand, get_hand
-from maglev_mj.laws import Law
-from maglev_mj.loop import drive
 from maglev_mj.parameters import Parameters, numbers, param
 from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes.bench import along, stepped, wall_controller
 from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.spec import GRAVITY, RANGE, Spec
 from maglev_mj.theory.design import Case, DesignedWall
-from maglev_mj.timeline import split_delay
 
 _ANYWHERE = (1e150, 1.0)  # a flotor thrown far away is a verdict, not an error
 _TICKS, _CONTACT_TICKS = 800, 100

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 import maglev_mj
 import maglev_mj.theory as theory
+from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.hand import get_hand
-from maglev_mj.loop import drive
 from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.plants.hand import get_hand
 from maglev_mj.result import Table
 from maglev_mj.scenes.bench import along, stepped, wall_controller
 from maglev_mj.spec import Spec

@@ -18,12 +18,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import drive
+from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError, PlantError, SensingError, check_one_of
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.hand import Hand
-from maglev_mj.loop import drive
-from maglev_mj.model import load_model
 from maglev_mj.parameters import number
 from maglev_mj.plants import (
     ExactPlant,
@@ -36,12 +35,13 @@ from maglev_mj.plants import (
     one_step,
 )
 from maglev_mj.plants.engine import longest_step as step_needed
+from maglev_mj.plants.hand import Hand
+from maglev_mj.plants.model import load_model
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.together import stacked_scenes
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, RESOLUTION, Spec
 from maglev_mj.theory.boundary import stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop
-from maglev_mj.timeline import split_delay
 
 _JITTER = 1e-4
 _LAG = DRIVER_TIME_CONSTANT

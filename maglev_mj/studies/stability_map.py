@@ -17,14 +17,14 @@ from numpy.typing import NDArray
 
 import maglev_mj
 import maglev_mj.theory as theory
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Law, Wall
+from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.hand import HANDS, Hand, get_hand
-from maglev_mj.laws import Law, Wall
-from maglev_mj.loop import ControlLoop
 from maglev_mj.parameters import Parameters, interval, number, param
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
+from maglev_mj.plants.hand import HANDS, Hand, get_hand
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes.bench import along, hold, others, wall_controller
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start

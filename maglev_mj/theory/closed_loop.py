@@ -16,13 +16,13 @@ from typing import Any, TypeAlias, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.laws import FiniteDifference, LinearController, LowPass, VelocityEstimator, Window
+from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
-from maglev_mj.hand import Hand, get_hand, motion, transition
-from maglev_mj.laws import FiniteDifference, LinearController, LowPass, VelocityEstimator, Window
 from maglev_mj.parameters import common_shape, number, numbers
+from maglev_mj.plants.hand import Hand, get_hand, motion, transition
 from maglev_mj.spec import Spec
-from maglev_mj.timeline import split_delay
 
 MOST_PERIODS = 10
 _TOGETHER = 1 << 16

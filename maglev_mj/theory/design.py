@@ -14,11 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from maglev_mj.control.laws import Law, ObserverWall
 from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array
-from maglev_mj.hand import get_hand
-from maglev_mj.laws import Law, ObserverWall
 from maglev_mj.parameters import Parameters, interval, param
+from maglev_mj.plants.hand import get_hand
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
 from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, least_dynamic_stiffness, rendered_stiffness

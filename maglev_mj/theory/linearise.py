@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.parameters import axis_indices, numbers

@@ -13,11 +13,11 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array
-from maglev_mj.model import load_model
 from maglev_mj.parameters import number, numbers
+from maglev_mj.plants.model import load_model
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.closed_loop import SampledLoop

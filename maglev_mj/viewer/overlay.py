@@ -12,8 +12,8 @@ from maglev_mj.display.banner import pace
 from maglev_mj.display.stops import met_stops
 from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter
+from maglev_mj.plants.shapes import ARROW
 from maglev_mj.session import DEVICES_OWN, Snapshot
-from maglev_mj.shapes import ARROW
 from maglev_mj.viewer.keys import HAND, key_of
 from maglev_mj.viewer.layout import Row
 

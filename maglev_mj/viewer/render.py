@@ -9,9 +9,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from maglev_mj.hand import SpringHand
 from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Pacer, Session
 from maglev_mj.viewer.clip import CLIPS, write_clip, write_picture

@@ -13,10 +13,10 @@ from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.display.stops import met_stops
 from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
 from maglev_mj.lazy import mujoco
-from maglev_mj.model import COILS, load_model
+from maglev_mj.plants.model import COILS, load_model
+from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, UNDER_KNOB, arrow_start, wall_plate
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
-from maglev_mj.shapes import ARROW, GRIP, LEAST_FORCE, UNDER_KNOB, arrow_start, wall_plate
 from maglev_mj.spec import Spec
 
 _WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.22), (*TOUCHED, 0.42), (*STUCK, 0.40), (*STOP, 0.55)

@@ -23,10 +23,10 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
 from maglev_mj.lazy import mujoco
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.shapes import GRIP
 from maglev_mj.process import interrupts_delayed
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
-from maglev_mj.shapes import GRIP
 from maglev_mj.viewer.backend import DisplayError
 from maglev_mj.viewer.clip import write_picture
 from maglev_mj.viewer.framing import Framing

@@ -10,7 +10,7 @@ import numpy as np
 
 from maglev_mj.display.glide import SILENCE
 from maglev_mj.frames import Array
-from maglev_mj.shapes import GRIP
+from maglev_mj.plants.shapes import GRIP
 
 Aim = Callable[[list[float] | None], object]
 """Takes a target pose [m, rad], (6,); None on release."""

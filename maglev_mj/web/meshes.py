@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from trimesh.visual.material import PBRMaterial
 
 from maglev_mj.frames import Array
-from maglev_mj.shapes import Shape
+from maglev_mj.plants.shapes import Shape
 
 _Faces: TypeAlias = NDArray[np.int64]
 _Mesh: TypeAlias = tuple[Array, Array, _Faces]

@@ -10,8 +10,8 @@ import numpy as np
 from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.display.banner import banner
 from maglev_mj.frames import Array, quaternion, rotation_matrix
+from maglev_mj.plants.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, arrow_start, shapes, wall_plate
 from maglev_mj.session import Snapshot
-from maglev_mj.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, arrow_start, shapes, wall_plate
 from maglev_mj.web.handles import put
 from maglev_mj.web.meshes import glb
 

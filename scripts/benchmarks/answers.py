@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.control.laws import FiniteDifference, LowPass, VelocityEstimator, Window
 from maglev_mj.display.stability_map import margin
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand import get_hand
-from maglev_mj.laws import FiniteDifference, LowPass, VelocityEstimator, Window
 from maglev_mj.live.settings import State, checked
+from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes import BUILT_IN, find_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.session import settable

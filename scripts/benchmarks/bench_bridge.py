@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 
 from maglev_mj import Controller, Hold, Sample
-from maglev_mj.beams import FastBeams, PoseTracker
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.realtime import LatencyHistogram, realtime, stopping
@@ -31,10 +30,11 @@ from maglev_mj.bridge.safety import HostLimits, Limits, OutputLimiter
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import ServerReport, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Command, StateReport
-from maglev_mj.laws import Bias
-from maglev_mj.loop import drive
+from maglev_mj.control.laws import Bias
+from maglev_mj.control.loop import drive
 from maglev_mj.net.links import Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.beams import FastBeams, PoseTracker
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 from maglev_mj.scenes.rooms import Joystick

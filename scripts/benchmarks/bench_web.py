@@ -24,9 +24,9 @@ from browser import MISSING, chromium, on_screen
 from maglev_mj.display.remote import RemoteViewer
 from maglev_mj.net.addresses import listen
 from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Session, real_time
-from maglev_mj.shapes import GRIP
 from maglev_mj.web.guard import Door
 from maglev_mj.web.page import page
 from maglev_mj.web.stage import FIELD, placed

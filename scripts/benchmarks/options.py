@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from maglev_mj import drive
+from maglev_mj.control.timeline import Timing
 from maglev_mj.frames import Array
-from maglev_mj.hand import Hand
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant, Sensor
+from maglev_mj.plants.hand import Hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import Spec
-from maglev_mj.timeline import Timing
 
 __all__ = ["measure"]
 

@@ -16,10 +16,10 @@ import numpy as np
 from loop import timed
 from maglev_mj import drive
 from maglev_mj.colours import DEVICE, HAND, REFERENCE
-from maglev_mj.controller import Controller
-from maglev_mj.hand import get_hand
+from maglev_mj.control.controller import Controller
 from maglev_mj.pictures import TITLE, PictureFolder, new_figure, save
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor
+from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import RESOLUTION, Spec
 from maglev_mj.studies.levels import apart, motion_of

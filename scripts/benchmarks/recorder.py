@@ -30,7 +30,7 @@ from typing import Any, cast
 import numpy as np
 
 from maglev_mj import Command, Sample
-from maglev_mj.loop import ControlLoop, Record
+from maglev_mj.control.loop import ControlLoop, Record
 from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load_samples, setup_of, tee
 from maglev_mj.recording.files import row_of
 from maglev_mj.recording.sample import ROW, as_table

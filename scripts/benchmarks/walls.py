@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from maglev_mj import find_scene
+from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.scenes.bench import along, wall_controller
 from maglev_mj.spec import Spec

@@ -14,7 +14,7 @@ os.environ["MUJOCO_GL"] = drawing_library()
 import mujoco
 from matplotlib.image import imsave
 
-from maglev_mj.model import model_path
+from maglev_mj.plants.model import model_path
 
 target = Path(sys.argv[1] if len(sys.argv) > 1 else "figures/device.png")
 width, height = map(int, sys.argv[2].split("x")) if len(sys.argv) > 2 else (1400, 1050)

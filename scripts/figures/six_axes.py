@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import StickSlip
+from maglev_mj.control.loop import drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Component, Mask, Sample
-from maglev_mj.laws import StickSlip
-from maglev_mj.loop import drive
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
 from maglev_mj.scenes.scene import PLANTS

@@ -16,10 +16,10 @@ from pathlib import Path
 import numpy as np
 
 from maglev_mj import ExactPlant, Timing, Wall, drive
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Law, PassivityController, PredictiveWall
 from maglev_mj.frames import Array
-from maglev_mj.hand import HANDS
-from maglev_mj.laws import Law, PassivityController, PredictiveWall
+from maglev_mj.plants.hand import HANDS
 from maglev_mj.spec import Spec
 from maglev_mj.studies.designed_wall import Contact, growing_cases, hum
 from maglev_mj.theory import WallRequirements, design_wall, stiffest_wall

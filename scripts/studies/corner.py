@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Hold, Wall
+from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array
-from maglev_mj.laws import Hold, Wall
-from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing, engine_warnings_silenced
 from maglev_mj.spec import INERTIA
 

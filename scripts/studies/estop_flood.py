@@ -26,10 +26,10 @@ from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.wire import Codec, Command, Fault, Hello
 from maglev_mj.cli import main
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Bias, Hold
+from maglev_mj.control.loop import drive
 from maglev_mj.frames import ZERO
-from maglev_mj.laws import Bias, Hold
-from maglev_mj.loop import drive
 from maglev_mj.net.addresses import parse_url
 from maglev_mj.net.links import open_link
 from maglev_mj.scenes.interactive import INERTIA, WEIGHT

@@ -33,11 +33,11 @@ from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.bridge.wire import Command as Currents
 from maglev_mj.bridge.wire import Fault, fault_names
 from maglev_mj.cli import main
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Bias, Hold
+from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Command, Sample
-from maglev_mj.laws import Bias, Hold
-from maglev_mj.loop import drive
 from maglev_mj.net.links import open_link
 from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 

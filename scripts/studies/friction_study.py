@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Friction
+from maglev_mj.control.loop import drive
 from maglev_mj.frames import AXES, Array, Command, Mask, Sample
-from maglev_mj.hand import RecordedHand
-from maglev_mj.laws import Friction
-from maglev_mj.loop import drive
 from maglev_mj.plants import ExactPlant, Sensor, Timing
+from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES, StickSlip
 

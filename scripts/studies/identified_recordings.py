@@ -19,11 +19,11 @@ import numpy as np
 
 from maglev_mj import ExactPlant, Timing, Wall
 from maglev_mj.analysis import Estimate, Identification, identify
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Bias, StickSlip
+from maglev_mj.control.loop import ControlLoop
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.hand import HANDS, Hand, Trajectory
-from maglev_mj.laws import Bias, StickSlip
-from maglev_mj.loop import ControlLoop
+from maglev_mj.plants.hand import HANDS, Hand, Trajectory
 from maglev_mj.plants.sensor import Sensor
 from maglev_mj.recording import ArrayFile, Stretch, setup_of
 from maglev_mj.recording.sample import mechanics

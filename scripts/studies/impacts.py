@@ -10,10 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Law, Wall
+from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.laws import Law, Wall
-from maglev_mj.loop import drive
 from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, SampledPlant, Timing
 from maglev_mj.scenes.bench import along, wall_controller

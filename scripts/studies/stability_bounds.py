@@ -9,9 +9,9 @@ import numpy as np
 
 from maglev_mj.cli.pictures import script_options
 from maglev_mj.frames import Array
-from maglev_mj.hand import Hand
 from maglev_mj.pictures import Panel, small_multiples
 from maglev_mj.plants import INTEGRATORS
+from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import Spec
 from maglev_mj.studies.levels import boundary_shift
 from maglev_mj.theory import bounds, largest_stable_stiffness, stiffest_wall

@@ -138,7 +138,7 @@ def pressed(count: int = 400, seed: int = 16) -> list[dict[str, Any]]:
 
 
 def _pressed(name: str, count: int, seed: int) -> list[dict[str, Any]]:
-    from maglev_mj.hand import SpringHand
+    from maglev_mj.plants.hand import SpringHand
     from maglev_mj.scenes import find_scene
     from maglev_mj.session import Pacer, Session
 

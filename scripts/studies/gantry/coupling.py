@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.control.laws import Law, StickSlip
 from maglev_mj.frames import Array
-from maglev_mj.laws import Law, StickSlip
 from maglev_mj.parameters import number
 from maglev_mj.spacenav.navigation import Mode, Navigator
 

@@ -17,7 +17,7 @@ from gantry.run import carry_out
 from gantry.slave import BLOCK_DAMPING
 from gantry.task import FIRM, Task
 from gantry.theory import Gains, TwoBodies
-from maglev_mj.hand import HANDS, get_hand
+from maglev_mj.plants.hand import HANDS, get_hand
 
 __all__ = ["GRIPS", "Contact", "Growth", "bodies", "contacts", "growth", "measured_boundary"]
 

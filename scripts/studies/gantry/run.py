@@ -13,10 +13,10 @@ from gantry.coupling import Coupling, CouplingLaw
 from gantry.slave import Slave
 from gantry.task import Task
 from maglev_mj import Controller, drive
+from maglev_mj.control.laws import Bias, Hold, StickSlip
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.hand import GuidedHand
-from maglev_mj.laws import Bias, Hold, StickSlip
 from maglev_mj.plants import MuJoCoPlant
+from maglev_mj.plants.hand import GuidedHand
 from maglev_mj.scenes.interactive import INERTIA, MASS, WEIGHT
 from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import GRAVITY

@@ -11,10 +11,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers
-from maglev_mj.timeline import Timeline, Timing
 
 __all__ = ["BLOCK_DAMPING", "BLOCK_STIFFNESS", "Slave"]
 

@@ -18,8 +18,8 @@ from gantry.theory import Gains, chosen_gains
 from maglev_mj import Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.hand import Hand, Trajectory
 from maglev_mj.parameters import number
+from maglev_mj.plants.hand import Hand, Trajectory
 from maglev_mj.spec import Spec
 
 __all__ = ["DELAY_SHARE", "FIRM", "Task"]

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from maglev_mj.frames import Array
-from maglev_mj.hand import Hand, motion, transition
 from maglev_mj.plants import Timing
+from maglev_mj.plants.hand import Hand, motion, transition
 from maglev_mj.spec import Spec
 from maglev_mj.theory import stiffest_wall
 

@@ -14,13 +14,13 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.beams import Beams
-from maglev_mj.coils import CoilMap
 from maglev_mj.errors import ModelError, ParameterError, check_instance, not_one_of
 from maglev_mj.frames import AXES, Array
-from maglev_mj.hand import Hand
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.plants.beams import Beams
+from maglev_mj.plants.coils import CoilMap
+from maglev_mj.plants.hand import Hand
 from maglev_mj.versions import MODELS
 
 COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in range(3))

@@ -14,7 +14,7 @@ import numpy as np
 
 from maglev_mj.frames import Array
 from maglev_mj.lazy import mujoco
-from maglev_mj.model import Device, Model, load_model
+from maglev_mj.plants.model import Device, Model, load_model
 
 ARROW = 0.003
 """Length of an arrow for each newton [m]."""

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.control.laws.base import Law, answer, as_law
+from maglev_mj.control.laws.velocity import FiniteDifference
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Component, components
-from maglev_mj.laws.base import Law, answer, as_law
-from maglev_mj.laws.velocity import FiniteDifference
 
 _DEVICES, _SAMPLES, _PERIOD = 7, 60, 0.005
 _REACH = np.array([4e-3] * 3 + [0.09] * 3)

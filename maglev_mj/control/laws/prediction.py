@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.laws.base import AxisLaw, Face, LinearController, gain
+from maglev_mj.control.laws.friction import choose
+from maglev_mj.control.timeline import MOST_PERIODS, split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.laws.base import AxisLaw, Face, LinearController, gain
-from maglev_mj.laws.friction import choose
 from maglev_mj.parameters import flag, number
-from maglev_mj.timeline import MOST_PERIODS, split_delay
 
 
 class PredictiveWall(AxisLaw):

@@ -9,15 +9,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from maglev_mj.controller import Controller
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.laws import Hold
+from maglev_mj.control.loop import drive
 from maglev_mj.frames import AXES, Command, Sample
-from maglev_mj.laws import Hold
-from maglev_mj.loop import drive
-from maglev_mj.model import COILS, Device, load_model
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.plants.model import COILS, Device, load_model
+from maglev_mj.plants.shapes import envelope
 from maglev_mj.result import Result, Table
-from maglev_mj.shapes import envelope
 from maglev_mj.spec import GRAVITY, Spec
 
 _HEAD = "figure", "paper", "model", "unit", "remark"

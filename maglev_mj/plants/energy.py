@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.timeline import Segment, Timeline, Timing
 from maglev_mj.frames import Array, Command, Component, Sample
 from maglev_mj.parameters import numbers
-from maglev_mj.timeline import Segment, Timeline, Timing
-from maglev_mj.trace import Trace
+from maglev_mj.plants.trace import Trace
 
 
 def actuator_work(trace: Trace, carried: ArrayLike = 0.0) -> Array:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.laws.base import gain
+from maglev_mj.control.laws.friction import SLIDING_SHARE, Friction, FrictionState, apply, choose
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Component
-from maglev_mj.laws.base import gain
-from maglev_mj.laws.friction import SLIDING_SHARE, Friction, FrictionState, apply, choose
 from maglev_mj.parameters import number
 
 

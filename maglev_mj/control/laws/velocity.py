@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.laws.base import LinearController
+from maglev_mj.control.laws.friction import choose
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component
-from maglev_mj.laws.base import LinearController
-from maglev_mj.laws.friction import choose
 from maglev_mj.parameters import number, whole
 from maglev_mj.spec import RESOLUTION
 

@@ -10,7 +10,6 @@ from typing import Protocol, TypeAlias
 from maglev_mj.errors import MaglevError, ParameterError, one_line
 from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import number
-from maglev_mj.plants import Plant
 
 _KEPT = 50  # more of them leave the fastest cache: 200 cost 4 % of the loop
 
@@ -19,6 +18,29 @@ Record: TypeAlias = Callable[[Sample, Command, Command], object]
 
 The applied command is zero if the plant refused the answer.
 """
+
+
+class Plant(Protocol):
+    """Interface of a plant to the control loop."""
+
+    @property
+    def period(self) -> float:
+        """Sample period [s]."""
+
+    def read(self) -> Sample:
+        """Wait for the next sampling instant and return its measurement."""
+
+    def write(self, command: Command) -> Command:
+        """Send the answer to the last sample.
+
+        Returns the command as applied, after every limit.
+        """
+
+    def close(self) -> None:
+        """Release the plant.
+
+        Safe at any time, and more than once.
+        """
 
 
 class Answers(Protocol):

@@ -10,9 +10,9 @@ from typing import ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.laws.base import Face, Gains, Law
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component, clipped
-from maglev_mj.laws.base import Face, Gains, Law
 from maglev_mj.parameters import axis_indices, batch_shape, number, numbers, per_axis
 
 

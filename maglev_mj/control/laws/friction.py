@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.laws.base import AxisLaw, Gains, gain
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component
-from maglev_mj.laws.base import AxisLaw, Gains, gain
 from maglev_mj.parameters import flag, number
 
 SLIDING_SHARE = 0.95

@@ -12,11 +12,11 @@ from typing import TypeAlias
 
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.laws.base import AxisLaw, gain
+from maglev_mj.control.laws.friction import choose
+from maglev_mj.control.timeline import MOST_PERIODS, split_delay
 from maglev_mj.frames import Component
-from maglev_mj.laws.base import AxisLaw, gain
-from maglev_mj.laws.friction import choose
 from maglev_mj.parameters import number
-from maglev_mj.timeline import MOST_PERIODS, split_delay
 
 _AxisState: TypeAlias = tuple[Component, Component, tuple[Component, ...]]
 """Absorbed energy [J], last position, past forces.

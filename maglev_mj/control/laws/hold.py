@@ -10,9 +10,9 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control.laws.base import AxisLaw, Gains, Law, gain
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
-from maglev_mj.laws.base import AxisLaw, Gains, Law, gain
 from maglev_mj.parameters import axis_indices, number, numbers, per_axis
 from maglev_mj.spec import INERTIA
 

@@ -1,0 +1,1 @@
+"""Sampled controller: laws, time line of commands, and the loop that drives a plant."""
