@@ -25,8 +25,7 @@ PACKAGE = Path(maglev_mj.__file__).parent
 FLOORS = {
     **dict.fromkeys(("errors", "frames", "spec", "versions", "lazy", "process", "colours", "pictures", "result"), 0),
     "parameters": 1,
-    "net": 1,
-    "control": 2,
+    **dict.fromkeys(("control", "net"), 2),
     "plants": 3,
     "theory": 4,
     "scenes": 5,
