@@ -109,7 +109,7 @@ Errors:
     PlantError               a plant that cannot go on
     DivergenceError          a simulation that diverges
 
-Packages such as `maglev_mj.control.laws` and `maglev_mj.theory` have further names.
+Packages such as `maglev_mj.control` and `maglev_mj.theory` have further names.
 """
 
 from maglev_mj.lazy import attach

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.control.laws import LinearController, LowPass, ObserverWall, Window
+from maglev_mj.control import LinearController, LowPass, ObserverWall, Window
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants.hand import Hand, get_hand

@@ -26,8 +26,8 @@ from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Fault, State
+from maglev_mj.control import Bias, FiniteDifference, Hold
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Bias, FiniteDifference, Hold
 from maglev_mj.control.loop import Plant, drive
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import MuJoCoPlant, SpotSensor

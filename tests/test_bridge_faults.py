@@ -27,8 +27,8 @@ from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Fault, Operation, State, fault_names
+from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Bias
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command, Sample

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.control.laws import AxisLaw, Law, gain
+from maglev_mj.control import AxisLaw, Law, gain
 from maglev_mj.parameters import param
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.pictures import drop_phases, phase_plane, time_series

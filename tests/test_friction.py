@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller, Sample
-from maglev_mj.control.laws import (
+from maglev_mj.control import (
     AdaptiveWindow,
     Dahl,
     ElastoPlastic,

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import ArrayLike, NDArray
 
 from failures import random_delay_rate
-from maglev_mj.control.laws import LowPass, VelocityEstimator, Window
+from maglev_mj.control import LowPass, VelocityEstimator, Window
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants import MuJoCoBatchPlant, Timing

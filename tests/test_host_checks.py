@@ -13,8 +13,8 @@ from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.safety import HostLimits, Limits
 from maglev_mj.bridge.simulated_links import Impairment
 from maglev_mj.bridge.wire import Fault, State, StateReport
+from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Bias
 from maglev_mj.frames import Command
 from maglev_mj.scenes.interactive import WEIGHT
 from tests.test_bridge import CENTRE, Rig

@@ -31,8 +31,8 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import Twin as BridgeTwin
 from maglev_mj.bridge.twin import TwinParameters
+from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Bias
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing

@@ -16,7 +16,7 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Scene, Start, Timing, drive, run
 from maglev_mj.cli import main
-from maglev_mj.control.laws import AxisLaw, Bias, Hold, Law, Wall, gain
+from maglev_mj.control import AxisLaw, Bias, Hold, Law, Wall, gain
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command
 from maglev_mj.parameters import param

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from maglev_mj import AXES, Controller, ExactPlant, Sample, Timing, drive
-from maglev_mj.control.laws import (
+from maglev_mj.control import (
     AxisLaw,
     Bias,
     Dahl,

@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from maglev_mj import AXES, Controller, ExactPlant, Timing, Wall, drive
-from maglev_mj.control.laws import (
+from maglev_mj.control import (
     AdaptiveWindow,
     AxisLaw,
     Bias,

@@ -781,7 +781,7 @@ def test_a_scene_goes_on_where_the_process_of_its_server_does_not(end: signal.Si
 
 ODD = """
 import os, time
-from maglev_mj.control.laws import Hold
+from maglev_mj.control import Hold
 from maglev_mj.parameters import param
 from maglev_mj.scenes import Scene
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Sample, Timing, Wall, drive
-from maglev_mj.control.laws import AdaptiveWindow, FiniteDifference, Law, LowPass, StickSlip, VelocityEstimator, Window
+from maglev_mj.control import AdaptiveWindow, FiniteDifference, Law, LowPass, StickSlip, VelocityEstimator, Window
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError
 
 

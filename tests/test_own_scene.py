@@ -23,7 +23,7 @@ from maglev_mj.bridge import Calibration, RemotePlant, Twin, TwinParameters, ope
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.cli import main
-from maglev_mj.control.laws import AxisLaw, Bias, gain
+from maglev_mj.control import AxisLaw, Bias, gain
 from maglev_mj.live import LiveServer
 from maglev_mj.net.links import UdpServer
 from maglev_mj.recording import Recording

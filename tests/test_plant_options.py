@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Timing, drive
-from maglev_mj.control.laws import Hold, Wall
+from maglev_mj.control import Hold, Wall
 from maglev_mj.control.timeline import Timeline
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join

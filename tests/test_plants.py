@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing, drive
+from maglev_mj.control import Hold, Wall
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Hold, Wall
 from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.plants import SampledPlant, Sensor

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from impacts import limited_drop
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Sample, Timing, Wall, drive
-from maglev_mj.control.laws import Law, ObserverWall, PassivityController, PredictiveWall
+from maglev_mj.control import Law, ObserverWall, PassivityController, PredictiveWall
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import components
 from maglev_mj.plants.energy import PassivityObserver, actuator_work

@@ -22,9 +22,7 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.cli import replay as command
-from maglev_mj.control import laws
-from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import (
+from maglev_mj.control import (
     AdaptiveWindow,
     AxisLaw,
     Bias,
@@ -46,7 +44,9 @@ from maglev_mj.control.laws import (
     VelocityEstimator,
     Wall,
     Window,
+    laws,
 )
+from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import AXES
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
@@ -779,7 +779,7 @@ def test_the_source_of_a_scene_without_a_law_of_its_own_is_attached(folder: Path
 
 
 OWN = """
-from maglev_mj.control.laws import AxisLaw, gain
+from maglev_mj.control import AxisLaw, gain
 from maglev_mj.parameters import param
 from maglev_mj.scenes.scene import Scene, Start
 

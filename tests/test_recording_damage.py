@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import main, view
+from maglev_mj.control import Wall
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Wall
 from maglev_mj.control.loop import drive
 from maglev_mj.display.remote import ShowReport
 from maglev_mj.plants import ExactPlant, Timing

@@ -18,8 +18,8 @@ import pytest
 
 from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
+from maglev_mj.control import Bias, Wall
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Bias, Wall
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MissingPackageError, ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
@@ -656,7 +656,7 @@ def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
 
 OWN = """
 from maglev_mj.plants.hand import Hand
-from maglev_mj.control.laws import Bias, Wall
+from maglev_mj.control import Bias, Wall
 from maglev_mj.parameters import param
 from maglev_mj.scenes.scene import Scene, Start
 

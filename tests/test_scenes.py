@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from maglev_mj.control.laws import Bias, Hold, Law
+from maglev_mj.control import Bias, Hold, Law
 from maglev_mj.errors import DivergenceError, ParameterError
 from maglev_mj.frames import AXES, Command, Component, Sample
 from maglev_mj.parameters import param

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller
-from maglev_mj.control.laws import Hold, Law, StickSlip, Wall
+from maglev_mj.control import Hold, Law, StickSlip, Wall
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import param

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, drive
-from maglev_mj.control.laws import AdaptiveWindow, FiniteDifference, LowPass, VelocityEstimator, Window
+from maglev_mj.control import AdaptiveWindow, FiniteDifference, LowPass, VelocityEstimator, Window
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants import MuJoCoBatchPlant
 from maglev_mj.plants.hand import Hand, exponential, get_hand

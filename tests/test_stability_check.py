@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES
-from maglev_mj.control.laws import AxisLaw, Hold, Law, StickSlip, gain
+from maglev_mj.control import AxisLaw, Hold, Law, StickSlip, gain
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Sample
 from maglev_mj.parameters import param

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import find_scene
-from maglev_mj.control.laws import Bias, Hold, Law, StickSlip, Wall
+from maglev_mj.control import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.errors import ParameterError
 from maglev_mj.scenes import together
 from maglev_mj.scenes.drop import Drop

@@ -9,7 +9,7 @@ import pytest
 from corner import corner
 from failures import press_at_edge
 from impacts import RATTLE, LimitedDrop, limited_drop, rattle
-from maglev_mj.control.laws import Wall
+from maglev_mj.control import Wall
 from maglev_mj.frames import Array, Mask
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.spec import RANGE

@@ -24,7 +24,7 @@ from sphinx.util.inspect import stringify_signature
 import maglev_mj
 
 _FOLDER = "reference/api"
-_INTERNAL = {"__main__", "colours", "lazy", "process", "terminal", "versions"}
+_INTERNAL = {"__main__", "colours", "lazy", "process", "versions"}
 _INTERNAL |= {"cli", "display", "hand_devices", "net", "viewer", "web"}  # programs: their reference is the commands'
 _BESIDE = "modules"
 """Page of the modules beside the packages."""
@@ -169,12 +169,14 @@ def _described(module: str) -> list[str]:
         elif isinstance(node, ast.Assign | ast.AnnAssign) and described:
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             found += [target.id for target in targets if isinstance(target, ast.Name)]
-    return sorted(name for name in found if not name.startswith("_"))
+    return sorted({name for name in found if not name.startswith("_")})  # an overloaded one is there several times
 
 
 def _source(module: str, name: str) -> str:
     """Return the module that defines and describes a value."""
-    for node in ast.walk(ast.parse(getsource(import_module(module)))):
+    stub = Path(f"{import_module(module).__file__}i")  # of a package's face
+    source = stub.read_text(encoding="utf-8") if stub.exists() else getsource(import_module(module))
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom) and any(one.name == name for one in node.names):
             return _source(str(node.module), name)
     return module

@@ -30,8 +30,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.control import AxisLaw, Bias, Hold, Law, gain
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import AxisLaw, Bias, Hold, Law, gain
 from maglev_mj.control.loop import Answers, ControlLoop, Plant
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import MaglevError, ParameterError

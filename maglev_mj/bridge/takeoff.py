@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Bias, Hold
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.plants.hand import Trajectory

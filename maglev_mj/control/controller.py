@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.control.laws import FiniteDifference, Law, VelocityEstimator
+from maglev_mj.control import FiniteDifference, Law, VelocityEstimator
 from maglev_mj.control.laws.base import Face, answer, as_law
 from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample

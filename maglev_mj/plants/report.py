@@ -9,8 +9,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from maglev_mj.control import Hold
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Hold
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.parameters import axis_indices

@@ -14,7 +14,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from maglev_mj.control import laws as _laws
+from maglev_mj import control as _laws
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.laws.base import FunctionLaw
 from maglev_mj.errors import MaglevError, ParameterError, check_instance

@@ -10,8 +10,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control import Hold, Law, VelocityEstimator, Wall
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Hold, Law, VelocityEstimator, Wall
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import axis_indices, param

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from maglev_mj.control.laws import Hold, Law
+from maglev_mj.control import Hold, Law
 from maglev_mj.parameters import param
 from maglev_mj.plants import Timing
 from maglev_mj.scenes.scene import Scene, Start

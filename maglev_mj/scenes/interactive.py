@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj import spec
-from maglev_mj.control.laws import Bias, Hold, Law, StickSlip, Wall
+from maglev_mj.control import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.errors import ParameterError, check_one_of, named
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import Turn, axis_indices, number, param

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
-from maglev_mj.control.laws import Wall
+from maglev_mj.control import Wall
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.pictures import (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from maglev_mj.control.laws import Law
+from maglev_mj.control import Law
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import number, param

@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from maglev_mj.control.laws import Law
+from maglev_mj.control import Law
 from maglev_mj.frames import AXES
 from maglev_mj.parameters import param
 from maglev_mj.plants.hand import Trajectory

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
+from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Law, VelocityEstimator
 from maglev_mj.errors import ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Array, Component
 from maglev_mj.parameters import Parameters, Turn, axis_indices, param

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from maglev_mj.control.laws import (
+from maglev_mj.control import (
     AdaptiveWindow,
     Dahl,
     ElastoPlastic,
@@ -26,7 +26,7 @@ from maglev_mj.control.laws import (
     SpringReset,
     VelocityEstimator,
 )
-from maglev_mj.control.laws import StickSlip as StickSlipFriction
+from maglev_mj.control import StickSlip as StickSlipFriction
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import hold, others, stepped

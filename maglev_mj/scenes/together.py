@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.control import Law, VelocityEstimator
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Law, VelocityEstimator
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Command, Mask, Sample, components
 from maglev_mj.parameters import axis_indices

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from maglev_mj.control import Law
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Law
 from maglev_mj.control.loop import Record
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, Sample

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Bias
 from maglev_mj.control.loop import ControlLoop, Record
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.plants import MuJoCoPlant, Timing

@@ -13,8 +13,8 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control import Law
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Law
 from maglev_mj.control.loop import drive
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError

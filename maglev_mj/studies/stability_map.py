@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 import maglev_mj
 import maglev_mj.theory as theory
+from maglev_mj.control import Law, Wall
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Law, Wall
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample

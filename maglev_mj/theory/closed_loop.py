@@ -16,7 +16,7 @@ from typing import Any, TypeAlias, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.laws import FiniteDifference, LinearController, LowPass, VelocityEstimator, Window
+from maglev_mj.control import FiniteDifference, LinearController, LowPass, VelocityEstimator, Window
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.control.laws import Law, ObserverWall
+from maglev_mj.control import Law, ObserverWall
 from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array
 from maglev_mj.parameters import Parameters, interval, param

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.control.laws import FiniteDifference, LowPass, VelocityEstimator, Window
+from maglev_mj.control import FiniteDifference, LowPass, VelocityEstimator, Window
 from maglev_mj.display.stability_map import margin
 from maglev_mj.errors import ParameterError
 from maglev_mj.live.settings import State, checked

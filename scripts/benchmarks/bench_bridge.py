@@ -30,7 +30,7 @@ from maglev_mj.bridge.safety import HostLimits, Limits, OutputLimiter
 from maglev_mj.bridge.simulated_links import VirtualLink
 from maglev_mj.bridge.twin import ServerReport, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Command, StateReport
-from maglev_mj.control.laws import Bias
+from maglev_mj.control import Bias
 from maglev_mj.control.loop import drive
 from maglev_mj.net.links import Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced

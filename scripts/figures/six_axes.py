@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from maglev_mj.control import StickSlip
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import StickSlip
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Component, Mask, Sample

@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from maglev_mj import ExactPlant, Timing, Wall, drive
+from maglev_mj.control import Law, PassivityController, PredictiveWall
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Law, PassivityController, PredictiveWall
 from maglev_mj.frames import Array
 from maglev_mj.plants.hand import HANDS
 from maglev_mj.spec import Spec

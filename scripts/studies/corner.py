@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from maglev_mj.control import Hold, Wall
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Hold, Wall
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing, engine_warnings_silenced

@@ -26,8 +26,8 @@ from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.wire import Codec, Command, Fault, Hello
 from maglev_mj.cli import main
+from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Bias, Hold
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import ZERO
 from maglev_mj.net.addresses import parse_url

@@ -33,8 +33,8 @@ from maglev_mj.bridge.twin import TwinServer
 from maglev_mj.bridge.wire import Command as Currents
 from maglev_mj.bridge.wire import Fault, fault_names
 from maglev_mj.cli import main
+from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Bias, Hold
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Command, Sample

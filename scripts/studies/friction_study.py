@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from maglev_mj.control import Friction
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Friction
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import AXES, Array, Command, Mask, Sample
 from maglev_mj.plants import ExactPlant, Sensor, Timing

@@ -19,8 +19,8 @@ import numpy as np
 
 from maglev_mj import ExactPlant, Timing, Wall
 from maglev_mj.analysis import Estimate, Identification, identify
+from maglev_mj.control import Bias, StickSlip
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Bias, StickSlip
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants.hand import HANDS, Hand, Trajectory

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from maglev_mj.control import Law, Wall
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.laws import Law, Wall
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.parameters import numbers

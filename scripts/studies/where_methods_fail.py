@@ -16,7 +16,7 @@ from failures import press_at_edge, random_delay_rate
 from impacts import RATTLE, limited_drop, rattle
 from maglev_mj import Timing, Wall
 from maglev_mj.cli.pictures import script_options
-from maglev_mj.control.laws import Law, ObserverWall
+from maglev_mj.control import Law, ObserverWall
 from maglev_mj.pictures import Panel, small_multiples
 from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import RANGE, Spec

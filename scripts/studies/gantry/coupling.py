@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.control.laws import Law, StickSlip
+from maglev_mj.control import Law, StickSlip
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
 from maglev_mj.spacenav.navigation import Mode, Navigator

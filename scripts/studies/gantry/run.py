@@ -13,7 +13,7 @@ from gantry.coupling import Coupling, CouplingLaw
 from gantry.slave import Slave
 from gantry.task import Task
 from maglev_mj import Controller, drive
-from maglev_mj.control.laws import Bias, Hold, StickSlip
+from maglev_mj.control import Bias, Hold, StickSlip
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.plants.hand import GuidedHand

@@ -1,3 +1,4 @@
+from maglev_mj.control.controller import Controller as Controller
 from maglev_mj.control.laws.base import AxisLaw as AxisLaw
 from maglev_mj.control.laws.base import Gains as Gains
 from maglev_mj.control.laws.base import Law as Law
@@ -24,3 +25,8 @@ from maglev_mj.control.laws.velocity import FiniteDifference as FiniteDifference
 from maglev_mj.control.laws.velocity import LowPass as LowPass
 from maglev_mj.control.laws.velocity import Window as Window
 from maglev_mj.control.laws.wall import Wall as Wall
+from maglev_mj.control.loop import ControlLoop as ControlLoop
+from maglev_mj.control.loop import Plant as Plant
+from maglev_mj.control.loop import drive as drive
+from maglev_mj.control.timeline import Timeline as Timeline
+from maglev_mj.control.timeline import Timing as Timing
