@@ -23,7 +23,7 @@ PACKAGE = Path(maglev_mj.__file__).parent
 
 # floor of each room and loose module; a module imports only from floors below its own, and from its own room
 FLOORS = {
-    **dict.fromkeys(("errors", "frames", "spec", "versions", "lazy", "process", "colours", "pictures", "result"), 0),
+    **dict.fromkeys("errors frames spec versions lazy process colours pictures result terminal".split(), 0),
     "parameters": 1,
     **dict.fromkeys(("control", "net"), 2),
     "plants": 3,

@@ -24,8 +24,8 @@ from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict
 from maglev_mj.recording.sample import check_rows
 from maglev_mj.recording.verify import verify
-from maglev_mj.result import printable
 from maglev_mj.session.replay import expected, rebuild
+from maglev_mj.terminal import printable
 from tests.recorded import (
     FIELD,
     KINDS,

@@ -11,7 +11,7 @@ import pytest
 
 from maglev_mj import Range, find_scene, linearise, measure_fidelity, run, run_phases, stability, sweep
 from maglev_mj.errors import MissingPackageError, ParameterError
-from maglev_mj.result import WIDTH, Result, Table, number_text, plain
+from maglev_mj.result import Result, Table, number_text, plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.press import Press
@@ -21,6 +21,7 @@ from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.drop_map import DropMapParameters, run_drop_map
 from maglev_mj.studies.fidelity import MARGIN
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
+from maglev_mj.terminal import WIDTH
 from maglev_mj.theory import WallRequirements, design_wall
 from tests.test_analysis import analysed, recorded
 

@@ -29,10 +29,10 @@ from maglev_mj.cli.arguments import joined
 from maglev_mj.cli.commands import COMMANDS, GROUPS
 from maglev_mj.cli.commission import _coil_row
 from maglev_mj.cli.progress import Progress
-from maglev_mj.result import wrapped
 from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.studies.fidelity import COMPARED, LevelResult, levels_table
 from maglev_mj.studies.levels import LEVELS
+from maglev_mj.terminal import wrapped
 from tests.golden.outputs import cases, kept
 
 PROGRAM = [sys.executable, "-m", "maglev_mj"]

@@ -24,7 +24,7 @@ from sphinx.util.inspect import stringify_signature
 import maglev_mj
 
 _FOLDER = "reference/api"
-_INTERNAL = {"__main__", "colours", "lazy", "process", "versions"}
+_INTERNAL = {"__main__", "colours", "lazy", "process", "terminal", "versions"}
 _INTERNAL |= {"cli", "display", "hand_devices", "net", "viewer", "web"}  # programs: their reference is the commands'
 _BESIDE = "modules"
 """Page of the modules beside the packages."""

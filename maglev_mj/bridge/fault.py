@@ -21,7 +21,8 @@ from maglev_mj.bridge.wire import Fault, Frame, State, StateReport, fault_names
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import flag
-from maglev_mj.result import Result, Table, number_text, printable
+from maglev_mj.result import Result, Table, number_text
+from maglev_mj.terminal import printable
 from maglev_mj.versions import versions
 
 _KEPT = 200

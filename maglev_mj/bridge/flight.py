@@ -22,7 +22,7 @@ from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingError, RecordingFile
-from maglev_mj.result import Table, wrapped
+from maglev_mj.result import Table
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.interactive import WEIGHT
@@ -41,6 +41,7 @@ from maglev_mj.session import (
     own_code_refused,
 )
 from maglev_mj.spec import GRAVITY
+from maglev_mj.terminal import wrapped
 from maglev_mj.theory import stability
 
 _USUAL = 100  # answers whose median is the usual delay: one late answer makes no loop unstable

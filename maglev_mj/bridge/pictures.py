@@ -10,7 +10,7 @@ from maglev_mj.bridge.fault import FaultRecord
 from maglev_mj.colours import REFERENCE, SERIES
 from maglev_mj.frames import AXES, Array
 from maglev_mj.pictures import BESIDE, TITLE, new_figure
-from maglev_mj.result import printable
+from maglev_mj.terminal import printable
 
 
 def last_cycles(record: FaultRecord) -> Any:

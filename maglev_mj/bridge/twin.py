@@ -29,8 +29,8 @@ from maglev_mj.net.links import Address, Server
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.plants.hand import HandForce
-from maglev_mj.result import wrapped
 from maglev_mj.spec import Spec
+from maglev_mj.terminal import wrapped
 
 REST = (0.0, 0.0, -Spec.translation_range.value, 0.0, 0.0, 0.0)
 """Pose at rest on the lower stop [m, rad]."""

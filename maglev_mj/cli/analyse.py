@@ -19,8 +19,8 @@ from maglev_mj.frames import AXES
 from maglev_mj.parameters import axis_indices, number
 from maglev_mj.pictures import PictureFolder, save
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
-from maglev_mj.result import printable, wrapped
 from maglev_mj.session.replay import OwnCode, rebuild_for, stick_positions_of, unmade_plant
+from maglev_mj.terminal import printable, wrapped
 from maglev_mj.versions import versions_read
 
 

@@ -12,7 +12,7 @@ from shutil import get_terminal_size
 from typing import Any, TypeAlias
 
 from maglev_mj.errors import meant, not_one_of
-from maglev_mj.result import WIDTH
+from maglev_mj.terminal import WIDTH
 
 Container: TypeAlias = argparse._ActionsContainer
 """A parser, or a group of its options."""

@@ -32,9 +32,9 @@ from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.net.links import open_link
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording, tee
-from maglev_mj.result import say, wrapped
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot, device_actions
+from maglev_mj.terminal import say, wrapped
 
 _IDENTIFYING = 10.0
 _FLYING = "record", "view", "web", "seconds", "spacenav", "foxglove"

@@ -17,7 +17,7 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.conformance import CheckResult, checks, conform
 from maglev_mj.net.addresses import parse_url
 from maglev_mj.net.links import open_link
-from maglev_mj.result import say, wrapped
+from maglev_mj.terminal import say, wrapped
 from maglev_mj.versions import versions
 
 _WORDS = {True: "pass", False: "FAIL", None: "skip"}

@@ -9,7 +9,7 @@ from maglev_mj.bridge.connection import estop
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_key, chosen_key
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.result import say
+from maglev_mj.terminal import say
 
 
 def add_options(parser: Parser) -> None:

@@ -10,7 +10,7 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.writable import check_outputs
 from maglev_mj.recording import EXPORTS, Recording
 from maglev_mj.recording.export import export
-from maglev_mj.result import say
+from maglev_mj.terminal import say
 
 
 def add_options(parser: Parser) -> None:

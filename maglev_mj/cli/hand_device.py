@@ -13,7 +13,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.hand_devices.device import HAND_MAPPING, HandDevice
 from maglev_mj.hand_devices.find import AUTO, described_devices, open_device
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.result import say
+from maglev_mj.terminal import say
 
 _LIST, _PREFIX = "list", "hand-"
 

@@ -20,7 +20,7 @@ from maglev_mj.cli.completion import complete
 from maglev_mj.cli.writable import check_outputs
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.process import Interrupts
-from maglev_mj.result import say
+from maglev_mj.terminal import say
 from maglev_mj.viewer.backend import check_mujoco_gl
 
 _UNREAD = 141  # as a shell gives for a program that a closed pipe ends

@@ -14,8 +14,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.live import PORT, LiveServer
 from maglev_mj.net.addresses import check_port
 from maglev_mj.parameters import number
-from maglev_mj.result import say
 from maglev_mj.session import STEP_FORCE, Publisher
+from maglev_mj.terminal import say
 
 
 class OpenPublishers(NamedTuple):

@@ -11,11 +11,11 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import flag
-from maglev_mj.result import say
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.names import scene_names
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stability_check import stability_warning
+from maglev_mj.terminal import say
 
 _MORE = "SCENE is a name, FILE.py or FILE.py:CLASS; SCENE --help lists its own options."
 

@@ -22,9 +22,9 @@ from maglev_mj.frames import AXES, Component
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
-from maglev_mj.result import say
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Session, real_time
+from maglev_mj.terminal import say
 
 _SCENE = "joystick"
 

@@ -14,11 +14,11 @@ from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene
 from maglev_mj.errors import ParameterError
-from maglev_mj.result import wrapped
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Record
 from maglev_mj.studies.drop_map import PART, DropMapParameters, run_drop_map
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
+from maglev_mj.terminal import wrapped
 from maglev_mj.theory import stability
 
 _RANGES = "damping", "stiffness"

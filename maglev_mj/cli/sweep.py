@@ -21,9 +21,9 @@ from maglev_mj.cli.scenes import add_scene
 from maglev_mj.cli.writable import check_outputs
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import parsed_number
-from maglev_mj.result import wrapped
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.sweep import MOST_CELLS, sweep, value_of
+from maglev_mj.terminal import wrapped
 
 
 def add_options(parser: Parser) -> None:

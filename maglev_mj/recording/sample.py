@@ -20,8 +20,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import axis_indices, flag, number, numbers
 from maglev_mj.plants.energy import HandWork, PassivityObserver
-from maglev_mj.result import printable
 from maglev_mj.spec import GRAVITY, INERTIA
+from maglev_mj.terminal import printable
 
 Row: TypeAlias = Sequence[float]
 """Values of one sample in FIELDS order, components flattened."""

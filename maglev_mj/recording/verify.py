@@ -30,7 +30,7 @@ from maglev_mj.recording.sample import (
     compiled,
     is_recorded,
 )
-from maglev_mj.result import wrapped
+from maglev_mj.terminal import wrapped
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
 """Function that rebuilds plant and controller.
