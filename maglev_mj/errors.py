@@ -6,15 +6,15 @@ A message states the value and what is allowed.
 from __future__ import annotations
 
 import os
-import shlex
 import sys
 from collections.abc import Collection, Iterable
 from difflib import get_close_matches
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from maglev_mj.frames import Command, Sample
 
 _LONGEST = 200
@@ -147,6 +147,8 @@ def file_path(value: Path | str) -> Path:
     Raises:
         ParameterError: If it is neither.
     """
+    from pathlib import Path  # a help needs none
+
     check_instance("path", value, str | os.PathLike, "the path of a file")
     return Path(value)
 
@@ -154,7 +156,7 @@ def file_path(value: Path | str) -> Path:
 def named(cls: type) -> str:
     """Return a user's class with its file, for messages."""
     file = getattr(sys.modules.get(cls.__module__), "__file__", None)
-    return f"{cls.__name__} of {Path(file or cls.__module__).name}"
+    return f"{cls.__name__} of {os.path.basename(file or cls.__module__)}"
 
 
 def one_line(value: object) -> str:
@@ -189,6 +191,7 @@ def require(packages: Iterable[str], extra: str, why: str) -> None:
 
 def install_command(extra: str) -> str:
     """Return the command that installs an extra's packages for this Python."""
+    import shlex
     from importlib.metadata import PackageNotFoundError, requires
 
     try:

@@ -17,11 +17,8 @@ import maglev_mj
 from maglev_mj.cli.arguments import Parser, joined
 from maglev_mj.cli.commands import GROUPS, Command
 from maglev_mj.cli.completion import complete
-from maglev_mj.cli.writable import check_outputs
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.process import Interrupts
 from maglev_mj.terminal import say
-from maglev_mj.viewer.backend import check_mujoco_gl
 
 _UNREAD = 141  # as a shell gives for a program that a closed pipe ends
 
@@ -56,6 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
+    from maglev_mj.cli.writable import check_outputs  # a help needs neither
+    from maglev_mj.process import Interrupts
+
     interrupts = Interrupts()
     try:
         with interrupts:
@@ -135,6 +135,8 @@ def parser() -> Parser:
 
 def _prepare(commands: Mapping[str, Parser], words: Sequence[str]) -> None:
     if words and words[0] in commands:
+        from maglev_mj.viewer.backend import check_mujoco_gl
+
         try:
             check_mujoco_gl()  # before the engine is loaded, which refuses it with a traceback
         except ParameterError as error:

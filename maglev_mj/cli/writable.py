@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import tempfile
 from pathlib import Path
 
 from maglev_mj.errors import ParameterError
@@ -60,6 +59,8 @@ def check_folder(path: Path) -> None:
 
 def _takes_files(folder: Path) -> bool:
     """Return True if a file can be made in a folder, by making one."""
+    import tempfile  # a help needs none
+
     try:
         with tempfile.TemporaryFile(dir=folder):
             return True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
 import sys
 from functools import cache
 
@@ -60,6 +59,8 @@ def drawing_library(default: str | None = None) -> str:
 
 @cache
 def _first_working() -> str:
+    import subprocess
+
     for name in _LIBRARIES:
         trial = [sys.executable, "-W", "error::UserWarning", "-c", _TRIAL.format(name)]  # glfw only warns
         environment = {**os.environ, "MUJOCO_GL": name}
