@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from maglev_mj import control
 from maglev_mj.cli import main
 from maglev_mj.cli import replay as command
 from maglev_mj.control import (
@@ -44,7 +45,6 @@ from maglev_mj.control import (
     VelocityEstimator,
     Wall,
     Window,
-    laws,
 )
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
@@ -183,7 +183,7 @@ def say(capsys: Any) -> Callable[..., tuple[int, str, str]]:
 
 def test_every_law_and_estimate_of_the_package_is_in_the_product() -> None:
     used: set[type] = {type(law) for parts in LAWS.values() for law in parts} | {type(one) for one in VELOCITIES}
-    given = [getattr(laws, name) for name in dir(laws)]
+    given = [getattr(control, name) for name in dir(control)]
     there = {cls for cls in given if isinstance(cls, type) and "__call__" in dir(cls)}
     assert there - {Law, AxisLaw, Friction, VelocityEstimator} == used | {Bias}
 
