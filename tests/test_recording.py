@@ -17,13 +17,15 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.control.loop import drive
+from maglev_mj.errors import DivergenceError
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, best_suffix, open_recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
+from maglev_mj.scenes.run import run_variants
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.playback import Replay
-from maglev_mj.session.replay import rebuild, record_run
+from maglev_mj.session.replay import rebuild, record_run, recorded
 from maglev_mj.viewer.clip import write_clip, write_picture
 
 
@@ -47,6 +49,17 @@ def test_a_run_that_diverges_is_recorded_up_to_there(tmp_path: Path) -> None:
     recording = Recording.load(path)
     assert recording.ticks > 5
     assert verify(recording, rebuild).same
+
+
+def test_a_fault_of_another_run_is_no_event_of_a_recording() -> None:
+    file = ArrayFile()
+    runs = {"recorded": Drop(duration=0.1), "diverges": Drop(stiffness=4e4, delay=0.005)}
+    with pytest.raises(DivergenceError):
+        run_variants(runs, plant="exact", recording=recorded(file))
+    assert file.recording.events == () and file.recording.ticks == 21
+    with pytest.raises(DivergenceError):
+        run_variants({"diverges": runs["diverges"]}, plant="exact", recording=recorded(file))
+    assert len(file.recording.events) == 1 and file.recording.events[0].startswith("fault: ")
 
 
 def changed(stretch: Stretch, name: str, row: int) -> Stretch:

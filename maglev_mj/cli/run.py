@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from inspect import getdoc
 from pathlib import Path
 
@@ -61,20 +61,20 @@ def _run(options: argparse.Namespace) -> int:
     banded = pictures is not None and scene.drawn_phases and "exact" in scene.plants
     bands = (options.phases or scene.drawn_phases) if banded else None
     written = list[Path]()
-    recording: AbstractContextManager[Begin | None] = nullcontext()
+    recording: AbstractContextManager[Begin] | None = None
     if options.record is not None:
         from maglev_mj.session.replay import recorded_to  # with all that reads and writes recordings
 
         recording = recorded_to(options.record, written)
     try:
-        with Progress(scene.name) as progress, recording as begin:
+        with Progress(scene.name) as progress:
             results = run_variants(
                 variants,
                 plant=options.plant,
                 phase=options.phase,
                 phases=options.phases,
                 bands=bands,
-                begin=begin,
+                recording=recording,
                 compare=options.json != "-",
                 progress=progress,
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Integral
@@ -495,7 +496,7 @@ def run_variants(
     phase: float = 0.0,
     phases: int | ArrayLike | None = None,
     bands: int | ArrayLike | None = None,
-    begin: Begin | None = None,
+    recording: AbstractContextManager[Begin | None] | None = None,
     compare: bool = False,
     progress: Callable[[int, int], object] | None = None,
 ) -> Variants:
@@ -507,7 +508,7 @@ def run_variants(
         phase: See `run`.
         phases: Phases at which the figures are taken too, see `run_phases`; None for none.
         bands: Phases at which the motion on the exact plant is kept too, for pictures; None for none.
-        begin: Begins a recording of the first run, see `run`.
+        recording: Context that gives what begins a recording, of the first run alone; see `run`.
         compare: True to run the scene itself on its other plant too, for `gap`.
         progress: See `run_phases`.
 
@@ -520,7 +521,8 @@ def run_variants(
     gap = None
     try:
         for label, variant in variants.items():
-            runs[label] = run(variant, plant=plant, phase=phase, begin=None if runs else begin)
+            with (not runs and recording) or nullcontext() as begin:  # later faults are not its own
+                runs[label] = run(variant, plant=plant, phase=phase, begin=begin)
         if phases is not None:
             swept = {one: run_phases(variants[one], phases, plant=plant, progress=progress) for one in variants}
         if bands is not None:
