@@ -108,6 +108,7 @@ class DesignResult(Result):
     delays: Array
     map: Array
     drawn_by: ClassVar = "maglev_mj.studies.pictures:design_map"
+    derived: ClassVar = ("pulse", "gate")
 
     def columns(self) -> dict[str, Array]:
         """Return mass, delay and largest modulus of each cell."""
@@ -137,7 +138,7 @@ class DesignResult(Result):
         ]
         if contact.pulse:
             words = f"further, for {contact.pulse_width * 1e3:g} ms, from {self.gate * 1e3:.1f} mm/s on"
-            rows.insert(2, ("pulse", contact.pulse_of(wall), "N s/m", words))
+            rows.insert(2, ("pulse", self.pulse, "N s/m", words))
         if self.reference is not None:
             words = f"{self.reference.dynamic_stiffness:.0f} N/m dynamic"
             rows.append(("PD alone would reach", self.reference.stiffness, "N/m", words))
@@ -154,9 +155,10 @@ class DesignResult(Result):
             "\n".join([note, *growing[:_MOST_LISTED], *more]),
         )
 
-    def as_json(self) -> dict[str, Any]:
-        """Return every field, pulse and gate, ready for JSON."""
-        return {**super().as_json(), "pulse": self.contact.pulse_of(self.wall), "gate": self.gate}
+    @property
+    def pulse(self) -> float:
+        """Pulse damping [N s/m]; see `Contact.pulse_of`."""
+        return self.contact.pulse_of(self.wall)
 
     @property
     def gate(self) -> float:
