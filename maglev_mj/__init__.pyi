@@ -51,10 +51,10 @@ from maglev_mj.recording import open_recording as open_recording
 from maglev_mj.recording.export import export as export
 from maglev_mj.recording.verify import verify as verify
 from maglev_mj.scenes.bench import hold as hold
-from maglev_mj.scenes.figures import figure as figure
 from maglev_mj.scenes.find import find_scene as find_scene
-from maglev_mj.scenes.run import Phases as Phases
-from maglev_mj.scenes.run import RunResult as RunResult
+from maglev_mj.scenes.results import Phases as Phases
+from maglev_mj.scenes.results import RunResult as RunResult
+from maglev_mj.scenes.results import figure as figure
 from maglev_mj.scenes.run import run as run
 from maglev_mj.scenes.run import run_phases as run_phases
 from maglev_mj.scenes.scene import Scene as Scene

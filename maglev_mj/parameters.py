@@ -432,9 +432,9 @@ class Parameters:
         Raises:
             ParameterError: If there is no parameter of a name, or a value is outside its bounds.
         """
-        return self.from_json({**self._given(), **changes})
+        return self.from_json({**self.independent_values(), **changes})
 
-    def _given(self) -> dict[str, Any]:
+    def independent_values(self) -> dict[str, Any]:
         """Return the values that are not derived, by name."""
         derived: frozenset[str] = self._derived  # type: ignore[attr-defined]
         return {name: value for name, value in self.as_json().items() if name not in derived}

@@ -11,7 +11,8 @@ from maglev_mj.control import AxisLaw, Law, gain
 from maglev_mj.parameters import param
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.pictures import drop_phases, phase_plane, time_series
-from maglev_mj.scenes.run import Variants, run, run_phases, run_variants
+from maglev_mj.scenes.results import Variants
+from maglev_mj.scenes.run import run, run_phases, run_variants
 from maglev_mj.scenes.scene import Scene
 
 DROP, PHASE = Drop(), 0.56

@@ -29,7 +29,7 @@ from typing import ClassVar
 
 from maglev_mj.control import AxisLaw, gain
 from maglev_mj.parameters import param
-from maglev_mj.scenes.figures import figure
+from maglev_mj.scenes.results import figure
 from maglev_mj.scenes.scene import Scene, Start
 
 

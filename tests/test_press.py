@@ -18,7 +18,8 @@ from maglev_mj.frames import Array
 from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.figures import HIT_FIGURES, PressSummary, summarise_press
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.run import Phases, RunResult, run, run_phases
+from maglev_mj.scenes.results import Phases, RunResult
+from maglev_mj.scenes.run import run, run_phases
 
 SHORT = Press(hits=2, duration=1.6)
 ARM_MASS, ARM_DAMPING, ARM_STIFFNESS = 0.554, 6.45, 135.0

@@ -18,7 +18,8 @@ from maglev_mj.frames import Array
 from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.run import Variants, run, run_phases
+from maglev_mj.scenes.results import Variants
+from maglev_mj.scenes.run import run, run_phases
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import RANGE, Spec
 from tests.sweeps import sweep

@@ -13,8 +13,8 @@ from maglev_mj import Range, find_scene, linearise, measure_fidelity, run, run_p
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.result import Result, Table, number_text, plain
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.figures import Figure
 from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.results import Figure
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session.replay import record_run
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall

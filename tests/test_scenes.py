@@ -17,12 +17,13 @@ from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
 from maglev_mj.plants.hand import GuidedHand, Hand, HandForce, Trajectory
 from maglev_mj.result import plain
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.figures import STOCK, Figure, figure, figures_named
+from maglev_mj.scenes.figures import STOCK, figures_named
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.free import LetGo, SixAxes, Twist
 from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.run import RunResult, run, run_phases
+from maglev_mj.scenes.results import Figure, RunResult, figure
+from maglev_mj.scenes.run import figures_of, run, run_phases
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import GRAVITY, Spec
@@ -476,7 +477,7 @@ def test_every_scene_runs_on_both_plants(name: str, plant: str) -> None:
     assert result.trace.time[-1] == pytest.approx(scene.end)
     assert AXES[AXES.index(scene.axis)] == scene.axis and scene.describe()
     assert next(iter(scene.variants().values())) == scene
-    assert scene.run_figures(plant, 0.4).keys() >= result.figures.keys()
+    assert figures_of(scene, plant, 0.4).keys() >= result.figures.keys()
 
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])

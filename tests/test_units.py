@@ -14,7 +14,7 @@ from maglev_mj import Hold, Scene, Session, figure, identify, param, record_run,
 from maglev_mj.cli.options import described
 from maglev_mj.frames import AXES, unit_of
 from maglev_mj.scenes.pictures import series, spread, stick_slip
-from maglev_mj.scenes.run import Variants
+from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.theory.verdict import stability
 from maglev_mj.viewer import plots as window_plots

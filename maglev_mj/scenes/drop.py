@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 from maglev_mj.control import Law
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import WallScene, hold, others
+from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 from maglev_mj.theory.ideal import analog_wall
-
-if TYPE_CHECKING:
-    from maglev_mj.scenes.run import RunResult
 
 
 class Drop(WallScene):

@@ -1,145 +1,22 @@
-"""Figures of runs: functions of a result, with unit, help and scale."""
+"""Figures of a motion: bounces, perceived hardness, presses; and the stock of them by name."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from maglev_mj.frames import AXES, Array
-from maglev_mj.parameters import flag, number
+from maglev_mj.parameters import number
 from maglev_mj.plants.energy import actuator_work
 from maglev_mj.plants.trace import Trace
-from maglev_mj.result import number_text
+from maglev_mj.scenes.results import Figure, RunResult
 
-if TYPE_CHECKING:
-    from maglev_mj.scenes.run import RunResult
-
-_MOST_SHOWN = 4
-_SHARES = 50.0, 5.0, 95.0
-_SMALLER = {1.0: "", 1e3: "m", 1e6: "µ"}
 _STEP = 1e-4  # of the grids on which a motion is evaluated [s]
 _TAIL = 0.2  # share of a press over which its last figures are taken
-
-
-@dataclass(frozen=True)
-class Figure:
-    """One figure of a run.
-
-    Attributes:
-        name: Its name.
-        function: Function of a `RunResult` that returns a number, or a list of them; for a batch (..., N).
-        unit: Unit in tables.
-        help: Short description.
-        scale: Factor from SI units to that unit.
-        batched: True if the function takes a batch of devices at once, with the same bits as one by one.
-        late: True if a missing figure counts as the largest in percentiles; otherwise it is left out.
-        along: True if it is along the scene's axis, with the unit of a translation; see `unit_of`.
-
-    Example:
-        >>> from maglev_mj import find_scene, run
-        >>> from maglev_mj.scenes.figures import Figure
-        >>> lowest = Figure("lowest", lambda result: result.motion(result.times())[0].min(), "m")
-        >>> round(float(lowest.function(run(find_scene("drop")(duration=0.1), plant="exact"))), 4)  # [m]
-        -0.0025
-    """
-
-    name: str
-    function: Callable[[RunResult], Any]
-    unit: str = ""
-    help: str = ""
-    scale: float = 1.0
-    batched: bool = True
-    late: bool = False
-    along: bool = False
-
-    def __post_init__(self) -> None:
-        flag("batched", self.batched)
-        flag("late", self.late)
-        flag("along", self.along)
-
-    def __call__(self, result: RunResult) -> Any:
-        """Return the figure of a result."""
-        return self.function(result)
-
-    @property
-    def si_unit(self) -> str:
-        """SI unit of the function's values; empty if not known."""
-        prefix = _SMALLER.get(self.scale)
-        return "" if prefix is None else self.unit.removeprefix(prefix)
-
-    def text(self, value: Any, *bounds: Any) -> str:
-        """Return one or several values, or a median with bounds.
-
-        Bounds only if they differ.
-        """
-        values = np.atleast_1d(np.asarray(value, dtype=np.float64))
-        if values.size > _MOST_SHOWN:
-            return f"{self._number(values.min())} to {self._number(values.max())}"
-        text = "/".join(self._number(one) for one in values)
-        around = [self._number(bound) for bound in bounds]
-        return f"{text} ({around[0]} to {around[1]})" if len(set(around)) > 1 else text
-
-    def spread(self, values: Any) -> str:
-        """Return median and 5 to 95 % over phases.
-
-        Several hits are pooled.
-        """
-        pooled = np.ravel(values) if np.ndim(values) > 1 else values
-        return self.text(*(self.percentile(pooled, share) for share in _SHARES))
-
-    def _number(self, value: float) -> str:
-        return number_text(value * self.scale, 3, 2) if self.unit else number_text(value, 6)
-
-    def percentile(self, values: Array, share: float) -> Array:
-        """Return a percentile over the runs, the first dimension.
-
-        Args:
-            values: Figures of N runs, (N, ...).
-            share: Percentile in per cent.
-        """
-        if self.late:
-            late = np.where(np.isnan(values), np.inf, values)
-            if np.isinf(np.percentile(late, share, method="higher")):
-                return np.array(np.nan)
-            # a missing figure keeps its rank without an effect on the interpolation
-            return np.asarray(np.percentile(np.where(np.isinf(late), np.finfo(float).max, late), share))
-
-        def finite_percentile(column: Array) -> float:
-            finite = column[np.isfinite(column)]
-            return float(np.percentile(finite, share)) if finite.size else np.nan
-
-        percentiles: Array = np.apply_along_axis(finite_percentile, 0, np.asarray(values, dtype=np.float64))
-        return percentiles
-
-
-def figure(
-    unit: str = "",
-    help: str = "",
-    *,
-    scale: float = 1.0,
-    batched: bool = False,
-    late: bool = False,
-    along: bool = False,
-) -> Callable[[Callable[[RunResult], Any]], Figure]:
-    """Make a figure of a function; see `Figure`.
-
-    Example:
-        >>> from maglev_mj import figure, find_scene, run
-        >>> @figure("mm", "lowest point", scale=1e3)
-        ... def lowest(result):
-        ...     return result.motion(result.times())[0].min()
-        >>> round(float(lowest.function(run(find_scene("drop")(duration=0.1), plant="exact"))), 4)  # [m]
-        -0.0025
-    """
-
-    def make(function: Callable[[RunResult], Any]) -> Figure:
-        return Figure(function.__name__, function, unit, help, scale, batched, late, along)
-
-    return make
 
 
 def figures_named(chosen: Sequence[Figure | str] | Mapping[str, Figure | str]) -> dict[str, Figure]:

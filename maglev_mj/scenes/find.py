@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 import hashlib
 import importlib
 import sys
@@ -157,8 +158,8 @@ def defined_in(module: ModuleType, name: str, file: str) -> Any:
     return found
 
 
-def made_again(reference: str, values: Mapping[str, Any]) -> Scene:
-    """Return a scene from its reference and values, for unpickling."""
+def scene_again(reference: str, values: Mapping[str, Any]) -> Scene:
+    """Return a scene from its reference and values."""
     path, _, _ = reference.rpartition(":")
     cls = find_scene(reference) if reference in BUILT_IN or path.endswith(".py") else _in_module(reference)
     return cls.from_json(values)
@@ -184,11 +185,7 @@ def _of_file(path: Path, wanted: str) -> type[Scene]:
     if not path.is_file():
         raise ParameterError(f"scene must be a file that is there, not {str(path)!r}")
     module = _run(path.resolve(), path.stat().st_mtime_ns)
-    found = {
-        value.__name__: value
-        for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, Scene) and value.__module__ == module.__name__
-    }
+    found = _scenes_of(module)
     if wanted:
         if wanted not in found:
             raise ParameterError(not_one_of(f"scene of {path.name}", found or ["none"], wanted))
@@ -197,6 +194,19 @@ def _of_file(path: Path, wanted: str) -> type[Scene]:
         several = f"has {', '.join(found)}: name one as {path.name}:CLASS" if found else "has no class of Scene"
         raise ParameterError(f"scene must be one of its file, but {path.name} {several}")
     return next(iter(found.values()))
+
+
+def _scenes_of(module: ModuleType) -> dict[str, type[Scene]]:
+    """Return the scene classes that a module defines, by name."""
+    return {
+        value.__name__: value
+        for value in vars(module).values()
+        if isinstance(value, type) and issubclass(value, Scene) and value.__module__ == module.__name__
+    }
+
+
+def _reduced(scene: Scene) -> Any:
+    return scene_again, (reference_of(type(scene)), scene.independent_values())
 
 
 @lru_cache(maxsize=16)
@@ -219,6 +229,8 @@ def _made(name: str, text: str | bytes, file: str) -> ModuleType:
         text = text if isinstance(text, str) else decode_source(text)
         setattr(module, TEXT, text)
         exec(compile(text, file, "exec"), module.__dict__)
+        for cls in _scenes_of(module).values():
+            copyreg.pickle(cls, _reduced)  # no other process has this module
     except Exception as error:
         del sys.modules[name]
         raise ParameterError(f"scene {Path(file).name} cannot be read: {_said(error)}") from error

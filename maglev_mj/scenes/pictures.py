@@ -24,7 +24,7 @@ from maglev_mj.pictures import (
     new_grid,
 )
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.run import Phases, RunResult, Variants, share_below
+from maglev_mj.scenes.results import Phases, RunResult, Variants, share_below
 from maglev_mj.spec import Spec
 
 Picture: TypeAlias = Callable[[Variants], Any]

@@ -6,7 +6,7 @@ Figure 6 of Salcudean and Vlaar (1997).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,11 +18,9 @@ from maglev_mj.plants import Timing
 from maglev_mj.plants.hand import GuidedHand, Hand, Trajectory, get_hand, motion
 from maglev_mj.scenes.bench import WallScene, hold, others
 from maglev_mj.scenes.figures import PressSummary
+from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import ESCAPE
-
-if TYPE_CHECKING:
-    from maglev_mj.scenes.run import RunResult
 
 # as shares of an interval: wait before the first stroke, and duration of each way
 _WAIT, _WAY = 0.5, 0.25

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
@@ -24,10 +24,8 @@ from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Timing
 from maglev_mj.plants.base import PlantKeywords
 from maglev_mj.plants.hand import HandForce
 from maglev_mj.scenes.figures import figures_named
+from maglev_mj.scenes.results import RunResult
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
-
-if TYPE_CHECKING:
-    from maglev_mj.scenes.run import RunResult
 
 RATE = Turn(among=(50.0, 100.0, 200.0, 500.0, 1000.0, 2000.0), inverse=True, word="rate")
 """Key settings of a sample period."""
@@ -87,6 +85,8 @@ class Scene(Parameters):
         tolerance_reason: Reason for that value.
         model: MJCF file for display: a path, or the name of one of the package's.
         plots: Own plots: name of the file, without ending -> "module:function" that draws `Variants`.
+        run_figures: Own method (plant, phase) that returns the figures of a run; None to run it as others.
+        figures_together: Own class method (scenes, plant, phases) that returns those of many runs; None for batches.
         drawn_phases: Number of phases whose motion its own plots show around that of a run; 0 for none.
 
     Raises:
@@ -121,6 +121,8 @@ class Scene(Parameters):
     tolerance_reason: ClassVar[str] = "two steps of the sensor"
     plots: ClassVar[Mapping[str, str]] = {}
     drawn_phases: ClassVar[int] = 0
+    run_figures: ClassVar[Any] = None
+    figures_together: ClassVar[Any] = None
     model: ClassVar[str | Path] = "scenes/joystick"
 
     period: float = param(
@@ -146,11 +148,6 @@ class Scene(Parameters):
             cls.name = "".join(f"-{c.lower()}" if c.isupper() else c for c in cls.__name__).strip("-")
         axis_indices(cls.shown_axis)
         cls.figures = figures_named(cls.figures)
-
-    def __reduce__(self) -> Any:
-        from maglev_mj.scenes.find import made_again, reference_of
-
-        return made_again, (reference_of(type(self)), self._given())
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -306,30 +303,12 @@ class Scene(Parameters):
             options["longest_step"] = step(plant)
         return options
 
-    @classmethod
-    def figures_together(
-        cls, scenes: Sequence[Self], plant: str, phases: Sequence[float]
-    ) -> Sequence[Mapping[str, Any] | None]:
-        """Return the figures of many runs by name.
-
-        Runs are batched if possible; None for a run that must run alone.
-        """
-        from maglev_mj.scenes.together import figures_together
-
-        return figures_together(scenes, plant, phases)
-
     def _hands(self, phase: Component) -> HandForce | None:
         if np.ndim(phase) == 0:
             return self.scripted_hand(float(phase))
         hands = [self.scripted_hand(float(one)) for one in np.asarray(phase)]
         known = [hand for hand in hands if hand is not None]
         return SideBySide(known) if known else None
-
-    def run_figures(self, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
-        """Return the figures of one run, by name."""
-        from maglev_mj.scenes.run import run
-
-        return run(self, plant=plant, phase=phase).figures
 
 
 @cache

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -31,12 +31,10 @@ from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import hold, others, stepped
 from maglev_mj.scenes.figures import changes
+from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory.ideal import FrictionEvent, KarnoppMotion, karnopp
-
-if TYPE_CHECKING:
-    from maglev_mj.scenes.run import RunResult
 
 LAWS: Mapping[str, Callable[..., Friction]] = {
     "stick-slip": lambda *, period, **common: StickSlipFriction(**common),

@@ -20,7 +20,8 @@ from maglev_mj.frames import AXES, Array, Command, Mask, Sample, components
 from maglev_mj.parameters import axis_indices
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import HandForce
-from maglev_mj.scenes.run import figures_of_each, run
+from maglev_mj.scenes.results import figures_of_each
+from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene, SideBySide
 
 _LEAST = 8  # fewer do not pay for a batch
@@ -163,6 +164,9 @@ def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float
     """
     found: list[Mapping[str, Any] | None] = [None] * len(scenes)
     cls = type(scenes[0])
+    if cls.figures_together is not None:
+        figures: list[Mapping[str, Any] | None] = cls.figures_together(scenes, plant, phases)
+        return figures
     if plant != "exact" or any(getattr(cls, name) is not getattr(Scene, name) for name in _OWN_RUN):
         return found
     members: dict[int, _Member] = {}
@@ -178,8 +182,8 @@ def figures_together(scenes: Sequence[Scene], plant: str, phases: Sequence[float
         size = _most_of(members[indices[0]])
         for start in range(0, len(indices), size):
             some = indices[start : start + size]
-            for place, figures in _figures_of([(index, members[index]) for index in some]):
-                found[place] = figures
+            for place, together in _figures_of([(index, members[index]) for index in some]):
+                found[place] = together
     return found
 
 

@@ -23,11 +23,12 @@ from maglev_mj.errors import MaglevError, ParameterError, check_instance, check_
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.parameters import parsed_number
 from maglev_mj.result import Result, Table, plain
-from maglev_mj.scenes.figures import Figure
-from maglev_mj.scenes.find import SceneLike, get_scene, made_again, reference_of, scene_of_text, text_of
+from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, scene_again, scene_of_text, text_of
 from maglev_mj.scenes.names import installed_scenes
-from maglev_mj.scenes.run import checked_phase, checked_plant, parameters_json
+from maglev_mj.scenes.results import Figure, parameters_json
+from maglev_mj.scenes.run import checked_phase, checked_plant, figures_of
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.together import figures_together
 from maglev_mj.studies.cells import Cell, Record, Workers, chosen_workers, run_cells
 from maglev_mj.versions import hash_of
 
@@ -263,7 +264,7 @@ def _made(cell: Cell, text: str | None) -> _Run:
     name, plant, phase = cell.pop("scene"), cell.pop("plant"), cell.pop("phase", 0.0)
     cell.pop("version")
     if text is None:
-        return made_again(name.partition("@")[0], cell), plant, phase
+        return scene_again(name.partition("@")[0], cell), plant, phase
     return scene_of_text(text, name.rpartition(":")[2].partition("@")[0]).from_json(cell), plant, phase
 
 
@@ -273,7 +274,7 @@ def _together(cls: type[Scene], plant: str, runs: Sequence[_Run]) -> Sequence[Ma
     None for those that must be made alone.
     """
     try:
-        together = cls.figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
+        together = figures_together([scene for scene, _, _ in runs], plant, [phase for _, _, phase in runs])
     except MaglevError:  # of any of them: its own run reports the error
         return [None] * len(runs)
     done = [index for index, figures in enumerate(together) if figures is not None]
@@ -302,7 +303,7 @@ def _alone(one: _Run, catches: bool) -> dict[str, Any]:
     """
     scene, plant, phase = one
     try:
-        figures: dict[str, Any] = plain(scene.run_figures(plant, phase))
+        figures: dict[str, Any] = plain(figures_of(scene, plant, phase))
         return figures
     except MaglevError as error:
         return {"error": str(error)}
