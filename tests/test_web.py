@@ -43,7 +43,7 @@ from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.web.controls import Choice, Slider, Switch, control
 from maglev_mj.web.grab import Grab
 from maglev_mj.web.guard import Door
-from maglev_mj.web.meshes import glb, triangles
+from maglev_mj.web.meshes import glb, solid
 from maglev_mj.web.page import Page, PageServer
 from maglev_mj.web.svg import Line, chart, ticks
 
@@ -247,16 +247,15 @@ def test_a_page_and_a_window_at_once_are_refused(capsys: pytest.CaptureFixture[s
 @pytest.mark.parametrize("kind", ["box", "cylinder", "ellipsoid"])
 def test_a_shape_is_closed_turned_outward_and_as_large_as_it_says(kind: str) -> None:
     half, turn = np.array([0.01, 0.015, 0.02]), [np.cos(0.3), 0.0, np.sin(0.3), 0.0]
-    points, normals, faces = triangles(Shape(True, kind, half, np.array([0.1, 0.2, 0.3]), turn, (1.0, 1.0, 1.0, 1.0)))
-    corners = points[faces] - [0.1, 0.2, 0.3]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    large = np.linalg.norm(across, axis=1) > 1e-12
-    assert (np.einsum("ij,ij->i", across, corners.mean(axis=1))[large] > 0.0).all()
-    assert (np.einsum("ij,ij->i", across, normals[faces].mean(axis=1))[large] > 0.0).all()
-    volume = np.einsum("ij,ij->i", np.cross(corners[:, 0], corners[:, 1]), corners[:, 2]).sum() / 6.0
+    made = solid(Shape(True, kind, half, np.array([0.1, 0.2, 0.3]), turn, (1.0, 1.0, 1.0, 1.0)))
+    closed = made.copy()
+    closed.merge_vertices(merge_norm=True)
+    assert closed.is_watertight and closed.volume > 0.0
+    facing = np.einsum("ij,ij->i", made.face_normals, made.vertex_normals[made.faces].mean(axis=1))
+    assert facing.min() > {"box": 0.999, "cylinder": 0.97, "ellipsoid": 0.9}[kind]  # no edge is rounded
     whole = {"box": 8.0, "cylinder": 2.0 * np.pi, "ellipsoid": 4.0 / 3.0 * np.pi}[kind] * half.prod()
-    assert volume == pytest.approx(whole, rel=0.01)
-    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
+    assert made.volume == pytest.approx(whole, rel=0.01)
+    assert made.centroid == pytest.approx([0.1, 0.2, 0.3])
 
 
 def test_a_device_is_few_meshes() -> None:
