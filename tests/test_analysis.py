@@ -26,7 +26,7 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.twin import Twin, TwinParameters
 from maglev_mj.cli import main
-from maglev_mj.display.curves import Ranges, curves
+from maglev_mj.display.charts import Charts
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.plants import Timing
 from maglev_mj.plants.energy import PassivityObserver
@@ -47,8 +47,7 @@ from maglev_mj.session.replay import rebuild, record_run, stick_positions_of
 from maglev_mj.spec import GRAVITY
 from maglev_mj.viewer.overlay import status_rows
 from maglev_mj.viewer.plots import Plots
-from maglev_mj.web import panel
-from maglev_mj.web import plots as web_plots
+from maglev_mj.web import panel, svg
 
 ZERO = (0.0,) * 6
 TOUR = Trajectory(
@@ -578,6 +577,6 @@ def test_the_hand_on_a_device_is_not_known_and_taken_for_none(suffix: str, tmp_p
     assert np.isnan(shown.hand).all() and math.isnan(shown.work)
     assert "hand" not in dict(status_rows(shown)).get("energy", "") and "hand" not in panel._words(shown)
     force = Plots().update(shown)[1]
-    assert force.linepnt[0] > 50 and force.linepnt[1] == 0 and np.isfinite(force.linedata).all()
-    drawn = web_plots._force(curves(shown, 0, 100), Ranges(0))
+    assert force.linepnt[0] == 0 and force.linepnt[1] > 50 and np.isfinite(force.linedata).all()
+    drawn = svg.drawn(Charts(100).of(shown, 0)[1])
     assert drawn.count("<polyline") == 2 and '<polyline points=""' in drawn and "nan" not in drawn

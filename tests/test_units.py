@@ -72,7 +72,7 @@ def page_curves(snapshot: Any) -> str:
     """Return the texts of the page's plots."""
     gui = PlotGui()
     shown = page_plots.Plots(gui, snapshot.scene)
-    shown._stability.wait(snapshot.scene)
+    shown._charts.wait(snapshot.scene)
     shown.show(snapshot)
     return "\n".join(re.sub("<[^>]*>", " ", plot.content) for plot in gui.plots)
 

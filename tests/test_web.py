@@ -30,6 +30,7 @@ from websockets.typing import Origin, Subprotocol
 
 from maglev_mj.cli import main
 from maglev_mj.cli.web import PORT, chosen_page
+from maglev_mj.display.charts import Chart, Line
 from maglev_mj.display.glide import SILENCE, Glide
 from maglev_mj.display.remote import RemoteSession, RemoteViewer
 from maglev_mj.errors import MaglevError
@@ -45,7 +46,7 @@ from maglev_mj.web.grab import Grab
 from maglev_mj.web.guard import Door
 from maglev_mj.web.meshes import glb, solid
 from maglev_mj.web.page import Page, PageServer
-from maglev_mj.web.svg import Line, chart, ticks
+from maglev_mj.web.svg import drawn, ticks
 
 TOKEN = "a-token-of-some-length"
 VERSION = [Subprotocol(f"viser-v{viser.__version__}")]
@@ -271,7 +272,8 @@ def test_a_device_is_few_meshes() -> None:
 
 
 def test_a_chart_holds_its_points_and_says_no_markup() -> None:
-    made = chart([("a<b", None)], [Line((1.0, 0.0, 0.0), [0.0, 1.0], [0.0, 2.0], dot=True)], (0.0, 1.0), (0.0, 2.0))
+    line = Line((1.0, 0.0, 0.0), [0.0, 1.0], [0.0, 2.0], dot=True)
+    made = drawn(Chart([("a<b", None)], [line], (0.0, 1.0), (0.0, 2.0)))
     assert "a&lt;b" in made and 'points="38.0,134.0 306.0,22.0"' in made and "#ff0000" in made
     assert ticks(0.0, 20.0) == [0.0, 5.0, 10.0, 15.0, 20.0] and ticks(-3.7, 4.1) == [-2.0, 0.0, 2.0, 4.0]
     for span in np.geomspace(1e-6, 1e6, 200):

@@ -18,7 +18,7 @@ import pytest
 
 from maglev_mj.colours import BAD, GOOD, HAND, STOP
 from maglev_mj.display.banner import banner
-from maglev_mj.display.curves import SteadyRange, fitted_range
+from maglev_mj.display.charts import SteadyRange, fitted_range
 from maglev_mj.display.stability_map import margin
 from maglev_mj.display.stops import met_stops
 from maglev_mj.errors import ParameterError

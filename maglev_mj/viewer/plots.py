@@ -11,24 +11,19 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED, Colour
-from maglev_mj.display.curves import Ranges, curves, round_up
-from maglev_mj.display.stability_map import Margin, StabilityMap
-from maglev_mj.frames import Array
+from maglev_mj.colours import BAD, BOUNDARY, GOOD, MEASURED, Colour
+from maglev_mj.display.charts import Charts, Line, Range
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
 from maglev_mj.scenes import Scene
-from maglev_mj.session import SHOWN, Snapshot
+from maglev_mj.session import Snapshot
 
 _POINTS = 500
-_LEAST = 1e-3
 _NOW = 0.018, 0.045
 _STROKES, _MARKS = 8, 80
 
 _Line: TypeAlias = tuple[Colour, ArrayLike, ArrayLike]
 """Colour, x and y of a line."""
-
-_Range: TypeAlias = tuple[float, float]
 
 
 class Plots:
@@ -38,8 +33,7 @@ class Plots:
     """
 
     def __init__(self) -> None:
-        self._stability = StabilityMap()
-        self._ranges = Ranges(0)
+        self._charts = Charts(_POINTS)
         self.figures = [mujoco.MjvFigure() for _ in range(4)]
         for figure in self.figures:
             _prepare(figure)
@@ -53,52 +47,22 @@ class Plots:
             low: True if there is no room for text under the plots.
         """
         flag("low", low)
-        axis = snapshot.scene.axis_index if axis is None else axis
-        if axis != self._ranges.axis:
-            self._ranges = Ranges(axis)
-        position, force_figure, gains, plane = self.figures
-        name, unit, torque_unit, when, places, speeds, device, hand, edges = curves(snapshot, axis, _POINTS)
-        across, up = (-SHOWN, 0.0), self._ranges.place(places, edges)
-        lines: list[_Line] = [(BOUNDARY, across, [edge, edge]) for edge in edges]
-        lines += [(MEASURED, when, places), *_dot(MEASURED, when, places, across, up)]
-        _draw(position, f"{name} [{unit}]" + (", walls" if edges else ""), lines, across, up)
-        up = self._ranges.force(device, hand, [0.0])
-        lines = [(DEVICE, when, device), (HAND, when, hand)]
-        lines += [*_dot(DEVICE, when, device, across, up), *_dot(HAND, when, hand, across, up)]
-        kind = "torque about" if axis > 2 else "force on"
-        _draw(force_figure, f"{kind} {name[-1]} [{torque_unit}]", lines, across, up)
-        x_range, y_range = self._ranges.place(places, edges), self._ranges.speed(speeds)
-        lines = [(BOUNDARY, [edge, edge], y_range) for edge in edges]
-        lines += [(MEASURED, places, speeds), *_dot(MEASURED, places, speeds, x_range, y_range)]
-        _draw(plane, f"{unit}/s over {name} [{unit}]", lines, x_range, y_range)
-        self._draw_gains(gains, self._stability.of(snapshot.scene))
-        for figure in self.figures:
+        charts = self._charts.of(snapshot, snapshot.scene.axis_index if axis is None else axis)
+        for figure, (title, lines, across, up, foot) in zip(self.figures, charts, strict=True):
+            (words, colour), *further = title
+            shapes = [
+                shape for line in reversed(lines) for shape in _shapes(line, across, up)
+            ]  # the first is uppermost
+            named = ", ".join(name for name, _ in further)
+            _draw(figure, f"{words}: {named}" if named else words, shapes, across, up)
+            figure.textrgb[:] = shown_colour(colour) if colour in (GOOD, BAD) else _TEXT
             figure.flg_ticklabel[0] = not low
-            figure.xlabel = "" if low else figure.xlabel
+            figure.xlabel = "" if low else foot
         return self.figures
 
     def wait(self, scene: Scene) -> None:
         """Wait until the stability of a scene is computed."""
-        self._stability.wait(scene)
-
-    def _draw_gains(self, figure: Any, found: Margin) -> None:
-        """Draw the stability boundary with the present gains.
-
-        The gains are a cross; if a law states no gains, only the verdict is written.
-        """
-        figure.textrgb[:] = _TEXT if found.stable is None else shown_colour(GOOD if found.stable else BAD)
-        if not found.axis:
-            _draw(figure, found.words, [], (0.0, 1.0), (0.0, 1.0))
-            return
-        factor, unit = found.shown
-        width = round_up(max(float(found.dampings.max(initial=0.0)), 1.1 * found.damping, _LEAST))
-        height = round_up(factor * max(float(found.stiffnesses.max(initial=0.0)), 1.1 * found.stiffness, _LEAST))
-        colour = GOOD if found.stable else BAD
-        lines: list[_Line] = [(BOUNDARY, found.dampings, found.stiffnesses * factor)]
-        x, y, dx, dy = found.damping, found.stiffness * factor, 0.05 * width, 0.08 * height
-        lines += [(colour, [x - dx, x + dx], [y, y]), (colour, [x, x], [y - dy, y + dy])]
-        _draw(figure, found.words, lines, (0.0, width), (0.0, height))
-        figure.xlabel = f"{found.axis}: {unit} over damping"
+        self._charts.wait(scene)
 
 
 _TEXT = 0.95, 0.96, 0.98
@@ -186,7 +150,7 @@ def _entitle(figure: Any, title: str) -> None:
     figure.title = f"{title}\0"
 
 
-def _draw(figure: Any, title: str, lines: Sequence[_Line], across: _Range, up: _Range) -> None:
+def _draw(figure: Any, title: str, lines: Sequence[_Line], across: Range, up: Range) -> None:
     _entitle(figure, title)
     figure.linepnt[:] = 0
     for index, (colour, x, y) in enumerate(lines):
@@ -199,19 +163,17 @@ def _draw(figure: Any, title: str, lines: Sequence[_Line], across: _Range, up: _
     figure.range[0], figure.range[1] = across, up
 
 
-def _dot(colour: Colour, x: Array, y: Array, across: _Range, up: _Range) -> list[_Line]:
-    """Return lines forming a dot at the last point.
-
-    It is moved inside the ranges; there are none without a known point.
-    """
-    if not len(x) or not np.isfinite(y[-1]):
-        return []
+def _shapes(line: Line, across: Range, up: Range) -> list[_Line]:
+    """Return a line, and those of the dot at its last point, moved inside the ranges."""
+    colour, x, y = line[:3]
+    shapes: list[_Line] = [(colour, x, y)]
+    if not line.dot or not np.size(x) or not np.isfinite(np.asarray(y)[-1]):
+        return shapes
     wide, high = _NOW[0] * (across[1] - across[0]), _NOW[1] * (up[1] - up[0])
-    middle = min(max(float(x[-1]), across[0] + wide), across[1] - wide)
-    level = min(max(float(y[-1]), up[0] + high), up[1] - high)
-    found: list[_Line] = []
+    middle = min(max(float(np.asarray(x)[-1]), across[0] + wide), across[1] - wide)
+    level = min(max(float(np.asarray(y)[-1]), up[0] + high), up[1] - high)
     for share in (1.0, 0.66, 0.33):
         dx, dy = share * wide, share * high
         corners = [middle - dx, middle, middle + dx, middle, middle - dx], [level, level + dy, level, level - dy, level]
-        found.append((colour, *corners))
-    return found
+        shapes.append((colour, *corners))
+    return shapes

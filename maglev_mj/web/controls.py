@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from maglev_mj.display.curves import round_up
+from maglev_mj.display.charts import round_up
 from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene

@@ -5,50 +5,27 @@ A browser draws them at any width; uPlot, which viser brings, draws no phase pla
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import textwrap
 from html import escape
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.colours import BOUNDARY, Colour, hex_of
+from maglev_mj.display.charts import Chart, Range
 
 _WIDTH, _HEIGHT = 320, 156
 _LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 22
 _TICKS = 4
 _GRID, _TEXT = "rgba(128,128,128,.28)", "currentColor"
 
-Range = tuple[float, float]
 
-
-class Line(NamedTuple):
-    """One line of a chart.
-
-    Attributes:
-        colour: Its colour.
-        x: Along, (N,).
-        y: Up, (N,).
-        dashed: Whether it is dashed.
-        dot: Whether its last point is marked.
-    """
-
-    colour: Colour
-    x: ArrayLike
-    y: ArrayLike
-    dashed: bool = False
-    dot: bool = False
-
-
-def chart(title: Sequence[tuple[str, Colour | None]], lines: Sequence[Line], across: Range, up: Range) -> str:
-    """Return a chart as SVG.
-
-    Args:
-        title: Pieces of text, each with a colour or None for the text's own.
-        lines: The lines, the last one on top.
-        across: Ends of the axis along.
-        up: Ends of the axis up.
-    """
+def drawn(chart: Chart) -> str:
+    """Return a chart as SVG, or its title alone if it has no lines."""
+    title, lines, across, up, foot = chart
+    if not lines:
+        return f'<p style="margin:.5em">{escape(textwrap.shorten(title[0][0], 300))}</p>'
     right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
     parts = [
         f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" style="width:100%;display:block" font-size="11" '
@@ -72,8 +49,9 @@ def chart(title: Sequence[tuple[str, Colour | None]], lines: Sequence[Line], acr
         dash = ' stroke-dasharray="4 3"' if line.dashed else ""
         look = f'fill="none" stroke="{hex_of(line.colour)}" stroke-width="1.6"{dash}'
         parts.append(f'<polyline points="{points}" {look}/>')
-        if line.dot and len(x):
+        if line.dot and len(x) and np.isfinite(y[-1]):
             parts.append(f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="4"{_fill(line.colour)}/>')
+    words.append(f'<text x="{right - 5}" y="{bottom - 5}" text-anchor="end">{escape(foot)}</text>')
     frame = f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}"'
     return "".join([*parts, "</svg>", f'{frame} fill="none" stroke="{hex_of(BOUNDARY)}"/>', *words, "</svg>"])
 
