@@ -575,7 +575,7 @@ def test_the_hand_on_a_device_is_not_known_and_taken_for_none(suffix: str, tmp_p
     replay.tick(0.4)
     shown = replay.snapshot()
     assert np.isnan(shown.hand).all() and math.isnan(shown.work)
-    assert "hand" not in dict(status_rows(shown)).get("energy", "") and "hand" not in panel._words(shown)
+    assert "hand" not in dict(status_rows(shown)).get("energy", "") and "hand" not in panel._words(shown, False)
     force = Plots().update(shown)[1]
     assert force.linepnt[0] == 0 and force.linepnt[1] > 50 and np.isfinite(force.linedata).all()
     drawn = svg.drawn(Charts(100).of(shown, 0)[1])

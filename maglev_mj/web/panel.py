@@ -7,10 +7,9 @@ from functools import partial
 from html import escape
 from typing import Any
 
-import numpy as np
-
-from maglev_mj.colours import BAD, DEVICE, GOOD, HAND, STOP, Colour, hex_of
-from maglev_mj.display.banner import Banner, banner, pace
+from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of
+from maglev_mj.display.banner import Banner, banner
+from maglev_mj.display.readings import FORCES, Reading, readings
 from maglev_mj.parameters import flag
 from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot
 from maglev_mj.session.actions import actions
@@ -28,7 +27,7 @@ _ROWS = {
 }
 _SCENE = "scene "
 _USUAL_STIFFNESS, _MOST_STIFFNESS = 200.0, 5000.0  # of the hand [N/m]
-_NOTHING = 5e-5
+_INPUTS = "gains", "on"
 _FIXED = '.mantine-Paper-root[style*="position: fixed"]'
 _SHEET = (
     f"<style>@media(max-width:36em){{{_FIXED}{{width:100%!important;max-height:48%!important}}"
@@ -73,7 +72,7 @@ class Panel:
             self._scene = type(snapshot.scene)
             self._make_controls(snapshot)
         put(self._banner, content=_banner(banner(snapshot), snapshot))
-        put(self._words, content=_tour(snapshot.tour) + _words(snapshot))
+        put(self._words, content=_tour(snapshot.tour) + _words(snapshot, self._settings))
         for each, value in self._followed:
             each.show(value(snapshot))
         if self._time is not None:
@@ -171,28 +170,23 @@ def _called(name: str) -> str:
     return f"the slider {moved}" if moved != name else f"the button {name}"
 
 
-def _words(snapshot: Snapshot) -> str:
-    """Return the session's readings as HTML."""
-    scene = snapshot.scene
-    rows = [
-        f"<b>{escape(scene.name)}</b>: {escape(scene.describe())}",
-        ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", 1e3 * snapshot.pose.round(5) + 0.0)) + " mm",
-        " ".join(
-            f'<span style="color:{hex_of(colour)}">&#9632;</span> {name} {np.linalg.norm(wrench[:3]):.1f} N'
-            for name, wrench, colour in (
-                ("hand", snapshot.hand, HAND),
-                ("device", snapshot.force, DEVICE),
-                ("stops", snapshot.stops, STOP),
-            )
-            if np.isfinite(wrench).all()
-        ),
-        f"{snapshot.time:.1f} s, {1.0 / scene.period:.4g} Hz, {snapshot.missed} missed",
-    ]
-    if snapshot.time_scale != 1.0:
-        rows.append(pace(snapshot))
-    made = snapshot.taken < -_NOTHING
-    if made:
-        rows.append(f'<b style="color:{hex_of(BAD)}">the world made {-1e3 * snapshot.taken:.1f} mJ</b>')
-    rows += [f"<i>{escape(note)}</i>" for note in snapshot.notes]
-    lines = "".join(f"<div>{row}</div>" for row in rows)
-    return f'<div style="font-size:.85em;line-height:1.45;padding:.2em .5em">{lines}</div>'
+def _words(snapshot: Snapshot, inputs: bool) -> str:
+    """Return the session's readings as HTML, without the values that inputs show."""
+    rows = [one for one in readings(snapshot) if not (inputs and one.name in _INPUTS)]
+    forces = " ".join(_coloured(one) for one in rows if one.name in FORCES)
+    lines = dict.fromkeys(forces if one.name in FORCES else _line(one) for one in rows)
+    style = "font-size:.85em;line-height:1.45;padding:.2em .5em"
+    return f'<div style="{style}">{"".join(f"<div>{line}</div>" for line in lines)}</div>'
+
+
+def _line(one: Reading) -> str:
+    value = escape(one.value)
+    if not one.name:
+        return f"<i>{value}</i>"
+    if one.colour is not None:
+        value = f'<b style="color:{hex_of(one.colour)}">{value}</b>'
+    return f'<span style="opacity:.65">{one.name}</span> {value}'
+
+
+def _coloured(one: Reading) -> str:
+    return f'<span style="color:{hex_of(one.colour or STOP)}">&#9632;</span> {one.name} {one.value}'
