@@ -6,8 +6,8 @@ from maglev_mj.bridge import RemotePlant as RemotePlant
 from maglev_mj.bridge import Twin as Twin
 from maglev_mj.bridge import TwinParameters as TwinParameters
 from maglev_mj.bridge import open_link as open_link
+from maglev_mj.bridge.conformance import conform as conform
 from maglev_mj.bridge.connection import estop as estop
-from maglev_mj.conformance import conform as conform
 from maglev_mj.control import AxisLaw as AxisLaw
 from maglev_mj.control import Bias as Bias
 from maglev_mj.control import FiniteDifference as FiniteDifference
@@ -30,7 +30,8 @@ from maglev_mj.errors import PlantError as PlantError
 from maglev_mj.frames import AXES as AXES
 from maglev_mj.frames import Command as Command
 from maglev_mj.frames import Sample as Sample
-from maglev_mj.live import LiveServer as LiveServer
+from maglev_mj.interop.foxglove import LiveServer as LiveServer
+from maglev_mj.interop.spacenav import AxisMapping as AxisMapping
 from maglev_mj.parameters import Turn as Turn
 from maglev_mj.parameters import param as param
 from maglev_mj.plants import ExactPlant as ExactPlant
@@ -64,7 +65,6 @@ from maglev_mj.session import real_time as real_time
 from maglev_mj.session.replay import rebuild as rebuild
 from maglev_mj.session.replay import record_run as record_run
 from maglev_mj.session.replay import write_run as write_run
-from maglev_mj.spacenav import AxisMapping as AxisMapping
 from maglev_mj.studies.cells import dask_workers as dask_workers
 from maglev_mj.studies.cells import local_workers as local_workers
 from maglev_mj.studies.cells import run_cells as run_cells

@@ -50,7 +50,7 @@ def _has_sanitizers() -> bool:
 
 
 def _draws() -> bool:
-    from maglev_mj.viewer.backend import DisplayError, drawing_library
+    from maglev_mj.views.window.backend import DisplayError, drawing_library
 
     try:
         return bool(drawing_library())

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from maglev_mj.bridge.firmware import Amplifiers, Firmware, Profile, Reading
+from maglev_mj.bridge.twin.firmware import Amplifiers, Firmware, Profile, Reading
 from maglev_mj.bridge.wire import Codec, Fault, State
 from tests.conftest import COMPILER
 

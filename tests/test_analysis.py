@@ -20,13 +20,12 @@ import pytest
 from maglev_mj import Controller, ExactPlant, Hold, Law, Wall
 from maglev_mj.analysis import StretchReport, analyse, face_figures, identify, reconstruct
 from maglev_mj.analysis.contacts import _stick_slip
-from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
-from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.cli import main
-from maglev_mj.display.charts import Charts
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.plants import Timing
 from maglev_mj.plants.energy import PassivityObserver
@@ -45,9 +44,10 @@ from maglev_mj.session import Pacer, Session
 from maglev_mj.session.playback import Replay
 from maglev_mj.session.replay import rebuild, record_run, stick_positions_of
 from maglev_mj.spec import GRAVITY
-from maglev_mj.viewer.overlay import status_rows
-from maglev_mj.viewer.plots import Plots
-from maglev_mj.web import panel, svg
+from maglev_mj.views.charts import Charts
+from maglev_mj.views.page import panel, plots
+from maglev_mj.views.window.overlay import status_rows
+from maglev_mj.views.window.plots import Plots
 
 ZERO = (0.0,) * 6
 TOUR = Trajectory(
@@ -578,5 +578,5 @@ def test_the_hand_on_a_device_is_not_known_and_taken_for_none(suffix: str, tmp_p
     assert "hand" not in dict(status_rows(shown)).get("energy", "") and "hand" not in panel._words(shown, False)
     force = Plots().update(shown)[1]
     assert force.linepnt[0] == 0 and force.linepnt[1] > 50 and np.isfinite(force.linedata).all()
-    drawn = svg.drawn(Charts(100).of(shown, 0)[1])
+    drawn = plots.drawn(Charts(100).of(shown, 0)[1])
     assert drawn.count("<polyline") == 2 and '<polyline points=""' in drawn and "nan" not in drawn

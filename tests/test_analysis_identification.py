@@ -17,11 +17,11 @@ from maglev_mj import ExactPlant, Hold, Timing, Wall
 from maglev_mj.analysis import Estimate, Identification, identification, identify, reconstruct
 from maglev_mj.analysis.fit import Forces, estimate_quantum, inverse, student
 from maglev_mj.analysis.identification import _Row
-from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.cli import main
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop

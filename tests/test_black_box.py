@@ -13,11 +13,11 @@ import pytest
 
 from maglev_mj.bridge import fault as fault_module
 from maglev_mj.bridge.fault import BlackBox, BlackBoxError, DeviceFault, FaultRecord, load_black_box
-from maglev_mj.bridge.fault_injection import InjectedFault
+from maglev_mj.bridge.links import LinkError
+from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command
-from maglev_mj.net.links import LinkError
 from tests.test_bridge import CENTRE, Rig
 
 HOST_DOWN = OSError(errno.EHOSTDOWN, "Host is down")

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
-from maglev_mj.bridge.simulated_links import VirtualLink
+from maglev_mj.bridge.links import LinkError
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Fault, State, StateReport
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import Command
-from maglev_mj.net.links import LinkError
 from tests.test_bridge import Rig
 
 

@@ -16,15 +16,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge import firmware, safety
-from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge import safety
+from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import DeviceFault
-from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, InjectedFault
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import ThermalModel
-from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
-from maglev_mj.bridge.twin import REST, Twin, TwinParameters
+from maglev_mj.bridge.twin import firmware
+from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, InjectedFault
+from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Fault, Operation, State, fault_names
 from maglev_mj.control import Bias

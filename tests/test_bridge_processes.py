@@ -23,12 +23,12 @@ import pytest
 from maglev_mj import MuJoCoPlant, Timing, cli, drive
 from maglev_mj.bridge import Calibration, Fault, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
+from maglev_mj.bridge.links import UdpLink, UdpServer
 from maglev_mj.bridge.realtime import RealtimeError, realtime
-from maglev_mj.bridge.simulated_links import Impairment, UdpProxy
-from maglev_mj.bridge.twin import TwinServer
+from maglev_mj.bridge.twin.simulated_links import Impairment, UdpProxy
+from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.bridge.wire import StateReport
 from maglev_mj.control.loop import Plant
-from maglev_mj.net.links import UdpLink, UdpServer
 from maglev_mj.plants import SpotSensor
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
@@ -44,8 +44,8 @@ pytestmark = pytest.mark.xdist_group("realtime")
 LOCKSTEP = """
 import sys
 from maglev_mj.bridge import Twin, TwinParameters
-from maglev_mj.net.links import UdpServer
-from maglev_mj.bridge.twin import TwinServer
+from maglev_mj.bridge.links import UdpServer
+from maglev_mj.bridge.twin.twin import TwinServer
 pose = [float(part) for part in sys.argv[1].split()]
 twin = Twin(TwinParameters(lockstep=True, pose=pose, seed=5))
 server = TwinServer(twin, UdpServer("127.0.0.1", 0))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.calibration import Calibration, CalibrationError
+from maglev_mj.bridge.bench.calibration import Calibration, CalibrationError
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants import MuJoCoPlant

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge import Calibration, RemotePlant, State
-from maglev_mj.bridge.commissioning import check_coil, mean_pose, record_step, with_offsets
-from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, Effect, InjectedFault
-from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.bench.commissioning import check_coil, mean_pose, record_step, with_offsets
+from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, Effect, InjectedFault
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.cli.twin import foam
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.coils import CoilMap

@@ -16,19 +16,19 @@ from typing import Any
 
 import pytest
 
-from maglev_mj.bridge import firmware, twin
-from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.conformance import CheckResult, checks, conform
+from maglev_mj.bridge.conformance.check import CHECKS
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.firmware import Firmware
+from maglev_mj.bridge.links import PtyServer, SerialLink, Server, UdpLink, UdpServer
 from maglev_mj.bridge.safety import Limits, ThermalModel, command_fault
-from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.twin import AmplifierBoard, Twin, TwinParameters, TwinServer
+from maglev_mj.bridge.twin import firmware, twin
+from maglev_mj.bridge.twin.firmware import Firmware
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import AmplifierBoard, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Fault, State
 from maglev_mj.cli import main
-from maglev_mj.conformance import CheckResult, checks, conform
-from maglev_mj.conformance.check import CHECKS
 from maglev_mj.errors import PlantError
-from maglev_mj.net.links import PtyServer, SerialLink, Server, UdpLink, UdpServer
 from tests.firmware_core import FIRMWARE
 
 KEY = bytes(range(32))

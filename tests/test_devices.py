@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
-from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, Sample, quaternion
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor

@@ -30,12 +30,12 @@ import maglev_mj
 from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.connection import estop
-from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.twin import TwinServer
+from maglev_mj.bridge.links import UdpServer
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.cli import main, parser
 from maglev_mj.cli.arguments import joined
-from maglev_mj.live import LiveServer
-from maglev_mj.net.links import UdpServer
+from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.session import Session
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.viewer import backend
-from maglev_mj.viewer.backend import DisplayError, drawing_library
+from maglev_mj.views.window import backend
+from maglev_mj.views.window.backend import DisplayError, drawing_library
 
 RENDER = "render drop --out a.png --size 160x160 --seconds 0.02"
 

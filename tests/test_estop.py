@@ -18,13 +18,13 @@ import pytest
 
 from maglev_mj.bridge.connection import EstopReport, estop
 from maglev_mj.bridge.fault import DeviceFault
+from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.simulated_links import Impairer, Impairment, VirtualLink
-from maglev_mj.bridge.twin import REST, Twin, TwinParameters
+from maglev_mj.bridge.twin.simulated_links import Impairer, Impairment, VirtualLink
+from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Estop, Fault, State
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command as MotionCommand
-from maglev_mj.net.links import open_link
 from tests.test_bridge import CENTRE, Rig
 
 KEY = b"0123456789abcdef"

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from maglev_mj.bridge.firmware import Profile, Reading
 from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.twin.firmware import Profile, Reading
 from maglev_mj.bridge.wire import (
     Codec,
     Command,

@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.links import cobs_decode, cobs_encode
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.twin.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State
-from maglev_mj.net.links import cobs_decode, cobs_encode
 from tests.conftest import COMPILER
 from tests.firmware_core import FOLDER, SANITIZED, STRICT, CoreFirmware, library
 from tests.test_wire import sealed

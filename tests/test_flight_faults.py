@@ -15,8 +15,8 @@ from maglev_mj.bridge import flight
 from maglev_mj.bridge.fault import DeviceFault, load_black_box
 from maglev_mj.bridge.flight import Flight, LoopTiming
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
-from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.cli import bridge
 from maglev_mj.frames import Sample

@@ -22,21 +22,20 @@ import numpy as np
 import pytest
 
 from maglev_mj import cli
-from maglev_mj.display.remote import ShowReport
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import AXES
-from maglev_mj.hand_devices.device import HandDevice
-from maglev_mj.hand_devices.find import described_devices, open_device
-from maglev_mj.hand_devices.gamepad import Gamepad, gamepad_shares
-from maglev_mj.hand_devices.mouse import SpacenavMouse
-from maglev_mj.hand_devices.reading import Reading
+from maglev_mj.interop.hand_devices.device import HandDevice, Reading
+from maglev_mj.interop.hand_devices.find import described_devices, open_device
+from maglev_mj.interop.hand_devices.gamepad import Gamepad, gamepad_shares
+from maglev_mj.interop.hand_devices.mouse import SpacenavMouse
+from maglev_mj.interop.spacenav import AxisMapping, SpacenavServer, place, searched_paths
+from maglev_mj.interop.spacenav.protocol import button_event, motion_event
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import find_scene
 from maglev_mj.session import Session, Snapshot
-from maglev_mj.spacenav import AxisMapping, SpacenavServer, place, searched_paths
-from maglev_mj.spacenav.protocol import button_event, motion_event
 from maglev_mj.spec import RANGE
-from maglev_mj.viewer import window
+from maglev_mj.views.remote import ShowReport
+from maglev_mj.views.window import window
 from tests.conftest import COMPILER
 from tests.virtual_screen import VirtualScreen
 

@@ -14,13 +14,13 @@ import pytest
 from maglev_mj.bridge import connection
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import HandshakeError
+from maglev_mj.bridge.links import LinkError
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits, Limits
-from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.twin import Twin, TwinParameters
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Fault, HelloAck, State, StateReport
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.net.links import LinkError
 
 NAN, INF = math.nan, math.inf
 KEY = b"0123456789abcdef"

@@ -11,7 +11,7 @@ import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.safety import HostLimits, Limits
-from maglev_mj.bridge.simulated_links import Impairment
+from maglev_mj.bridge.twin.simulated_links import Impairment
 from maglev_mj.bridge.wire import Fault, State, StateReport
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller

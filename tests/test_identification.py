@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.identification import (
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.bench.identification import (
     LINES,
     IdentificationError,
     Identified,
@@ -28,9 +28,9 @@ from maglev_mj.bridge.identification import (
     identify,
 )
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.twin import Twin as BridgeTwin
-from maglev_mj.bridge.twin import TwinParameters
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import Twin as BridgeTwin
+from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError

@@ -87,7 +87,7 @@ def test_a_module_that_loads_for_long_is_interrupted(tmp_path: Path, monkeypatch
 
 def test_a_window_that_opens_is_whole_before_it_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     # half open it cannot be closed, and the end of the program crashes in the engine's drawing thread
-    window = import_module("maglev_mj.viewer.window")
+    window = import_module("maglev_mj.views.window.window")
     opened = list[str]()
 
     def scale() -> float:

@@ -15,10 +15,7 @@ from typing import Any
 
 import pytest
 
-from maglev_mj.bridge.simulated_links import Impairer, Impairment, UdpProxy
-from maglev_mj.errors import MissingPackageError, ParameterError
-from maglev_mj.net.addresses import check_host, is_loopback, parse_url
-from maglev_mj.net.links import (
+from maglev_mj.bridge.links import (
     LONGEST,
     Deframer,
     Link,
@@ -31,7 +28,11 @@ from maglev_mj.net.links import (
     cobs_decode,
     cobs_encode,
     open_link,
+    parse_url,
 )
+from maglev_mj.bridge.twin.simulated_links import Impairer, Impairment, UdpProxy
+from maglev_mj.errors import MissingPackageError, ParameterError
+from maglev_mj.session.access import check_host, is_loopback
 
 PATIENCE = 5.0
 HOME = "127.0.0.1"

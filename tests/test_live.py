@@ -33,9 +33,9 @@ from websockets.typing import Origin, Subprotocol
 from live_client import LiveClient
 from maglev_mj import AXES
 from maglev_mj.errors import MissingPackageError, ParameterError
-from maglev_mj.live import LiveServer, LiveServerError, guard
-from maglev_mj.live.guard import forward, objection
-from maglev_mj.live.settings import NICE, Answer, Requests, State, checked, values_of
+from maglev_mj.interop.foxglove import LiveServer, LiveServerError, guard
+from maglev_mj.interop.foxglove.guard import forward, refusal
+from maglev_mj.interop.foxglove.settings import NICE, Answer, Requests, State, checked, values_of
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
 from maglev_mj.recording import ArrayFile, tee
@@ -185,7 +185,7 @@ def request(*lines: str, host: str | None = "127.0.0.1:8765", upgrade: str | Non
     ],
 )
 def test_programs_of_this_machine_and_the_app_are_let_in(asked: str) -> None:
-    assert objection(asked) == ""
+    assert refusal(asked) == ""
 
 
 EVIL = (
@@ -227,7 +227,7 @@ EVIL = (
     ],
 )
 def test_everything_else_is_refused(asked: str, wrong: str) -> None:
-    assert objection(asked).startswith(wrong)
+    assert refusal(asked).startswith(wrong)
 
 
 @contextmanager
@@ -368,7 +368,7 @@ class Unstarted:
 
 def test_what_rows_and_requests_wait_for_outlasts_a_process_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything else falls out, the oldest first."""
-    monkeypatch.setattr("maglev_mj.live.server.SideProcess", Unstarted)
+    monkeypatch.setattr("maglev_mj.interop.foxglove.server.SideProcess", Unstarted)
     with closing(LiveServer(0)) as server:
         scene, process = Drop(), server._process
         assert isinstance(process, Unstarted)
@@ -389,7 +389,7 @@ def test_what_rows_and_requests_wait_for_outlasts_a_process_that_hangs(monkeypat
 @contextmanager
 def in_service(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
     """Yield a server's service, and the loop's end."""
-    from maglev_mj.live import service
+    from maglev_mj.interop.foxglove import service
 
     monkeypatch.setattr(service, "SideProcess", Unstarted)
     monkeypatch.setattr(service, "forward", lambda *_: None)
@@ -416,12 +416,12 @@ def test_a_process_that_cannot_check_is_started_anew_once_a_second(monkeypatch: 
         def fails(*_: object) -> None:
             raise BlockingIOError(11, "Resource temporarily unavailable")
 
-        monkeypatch.setattr("maglev_mj.live.service.SideProcess", fails)
+        monkeypatch.setattr("maglev_mj.interop.foxglove.service.SideProcess", fails)
         one._next_checker = 0.0
         one._turn()
         assert answer.result(0).reason.endswith("does not start: [Errno 11] Resource temporarily unavailable")
         one._turn()
-        monkeypatch.setattr("maglev_mj.live.service.SideProcess", Unstarted)
+        monkeypatch.setattr("maglev_mj.interop.foxglove.service.SideProcess", Unstarted)
         one._next_checker = 0.0
         one._requests.put({"wall": False})
         one._turn()
@@ -431,7 +431,7 @@ def test_a_process_that_cannot_check_is_started_anew_once_a_second(monkeypatch: 
 def test_a_request_wakes_the_server_once(monkeypatch: pytest.MonkeyPatch) -> None:
     # It waits for no row; nor does a request that cannot be checked yet keep it awake.
     woken: list[Any] = []
-    monkeypatch.setattr("maglev_mj.live.service.wait", lambda lines, _: woken.append(wait(lines, 0.0)))
+    monkeypatch.setattr("maglev_mj.interop.foxglove.service.wait", lambda lines, _: woken.append(wait(lines, 0.0)))
     with in_service(monkeypatch) as (one, _):
         one._turn()
         woken.clear()
@@ -803,7 +803,7 @@ def test_a_check_that_dies_or_does_not_end_is_given_up(
     live: LiveServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # The process that checks is replaced; the next request is checked as any other.
-    from maglev_mj.live import service
+    from maglev_mj.interop.foxglove import service
 
     (tmp_path / "odd.py").write_text(ODD)
     scene = find_scene(str(tmp_path / "odd.py"))()
@@ -865,7 +865,7 @@ def complains(line: Any, *_: object) -> None:
 
 
 def test_why_the_process_does_not_start_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.live.server._serve", complains)
+    monkeypatch.setattr("maglev_mj.interop.foxglove.server._serve", complains)
     with pytest.raises(LiveServerError, match="of the live server does not start: OSError: no such address"):
         LiveServer(0)
 
@@ -874,7 +874,7 @@ def test_why_the_process_does_not_start_is_said(monkeypatch: pytest.MonkeyPatch)
 def test_a_server_in_a_script_without_a_guard_is_one_line(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(
-        "from maglev_mj.live import LiveServer\nfrom maglev_mj.errors import MaglevError\n"
+        "from maglev_mj.interop.foxglove import LiveServer\nfrom maglev_mj.errors import MaglevError\n"
         "try:\n    LiveServer(0)\nexcept MaglevError as error:\n    print(error)\n"
     )
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=120)
@@ -885,7 +885,7 @@ def test_a_server_in_a_script_without_a_guard_is_one_line(tmp_path: Path) -> Non
 def test_no_process_is_left_where_the_program_is_killed() -> None:
     code = """if __name__ == "__main__":
     import time
-    from maglev_mj.live import LiveServer
+    from maglev_mj.interop.foxglove import LiveServer
     print(LiveServer(0)._process._process.pid, flush=True)
     time.sleep(60)
 """

@@ -20,19 +20,19 @@ import pytest
 from live_client import LiveClient
 from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.bridge import Calibration, RemotePlant, Twin, TwinParameters, open_link
+from maglev_mj.bridge.links import UdpServer
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.twin import TwinServer
+from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.cli import main
 from maglev_mj.control import AxisLaw, Bias, gain
-from maglev_mj.live import LiveServer
-from maglev_mj.net.links import UdpServer
+from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene, Start, find_scene
 from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.session import Pacer, Session
 from maglev_mj.theory import stability
 from maglev_mj.versions import hash_of
-from maglev_mj.viewer.plots import Plots
+from maglev_mj.views.window.plots import Plots
 from tests.test_dask_workers import Cluster, cluster
 from tests.test_viewer import Watched
 from tests.virtual_screen import VirtualScreen

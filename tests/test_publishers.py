@@ -24,10 +24,10 @@ from live_client import LiveClient, reader
 from maglev_mj import theory
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight, StopSwitch
-from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.laws.base import as_law
-from maglev_mj.live import LiveServer
+from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Box, Joystick

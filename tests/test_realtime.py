@@ -19,7 +19,7 @@ from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import LINE_TIME, Flight, LoopTiming, delay_check, expected_delay
 from maglev_mj.bridge.realtime import LatencyHistogram, RealtimeError, realtime
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
 from maglev_mj.cli import bridge
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.recording import Recording, open_recording

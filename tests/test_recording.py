@@ -26,7 +26,7 @@ from maglev_mj.scenes.run import run_variants
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.playback import Replay
 from maglev_mj.session.replay import rebuild, record_run, recorded
-from maglev_mj.viewer.clip import write_clip, write_picture
+from maglev_mj.views.window.clip import write_clip, write_picture
 
 
 @pytest.mark.parametrize("command", ["drop", "press", "stick-slip"])

@@ -615,7 +615,7 @@ def shown(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     seen: list[Any] = []
     window = types.ModuleType("window")
     window.show = lambda source, **options: seen.append(source)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "maglev_mj.viewer.window", window)
+    monkeypatch.setitem(sys.modules, "maglev_mj.views.window.window", window)
     return seen
 
 

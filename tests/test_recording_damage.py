@@ -13,13 +13,13 @@ from maglev_mj.cli import main, view
 from maglev_mj.control import Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
-from maglev_mj.display.remote import ShowReport
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import Recording, RecordingError, load_samples, open_recording, setup_of
 from maglev_mj.recording.files import row_of
 from maglev_mj.recording.sample import FIELDS, TOTALS
 from maglev_mj.recording.writer import McapWriter
 from maglev_mj.session import Pacer, Session
+from maglev_mj.views.remote import ShowReport
 
 PERIOD = 0.001
 TICKS = 1500

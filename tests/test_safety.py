@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.safety import (
     FlotorGuard,
     HostLimits,

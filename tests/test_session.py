@@ -42,8 +42,8 @@ from maglev_mj.session.pacing import Due
 from maglev_mj.session.replay import rebuild
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.viewer.keys import help_rows, keys_of
-from maglev_mj.viewer.overlay import status_rows
+from maglev_mj.views.window.keys import help_rows, keys_of
+from maglev_mj.views.window.overlay import status_rows
 
 ROOT = Path(__file__).parents[1]
 FRAME = 1.0 / 60.0

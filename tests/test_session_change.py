@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.display.banner import Banner, banner
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import param
 from maglev_mj.plants.hand import SpringHand
@@ -16,6 +15,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import TIME_SCALES, Note, Pacer, Session
+from maglev_mj.views.words import Banner, banner
 
 FRAME = 1.0 / 60.0
 

@@ -21,9 +21,9 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.firmware import Firmware, Profile, Reading
-from maglev_mj.bridge.twin import REST, TwinParameters
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.twin.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.twin.twin import REST, TwinParameters
 from maglev_mj.bridge.wire import (
     Codec,
     Command,

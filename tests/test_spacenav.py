@@ -30,12 +30,7 @@ from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.parameters import param
-from maglev_mj.plants.hand import SpringHand, Trajectory
-from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.rooms import Joystick
-from maglev_mj.session import Session, Snapshot
-from maglev_mj.spacenav import (
+from maglev_mj.interop.spacenav import (
     FULL,
     AxisMapping,
     PoseAxes,
@@ -45,9 +40,14 @@ from maglev_mj.spacenav import (
     Taps,
     default_path,
 )
-from maglev_mj.spacenav.axes import FULL_POSE, FULL_RATE, REST
-from maglev_mj.spacenav.navigation import Navigation
-from maglev_mj.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, button_event, motion_event
+from maglev_mj.interop.spacenav.mapping import FULL_POSE, FULL_RATE, REST
+from maglev_mj.interop.spacenav.navigation import Navigation
+from maglev_mj.interop.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, button_event, motion_event
+from maglev_mj.parameters import param
+from maglev_mj.plants.hand import SpringHand, Trajectory
+from maglev_mj.scenes import find_scene
+from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.session import Session, Snapshot
 from tests.conftest import COMPILER
 
 SOURCE = Path(__file__).parents[1] / "scripts" / "examples" / "spacenav_client.c"

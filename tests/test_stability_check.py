@@ -21,7 +21,7 @@ from maglev_mj.scenes.rooms import Joystick, Table
 from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, unstable_loop
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
-from maglev_mj.viewer.plots import Plots
+from maglev_mj.views.window.plots import Plots
 
 ANGLES = dict.fromkeys(("rx", "ry", "rz"), float(np.radians(6.0)))
 

@@ -22,12 +22,12 @@ import pytest
 
 from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight, StopSwitch
+from maglev_mj.bridge.links import UdpServer
 from maglev_mj.bridge.realtime import stopping
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.twin import TwinServer
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.errors import PlantError
-from maglev_mj.net.links import UdpServer
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Snapshot
 from tests.test_bridge_processes import said_by

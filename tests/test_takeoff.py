@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
-from maglev_mj.bridge.fault_injection import InjectedFault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.safety import HostLimits
-from maglev_mj.bridge.simulated_links import Impairment
 from maglev_mj.bridge.takeoff import Motion
-from maglev_mj.bridge.twin import REST
+from maglev_mj.bridge.twin.fault_injection import InjectedFault
+from maglev_mj.bridge.twin.simulated_links import Impairment
+from maglev_mj.bridge.twin.twin import REST
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Sample

@@ -23,9 +23,9 @@ from gantry.slave import BLOCK_DAMPING, Slave
 from gantry.task import DELAY_SHARE, FIRM, Task
 from gantry.theory import NO_GAINS, Gains, TwoBodies, chosen_gains, stiffest_coupling
 from maglev_mj.frames import Array
+from maglev_mj.interop.spacenav.navigation import Navigation, Navigator
 from maglev_mj.plants import Timing
 from maglev_mj.scenes.interactive import MASS
-from maglev_mj.spacenav.navigation import Navigation, Navigator
 
 SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "studies" / "teleoperation.py"
 RATES = (200, 1000)

@@ -21,7 +21,7 @@ import pytest
 
 import maglev_mj
 from maglev_mj import cli
-from maglev_mj.bridge.commissioning import CoilCheck
+from maglev_mj.bridge.bench.commissioning import CoilCheck
 from maglev_mj.bridge.fault import BlackBox, load_black_box
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.cli import completion
@@ -363,8 +363,8 @@ def test_a_long_run_has_a_bar_on_a_terminal_and_none_in_a_pipe(tmp_path: Path) -
 
 
 def test_without_mjpython_one_line_says_so_on_macos(monkeypatch: pytest.MonkeyPatch) -> None:
-    from maglev_mj.viewer import window
-    from maglev_mj.viewer.backend import DisplayError
+    from maglev_mj.views.window import window
+    from maglev_mj.views.window.backend import DisplayError
 
     monkeypatch.setattr(sys, "platform", "darwin")
     monkeypatch.setattr("glfw.init", lambda: True)

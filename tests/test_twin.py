@@ -16,10 +16,10 @@ import pytest
 
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import DeviceFault
-from maglev_mj.bridge.fault_injection import InjectedFault
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.twin import REST, Twin, TwinParameters, TwinServer
+from maglev_mj.bridge.twin.fault_injection import InjectedFault
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Control, Estop, EstopAck, Fault, Hello, Operation, State
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.cli.twin import _hand

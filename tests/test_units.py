@@ -17,10 +17,10 @@ from maglev_mj.scenes.pictures import series, spread, stick_slip
 from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.theory.verdict import stability
-from maglev_mj.viewer import plots as window_plots
-from maglev_mj.viewer.overlay import status_rows
-from maglev_mj.web import plots as page_plots
-from maglev_mj.web.controls import control
+from maglev_mj.views.page import plots as page_plots
+from maglev_mj.views.page.controls import control
+from maglev_mj.views.window import plots as window_plots
+from maglev_mj.views.window.overlay import status_rows
 
 SHORT: dict[str, Any] = {"duration": 0.02}
 ALONG = "quantize", "spring", "target", "stiffness", "damping", "breakaway", "v_min"

@@ -20,15 +20,15 @@ import glfw
 import numpy as np
 import pytest
 
-from maglev_mj.display.remote import RemoteSession, RemoteViewer
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import Turn, param
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import SampledMotion, Session, Snapshot, device_actions
-from maglev_mj.viewer.keys import keys_of
-from maglev_mj.viewer.window import show
+from maglev_mj.views.remote import RemoteSession, RemoteViewer
+from maglev_mj.views.window.keys import keys_of
+from maglev_mj.views.window.window import show
 from tests.virtual_screen import VirtualScreen
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -230,7 +230,7 @@ class ViewerHere(RemoteViewer):
         received = lambda: [line.recv() for _ in iter(line.poll, False)]  # noqa: E731
         self.sent, self.window = list[Snapshot](), RemoteSession(far, Snapshot(scene=scene))
         front = SimpleNamespace(received=received, ended=False, ready=True, send=self.sent.append)
-        with patch("maglev_mj.display.remote.SideProcess", return_value=front):
+        with patch("maglev_mj.views.remote.SideProcess", return_value=front):
             super().__init__(Snapshot(scene=scene), show)
 
 

@@ -30,23 +30,23 @@ from websockets.typing import Origin, Subprotocol
 
 from maglev_mj.cli import main
 from maglev_mj.cli.web import PORT, chosen_page
-from maglev_mj.display.charts import Chart, Line
-from maglev_mj.display.glide import SILENCE, Glide
-from maglev_mj.display.remote import RemoteSession, RemoteViewer
 from maglev_mj.errors import MaglevError
-from maglev_mj.net.addresses import ListenError, listen
 from maglev_mj.parameters import Turn, param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.shapes import GRIP, Shape, shapes
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
-from maglev_mj.web.controls import Choice, Slider, Switch, control
-from maglev_mj.web.grab import Grab
-from maglev_mj.web.guard import Door
-from maglev_mj.web.meshes import glb, solid
-from maglev_mj.web.page import Page, PageServer
-from maglev_mj.web.svg import drawn, ticks
+from maglev_mj.session.access import ListenError, listen
+from maglev_mj.views.charts import Chart, Line
+from maglev_mj.views.glide import SILENCE, Glide
+from maglev_mj.views.page.controls import Choice, Slider, Switch, control
+from maglev_mj.views.page.grab import Grab
+from maglev_mj.views.page.guard import Door
+from maglev_mj.views.page.meshes import glb, solid
+from maglev_mj.views.page.page import Page, PageServer
+from maglev_mj.views.page.plots import drawn, ticks
+from maglev_mj.views.remote import RemoteSession, RemoteViewer
 
 TOKEN = "a-token-of-some-length"
 VERSION = [Subprotocol(f"viser-v{viser.__version__}")]

@@ -10,17 +10,17 @@ from typing import Any
 import pytest
 
 from browser import chromium, on_screen
-from maglev_mj.display.remote import RemoteViewer
-from maglev_mj.net.addresses import listen
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP
 from maglev_mj.recording import Recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.session import Session, Snapshot, real_time
+from maglev_mj.session.access import listen
 from maglev_mj.session.replay import rebuild
-from maglev_mj.web.guard import Door
-from maglev_mj.web.page import page
-from maglev_mj.web.stage import FIELD, placed
+from maglev_mj.views.page.guard import Door
+from maglev_mj.views.page.page import page
+from maglev_mj.views.page.stage import FIELD, placed
+from maglev_mj.views.remote import RemoteViewer
 
 pytestmark = [
     pytest.mark.needs("browser"),

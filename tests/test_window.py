@@ -17,10 +17,6 @@ import numpy as np
 import pytest
 
 from maglev_mj.colours import BAD, GOOD, HAND, STOP
-from maglev_mj.display.banner import banner
-from maglev_mj.display.charts import SteadyRange, fitted_range
-from maglev_mj.display.stability_map import margin
-from maglev_mj.display.stops import met_stops
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants.shapes import GRIP
@@ -29,15 +25,18 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import Note, Pacer, Session, Snapshot, device_actions
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
-from maglev_mj.viewer.framing import Framing, directions
-from maglev_mj.viewer.keys import AXIS, KEYS, help_rows
-from maglev_mj.viewer.layout import Area, Font, Layout, arrange
-from maglev_mj.viewer.overlay import status_rows
-from maglev_mj.viewer.plots import shown_colour
-from maglev_mj.viewer.scenery import Scenery
-from maglev_mj.viewer.screen import Screen
-from maglev_mj.viewer.shadows import SlowFrames
-from maglev_mj.viewer.window import _Window
+from maglev_mj.views.charts import SteadyRange, fitted_range
+from maglev_mj.views.margin import margin
+from maglev_mj.views.window.framing import Framing, directions
+from maglev_mj.views.window.keys import AXIS, KEYS, help_rows
+from maglev_mj.views.window.layout import Area, Font, Layout, arrange
+from maglev_mj.views.window.overlay import status_rows
+from maglev_mj.views.window.plots import shown_colour
+from maglev_mj.views.window.scenery import Scenery
+from maglev_mj.views.window.screen import Screen
+from maglev_mj.views.window.shadows import SlowFrames
+from maglev_mj.views.window.window import _Window
+from maglev_mj.views.words import banner, met_stops
 
 SIZES = (
     (480, 360),

@@ -21,8 +21,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.links import cobs_encode
+from maglev_mj.bridge.twin.firmware import Firmware, Profile, Reading
 from maglev_mj.bridge.wire import (
     MAGIC,
     VERSION,
@@ -45,7 +46,6 @@ from maglev_mj.bridge.wire import (
     newer,
 )
 from maglev_mj.errors import ParameterError
-from maglev_mj.net.links import cobs_encode
 from maglev_mj.plants.model import COILS
 
 ROOT = Path(__file__).resolve().parent.parent

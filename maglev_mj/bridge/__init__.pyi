@@ -1,11 +1,11 @@
-from maglev_mj.bridge.calibration import Calibration as Calibration
+from maglev_mj.bridge.bench.calibration import Calibration as Calibration
 from maglev_mj.bridge.fault import DeviceFault as DeviceFault
 from maglev_mj.bridge.fault import HandshakeError as HandshakeError
+from maglev_mj.bridge.links import open_link as open_link
 from maglev_mj.bridge.remote import RemotePlant as RemotePlant
 from maglev_mj.bridge.safety import HostLimits as HostLimits
 from maglev_mj.bridge.safety import Limits as Limits
-from maglev_mj.bridge.twin import Twin as Twin
-from maglev_mj.bridge.twin import TwinParameters as TwinParameters
+from maglev_mj.bridge.twin.twin import Twin as Twin
+from maglev_mj.bridge.twin.twin import TwinParameters as TwinParameters
 from maglev_mj.bridge.wire import Fault as Fault
 from maglev_mj.bridge.wire import State as State
-from maglev_mj.net.links import open_link as open_link

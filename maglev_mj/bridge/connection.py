@@ -9,6 +9,7 @@ from contextlib import closing, suppress
 from typing import NamedTuple
 
 from maglev_mj.bridge.fault import HandshakeError
+from maglev_mj.bridge.links import Link, open_link
 from maglev_mj.bridge.safety import OFF, Limits
 from maglev_mj.bridge.wire import (
     VERSION,
@@ -31,7 +32,6 @@ from maglev_mj.bridge.wire import (
 )
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO
-from maglev_mj.net.links import Link, open_link
 from maglev_mj.parameters import number
 
 _AGAIN = 0.02
@@ -92,7 +92,7 @@ def estop(link: Link | str, key: bytes | None = None, patience: float = 1.0) -> 
 
     Example:
         >>> from maglev_mj import Twin, TwinParameters, estop
-        >>> from maglev_mj.bridge.simulated_links import VirtualLink
+        >>> from maglev_mj.bridge.twin.simulated_links import VirtualLink
         >>> report = estop(VirtualLink(Twin(TwinParameters())))
         >>> report.confirmed
         True

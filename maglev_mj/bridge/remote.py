@@ -10,9 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn, Self
 
-from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
+from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.safety import (
     WARNING_RISE,
     FlotorGuard,
@@ -30,7 +31,6 @@ from maglev_mj.bridge.wire import Fault, Frame, Operation, State, StateReport, f
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.net.links import Link, LinkError, open_link
 from maglev_mj.plants.beams import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up

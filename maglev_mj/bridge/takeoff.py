@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.frames import ZERO, Command, Sample

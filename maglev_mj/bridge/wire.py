@@ -7,6 +7,7 @@ Received data never raises: an invalid frame is counted by reason and dropped.
 
 from __future__ import annotations
 
+import hashlib
 import hmac
 import struct
 import zlib
@@ -15,7 +16,7 @@ from collections.abc import Callable, Sequence
 from enum import IntEnum, IntFlag
 from typing import Any, NamedTuple, TypeAlias
 
-from maglev_mj.net.authentication import TAG, Authenticator
+from maglev_mj.errors import ParameterError
 
 
 class State(IntEnum):
@@ -333,3 +334,30 @@ def newer(one: int, other: int) -> bool:
     Source: RFC 1982.
     """
     return 0 < ((one - other) & 0xFFFFFFFF) < 0x80000000
+
+
+LEAST_KEY, MOST_KEY = 16, 32
+"""Smallest and largest length of a key [bytes]."""
+
+TAG = 16
+"""Length of a tag [bytes]."""
+
+
+class Authenticator:
+    """Authenticator of messages by keyed BLAKE2s.
+
+    Args:
+        key: Key shared by both ends.
+
+    Raises:
+        ParameterError: If it is too short or too long.
+    """
+
+    def __init__(self, key: bytes) -> None:
+        if not LEAST_KEY <= len(key) <= MOST_KEY:
+            raise ParameterError(f"key must have {LEAST_KEY} to {MOST_KEY} bytes, not {len(key)}")
+        self._key = key
+
+    def tag(self, data: bytes) -> bytes:
+        """Return the tag of a message."""
+        return hashlib.blake2s(data, digest_size=TAG, key=self._key).digest()

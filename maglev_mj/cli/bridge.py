@@ -13,10 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.bench.identification import collect, excitation, identify
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, fault_meanings
 from maglev_mj.bridge.flight import LANDING_TIME, Flight, StopSwitch, expected_delay
-from maglev_mj.bridge.identification import collect, excitation, identify
+from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.realtime import interrupt, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
@@ -27,14 +28,13 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.publishers import add_publishers, chosen_publishers
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
 from maglev_mj.cli.web import add_web, chosen_front
-from maglev_mj.display.remote import Front, RemoteViewer
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
-from maglev_mj.net.links import open_link
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot, device_actions
 from maglev_mj.terminal import say, wrapped
+from maglev_mj.views.remote import Front, RemoteViewer
 
 _IDENTIFYING = 10.0
 _FLYING = "record", "view", "web", "seconds", "spacenav", "foxglove"

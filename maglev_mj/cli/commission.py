@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.commissioning import CoilCheck, check_coil, mean_pose, record_step, with_offsets
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.bench.commissioning import CoilCheck, check_coil, mean_pose, record_step, with_offsets
+from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, chosen_key, count, number_option
 from maglev_mj.cli.progress import Progress
 from maglev_mj.errors import ParameterError, SensingError
-from maglev_mj.net.links import open_link
 from maglev_mj.parameters import number
 from maglev_mj.result import number_text
 

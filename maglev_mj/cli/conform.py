@@ -9,14 +9,13 @@ import sys
 from contextlib import ExitStack, closing
 from pathlib import Path
 
-from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.conformance import CheckResult, checks, conform
+from maglev_mj.bridge.links import open_link, parse_url
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_calibration, add_key, chosen_key
 from maglev_mj.cli.progress import Progress
-from maglev_mj.conformance import CheckResult, checks, conform
-from maglev_mj.net.addresses import parse_url
-from maglev_mj.net.links import open_link
 from maglev_mj.terminal import say, wrapped
 from maglev_mj.versions import versions
 

@@ -10,8 +10,8 @@ from typing import Any
 from maglev_mj.cli.arguments import Container
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError
-from maglev_mj.hand_devices.device import HAND_MAPPING, HandDevice
-from maglev_mj.hand_devices.find import AUTO, described_devices, open_device
+from maglev_mj.interop.hand_devices.device import HAND_MAPPING, HandDevice
+from maglev_mj.interop.hand_devices.find import AUTO, described_devices, open_device
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.terminal import say
 

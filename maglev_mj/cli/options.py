@@ -13,7 +13,6 @@ from maglev_mj.cli.arguments import Container, Parser, offer
 from maglev_mj.cli.pictures import add_pictures
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import unit_of
-from maglev_mj.net.authentication import LEAST_KEY, MOST_KEY
 from maglev_mj.parameters import Parameter, Parameters
 
 P = TypeVar("P", bound=Parameters)
@@ -238,6 +237,8 @@ def chosen_key(path: Path | None, name: str = "key") -> bytes | None:
         key = bytes.fromhex(path.read_text(encoding="ascii"))
     except (OSError, ValueError):
         key = b""
+    from maglev_mj.bridge.wire import LEAST_KEY, MOST_KEY
+
     if not LEAST_KEY <= len(key) <= MOST_KEY:
         digits = f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits"
         raise ParameterError(f"{name} must be a file of {digits}, not {str(path)!r}")

@@ -135,7 +135,7 @@ def parser() -> Parser:
 
 def _prepare(commands: Mapping[str, Parser], words: Sequence[str]) -> None:
     if words and words[0] in commands:
-        from maglev_mj.viewer.backend import check_mujoco_gl
+        from maglev_mj.views.window.backend import check_mujoco_gl
 
         try:
             check_mujoco_gl()  # before the engine is loaded, which refuses it with a traceback

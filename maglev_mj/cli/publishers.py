@@ -11,10 +11,10 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import count, number_option
 from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
 from maglev_mj.errors import ParameterError
-from maglev_mj.live import PORT, LiveServer
-from maglev_mj.net.addresses import check_port
+from maglev_mj.interop.foxglove import PORT, LiveServer
 from maglev_mj.parameters import number
 from maglev_mj.session import STEP_FORCE, Publisher
+from maglev_mj.session.access import check_port
 from maglev_mj.terminal import say
 
 

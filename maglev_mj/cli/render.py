@@ -40,8 +40,8 @@ def _render(options: argparse.Namespace) -> int:
     if options.seconds is not None:
         number("seconds", options.seconds, at_least=0.0, at_most=600.0)
     # imported here: it loads the libraries that draw
-    from maglev_mj.viewer.clip import checked_name
-    from maglev_mj.viewer.render import render
+    from maglev_mj.views.window.clip import checked_name
+    from maglev_mj.views.window.render import render
 
     checked_name(options.out)
     with Progress(f"render {scene.name}") as progress:

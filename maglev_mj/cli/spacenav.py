@@ -10,8 +10,8 @@ from typing import Any
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.interop.spacenav import PoseAxes, RateAxes, SpacenavMapping, SpacenavServer, Taps
 from maglev_mj.parameters import flag
-from maglev_mj.spacenav import PoseAxes, RateAxes, SpacenavMapping, SpacenavServer, Taps
 
 _AXES_TOLD: dict[str, Callable[..., Any]] = {"pose": PoseAxes, "rate": RateAxes}
 """Reported axes by name."""

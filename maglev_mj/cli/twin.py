@@ -13,23 +13,21 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.bridge.calibration import Calibration
-from maglev_mj.bridge.fault_injection import INJECTED_FAULTS, InjectedFault
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.links import Server, UdpServer, parse_url
 from maglev_mj.bridge.realtime import realtime, stopping
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.twin import Twin, TwinParameters, TwinServer
+from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, InjectedFault
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_bridge, beside_inverse, chosen_key, count, number_option
 from maglev_mj.cli.publishers import add_foxglove, chosen_foxglove
 from maglev_mj.cli.web import add_web, chosen_front
 from maglev_mj.control.controller import Controller
-from maglev_mj.display.remote import RemoteViewer
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Command, Sample
-from maglev_mj.live import LiveServer
-from maglev_mj.net.addresses import check_host, parse_url
-from maglev_mj.net.links import Server, UdpServer
+from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.parameters import number
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import HandForce, SpringHand
@@ -37,7 +35,9 @@ from maglev_mj.recording import setup_of
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.session import EMERGENCY_STOP, Publishers, SampledMotion, Snapshot
+from maglev_mj.session.access import check_host
 from maglev_mj.spec import INERTIA, Spec
+from maglev_mj.views.remote import RemoteViewer
 
 _LISTEN = "udp://127.0.0.1:5678"
 
@@ -173,7 +173,7 @@ def _hand(pushes: Sequence[str], mouse: HandForce | None) -> HandForce | None:
 
 def _server(listen: str, key: bytes | None) -> Server:
     if listen == "pty":
-        from maglev_mj.net.links import PtyServer
+        from maglev_mj.bridge.links import PtyServer
 
         return PtyServer()
     if not listen.startswith("udp:"):

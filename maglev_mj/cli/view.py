@@ -46,7 +46,7 @@ def _view(options: argparse.Namespace) -> int:
     page = chosen_page(options)
     if page is None:
         # imported here: it loads the library that opens windows
-        from maglev_mj.viewer.window import require_display
+        from maglev_mj.views.window.window import require_display
 
         require_display()
     options.out.mkdir(parents=True, exist_ok=True)

@@ -17,11 +17,11 @@ from pathlib import Path
 
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import count
-from maglev_mj.display.remote import Front, ShowReport, show_remotely
 from maglev_mj.errors import ParameterError, require
-from maglev_mj.net.addresses import is_loopback, listen
 from maglev_mj.parameters import flag
 from maglev_mj.session import SnapshotSource
+from maglev_mj.session.access import is_loopback, listen
+from maglev_mj.views.remote import Front, ShowReport, show_remotely
 
 PORT = 8123
 """Default port of the page."""
@@ -66,7 +66,7 @@ def chosen_front(options: argparse.Namespace, folder: Path = Path(), *, watch: b
     if (front := chosen_page(options, drag=not watch, settings=False)) is not None or not options.view:
         return front
     # imported here: it loads the library that opens windows
-    from maglev_mj.viewer.window import require_display, show
+    from maglev_mj.views.window.window import require_display, show
 
     require_display()
     return partial(show, folder=folder)
@@ -102,8 +102,8 @@ def chosen_page(options: argparse.Namespace, *, drag: bool = True, settings: boo
         raise ParameterError("token must be 16 or more letters, digits, - and _")
     require(("viser",), "web", "a page needs viser")
     # imported here: it takes a fifth of a second
-    from maglev_mj.web.guard import Door
-    from maglev_mj.web.page import page
+    from maglev_mj.views.page.guard import Door
+    from maglev_mj.views.page.page import page
 
     listener = listen(PORT if options.port is None else options.port, host)
     door = Door(host, listener.getsockname()[1], token)
@@ -131,7 +131,7 @@ def show_session(
     if page is not None:
         return show_remotely(source, page, duration)
     # imported here: it loads the library that opens windows
-    from maglev_mj.viewer.window import show
+    from maglev_mj.views.window.window import show
 
     return show(source, folder=folder, duration=duration)
 

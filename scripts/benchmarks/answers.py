@@ -15,15 +15,15 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.control import FiniteDifference, LowPass, VelocityEstimator, Window
-from maglev_mj.display.stability_map import margin
 from maglev_mj.errors import ParameterError
-from maglev_mj.live.settings import State, checked
+from maglev_mj.interop.foxglove.settings import State, checked
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes import BUILT_IN, find_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.session import settable
 from maglev_mj.theory import WallRequirements, design_wall, is_stable, largest_modulus, largest_stable_stiffness
 from maglev_mj.theory.closed_loop import LoopKeywords
+from maglev_mj.views.margin import margin
 
 __all__ = ["loops", "measure"]
 

@@ -22,17 +22,17 @@ from typing import Any
 import numpy as np
 
 from maglev_mj import Controller, Hold, Sample
-from maglev_mj.bridge.calibration import Calibration
+from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.links import Link, UdpLink, UdpServer
 from maglev_mj.bridge.realtime import LatencyHistogram, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits, Limits, OutputLimiter
-from maglev_mj.bridge.simulated_links import VirtualLink
-from maglev_mj.bridge.twin import ServerReport, Twin, TwinParameters, TwinServer
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import ServerReport, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Command, StateReport
 from maglev_mj.control import Bias
 from maglev_mj.control.loop import drive
-from maglev_mj.net.links import Link, UdpLink, UdpServer
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.beams import FastBeams, PoseTracker
 from maglev_mj.scenes.drop import Drop

@@ -33,11 +33,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parent.parent / "examples"))
 from live_client import LiveClient
 from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.errors import MaglevError
-from maglev_mj.live import LiveServer
-from maglev_mj.net.links import open_link
+from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.process import SideProcess
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Session, real_time

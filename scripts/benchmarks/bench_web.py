@@ -21,15 +21,15 @@ from typing import Any
 import numpy as np
 
 from browser import MISSING, chromium, on_screen
-from maglev_mj.display.remote import RemoteViewer
-from maglev_mj.net.addresses import listen
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Session, real_time
-from maglev_mj.web.guard import Door
-from maglev_mj.web.page import page
-from maglev_mj.web.stage import FIELD, placed
+from maglev_mj.session.access import listen
+from maglev_mj.views.page.guard import Door
+from maglev_mj.views.page.page import page
+from maglev_mj.views.page.stage import FIELD, placed
+from maglev_mj.views.remote import RemoteViewer
 
 RATES = 200.0, 1000.0
 NAP, BETWEEN = 0.001, 0.33

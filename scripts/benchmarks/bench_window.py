@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 
 from maglev_mj.session import Session
-from maglev_mj.viewer.window import show
+from maglev_mj.views.window.window import show
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--seconds", type=float, default=8.0, help="of each turn (default 8)")

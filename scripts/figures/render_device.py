@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-from maglev_mj.viewer.backend import drawing_library
+from maglev_mj.views.window.backend import drawing_library
 
 os.environ["MUJOCO_GL"] = drawing_library()
 

@@ -21,17 +21,16 @@ from pathlib import Path
 from typing import Any
 
 from maglev_mj.bridge.connection import estop
-from maglev_mj.bridge.firmware import Firmware
+from maglev_mj.bridge.links import open_link, parse_url
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.twin.firmware import Firmware
 from maglev_mj.bridge.wire import Codec, Command, Fault, Hello
 from maglev_mj.cli import main
 from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import ZERO
-from maglev_mj.net.addresses import parse_url
-from maglev_mj.net.links import open_link
 from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 
 CODEC = Codec()

@@ -26,10 +26,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from maglev_mj.bridge.connection import estop
+from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
-from maglev_mj.bridge.twin import TwinServer
+from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.bridge.wire import Command as Currents
 from maglev_mj.bridge.wire import Fault, fault_names
 from maglev_mj.cli import main
@@ -38,7 +39,6 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Command, Sample
-from maglev_mj.net.links import open_link
 from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 
 AT, TIMES = 2.0, 5

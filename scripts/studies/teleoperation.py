@@ -16,7 +16,7 @@ from dataclasses import replace
 from itertools import product
 
 if __name__ == "__main__":
-    from maglev_mj.viewer.backend import drawing_library
+    from maglev_mj.views.window.backend import drawing_library
 
     os.environ["MUJOCO_GL"] = drawing_library()  # before the engine is imported
 

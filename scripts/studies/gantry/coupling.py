@@ -17,8 +17,8 @@ import numpy as np
 
 from maglev_mj.control import Law, StickSlip
 from maglev_mj.frames import Array
+from maglev_mj.interop.spacenav.navigation import Mode, Navigator
 from maglev_mj.parameters import number
-from maglev_mj.spacenav.navigation import Mode, Navigator
 
 __all__ = ["Coupling", "CouplingLaw"]
 

@@ -16,7 +16,7 @@ from gantry.slave import Slave
 from maglev_mj.colours import GRID, HAND, REFERENCE, SERIES, STOP, TOUCHED
 from maglev_mj.frames import Array
 from maglev_mj.pictures import BESIDE, FIRST, SECOND, TITLE, name_curves, new_figure, save
-from maglev_mj.viewer.backend import DisplayError
+from maglev_mj.views.window.backend import DisplayError
 
 __all__ = ["balance", "limits", "motion", "scenes"]
 

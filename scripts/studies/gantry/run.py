@@ -15,10 +15,10 @@ from gantry.task import Task
 from maglev_mj import Controller, drive
 from maglev_mj.control import Bias, Hold, StickSlip
 from maglev_mj.frames import Array, Command, Mask, Sample
+from maglev_mj.interop.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.plants.hand import GuidedHand
 from maglev_mj.scenes.interactive import INERTIA, MASS, WEIGHT
-from maglev_mj.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["History", "carry_out"]

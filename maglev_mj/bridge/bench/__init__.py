@@ -1,0 +1,1 @@
+"""A device at the bench: calibration, identification, commissioning."""

@@ -1,0 +1,74 @@
+"""Conformance of a device to docs/reference/protocol.md.
+
+It is tested at the wire, first without flying, then flying. Without flying, no check sends more than half the currents
+that carry the flotor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.conformance import answers, commands  # noqa: F401, they fill CHECKS in this order
+from maglev_mj.bridge.conformance.check import CHECKS, CheckResult
+from maglev_mj.bridge.conformance.tester import Tester
+from maglev_mj.bridge.links import Link
+from maglev_mj.bridge.wire import Operation, State, fault_names
+from maglev_mj.errors import PlantError, check_instance
+from maglev_mj.parameters import flag
+
+__all__ = ["CheckResult", "checks", "conform"]
+
+
+def checks() -> dict[str, str]:
+    """Return the behaviour that each check expects, by name."""
+    return {name: one.expected for name, one in CHECKS.items()}
+
+
+def conform(
+    links: Sequence[Link],
+    calibration: Calibration | None = None,
+    key: bytes | None = None,
+    *,
+    flight: bool = True,
+    only: Iterable[str] | None = None,
+    tell: Callable[[CheckResult], object] = lambda result: None,
+) -> list[CheckResult]:
+    """Test a device, and leave it INACTIVE without a session.
+
+    Args:
+        links: Links to the device, from one or two addresses; left open.
+        calibration: Calibration of the device; nominal by default.
+        key: Authentication key of the frames.
+        flight: True for flights as well; the flotor is then dropped onto its stops several times.
+        only: Names of checks to run; all by default.
+        tell: Called with each result.
+
+    Raises:
+        HandshakeError: If no device answers, or it refuses this host.
+        PlantError: If it has a fault latched.
+        LinkError: If a link has failed.
+
+    Example:
+        >>> from maglev_mj import Twin, TwinParameters, conform
+        >>> from maglev_mj.bridge.twin.simulated_links import VirtualLink
+        >>> from maglev_mj.bridge.conformance import checks
+        >>> results = conform([VirtualLink(Twin(TwinParameters()))], flight=False, only=list(checks())[:1])
+        >>> [result.name for result in results if result.passed is False]
+        []
+    """
+    flag("flight", flight)
+    check_instance("links", links, list | tuple, "a list of links, as open_link returns")
+    tester = Tester(links, calibration or Calibration.nominal(), key)
+    tester.join()
+    if tester.welcome.state == State.FAULT:
+        tester.ask(Operation.BYE)
+        raise PlantError(f"the device has latched {fault_names(tester.welcome.faults)}: see to it, then reset")
+    results: list[CheckResult] = []
+    try:
+        for name in CHECKS if only is None else only:
+            results.append(CHECKS[name].result(name, tester, flight))
+            tell(results[-1])
+    finally:
+        tester.release()
+    return results

@@ -1,0 +1,402 @@
+"""Host that tests devices and records protocol violations.
+
+It keeps the protocol itself unless told otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any, NoReturn, TypeAlias
+
+from maglev_mj.bridge import wire
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.fault import HandshakeError
+from maglev_mj.bridge.links import Link
+from maglev_mj.bridge.safety import OFF, Limits, OutputLimiter
+from maglev_mj.bridge.takeoff import Leader, Motion
+from maglev_mj.bridge.takeoff import shown as pose_shown
+from maglev_mj.bridge.wire import Fault, Flag, HelloStatus, Operation, State, fault_names, newer
+from maglev_mj.errors import MaglevError
+from maglev_mj.frames import ZERO, Sample
+from maglev_mj.plants.beams import PoseTracker
+
+WRAP = 0xFFFFFFFF
+_AGAIN, _PATIENCE, _TAKEOVER = 0.02, 2.0, 1.0  # [s]
+_ANSWERS: dict[type, type] = {wire.Hello: wire.HelloAck, wire.Control: wire.ControlAck, wire.Estop: wire.EstopAck}
+_LED = 0.6  # [s] of takeoff and landing
+_ASIDE, _ASKEW = 0.001, 0.03  # from the centre [m], [rad]
+_Law: TypeAlias = Callable[[Any], Sequence[float]]
+
+
+class Unexpected(MaglevError):
+    """Behaviour of a device differs from a check's expectation."""
+
+
+class Tester:
+    """A host that tests a device.
+
+    Args:
+        links: Links to the device, from one address each; the first has the session.
+        calibration: Calibration of the device.
+        key: Authentication key of the frames.
+
+    Attributes:
+        welcome: HELLO_ACK of the session.
+        last: Newest STATE.
+        law: Function that returns the currents [A] answering a STATE.
+        once: Arguments of `command` for the next answer, in place of the law's.
+        answering: True if STATEs are answered.
+        loss: Share of lost answers; as many are damaged first, and as many doubled.
+        late: True if a STATE was read late by half a period, perhaps because of this host.
+        wrong: First violation of each rule for all frames.
+        others: Received frames except STATEs.
+    """
+
+    def __init__(self, links: Sequence[Link], calibration: Calibration, key: bytes | None) -> None:
+        self.links, self.calibration, self.keyed, self.codec = links, calibration, key is not None, wire.Codec(key)
+        self.half = tuple((0.5 * calibration.hover).tolist())
+        self.session = self.sequence = self.request = self.nonce = self.asked_at = self.arrived = 0
+        self.welcome: wire.HelloAck
+        self.last: Any = None
+        self.law: _Law = _zeros
+        self.answering, self.late, self.loss = True, False, 0.0
+        self.wrong: dict[str, str] = {}
+        self.once: list[Sequence[Any]] = []
+        self._answer: Sequence[Any] = []
+        self.others: list[Any] = []
+        self._sessions: set[int] = set()
+        self._random, self._raw, self._idle = random.Random(1), b"", 0
+        self._track, self._offsets = PoseTracker(calibration.beams), calibration.spot_offsets.tolist()
+
+    def now(self) -> int:
+        """Return the link's clock [ns]."""
+        return self.links[0].now()
+
+    def encode(self, body: Any, *, session: int | None = None, sequence: int = 0) -> bytes:
+        """Return a frame, of this session by default."""
+        outside = isinstance(body, (wire.Hello, wire.Estop))
+        return self.codec.encode(
+            0 if outside else self.session if session is None else session, sequence, self.now(), body
+        )
+
+    def command(self, answers: int, held: Sequence[float], pulsed: Sequence[float] = (), width: float = 0.0) -> None:
+        """Send currents under the next sequence number."""
+        self.sequence = (self.sequence + 1) & WRAP
+        body = wire.Command(answers & WRAP, 0, tuple(held), tuple(pulsed or held), width)
+        data, luck = self.encode(body, sequence=self.sequence), self._random.random()
+        if self.loss <= luck < 2.0 * self.loss:
+            self.links[0].send(data[:43] + bytes([data[43] ^ 255]) + data[44:])
+        for _ in range((luck >= self.loss) + (2.0 * self.loss <= luck < 3.0 * self.loss)):
+            self.links[0].send(data)
+
+    def hear(self, timeout: float, peer: int = 0) -> Any:
+        """Return the next frame at an address, or None.
+
+        It waits up to `timeout` [s]; STATEs are answered meanwhile.
+        """
+        end = self.now() + round(timeout * 1e9)
+        while True:
+            left, source = max((end - self.now()) * 1e-9, 0.0), peer
+            data = self.links[peer].receive(0.0 if peer else left)
+            if data is None and peer:
+                source, data = 0, self.links[0].receive(min(left, 1e-3))
+            if data is None and self.now() >= end:
+                return None
+            frame = None if data is None else self._checked(data, source)
+            if frame is not None and source == peer:
+                return frame
+
+    def wait(self, seconds: float, kind: type | None = None, peer: int = 0) -> Any:
+        """Receive for `seconds`, or until a frame of a kind.
+
+        That frame is returned.
+        """
+        end = self.now() + round(seconds * 1e9)
+        while (left := end - self.now()) > 0:
+            if (frame := self.hear(left * 1e-9, peer)) is not None and kind and isinstance(frame.body, kind):
+                return frame
+        return None
+
+    def exchange(self, body: Any, patience: float = _PATIENCE, *, peer: int = 0, **header: int) -> Any:
+        """Repeat a request until its answer; return that or None.
+
+        It gives up after `patience` seconds.
+        """
+        end = self.now() + round(patience * 1e9)
+        while (left := (end - self.now()) * 1e-9) > 0.0:
+            self.links[peer].send(self.encode(body, **header))
+            frame = self.wait(min(left, _AGAIN), _ANSWERS[type(body)], peer)
+            if frame is not None and frame.body[0] == body[0]:  # nonce or request
+                return frame
+        return None
+
+    def states(self, count: int) -> list[Any]:
+        """Return the frames of the next samples."""
+        found: list[Any] = []
+        end = self.now() + 3 * count * self.welcome.period + round(_PATIENCE * 1e9)
+        while len(found) < count:
+            frame = self.wait((end - self.now()) * 1e-9, wire.StateReport)
+            found.append(frame or fail(f"{len(found)} STATEs instead of {count}"))
+        return found
+
+    # rules of all frames
+
+    def _checked(self, data: bytes, source: int) -> Any:
+        """Return a frame of this session, checked by general rules."""
+        frame: Any = self.codec.decode(data)
+        if frame is None:
+            self.wrong.setdefault("frames", f"no frame: {data[:200].hex()}")
+            return None
+        body, kind = frame.body, type(frame.body)
+        ours, reports = kind in (wire.StateReport, wire.ControlAck), kind is wire.StateReport
+        welcomes = kind is wire.HelloAck and body.status == HelloStatus.WELCOME
+        self._sessions |= {frame.session} if welcomes else set()
+        wrong = {
+            "type": kind in (wire.Hello, wire.Control, wire.Command, wire.Estop) or (reports and source > 0),
+            "bytes that should be 0": self.codec.encode(*frame) != data,
+            "sequence number": frame.sequence > 0 and not reports,
+            "session": (frame.session not in self._sessions) if ours else (frame.session != 0) != welcomes,
+            "time": self.last is not None and frame.time + self.welcome.period < self.last.time,
+        }
+        if any(wrong.values()):
+            said = ", ".join(name for name, is_wrong in wrong.items() if is_wrong)
+            self.wrong.setdefault("frames", f"{said} of a {kind.__name__}: {data.hex()}")
+        if ours and frame.session != self.session:
+            return None
+        if reports:
+            return self._sampled(frame, data)
+        self.others.append(frame)
+        return frame
+
+    def _sampled(self, frame: Any, data: bytes) -> Any:
+        """Return a newer sample, and answer it."""
+        before, arrived, self.arrived = self.last, self.arrived, self.now()
+        is_newer = before is None or newer(frame.sequence, before.sequence)
+        if is_newer:
+            self._judge(frame, before)
+            self.last, self._raw = frame, data
+            if before is not None:
+                usual = ((frame.sequence - before.sequence) & WRAP) * self.welcome.period
+                self.late |= self.arrived - arrived > usual + self.welcome.period // 2
+        elif frame.sequence == before.sequence and data != self._raw:
+            self.wrong.setdefault("samples", f"number {frame.sequence} twice, with different bytes")
+        if self.answering and frame.sequence == self.last.sequence:
+            if is_newer or not self._answer:
+                self._answer = self.once.pop() if self.once else [self.law(frame)]
+            self.command(frame.sequence, *self._answer)
+        return frame if is_newer else None
+
+    def _judge(self, frame: Any, before: Any) -> None:
+        """Record violations in a sample."""
+        body, period = frame.body, self.welcome.period
+        # currents that have just been cut are measured once more, and take their time to fall
+        self._idle = 0 if body.state == State.ACTIVE else self._idle + 1
+        wrong = {
+            "frames": body.flags & ~int(sum(Flag)) or body.valid > 7 or body.state > max(State),
+            "samples": not all(map(math.isfinite, (*body.spots, *body.currents, *body.temperatures)))
+            or (body.state == State.FAULT) != bool(body.faults)
+            or (body.flags & Flag.HOLDING and body.state != State.ACTIVE),
+            "cut": self._idle > 3 and not is_off(body.currents),
+        }
+        if before is not None:
+            steps = (frame.sequence - before.sequence) & WRAP
+            wrong["samples"] |= frame.time - before.time != steps * period
+            wrong["samples"] |= not newer(body.conversions, before.body.conversions)
+        for rule in (rule for rule, is_wrong in wrong.items() if is_wrong):
+            self.wrong.setdefault(rule, f"{frame} after {before}")
+
+    # sessions and states
+
+    def greet(self, nonce: int, calibration: bytes | None = None, peer: int = 0) -> Any:
+        """Return the answer to a HELLO."""
+        answer = self.exchange(wire.Hello(nonce, calibration or self.calibration.digest), peer=peer)
+        return answer or fail("no answer to HELLO")
+
+    def join(self) -> None:
+        """Start a session, if necessary after a lost host's.
+
+        Raises:
+            HandshakeError: If no device answers, or it refuses this host.
+        """
+        end, self.session = self.now() + round(2.0 * _TAKEOVER * 1e9), 0
+        while True:
+            self.nonce = draw()
+            frame = self.exchange(wire.Hello(self.nonce, self.calibration.digest))
+            if frame is None:
+                raise HandshakeError(f"no device answered within {_PATIENCE:g} s")
+            status = frame.body.status
+            if status == HelloStatus.WELCOME:
+                self.welcome, self.session, self.last = frame.body, frame.session, None
+                self.sequence = self.request = 0
+                return
+            if status != HelloStatus.BUSY or self.now() > end:
+                raise HandshakeError(f"the device answers HELLO with status {_named(HelloStatus, status)}")
+            self.wait(0.1)
+
+    def ask(self, operation: int, *, faults: int = 0, hover: Sequence[float] = (), **header: int) -> wire.ControlAck:
+        """Return the answer to a new request."""
+        self.request = (self.request + 1) & WRAP
+        body = wire.Control(self.request, operation, faults, tuple(hover or self.half))
+        frame = self.exchange(body, **header) or fail(f"no answer to {_named(Operation, operation)}")
+        answer: wire.ControlAck = frame.body
+        self.asked_at = frame.time
+        same("operation", answer.operation, operation)
+        return answer
+
+    def bring(self, state: State, law: _Law | None = None) -> None:
+        """Bring the device to a state, seen in a sample.
+
+        In ACTIVE it obeys commands of zero current by default.
+        """
+        self.law, self.answering, self.loss, self.once = _zeros, True, 0.0, []
+        try:
+            self.ask(Operation.DISARM) if self.session else self.join()
+        except Unexpected:
+            self.join()
+        end = self.now() + round(_TAKEOVER * 1e9)
+        while (answer := self.ask(Operation.DISARM)).state != State.INACTIVE:
+            # refused while a current that was just cut is the last one measured
+            if self.ask(Operation.RESET).state != State.INACTIVE:
+                if self.now() > end:
+                    fail(f"RESET is refused: {fault_names(answer.faults)}")
+                self.states(1)
+        if state == State.FAULT:
+            answer = self.ask(Operation.TRIP, faults=Fault.HOST)
+        elif state == State.ACTIVE:
+            self.law = law or _zeros
+            answer = self.ask(Operation.ARM)
+            self.states(1 + math.ceil(self.welcome.delay / self.welcome.period))
+        same("state", answer.state, state)
+        self.expect(state, Fault.HOST if state == State.FAULT else 0, 1)
+
+    def expect(self, state: State, faults: int = 0, samples: int = 2) -> Any:
+        """Return a sample after checking states and faults.
+
+        All received samples but the first must have the given ones.
+        """
+        for frame in (seen := self.states(samples + 1)[1:]):
+            body = frame.body
+            if (body.state, body.faults) != (state, faults):
+                said = f"{_named(State, body.state)}, faults {fault_names(body.faults)}"
+                fail(f"{said} instead of {state.name}, faults {fault_names(faults)}")
+        return seen[-1]
+
+    def leave(self) -> None:
+        """End the session; a new one starts without history."""
+        if self.session:
+            with suppress(Unexpected):
+                self.ask(Operation.BYE)
+        self.session = 0
+
+    def release(self) -> None:
+        """Leave the device INACTIVE without a session.
+
+        If it does not answer, an emergency stop is requested.
+        """
+        try:
+            self.bring(State.INACTIVE)
+            self.ask(Operation.BYE)
+        except BaseException as error:
+            self.exchange(wire.Estop(draw()))
+            if not isinstance(error, MaglevError):
+                raise
+
+    # flights
+
+    @contextmanager
+    def flying(self) -> Iterator[None]:
+        """Take off from rest, and land in any case."""
+        one, period, known = self.welcome, self.welcome.period * 1e-9, self.calibration
+        # before ARM: the device would take the time for a host that is gone
+        limits = Limits(
+            current=one.current_limit, continuous_current=one.continuous_current, thermal_time=one.thermal_time
+        )
+        output = OutputLimiter(known.coils, limits, None, period)
+        leader = Leader(known, period, one.delay * 1e-9)
+
+        def law(frame: Any) -> Sequence[float]:
+            pose = self._locate(frame)
+            return output.currents(leader.step(Sample(frame.sequence, frame.time * 1e-9, pose)), pose)[1]
+
+        def astray(pose: Sequence[float]) -> None:
+            if self.last.body.state == State.ACTIVE:
+                fail(f"the flotor does not follow: {pose_shown(pose)}")
+
+        rest, led = self._rest(), round(1.5 * _LED * 1e9) // one.period
+        leader.aim(rest, ZERO, _LED, astray)
+        self.law = law
+        try:
+            same("state after ARM", self.ask(Operation.ARM, hover=known.hover.tolist()).state, State.ACTIVE)
+            self.states(led)
+            self.hovers()
+            yield
+        finally:
+            if self.last is not None and self.last.body.state == State.ACTIVE:
+                leader.aim(ZERO, rest, _LED)
+                self.law, self.answering, self.loss = law, True, 0.0
+                with suppress(MaglevError):
+                    self.states(led)
+
+    def hovers(self) -> str:
+        """Return the pose of a hovering flotor as text.
+
+        The check fails if it is not at the centre.
+        """
+        pose = self._locate(self.expect(State.ACTIVE))
+        if math.hypot(*pose[:3]) > _ASIDE or math.hypot(*pose[3:]) > _ASKEW:
+            fail(f"the flotor hovers at {pose_shown(pose)}")
+        return pose_shown(pose)
+
+    def _rest(self) -> list[float]:
+        """Wait for the flotor's rest and return its pose."""
+        motion, end = Motion(self.welcome.period * 1e-9), self.now() + 10_000_000_000
+        while not (motion.full and motion.at_rest):
+            frame = self.states(1)[0]
+            motion.add(Sample(frame.sequence, frame.time * 1e-9, self._locate(frame)))
+            if self.now() > end:
+                fail(f"the flotor does not come to rest within 10 s: {motion}")
+        return motion.pose
+
+    def _locate(self, frame: Any) -> list[float]:
+        return self._track([one - other for one, other in zip(frame.body.spots, self._offsets)])
+
+
+def draw() -> int:
+    """Return a random 64-bit number."""
+    return int.from_bytes(os.urandom(8), "little")
+
+
+def fail(seen: str) -> NoReturn:
+    """Fail a check with the observed behaviour."""
+    raise Unexpected(seen)
+
+
+def same(what: str, seen: Any, wanted: Any) -> str:
+    """Fail a check if values differ; return the observed one."""
+    if seen != wanted:
+        fail(f"{what} {shown(seen)} instead of {shown(wanted)}")
+    return f"{what} {shown(seen)}"
+
+
+def is_off(currents: Sequence[float]) -> bool:
+    """Return True if measured currents [A] count as zero."""
+    return max(map(abs, currents)) <= OFF
+
+
+def shown(value: Any) -> str:
+    """Return figures as text."""
+    if isinstance(value, (tuple, list)):
+        return f"({', '.join(map(shown, value))})"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _zeros(frame: Any) -> Sequence[float]:
+    return ZERO
+
+
+def _named(words: Any, number: int) -> str:
+    return words(number).name if number in tuple(words) else str(number)

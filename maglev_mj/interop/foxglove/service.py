@@ -1,0 +1,208 @@
+"""Process of the live server between control loop and clients."""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+import pickle
+import secrets
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+import foxglove
+from foxglove import MessageSchema, Parameter, Schema, Service, ServiceRequest, ServiceSchema, StatusLevel
+from foxglove.websocket import Capability, ChannelView, Client, ServerListener
+
+from maglev_mj.interop.foxglove.guard import forward
+from maglev_mj.interop.foxglove.settings import Answer, Requests, State, Verdict, check_requests, values_of
+from maglev_mj.process import SideProcess
+from maglev_mj.recording.messages import Messages
+from maglev_mj.recording.writer import ROWS, RowReader, log_in_order
+from maglev_mj.scenes import Scene
+from maglev_mj.session import UnstableLoop
+
+LONGEST_CHECK = 10.0
+"""Longest time of a check [s]."""
+
+_LOOK = 1.0 / 120.0
+_PAUSE = 1.0  # from one process that checks to the next [s]
+_PATIENCE = 60.0
+_MOST_REASON = 300  # it may repeat a client's request
+_SET = "/maglev/set"
+_JSON = MessageSchema(encoding="json", schema=Schema(name=_SET, encoding="jsonschema", data=b'{"type": "object"}'))
+_SCHEMA = ServiceSchema(name=_SET, request=_JSON, response=_JSON)
+
+
+def serve(line: Connection, rows: RowReader, listener: socket.socket) -> None:
+    """Serve until the line ends, in an own process.
+
+    The first message is the reason of a failure, or empty.
+    """
+    try:
+        service = _Service(line, rows, listener)
+    except Exception as error:  # any error that keeps the package from starting
+        line.send(f"{type(error).__name__}: {error}")
+        return
+    line.send("")
+    service.run()
+
+
+class _Service(ServerListener):
+    """Server that logs rows and events and has requests checked."""
+
+    def __init__(self, line: Connection, rows: RowReader, listener: socket.socket) -> None:
+        foxglove.set_log_level(logging.CRITICAL)  # errors of clients are not for the user's terminal
+        self._line, self._rows, self._requests, self._greet = line, rows, Requests(), False
+        self._orders: deque[Sequence[Any]] = deque()
+        self._place = 0
+        self._know(State())
+        self._checker, self._until, self._next_checker = SideProcess(check_requests), math.inf, 0.0
+        self._over = False
+        self._context = foxglove.Context()  # the server does not keep it
+        self._messages = Messages(self._context)
+        # browsers cannot find the server behind the guard: there are 2^24 such addresses, with as many ports each
+        host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
+        self._server = foxglove.start_server(
+            name="maglev-mj",
+            host=host,
+            port=0,
+            capabilities=[Capability.Parameters, Capability.Services],
+            server_listener=self,
+            services=[Service(name=_SET, schema=_SCHEMA, handler=self._call)],
+            context=self._context,
+            message_backlog_size=ROWS,
+        )
+        self._checker.line.poll(_PATIENCE)
+        threading.Thread(target=forward, args=(listener, (host, self._server.port)), daemon=True).start()
+
+    def run(self) -> None:
+        """Serve until the control loop closes its end."""
+        while not self._over:
+            self._turn()
+        self._checker.close(0.0)
+        self._server.stop()
+
+    def _turn(self) -> None:
+        """Wait for the next event and handle it."""
+        checking = [] if self._checker.ended else [self._checker.line, self._requests.arrived]
+        wait([self._line, *checking], _LOOK)
+        rows = list(self._rows.rows())  # rows first: a message about a row arrives before the row
+        while not self._over and self._line.poll():
+            self._hear()
+        if self._greet:
+            self._greet = False
+            self._messages.greet()
+        self._place = log_in_order(self._messages, rows, self._orders, self._place)
+        self._check()
+
+    def _hear(self) -> None:
+        try:
+            message = self._line.recv_bytes()
+        except (EOFError, OSError):
+            self._over = True
+            return
+        try:
+            place, what, *arguments = pickle.loads(message)
+        except Exception as error:  # a class of the user's own that this process does not find
+            self._know(State(state=f"the scene is not known here: {type(error).__name__}: {error}"))
+            return
+        if what == "show":
+            self._show(*arguments)
+        else:
+            self._orders.append((place, what, *arguments))
+
+    def _show(self, state: State, answer: Answer | None) -> None:
+        """Publish the present scene and the control loop's answer."""
+        self._know(state)
+        if answer is not None:
+            self._settle(answer)
+        self._server.publish_parameter_values(self._parameters)
+
+    def _know(self, state: State) -> None:
+        self._state = state
+        self._parameters = [Parameter(name, value=value) for name, value in values_of(state).items()]
+
+    def _check(self) -> None:
+        """Handle checked requests and start the next check."""
+        for verdict in self._checker.received():
+            if verdict is not None:
+                self._judge(verdict)
+        if self._checker.ended or time.monotonic() > self._until:
+            why = "the process that checks them ended" if self._checker.ended else f"it takes over {LONGEST_CHECK:g} s"
+            self._checker.close(0.0)
+            if math.isfinite(self._until):  # otherwise nothing was being checked
+                self._doubt(why)
+            self._replace_checker()
+        if not self._checker.ended and (given := self._requests.next()) is not None:
+            self._checker.send((self._state, given))
+            self._until = time.monotonic() + LONGEST_CHECK
+
+    def _replace_checker(self) -> None:
+        """Restart the checking process, at intervals."""
+        if (now := time.monotonic()) < self._next_checker:
+            return
+        self._next_checker = now + _PAUSE
+        try:
+            self._checker = SideProcess(check_requests)
+        except OSError as error:  # too many processes, or open files
+            if self._requests.next() is not None:
+                self._doubt(f"the process that checks them does not start: {error}")
+
+    def _doubt(self, why: str) -> None:
+        self._judge(f"it is not known whether the parameters would be stable: {why}")
+
+    def _judge(self, verdict: Verdict) -> None:
+        """Send a checked scene to the loop, or refuse it."""
+        self._until = math.inf
+        if isinstance(verdict, Scene):
+            with suppress(OSError):  # that it has ended is heard
+                self._line.send(verdict)
+        else:
+            figures = verdict._asdict() if isinstance(verdict, UnstableLoop) else None
+            self._settle(Answer(None, str(verdict)[:_MOST_REASON], figures))
+
+    def _settle(self, answer: Answer) -> None:
+        """Answer a request; report a refusal to all clients."""
+        self._requests.settle(answer)
+        if answer.reason:
+            self._server.publish_status(answer.reason, StatusLevel.Warning, "set")
+            self._messages.event("refused", answer.reason)
+        else:
+            self._server.remove_status(["set"])
+
+    # --- called by the package, in threads of its own --------------------------------------------
+
+    def on_subscribe(self, client: Client, channel: ChannelView) -> None:
+        """Request the drawing for a new subscriber."""
+        self._greet = True
+
+    def on_get_parameters(self, client: Client, names: list[str], request: str | None = None) -> list[Parameter]:
+        """Return the parameters in force."""
+        return [one for one in self._parameters if one.name in names or not names]
+
+    def on_set_parameters(
+        self, client: Client, parameters: list[Parameter], request: str | None = None
+    ) -> list[Parameter]:
+        """Queue a request; return the parameters in force.
+
+        Waiting here would block other clients.
+        """
+        self._requests.put({one.name: one.get_value() for one in parameters})
+        return self._parameters
+
+    def _call(self, call: ServiceRequest) -> bytes:
+        """Answer a service call once in force or refused."""
+        try:
+            given = json.loads(bytes(call.payload))
+        except (ValueError, RecursionError):
+            given = None
+        if not isinstance(given, dict):
+            raise ValueError("a request must be a JSON object of names and values")
+        return json.dumps(self._requests.put(given).result()._asdict()).encode()

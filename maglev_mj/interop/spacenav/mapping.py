@@ -1,0 +1,256 @@
+"""Settings of a 3D mouse: axes, buttons, and how motion maps to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array
+from maglev_mj.interop.spacenav.navigation import Navigation, Navigator
+from maglev_mj.interop.spacenav.protocol import MOST
+from maglev_mj.parameters import Parameters, number, param
+from maglev_mj.session import Snapshot
+from maglev_mj.spec import RANGE
+
+EXCHANGED = [0, 2, 1, 3, 5, 4]
+"""Index permutation between device and spacenav axes, both ways."""
+
+FULL = 500
+"""Number sent for a full deflection or rate."""
+
+FULL_POSE: Array = np.array(RANGE)
+"""Deflections sent as FULL, the device's stops [m, rad], (6,)."""
+
+FULL_RATE: Array = np.array([0.020] * 3 + [math.radians(30.0)] * 3)
+"""Rates sent as FULL [m/s, rad/s], (6,).
+
+Those of a default navigator at the stops.
+"""
+
+REST = (0,) * len(AXES)
+"""Numbers sent at rest."""
+
+Axes: TypeAlias = Callable[[Snapshot], tuple[int, ...]]
+"""Returns the six numbers for a snapshot, in spacenav's order."""
+
+RUNS = ("running", "flying")
+"""States of a scene that moves."""
+
+
+def told(shares: Array) -> Array:
+    """Return deflection or rate shares as whole numbers, (6,)."""
+    counts: Array = np.rint(np.clip(FULL * shares, -MOST, MOST))
+    return counts
+
+
+class PoseAxes:
+    """Deflections from the centre, as a 3D mouse has them.
+
+    Args:
+        mapping: Settings of the axes; the defaults where it is None.
+    """
+
+    def __init__(self, mapping: AxisMapping | None = None) -> None:
+        self._mapping = mapping or AxisMapping()
+
+    def __call__(self, snapshot: Snapshot) -> tuple[int, ...]:
+        """Return the six numbers for a snapshot; see `Axes`."""
+        if snapshot.state not in RUNS:
+            return REST
+        deflection = self._mapping.outside(np.asarray(snapshot.pose), FULL_POSE)
+        return _whole(told(self._mapping((deflection / FULL_POSE)[EXCHANGED])))
+
+
+class RateAxes:
+    """Rates of the slave that a `Navigator` moves.
+
+    What rounding leaves over is said with the next snapshot: a program that adds up rates over time stays within half
+    a unit of one snapshot of the slave's way.
+
+    Args:
+        navigation: What the navigator goes by.
+        mapping: Settings of the axes; the dead zone is one of the flotor's deflection.
+
+    Attributes:
+        navigator: It.
+    """
+
+    def __init__(self, navigation: Navigation | None = None, mapping: AxisMapping | None = None) -> None:
+        self.navigator, self._mapping = Navigator(navigation), mapping or AxisMapping()
+        self._time: float | None = None
+        self._owed: Array = np.zeros(len(AXES))
+
+    def __call__(self, snapshot: Snapshot) -> tuple[int, ...]:
+        """Return the six numbers for a snapshot; see `Axes`."""
+        runs = snapshot.state in RUNS and bool(np.isfinite([*snapshot.pose, *snapshot.force]).all())
+        before, self._time = self._time, snapshot.time if runs else None
+        if not runs or before is None or snapshot.time < before:
+            self.navigator.restart()  # the scene stood still or began anew: that is no motion
+        if not runs:
+            return REST
+        elapsed = 0.0 if before is None else max(snapshot.time - before, 0.0)
+        pose = self._mapping.outside(np.asarray(snapshot.pose), FULL_POSE)
+        way = self.navigator.move(pose, snapshot.anchors, elapsed, snapshot.force) / FULL_RATE
+        moved = self._mapping(way[EXCHANGED])
+        self._owed = moved + (self._owed * (moved != 0.0) if self._mapping.dominant else self._owed)
+        if elapsed == 0.0:
+            return REST
+        counts = told(self._owed / elapsed)
+        self._owed -= counts * (elapsed / FULL)
+        return _whole(counts)
+
+
+def _whole(counts: Array) -> tuple[int, ...]:
+    return tuple(int(count) for count in counts)
+
+
+Buttons: TypeAlias = Callable[[Snapshot], tuple[bool, ...]]
+"""Returns which buttons are down at a snapshot."""
+
+NO_BUTTONS: tuple[bool, ...] = (False, False)
+"""Both buttons, up."""
+
+_Z, _WALLS = 2, (1.0, -1.0)
+_SHORTEST, _LONGEST = 0.055, 0.155
+_RELEASE = 0.5
+
+
+class Taps:
+    """Two buttons: 0 at the lower wall, 1 above.
+
+    The handle taps if the force along z in a wall passes half of `force`, reaches `force`, and is below half of it
+    again 0.06 to 0.15 s later. A bounce is shorter, a handle that leans on the wall longer. The button is down for one
+    snapshot, at the end of the tap. The times are those of snapshots, 60 in a second.
+
+    Args:
+        force: Force of the device against the handle, springs and friction included [N].
+
+    Raises:
+        ParameterError: If it is not above 0.
+    """
+
+    def __init__(self, force: float) -> None:
+        self._force = number("force", force, above=0.0)
+        self._began: list[float | None] = [None, None]
+        self._peak = [0.0, 0.0]
+
+    def __call__(self, snapshot: Snapshot) -> tuple[bool, ...]:
+        """Return which buttons are down; see `Buttons`."""
+        return tuple(self._tapped(button, normal, snapshot) for button, normal in enumerate(_WALLS))
+
+    def _tapped(self, button: int, normal: float, snapshot: Snapshot) -> bool:
+        """Follow one wall; return True when a tap ends."""
+        began, force = self._began[button], _force(snapshot, normal)
+        if force >= _RELEASE * self._force:
+            self._began[button] = snapshot.time if began is None else began
+            self._peak[button] = max(self._peak[button], force)
+            return False
+        tapped = self._peak[button] >= self._force and began is not None
+        self._began[button], self._peak[button] = None, 0.0
+        return tapped and began is not None and _SHORTEST <= snapshot.time - began <= _LONGEST
+
+
+def _force(snapshot: Snapshot, normal: float) -> float:
+    """Return the wall force along z [N].
+
+    0 outside the wall, and while the scene does not run.
+    """
+    inside = any(
+        axis == _Z and way == normal and way * (edge - snapshot.pose[_Z]) > 0.0 for axis, way, edge in snapshot.faces
+    )
+    return normal * float(snapshot.force[_Z]) if inside and snapshot.state in RUNS else 0.0
+
+
+_NOTHING, _NONE = "0", "none"
+_FINITE = 1e6
+
+
+class AxisMapping(Parameters):
+    """Mapping from an input device's deflections to six numbers.
+
+    The dead zone is taken off each deflection first. Then come order and signs, the gains, and the choice of the
+    largest. The defaults change no number.
+
+    Raises:
+        ParameterError: If a value is outside its bounds, or a word is no axis.
+
+    Example:
+        >>> mapping = AxisMapping(order="x,y,z,0,0,0", invert="y", dominant=True)
+        >>> mapping([0.2, 0.1, 0.5, 0.9, 0.0, 0.0]).tolist()
+        [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
+    """
+
+    gain: float = param("factor on translations", default=1.0, at_least=0.0, at_most=100.0)
+    turning_gain: float = param("factor on rotations", default=1.0, at_least=0.0, at_most=100.0)
+    dead_zone: float = param("share of a full deflection that counts as none", default=0.0, at_least=0.0, at_most=0.9)
+    order: str = param("axis behind each of the six numbers, 0 for none", default=",".join(AXES))
+    invert: str = param("numbers with the opposite sign, such as x,rz", default=_NONE)
+    dominant: bool = param("keep the largest of the six numbers alone", default=False)
+
+    def check(self) -> None:
+        """See `Parameters`."""
+        words, inverted = self.order.split(","), self._inverted()
+        if len(words) != len(AXES) or not set(words) <= {*AXES, _NOTHING}:
+            raise ParameterError(f"order must be six of {', '.join(AXES)} and {_NOTHING}, not {self.order!r}")
+        if not set(inverted) <= set(AXES) or len(set(inverted)) < len(inverted):
+            raise ParameterError(f"invert must be {_NONE}, or some of {', '.join(AXES)}, not {self.invert!r}")
+
+    def outside(self, deflection: Array, full: Array) -> Array:
+        """Return a deflection without its dead zone, (6,).
+
+        A full deflection stays full.
+
+        Args:
+            deflection: From the centre [m, rad], (6,).
+            full: The full one [m, rad], (6,).
+        """
+        if self.dead_zone == 0.0:
+            return deflection
+        rest = np.maximum(np.abs(deflection) - self.dead_zone * full, 0.0) / (1.0 - self.dead_zone)
+        beyond: Array = np.copysign(rest, deflection)
+        return beyond
+
+    def __call__(self, shares: Array) -> Array:
+        """Return the six numbers, (6,); NaN counts as 0.
+
+        Args:
+            shares: Of the full deflection or rate, (6,).
+        """
+        told: Array = self._matrix @ np.nan_to_num(shares, posinf=_FINITE, neginf=-_FINITE)
+        if self.dominant:
+            told[np.arange(len(AXES)) != np.argmax(np.abs(told))] = 0.0
+        return told
+
+    def _inverted(self) -> list[str]:
+        return [] if self.invert == _NONE else self.invert.split(",")
+
+    @cached_property
+    def _matrix(self) -> Array:
+        matrix = np.zeros((len(AXES), len(AXES)))
+        for row, (name, source) in enumerate(zip(AXES, self.order.split(","))):
+            if source != _NOTHING:
+                gain = self.gain if row < 3 else self.turning_gain
+                matrix[row, AXES.index(source)] = -gain if name in self._inverted() else gain
+        return matrix
+
+
+class SpacenavMapping(AxisMapping):
+    """Settings of the joystick as a 3D mouse.
+
+    Raises:
+        ParameterError: See `AxisMapping`.
+    """
+
+    press: float | None = param(
+        "force of a tap on the lower or the upper wall, which is button 0 or 1",
+        "N",
+        default=None,
+        optional=True,
+        at_least=0.5,
+        at_most=50.0,
+    )

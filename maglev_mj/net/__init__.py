@@ -1,1 +1,0 @@
-"""Links between programs: UDP, serial lines, addresses, authentication."""

@@ -1,9 +1,0 @@
-from maglev_mj.spacenav.axes import FULL as FULL
-from maglev_mj.spacenav.axes import PoseAxes as PoseAxes
-from maglev_mj.spacenav.axes import RateAxes as RateAxes
-from maglev_mj.spacenav.buttons import Taps as Taps
-from maglev_mj.spacenav.mapping import AxisMapping as AxisMapping
-from maglev_mj.spacenav.mapping import SpacenavMapping as SpacenavMapping
-from maglev_mj.spacenav.place import default_path as default_path
-from maglev_mj.spacenav.place import searched_paths as searched_paths
-from maglev_mj.spacenav.server import SpacenavServer as SpacenavServer

@@ -1,0 +1,1 @@
+"""What a person sees of a session, in a window or on a page."""

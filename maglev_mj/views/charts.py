@@ -1,0 +1,187 @@
+"""Charts of a session: what window and page draw of it, each in its own way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED, Colour
+from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.scenes import Scene
+from maglev_mj.session import SHOWN, Snapshot
+from maglev_mj.views.margin import StabilityMap
+
+_ROUNDING = 1e-6
+_LEAST_GAIN = 1e-3
+
+Range: TypeAlias = tuple[float, float]
+
+
+class Line(NamedTuple):
+    """One line of a chart.
+
+    Attributes:
+        colour: Its colour.
+        x: Along, (N,).
+        y: Up, (N,); not drawn where it is not finite.
+        dashed: Whether it is dashed.
+        dot: Whether its last point is marked.
+    """
+
+    colour: Colour
+    x: ArrayLike
+    y: ArrayLike
+    dashed: bool = False
+    dot: bool = False
+
+
+class Chart(NamedTuple):
+    """One chart.
+
+    Attributes:
+        title: Pieces of text, each with a colour or None for the text's own.
+        lines: The lines, the last one on top; none where the title says all.
+        across: Ends of the axis along.
+        up: Ends of the axis up.
+        foot: Words beside the axis along; empty for none.
+    """
+
+    title: Sequence[tuple[str, Colour | None]]
+    lines: Sequence[Line]
+    across: Range
+    up: Range
+    foot: str = ""
+
+
+class Charts:
+    """Charts of one axis of a session over the last seconds.
+
+    Args:
+        most: Largest number of points of a line.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most, self._axis, self._stability = most, -1, StabilityMap()
+
+    def of(self, snapshot: Snapshot, axis: int) -> list[Chart]:
+        """Return position, force, gains and phase plane, the most important first.
+
+        Args:
+            snapshot: The snapshot.
+            axis: Index into AXES.
+        """
+        if axis != self._axis:
+            self._axis, self._places, self._speeds = axis, SteadyRange(2.0), SteadyRange(20.0)
+            self._forces = SteadyRange(0.02 if axis > 2 else 2.0)
+        rows = snapshot.history
+        rows = rows[:: max(-(-len(rows) // self._most), 1)]
+        time = rows[:, 0] - (rows[-1, 0] if len(rows) else 0.0)
+        position, speed = 1e3 * rows[:, 1 + axis], 1e3 * rows[:, 7 + axis]
+        device, hand = rows[:, 13 + axis], rows[:, 19 + axis]
+        walls = [edge * 1e3 for index, _, edge in snapshot.faces if index == axis]
+        name, unit, across = AXES[axis], unit_of("mm", axis), (-SHOWN, 0.0)
+        places, speeds = self._places(position, walls), self._speeds(speed)
+        kind = f"{'torque about' if axis > 2 else 'force on'} {name} [{unit_of('N', axis)}]"
+        shown = [(f"{name} [{unit}]", MEASURED), *([("walls", None)] if walls else [])]
+        return [
+            Chart(
+                shown,
+                [
+                    *(Line(BOUNDARY, across, (wall, wall), True) for wall in walls),
+                    Line(MEASURED, time, position, dot=True),
+                ],
+                across,
+                places,
+            ),
+            Chart(
+                [(kind, None), ("device", DEVICE), ("hand", HAND)],
+                [Line(DEVICE, time, device, dot=True), Line(HAND, time, hand, dot=True)],
+                across,
+                self._forces(device, hand, [0.0]),
+            ),
+            self._gains(snapshot.scene),
+            Chart(
+                [(f"speed [{unit}/s] over {name} [{unit}]", None)],
+                [
+                    *(Line(BOUNDARY, (wall, wall), speeds, True) for wall in walls),
+                    Line(MEASURED, position, speed, dot=True),
+                ],
+                places,
+                speeds,
+            ),
+        ]
+
+    def wait(self, scene: Scene) -> None:
+        """Wait until the stability of a scene is computed."""
+        self._stability.wait(scene)
+
+    def _gains(self, scene: Scene) -> Chart:
+        """Return the gains under their stability boundary; the verdict alone if a law states no gains."""
+        margin = self._stability.of(scene)
+        colour = None if margin.stable is None else GOOD if margin.stable else BAD
+        if not margin.axis:
+            return Chart([(margin.words, colour)], [], (0.0, 1.0), (0.0, 1.0))
+        factor, unit = margin.shown
+        boundary, stiffness = factor * margin.stiffnesses, factor * margin.stiffness
+        width = max(float(margin.dampings.max(initial=0.0)), 1.1 * margin.damping, _LEAST_GAIN)
+        height = max(float(boundary.max(initial=0.0)), 1.1 * stiffness, factor * _LEAST_GAIN)
+        lines = [
+            Line(BOUNDARY, margin.dampings, boundary),
+            Line(colour or BOUNDARY, [margin.damping], [stiffness], dot=True),
+        ]
+        foot = f"{margin.axis}: {unit} over damping"
+        return Chart([(margin.words, colour)], lines, (0.0, round_up(width)), (0.0, round_up(height)), foot)
+
+
+class SteadyRange:
+    """Range of a plot's axis that follows data without jitter.
+
+    Args:
+        least: Smallest span, in the data's unit.
+    """
+
+    def __init__(self, least: float) -> None:
+        self._least = least
+        self._last: tuple[float, float] | None = None
+
+    def __call__(self, *values: ArrayLike) -> tuple[float, float]:
+        """Return a range that holds all values.
+
+        It is narrower than the last only if that is twice as wide.
+        """
+        found = fitted_range(np.concatenate([np.ravel(some) for some in values]), self._least)
+        last = self._last
+        if last is None or found[0] < last[0] or found[1] > last[1] or found[1] - found[0] <= 0.5 * (last[1] - last[0]):
+            self._last = found
+        assert self._last is not None
+        return self._last
+
+
+def fitted_range(values: Array, least: float) -> tuple[float, float]:
+    """Return a range between multiples of a power of ten.
+
+    That below its span.
+
+    Args:
+        values: Values that it holds; any number.
+        least: Smallest span.
+    """
+    kept = values[np.isfinite(values)]
+    low, high = (float(kept.min()), float(kept.max())) if kept.size else (0.0, 0.0)
+    if (lack := least - (high - low)) > 0.0:
+        low, high = low - 0.5 * lack, high + 0.5 * lack
+    step = 10.0 ** np.floor(np.log10(high - low) + _ROUNDING)
+    while True:
+        bottom, top = (float(np.floor(low / step + _ROUNDING)), float(np.ceil(high / step - _ROUNDING)))
+        if top - bottom < 10.0:
+            return bottom * step, top * step
+        step *= 10.0  # both ends rounded away beyond the next power
+
+
+def round_up(value: float) -> float:
+    """Return the next of 1, 2, 5 times 10^n."""
+    step = 10.0 ** np.floor(np.log10(value))
+    return float(next(step * size for size in (1.0, 2.0, 5.0, 10.0) if step * size >= 0.999 * value))

@@ -1,0 +1,101 @@
+"""Plots of the page: charts as SVG, which a browser draws at any width."""
+
+from __future__ import annotations
+
+import textwrap
+from html import escape
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.colours import BOUNDARY, Colour, hex_of
+from maglev_mj.frames import AXES
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Snapshot
+from maglev_mj.views.charts import Chart, Charts, Range
+from maglev_mj.views.page.handles import put
+
+_WIDTH, _HEIGHT = 320, 156
+_LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 22
+_TICKS = 4
+_GRID, _TEXT = "rgba(128,128,128,.28)", "currentColor"
+
+
+def drawn(chart: Chart) -> str:
+    """Return a chart as SVG, or its title alone if it has no lines."""
+    title, lines, across, up, foot = chart
+    if not lines:
+        return f'<p style="margin:.5em">{escape(textwrap.shorten(title[0][0], 300))}</p>'
+    right, bottom = _WIDTH - _RIGHT, _HEIGHT - _BOTTOM
+    parts = [
+        f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" style="width:100%;display:block" font-size="11" '
+        f'font-family="system-ui,sans-serif" fill="{_TEXT}"><text x="4" y="13">',
+        *(f'<tspan{_fill(colour)} font-weight="600">{escape(text)} </tspan>' for text, colour in title),
+        f'</text><svg x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}" '
+        f'viewBox="{_LEFT} {_TOP} {right - _LEFT} {bottom - _TOP}">',
+    ]
+    words = []
+    for value in ticks(*across):
+        place = float(_along(value, across))
+        parts.append(f'<path d="M{place:.1f} {_TOP}V{bottom}" stroke="{_GRID}"/>')
+        words.append(f'<text x="{place:.1f}" y="{_HEIGHT - 5}" text-anchor="middle">{value:g}</text>')
+    for value in ticks(*up):
+        place = float(_upward(value, up))
+        parts.append(f'<path d="M{_LEFT} {place:.1f}H{right}" stroke="{_GRID}"/>')
+        words.append(f'<text x="{_LEFT - 4}" y="{place + 4:.1f}" text-anchor="end">{value:g}</text>')
+    for line in lines:
+        x, y = _along(line.x, across), _upward(line.y, up)
+        points = " ".join(f"{one:.1f},{other:.1f}" for one, other in zip(x, y) if np.isfinite(other))
+        dash = ' stroke-dasharray="4 3"' if line.dashed else ""
+        look = f'fill="none" stroke="{hex_of(line.colour)}" stroke-width="1.6"{dash}'
+        parts.append(f'<polyline points="{points}" {look}/>')
+        if line.dot and len(x) and np.isfinite(y[-1]):
+            parts.append(f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="4"{_fill(line.colour)}/>')
+    words.append(f'<text x="{right - 5}" y="{bottom - 5}" text-anchor="end">{escape(foot)}</text>')
+    frame = f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}"'
+    return "".join([*parts, "</svg>", f'{frame} fill="none" stroke="{hex_of(BOUNDARY)}"/>', *words, "</svg>"])
+
+
+def ticks(low: float, high: float) -> list[float]:
+    """Return round numbers between two ends, some four of them."""
+    step = 10.0 ** np.floor(np.log10((high - low) / _TICKS))
+    step *= next(size for size in (1.0, 2.0, 2.5, 5.0, 10.0) if size * step * (_TICKS + 1) >= high - low)
+    return [float(np.round(count * step, 12)) for count in range(int(np.ceil(low / step)), int(high / step) + 1)]
+
+
+def _fill(colour: Colour | None) -> str:
+    return "" if colour is None else f' fill="{hex_of(colour)}"'
+
+
+def _along(value: ArrayLike, ends: Range) -> Any:
+    return _LEFT + (np.asarray(value) - ends[0]) / (ends[1] - ends[0]) * (_WIDTH - _RIGHT - _LEFT)
+
+
+def _upward(value: ArrayLike, ends: Range) -> Any:
+    return _HEIGHT - _BOTTOM - (np.asarray(value) - ends[0]) / (ends[1] - ends[0]) * (_HEIGHT - _BOTTOM - _TOP)
+
+
+_POINTS = 200
+
+
+class Plots:
+    """Four plots of one axis.
+
+    Args:
+        gui: viser's, within the container for the plots.
+        scene: The scene, whose own axis is shown at first.
+    """
+
+    def __init__(self, gui: Any, scene: Scene) -> None:
+        self._charts, self._type = Charts(_POINTS), type(scene)
+        self._axis = gui.add_dropdown("axis", AXES, initial_value=scene.axis, hint="axis of the plots")
+        self._plots = [gui.add_html("") for _ in range(4)]
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show a snapshot."""
+        if type(snapshot.scene) is not self._type:
+            self._type, self._axis.value = type(snapshot.scene), snapshot.scene.axis
+        charts = self._charts.of(snapshot, AXES.index(self._axis.value))
+        for plot, chart in zip(self._plots, charts, strict=True):
+            put(plot, content=drawn(chart))

@@ -1,0 +1,191 @@
+"""3D scene of the page: device, walls, stick position, forces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
+from maglev_mj.frames import Array, quaternion, rotation_matrix
+from maglev_mj.plants.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, arrow_start, shapes, wall_plate
+from maglev_mj.session import Snapshot
+from maglev_mj.views.page.handles import put
+from maglev_mj.views.page.meshes import glb
+from maglev_mj.views.words import banner
+
+VIEWS = {
+    "home": ((0.17, -0.27, 0.21), (0.0, 0.0, 0.028)),
+    "front": ((0.0, -0.36, 0.05), (0.0, 0.0, 0.02)),
+    "side": ((0.36, 0.0, 0.05), (0.0, 0.0, 0.02)),
+    "top": ((0.0, -0.02, 0.40), (0.0, 0.0, 0.03)),
+    "knob": ((0.09, -0.13, 0.14), (0.0, 0.0, 0.072)),
+}
+"""Camera presets: position and point looked at [m]."""
+
+_PHONE = 576
+"""Screen width below which the panel covers half [px]."""
+
+_WIDE = 0.15  # of the device, with some room [m]
+FIELD = 0.62
+"""Angle of view, up [rad]."""
+_FAINT, _LIT = 0.18, 0.45
+_FLOOR = -0.0552
+_REACH = 0.021  # of the ball by which the knob is taken hold of [m]
+_LONGEST = 0.12  # of an arrow [m]
+_SWOLLEN, _GAMMA = 1.06, 2.2
+_RIM = 0.0118, 0.0012
+"""Radius and half height of the rotation-stop ring [m].
+
+It lies under the knob and is lit when a rotation meets its stop.
+"""
+
+
+def look(client: Any, view: str) -> None:
+    """Point a browser's camera."""
+    camera = client.camera
+    with client.atomic():
+        camera.position, camera.look_at = placed(view, camera.image_width, camera.image_height)
+
+
+def placed(view: str, width: int, height: int) -> tuple[Array, Array]:
+    """Return position and target of a camera [m], (3,) each.
+
+    On a phone the target is in the middle of the upper half.
+
+    Args:
+        view: One of VIEWS.
+        width: Width of the picture [px].
+        height: Its height.
+    """
+    place, target = np.array(VIEWS[view])
+    if width > _PHONE:
+        return place, target
+    back, rise = place - target, np.tan(0.5 * FIELD)
+    back = back * max(_WIDE / (2.0 * np.linalg.norm(back) * rise * width / height), 1.0)
+    across = np.cross([0.0, 0.0, 1.0], back)
+    target = target - 0.5 * rise * np.cross(back, across) / np.linalg.norm(across)
+    return target + back, target
+
+
+class Stage:
+    """The scene in three dimensions.
+
+    Args:
+        server: viser's.
+        snapshot: What is shown at first.
+
+    Attributes:
+        knob: What can be taken hold of.
+    """
+
+    def __init__(self, server: Any, snapshot: Snapshot) -> None:
+        self._server, scene = server, server.scene
+        server.initial_camera.position, server.initial_camera.look_at = VIEWS["home"]
+        server.initial_camera.fov, server.initial_camera.near = FIELD, 0.005
+        scene.configure_environment_map("studio", environment_intensity=0.3)
+        scene.configure_default_lights(cast_shadow=False)
+        scene.add_grid(
+            "/floor",
+            width=0.4,
+            height=0.4,
+            cell_size=0.01,
+            section_size=0.05,
+            cell_color=(228, 230, 233),
+            section_color=(205, 208, 212),
+            position=(0.0, 0.0, _FLOOR),
+        )
+        self._flotor = scene.add_frame("/flotor", show_axes=False)
+        grip = tuple(GRIP.tolist())
+        self.knob = scene.add_icosphere(
+            "/flotor/knob", _REACH, _bytes(HAND), subdivisions=2, opacity=0.0, position=grip, **_PLAIN
+        )
+        size = _SWOLLEN * KNOB[0], _SWOLLEN * KNOB[0], _SWOLLEN * KNOB[1]
+        self._ghost = scene.add_icosphere(
+            "/stuck", 1.0, _bytes(STUCK), scale=size, opacity=0.45, visible=False, **_PLAIN
+        )
+        rim = 0.0, 0.0, UNDER_KNOB + _RIM[1]
+        self._rim = scene.add_cylinder(
+            "/flotor/rim", _RIM[0], 2.0 * _RIM[1], _bytes(TOUCHED), position=rim, visible=False, **_PLAIN
+        )
+        self._arrows = [_Arrow(scene, name, colour) for name, colour in _FORCES.items()]
+        self._walls: dict[tuple[int, float, float], Any] = {}
+        self._word = scene.add_label("/word", "", position=(0.0, 0.0, 0.135), anchor="bottom-center", visible=False)
+        self._model: Any = None
+        self.show(snapshot)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show a snapshot."""
+        if snapshot.scene.model != self._model:
+            self._load(snapshot)
+        pose, turn = snapshot.pose, rotation_matrix(snapshot.pose[3:])
+        put(self._flotor, position=np.round(pose[:3], 6), wxyz=np.round(quaternion(pose[3:]), 6))
+        knob = pose[:3] + turn @ GRIP
+        for arrow, wrench in zip(self._arrows, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
+            arrow.show(knob, wrench[:3])
+        self._show_walls(snapshot)
+        anchors = np.full(6, np.nan) if snapshot.anchors is None else snapshot.anchors
+        stuck = not np.isnan(anchors).all()
+        if stuck:
+            place = np.where(np.isnan(anchors), pose, anchors)
+            at = place[:3] + rotation_matrix(place[3:]) @ GRIP
+            put(self._ghost, position=np.round(at, 6), wxyz=np.round(quaternion(place[3:]), 6))
+        put(self._ghost, visible=stuck)
+        said = banner(snapshot)
+        put(self._word, visible=said is not None, text="" if said is None else said.text.split(":")[0])
+
+    def _load(self, snapshot: Snapshot) -> None:
+        """Show another device."""
+        self._model, found = snapshot.scene.model, shapes(snapshot.scene.model)
+        for name, moves in (("/device", False), ("/flotor/body", True)):
+            mesh = glb([shape for shape in found if shape.moves == moves])
+            self._server.scene.add_glb(name, mesh, cast_shadow=False, receive_shadow=False)
+
+    def _show_walls(self, snapshot: Snapshot) -> None:
+        faces = {(axis, normal, round(edge, 6)) for axis, normal, edge in snapshot.faces}
+        for face in faces - self._walls.keys():
+            if (plate := wall_plate(face)) is not None:
+                centre, half = plate
+                self._walls[face] = self._server.scene.add_box(
+                    f"/walls/{len(self._walls)}",
+                    dimensions=tuple(2.0 * half),
+                    position=tuple(centre),
+                    side="double",
+                    opacity=_FAINT,
+                    **_PLAIN,
+                )
+        met = {face for face in faces | self._walls.keys() if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
+        put(self._rim, visible=any(axis > 2 for axis, _, _ in faces & met))
+        for face, plate in self._walls.items():
+            touched = face in met
+            colour, opacity = (TOUCHED, _LIT) if touched else (WALL, _FAINT)
+            put(plate, visible=face in faces, color=_bytes(colour), opacity=opacity)
+
+
+class _Arrow:
+    """One force."""
+
+    def __init__(self, scene: Any, name: str, colour: Colour) -> None:
+        sizes = {"shaft_radius": 0.0013, "head_radius": 0.0032, "head_length": 0.0065}
+        points = np.array([[GRIP, 2.0 * GRIP]], dtype=np.float32)
+        shade = tuple(part**_GAMMA for part in colour)  # viser takes an arrow's colour for a linear one
+        self._arrow = scene.add_arrows(f"/forces/{name}", points, _bytes(shade), visible=False, **sizes)
+
+    def show(self, knob: Array, force: Array) -> None:
+        """Show a force [N], (3,), at a position [m], (3,)."""
+        size = float(np.linalg.norm(force))
+        put(self._arrow, visible=size >= LEAST_FORCE)
+        if size >= LEAST_FORCE:
+            start = arrow_start(knob, force)
+            end = start + force * min(ARROW, _LONGEST / size)
+            put(self._arrow, points=np.round([[start, end]], 5).astype(np.float32))
+
+
+_FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}
+_PLAIN = {"cast_shadow": False, "receive_shadow": False}
+
+
+def _bytes(colour: Sequence[float]) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * part) for part in colour)
+    return red, green, blue

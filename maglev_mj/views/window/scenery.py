@@ -1,0 +1,219 @@
+"""3D drawing of a scene.
+
+Device, walls, stick position, forces, and coils coloured by their current.
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
+from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
+from maglev_mj.lazy import mujoco
+from maglev_mj.plants.model import COILS, load_model
+from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, UNDER_KNOB, arrow_start, wall_plate
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Snapshot
+from maglev_mj.spec import Spec
+from maglev_mj.views.words import met_stops
+
+_WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.22), (*TOUCHED, 0.42), (*STUCK, 0.40), (*STOP, 0.55)
+_COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
+_MOST = Spec.peak_current.value
+_GLOW, _GHOST_SIZE, _AXIS = 1.12, 1.08, 30
+_SLICES = 32, 16
+_IDENTITY = np.eye(3).ravel()
+_SPHERE, _UNSEEN = int(mujoco.mjtGeom.mjGEOM_SPHERE), (0.0, 0.0, 0.0, 0.0)
+
+_Shade: TypeAlias = tuple[float, float, float, float]
+"""Red, green, blue and opacity, 0 to 1."""
+
+
+class Scenery:
+    """Displayed model of a scene, with added shapes.
+
+    Args:
+        scene: The scene, or its class.
+
+    Attributes:
+        shown: File of the model.
+        model: The compiled model, with all its shapes.
+        data: Its state, which follows the snapshots.
+
+    Raises:
+        ModelError: If the scene's file is missing or cannot be used.
+    """
+
+    def __init__(self, scene: Scene | type[Scene]) -> None:
+        device = load_model(scene.model, lean=False)
+        self.shown = scene.model
+        self.model = device.model
+        self.model.vis.quality.numslices, self.model.vis.quality.numstacks = _SLICES
+        self.data = mujoco.MjData(self.model)
+        self.flotor = device.flotor
+        self._address = device.position_address
+        mujoco.mj_forward(self.model, self.data)
+        handle = self.model.body("handle").id
+        self._handle_shapes = np.flatnonzero(self.model.geom_bodyid == handle)
+        self._handle = handle
+        self._windings = self._find_windings()
+        rgba: Any = self.model.vis.rgba
+        # shapes of the mouse's hand by the engine: its spring, its turned box, and its grip
+        rgba.constraint[:] = rgba.inertia[:] = rgba.selectpoint[:] = (*HAND, 1.0)
+
+    def place(self, snapshot: Snapshot) -> None:
+        """Move the model to the flotor's pose."""
+        qpos, first = self.data.qpos, self._address
+        qpos[first : first + 3] = snapshot.pose[:3]
+        qpos[first + 3 : first + 7] = quaternion(snapshot.pose[3:])
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_camlight(self.model, self.data)
+
+    def decorate(self, scene: Any, snapshot: Snapshot) -> None:
+        """Add all further shapes to a scene of the engine.
+
+        They are walls, stops, coils, forces and the stick position.
+        """
+        self._draw_coils(scene, snapshot)
+        for face in snapshot.faces:
+            touched = face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0
+            self._draw_plate(scene, face, _TOUCHED if touched else _WALL)
+            if face[0] > 2 and touched:
+                self._draw_ring(scene, snapshot.pose, _TOUCHED)
+        stops = met_stops(snapshot)
+        for face in stops.faces:
+            self._draw_plate(scene, face, _STOP)
+        if stops.turning:
+            self._draw_ring(scene, snapshot.pose, _STOP)
+        if snapshot.anchors is not None:
+            self._draw_ghost(scene, snapshot)
+        knob = self.data.xpos[self.flotor] + rotation_matrix(snapshot.pose[3:]) @ GRIP
+        hand, device, stop = snapshot.hand[:3], snapshot.force[:3], snapshot.stops[:3]
+        _draw_arrow(scene, knob, hand, HAND)
+        _draw_arrow(scene, knob, device, DEVICE)
+        # a stop's arrow begins at the end of the device's in the same direction, so that balanced forces look equal
+        size = float(np.linalg.norm(stop)) or 1.0
+        _draw_arrow(scene, knob + max(float(device @ stop) / size, 0.0) * ARROW / size * stop, stop, STOP)
+
+    def draw_axes(self, scene: Any, place: Array, pixel: float) -> None:
+        """Add arrows along x, y and z, with their names.
+
+        Args:
+            scene: The engine's scene.
+            place: Origin of the arrows [m], (3,).
+            pixel: Height of a pixel there [m].
+        """
+        length = _AXIS * pixel
+        for name, direction in zip(AXES[:3], np.eye(3), strict=True):
+            _connect(scene, place, place + 2.0 * length * direction, 0.05 * length, STOP)
+            # an invisible point beyond the tip carries the name
+            if (
+                shape := _add(scene, _SPHERE, np.zeros(3), place + 1.25 * length * direction, _IDENTITY, _UNSEEN)
+            ) is not None:
+                shape.label = name
+
+    def _find_windings(self) -> list[tuple[int, int]]:
+        """Return winding shapes with their coil numbers."""
+        model = self.model
+        copper = model.material("copper").id
+        shapes = np.flatnonzero(model.geom_matid == copper)
+        places = self.data.site_xpos[model.actuator_trnid[: len(COILS), 0]]
+        away = np.linalg.norm(self.data.geom_xpos[shapes][:, None] - places, axis=-1)
+        return list(zip(shapes.tolist(), away.argmin(axis=1).tolist(), strict=True))
+
+    def _draw_coils(self, scene: Any, snapshot: Snapshot) -> None:
+        """Draw the windings, coloured by their current.
+
+        The colour goes from copper over yellow to red at the limit.
+        """
+        for shape, coil in self._windings:
+            share = min(abs(float(snapshot.currents[coil])) / _MOST, 1.0)
+            colour = _LIMIT if share > 0.999 else _COLD + share * (_WARM - _COLD)
+            _add(
+                scene,
+                int(self.model.geom_type[shape]),
+                self.model.geom_size[shape] * [_GLOW, 1.0, 1.0],
+                self.data.geom_xpos[shape],
+                self.data.geom_xmat[shape],
+                (*colour.tolist(), 1.0),
+                emission=0.2 + 0.6 * share,
+            )
+
+    def _draw_plate(self, scene: Any, face: tuple[int, float, float], colour: _Shade) -> None:
+        """Draw a wall's plane; rotations have none."""
+        if (plate := wall_plate(face)) is not None:
+            centre, size = plate
+            _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour)
+
+    def _draw_ring(self, scene: Any, pose: Array, colour: _Shade) -> None:
+        """Highlight the knob's rim, for a rotation stop."""
+        turn = rotation_matrix(pose[3:])
+        place = self.data.xpos[self.flotor] + turn @ [0.0, 0.0, UNDER_KNOB + 0.0012]
+        _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], place, turn.ravel(), colour)
+
+    def _draw_ghost(self, scene: Any, snapshot: Snapshot) -> None:
+        """Draw the handle at its stick position.
+
+        On axes that do not stick it has the position of the handle.
+        """
+        assert snapshot.anchors is not None
+        if np.isnan(snapshot.anchors).all():
+            return
+        stuck = np.where(np.isnan(snapshot.anchors), snapshot.pose, snapshot.anchors)
+        turn = rotation_matrix(stuck[3:])
+        back = turn @ rotation_matrix(snapshot.pose[3:]).T
+        origin = self.data.xpos[self.flotor]
+        for shape in self._handle_shapes:
+            place = stuck[:3] + back @ (self.data.geom_xpos[shape] - origin)
+            matrix = (back @ self.data.geom_xmat[shape].reshape(3, 3)).ravel()
+            size = self.model.geom_size[shape] * _GHOST_SIZE
+            _add(scene, int(self.model.geom_type[shape]), size, place, matrix, _GHOST)
+
+
+def _draw_arrow(scene: Any, knob: Array, force: Array, colour: Colour) -> None:
+    """Draw a force to scale, from the knob's surface.
+
+    A force below 0.05 N is not drawn.
+    """
+    if float(np.linalg.norm(force)) >= LEAST_FORCE:
+        start = arrow_start(knob, force)
+        # an arrow between two points is drawn from the first on, at half the length between them
+        _connect(scene, start, start + 2.0 * ARROW * force, 0.0016, colour)
+
+
+def _connect(scene: Any, start: Array, end: Array, width: float, colour: Colour) -> None:
+    if (shape := _next(scene)) is not None:
+        mujoco.mjv_connector(shape, int(mujoco.mjtGeom.mjGEOM_ARROW), width, start, end)
+        _style(shape, (*colour, 1.0), 0.3)
+
+
+def _add(scene: Any, kind: int, size: Any, place: Any, matrix: Any, colour: _Shade, emission: float = 0.1) -> Any:
+    """Add a shape; return it, or None if full."""
+    if (shape := _next(scene)) is not None:
+        parts = (np.asarray(part, dtype=np.float64) for part in (size, place, matrix))
+        mujoco.mjv_initGeom(shape, kind, *parts, np.array(colour, np.float32))
+        _style(shape, colour, emission)
+    return shape
+
+
+def _next(scene: Any) -> Any:
+    """Return a scene's next free shape.
+
+    None if the scene is full; the rest is then left out.
+    """
+    if scene.ngeom >= scene.maxgeom:
+        return None
+    scene.ngeom += 1
+    shape = scene.geoms[scene.ngeom - 1]
+    mujoco.mjv_initGeom(shape, _SPHERE, np.zeros(3), np.zeros(3), _IDENTITY, np.ones(4, np.float32))
+    shape.label = ""
+    return shape
+
+
+def _style(shape: Any, colour: _Shade, emission: float) -> None:
+    shape.rgba[:] = colour
+    shape.emission, shape.specular, shape.shininess = emission, 0.2, 0.3
+    shape.category = int(mujoco.mjtCatBit.mjCAT_DECOR)

@@ -1,0 +1,336 @@
+"""Window: MuJoCo's viewer on a session.
+
+The mouse is the hand.
+"""
+
+from __future__ import annotations
+
+import os
+import queue
+import sys
+import threading
+import time
+import warnings
+from contextlib import suppress
+from pathlib import Path
+from statistics import median
+from typing import Any, NamedTuple
+
+import glfw
+
+from maglev_mj.errors import MaglevError
+from maglev_mj.frames import Array, rotation_matrix, rotation_vector
+from maglev_mj.lazy import mujoco
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.shapes import GRIP
+from maglev_mj.process import interrupts_delayed
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
+from maglev_mj.views.remote import ShowReport
+from maglev_mj.views.window.backend import DisplayError
+from maglev_mj.views.window.clip import write_picture
+from maglev_mj.views.window.framing import Framing
+from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, SCREENSHOT, keys_of
+from maglev_mj.views.window.layout import Area
+from maglev_mj.views.window.offscreen import OffscreenPainter
+from maglev_mj.views.window.scenery import Scenery
+from maglev_mj.views.window.screen import Screen
+from maglev_mj.views.window.shadows import SlowFrames
+
+_FRAME = 1.0 / 60.0
+_NAP = 0.001
+_PATIENCE = 10.0
+_SHADOWS, _SAMPLES = 2048, 4
+_PICTURE = 1600, 1000
+
+
+class _Mouse(NamedTuple):
+    """State of the mouse as a hand.
+
+    Flags for pushing and twisting, the target of the grip [m], and the target rotation, a quaternion.
+    """
+
+    pushes: bool
+    twists: bool
+    place: Array
+    turn: tuple[float, float, float, float]
+
+
+def require_display() -> None:
+    """Check that a window can be opened.
+
+    Raises:
+        DisplayError: If there is no display, or no library to open a window with.
+    """
+    instead = "--web shows it in a browser, and `maglev-mj render SCENE --out FILE.png` draws a picture"
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise DisplayError(f"a window needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set: {instead}")
+    # mjpython has loaded the viewer module and set this attribute
+    if sys.platform == "darwin" and getattr(sys.modules.get("mujoco.viewer"), "_MJPYTHON", None) is None:
+        raise DisplayError(
+            "a window on macOS needs the program mjpython, which comes with mujoco: `mjpython -m maglev_mj view`; or "
+            "without it `maglev-mj view --web`, in a browser"
+        )
+    with warnings.catch_warnings():  # its warning is raised as an error here
+        warnings.simplefilter("ignore")
+        if not glfw.init():
+            raise DisplayError(f"a window cannot be opened on this display: {instead}")
+
+
+def show(
+    session: SnapshotSource, *, folder: Path = Path(), duration: float | None = None, shadows: bool | None = None
+) -> ShowReport:
+    """Open a window on a session and run it.
+
+    The session runs in real time until the window is closed.
+
+    Args:
+        session: Session to show.
+        folder: Folder of screenshots.
+        duration: Real time until the window closes [s]; None waits for the user.
+        shadows: True to draw shadows; None to draw them while frames are not slow.
+
+    Returns:
+        Figures of the frames and the session.
+
+    Raises:
+        DisplayError: If a window cannot be opened.
+    """
+    require_display()
+    with interrupts_delayed():  # half open it cannot be closed, and its drawing thread crashes a program that ends
+        window = _Window(session, folder, shadows)
+    try:
+        with engine_warnings_silenced():
+            return window.run(duration)
+    finally:
+        try:
+            session.close()
+        finally:
+            window.close()
+
+
+class _Window:
+    """Window on a session.
+
+    There are three threads: the calling one makes the control ticks, a second passes each snapshot to the engine's
+    viewer, and the viewer draws in its own. Passing a snapshot waits for a frame, which must not delay the ticks.
+    """
+
+    def __init__(self, session: SnapshotSource, folder: Path, shadows: bool | None) -> None:
+        self._session, self._folder = session, folder
+        self._screen, self._slow = Screen(), SlowFrames() if shadows is None else None
+        self._scale = _font_scale()
+        self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._snapshots: queue.Queue[Snapshot | None] = queue.Queue(maxsize=1)
+        self._mouse: _Mouse | None = None
+        self._note = Note()
+        self._costs: list[float] = []
+        self._failed: Exception | None = None
+        self._pictures: list[threading.Thread] = []
+        self._scenery = _scenery(session.snapshot().scene)
+        self._framing, self._camera_back = Framing(self._scenery.model), True
+        before = set(threading.enumerate())
+        # imported here, because the import needs a display
+        from maglev_mj.views.window.engine import launch
+
+        self._handle = launch(self._scenery.model, self._scenery.data, self._pressed.put)
+        with self._handle.lock():  # for the frames until the first of ours
+            self._framing.reset(self._handle.cam)
+        if shadows is False:
+            self._drop_shadows()
+        self._painter = threading.Thread(target=self._paint, name="painter", daemon=True)
+        self._threads = [thread for thread in threading.enumerate() if thread not in before]
+        self._painter.start()
+
+    def run(self, duration: float | None) -> ShowReport:
+        """Make the ticks until the window is closed."""
+        session, handle, due = self._session, self._handle, Due(_FRAME)
+        ticks, wall_time = 0, 0.0
+        for elapsed, passed in real_time(duration, _NAP):
+            ticks, wall_time = ticks + session.tick(elapsed), passed
+            if self._failed is not None:
+                raise self._failed
+            self._press_keys()
+            self._guide_hand()
+            if self._snapshots.empty() and due():
+                self._snapshots.put(session.snapshot())
+            if not handle.is_running():
+                break
+        costs = self._costs
+        return ShowReport(
+            frames=len(costs),
+            frame_cost=median(costs) if costs else 0.0,
+            wall_time=wall_time,
+            simulated=session.simulated,
+            ticks=ticks,
+            missed=session.snapshot().missed,
+        )
+
+    def close(self) -> None:
+        """Close the window, and wait for the drawing threads.
+
+        They must not outlive the program.
+        """
+        self._handle.close()
+        simulation = self._handle._sim()
+        loading = simulation is not None and simulation.loading  # that load does not end
+        end = time.monotonic() + (_NAP if loading else _PATIENCE)
+        while self._painter.is_alive() and time.monotonic() < end:
+            with suppress(queue.Full):
+                self._snapshots.put(None, timeout=0.1)
+            self._painter.join(0.1)
+        for thread in (*self._pictures, *self._threads):
+            thread.join(_PATIENCE)
+
+    def _press_keys(self) -> None:
+        """Run the actions of the keys pressed.
+
+        They are those since the last tick.
+        """
+        while not self._pressed.empty():
+            code, snapshot = self._pressed.get(), self._session.snapshot()
+            self._screen.note_engine_key(code)
+            action = keys_of(snapshot.actions).get(code)
+            if action == SCREENSHOT:
+                path = _new_picture(self._folder)
+                thread = threading.Thread(target=self._picture, args=(snapshot, path))
+                self._pictures.append(thread)
+                thread.start()
+            elif action == CAMERA:
+                self._camera_back = True
+            elif action in (AXIS, KEYS):
+                self._screen.press(action, snapshot.scene)
+            elif action is not None:
+                try:
+                    self._session.act(action)
+                except (MaglevError, OSError) as error:  # such as a rate without a possible controller
+                    self._note.say(str(error))
+
+    def _guide_hand(self) -> None:
+        """Move the hand's target to the mouse, or release it."""
+        mouse, self._mouse = self._mouse, None
+        if mouse is None:
+            return
+        hand = self._session.hand
+        if not (mouse.pushes or mouse.twists):
+            if hand.target is not None:
+                hand.target = None
+            return
+        pose = self._session.snapshot().pose
+        goal = mouse.place - rotation_matrix(pose[3:]) @ GRIP if mouse.pushes else pose[:3]
+        turned = rotation_vector(*mouse.turn) if mouse.twists else pose[3:]
+        hand.target = [float(part) for part in (*goal, *turned)]
+
+    def _paint(self) -> None:
+        """Pass snapshots to the viewer until the end."""
+        while (snapshot := self._snapshots.get()) is not None:
+            begun = time.perf_counter()
+            try:
+                self._draw(snapshot)
+            except Exception as error:
+                if self._handle.is_running():  # otherwise the window was closed
+                    self._failed = error
+                return
+            cost = time.perf_counter() - begun
+            self._costs.append(cost)
+            if self._slow is not None and self._slow.add(cost):
+                self._drop_shadows()
+                self._note.say("shadows are off, for frames were slow; S puts them back")
+
+    def _drop_shadows(self) -> None:
+        with self._handle.lock():
+            self._handle.user_scn.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+
+    def _draw(self, snapshot: Snapshot) -> None:
+        handle = self._handle
+        if not handle.is_running():
+            return
+        if snapshot.scene.model != self._scenery.shown:
+            self._scenery = _scenery(snapshot.scene)
+            self._framing, self._camera_back = Framing(self._scenery.model), True
+            # the handle offers no way to change the model; the simulation behind it, which opened it, does
+            handle._get_sim().load(self._scenery.model, self._scenery.data, "")
+        scenery, framing, rectangle = self._scenery, self._framing, handle.viewport
+        over = None
+        if rectangle is not None and min(rectangle.width, rectangle.height) > 0:
+            view = Area(rectangle.left, rectangle.bottom, rectangle.width, rectangle.height)
+            over = self._screen.draw(snapshot, view, self._scale, self._note.lines)
+        with handle.lock():
+            scenery.place(snapshot)
+            scene = handle.user_scn
+            scene.ngeom = 0
+            scenery.decorate(scene, snapshot)
+            if over is not None:
+                if self._camera_back:
+                    self._camera_back = False
+                    framing.reset(handle.cam)
+                framing.follow(handle.cam, view, over.layout.handle)
+                if (corner := framing.corner(handle.cam, view, over.layout.handle)) is not None:
+                    scenery.draw_axes(scene, *corner)
+            self._mouse = _mouse(handle.perturb)
+            handle.perturb.select = scenery.flotor  # always in reach, without a double click
+            handle.perturb.localpos[:] = GRIP
+        if over is not None:
+            handle.set_figures(over.figures)
+            handle.set_texts(over.texts)
+        handle.sync()
+
+    def _picture(self, snapshot: Snapshot, path: Path) -> None:
+        """Write a picture, larger than the window.
+
+        It has no window borders.
+        """
+        try:
+            # a program draws with one library only: that of its window, unless MUJOCO_GL is set
+            with self._handle.lock():  # it may be loading a model, and the engine's table of GL functions is one
+                painter = OffscreenPainter(snapshot.scene, *_PICTURE, default="glfw")
+            with painter:
+                painter.wait(snapshot)
+                write_picture(painter.picture(snapshot), path)
+            self._note.say(f"wrote {path}")
+        except (MaglevError, OSError, mujoco.FatalError) as error:
+            self._note.say(f"no screenshot: {error}")
+
+
+def _mouse(perturb: Any) -> _Mouse:
+    """Return the mouse's action on the flotor."""
+    active = int(perturb.active)
+    return _Mouse(
+        pushes=bool(active & int(mujoco.mjtPertBit.mjPERT_TRANSLATE)),
+        twists=bool(active & int(mujoco.mjtPertBit.mjPERT_ROTATE)),
+        place=perturb.refselpos.copy(),
+        turn=tuple(perturb.refquat.tolist()),
+    )
+
+
+def _font_scale() -> int:
+    """Return the engine's font scale on this screen [%].
+
+    The engine's viewer does not report it.
+    """
+    monitor = glfw.get_primary_monitor()
+    if not monitor:
+        return 100
+    if sys.platform == "darwin":
+        dense = 100.0 * glfw.get_monitor_content_scale(monitor)[0]
+    else:
+        width, _ = glfw.get_monitor_physical_size(monitor)
+        dense = 25.4 * glfw.get_video_mode(monitor).size.width / width if width else 0.0
+        dense = dense if 50.0 < dense < 350.0 else 150.0
+    return min(max(50 * round(0.02 * dense), 100), 300)
+
+
+def _scenery(scene: Scene) -> Scenery:
+    """Return a displayed scene, drawn finely for a window."""
+    scenery = Scenery(scene)
+    quality: Any = scenery.model.vis.quality
+    quality.shadowsize, quality.offsamples = _SHADOWS, _SAMPLES
+    return scenery
+
+
+def _new_picture(folder: Path) -> Path:
+    """Return an unused file name for a picture."""
+    count = 1
+    while (path := folder / f"maglev-{count:03d}.png").exists():
+        count += 1
+    return path
