@@ -95,19 +95,29 @@ def interval(
     return low, high
 
 
-def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite: bool = True) -> Array:
+def numbers(
+    name: str,
+    value: ArrayLike,
+    *,
+    at_least: float = -math.inf,
+    above: float | None = None,
+    at_most: float = math.inf,
+    finite: bool = True,
+) -> Array:
     """Return `value` as a float array with checked entries.
 
     Args:
         name: Name in the message.
         value: Number or array.
         at_least: Least value allowed.
+        above: Exclusive lower bound; None for none.
+        at_most: Largest value allowed.
         finite: False lets infinity pass; NaN never passes.
 
     Raises:
-        ParameterError: If an entry is not a number, not finite, or too small.
+        ParameterError: If an entry is not a number, not finite, or outside the bounds.
     """
-    if value.__class__ is float and max(at_least, -_LARGEST) <= value <= _LARGEST and finite.__class__ is bool:
+    if value.__class__ is float and max(at_least, -_LARGEST) <= value <= min(at_most, _LARGEST) and above is None:
         return np.array(value)  # most, at a third of the cost
     try:
         given = np.asarray(value)
@@ -123,6 +133,10 @@ def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite:
         kind = "finite and " if finite else ""
         bound = f"at least {at_least:g}" if math.isfinite(at_least) else "a number"
         raise ParameterError(f"{name} must be {kind}{bound} everywhere, not {array[~good].flat[0]:g}")
+    if above is not None and not (array > above).all():
+        raise ParameterError(f"{name} must be above {above:g} everywhere, not {array.min():g}")
+    if not (array <= at_most).all():
+        raise ParameterError(f"{name} must be at most {at_most:g} everywhere, not {array.max():g}")
     return array
 
 

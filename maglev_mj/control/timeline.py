@@ -60,6 +60,12 @@ def split_delay(delay: Component, period: Component) -> tuple[Component, Compone
     return whole, rest * (rest > _ROUNDING * period)
 
 
+def checked_delay(delay: float, period: float) -> tuple[int, float]:
+    """Return whole periods and rest [s] of a checked delay."""
+    whole, rest = split_delay(number("delay", delay, at_least=0.0, at_most=MOST_PERIODS * period), period)
+    return int(whole), rest
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Timing:
     """Times of samples and command effects, in whole ticks.

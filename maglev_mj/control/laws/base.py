@@ -9,13 +9,14 @@ import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from operator import add
 from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, dataclass_transform
 
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, named
 from maglev_mj.frames import AXES, Array, Component
-from maglev_mj.parameters import axis_indices, batch_shape, numbers, per_axis
+from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis
 
 
 class LinearController(NamedTuple):
@@ -155,6 +156,7 @@ def gain(
     default: Any = MISSING,
     above: float | None = None,
     at_least: float = 0.0,
+    finite: bool = True,
 ) -> Any:
     """Declare a gain of an `AxisLaw`.
 
@@ -166,6 +168,7 @@ def gain(
         default: Default value; without one the gain is a required argument.
         above: Exclusive lower bound; None for none.
         at_least: Inclusive lower bound; -inf for none.
+        finite: False lets infinity pass.
 
     Example:
         >>> from maglev_mj import AxisLaw, gain
@@ -177,10 +180,18 @@ def gain(
         >>> Damper(damping=30.0).damping
         30.0
     """
-    return field(default=default, metadata={"help": help, "unit": unit, "above": above, "at_least": at_least})
+    bounds = {"above": above, "at_least": at_least, "finite": flag("finite", finite)}
+    return field(default=default, metadata={"help": help, "unit": unit, "gain": bounds})
 
 
-@dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=False, field_specifiers=(gain, field))
+def setting(*, default: Any = MISSING, **bounds: float) -> Any:
+    """Declare a number of an `AxisLaw`, the same on all axes, with bounds of `number`."""
+    return field(default=default, metadata={"setting": bounds})
+
+
+@dataclass_transform(
+    kw_only_default=True, frozen_default=True, eq_default=False, field_specifiers=(gain, setting, field)
+)
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AxisLaw(Law):
     """Law with independent axes, defined by gains and `force`.
@@ -220,27 +231,28 @@ class AxisLaw(Law):
 
     The gains of that law are components.
     """
+    _title: ClassVar[str] = ""
+    """Name in messages, if it is not that of the class."""
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         dataclass(frozen=True, kw_only=True, eq=False)(cls)
-        cls.per_device = tuple(one.name for one in fields(cls) if "at_least" in one.metadata)
-        if hidden := [name for name in inspect.get_annotations(cls) if name != "axes" and hasattr(AxisLaw, name)]:
+        cls.per_device = tuple(one.name for one in fields(cls) if "gain" in one.metadata)
+        names = (name for name in inspect.get_annotations(cls) if name not in ("axes", "pulse_width"))
+        if hidden := [name for name in names if hasattr(AxisLaw, name)]:
             raise ParameterError(f"{cls.__name__} must not have a gain called {hidden[0]}: a law has that itself")
         if not _takes(cls.force, 5):
             takes = inspect.signature(cls.force)
             raise ParameterError(f"{cls.__name__}.force must take (self, x, v, gains, state), not {takes}")
 
     def __post_init__(self) -> None:
-        name, indices = type(self).__name__, axis_indices(self.axes)
+        name, indices = self._title or type(self).__name__, axis_indices(self.axes)
         values: dict[str, Array] = {}
         for one in fields(self):
-            if one.name not in self.per_device:
-                continue
-            what, above = f"{name} {one.name}", one.metadata["above"]
-            array = values[one.name] = numbers(what, getattr(self, one.name), at_least=one.metadata["at_least"])
-            if above is not None and not (array > above).all():
-                raise ParameterError(f"{what} must be above {above:g} everywhere, not {array.min():g}")
+            if "gain" in one.metadata:
+                values[one.name] = numbers(f"{name} {one.name}", getattr(self, one.name), **one.metadata["gain"])
+            elif "setting" in one.metadata:
+                number(one.name, getattr(self, one.name), **one.metadata["setting"])
         split = {one: per_axis(f"{name} {one}", array, len(indices)) for one, array in values.items()}
         each = []
         for slot, index in enumerate(indices):
@@ -319,14 +331,7 @@ class FunctionLaw(Law):
             x, y, z, rx, ry, rz = parts
         except (TypeError, ValueError):
             raise ParameterError(f"law {self.name} must return six wrench components, not {parts!r}") from None
-        wrench[:] = (
-            wrench[0] + x,
-            wrench[1] + y,
-            wrench[2] + z,
-            wrench[3] + rx,
-            wrench[4] + ry,
-            wrench[5] + rz,
-        )
+        wrench[:] = map(add, wrench, (x, y, z, rx, ry, rz))
         return None, None
 
 
@@ -405,3 +410,22 @@ def _takes(function: Callable[..., Any], count: int) -> bool:
     except (TypeError, ValueError):
         return False
     return True
+
+
+def choose(mask: Component, yes: Component, no: Component) -> Component:
+    """Select `yes` or `no` by a mask, elementwise.
+
+    Floats and arrays are both accepted.
+    """
+    if isinstance(mask, bool | np.bool_):
+        return yes if mask else no
+    return np.where(mask, yes, no)
+
+
+def apply(function: Callable[[Component], Component], value: Component) -> Component:
+    """Apply a numpy function; a float stays a float.
+
+    numpy's own function serves both cases, because the standard library's may round differently.
+    """
+    result = function(value)
+    return float(result) if isinstance(value, float) else result

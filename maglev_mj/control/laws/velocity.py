@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.laws.base import LinearController
-from maglev_mj.control.laws.friction import choose
+from maglev_mj.control.laws.base import LinearController, choose
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component
 from maglev_mj.parameters import number, whole
