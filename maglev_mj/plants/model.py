@@ -18,7 +18,6 @@ from maglev_mj.errors import ModelError, ParameterError, check_instance, not_one
 from maglev_mj.frames import AXES, Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.plants.beams import Beams
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand
 from maglev_mj.versions import MODELS
@@ -93,7 +92,7 @@ def model_path(model: str | Path) -> Path:
     return path
 
 
-def _written(folder: Path) -> tuple[tuple[str, int], ...]:
+def written(folder: Path) -> tuple[tuple[str, int], ...]:
     """Return a folder's MJCF files with their modification times."""
     return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in folder.glob("*.xml")))
 
@@ -213,7 +212,7 @@ def load_model(
         device = _compile(model.modelname, model.copy(), chosen)
     else:
         path = model_path(model)
-        device = _compiled(path, _written(path.parent), chosen)
+        device = _compiled(path, written(path.parent), chosen)
     device = replace(device, model=copy(device.model))
     if coil_map is not None:
         if device.coils is None:
@@ -434,34 +433,3 @@ def _put_coils(device: Device, coils: CoilMap) -> None:
     axes = data.site_xmat[magnets].reshape(-1, 3, 3)
     model.actuator_gear[: len(COILS), :3] = np.einsum("jba,jb->ja", axes, coils.directions)
     model.actuator_gainprm[: len(COILS), 0] = coils.force_constants
-
-
-def beams() -> Beams:
-    """Return the geometry of the LEDs and position-sensing diodes.
-
-    Raises:
-        ModelError: If the model lacks an LED or diode.
-    """
-    return _beams(_written(MODELS))
-
-
-@lru_cache(maxsize=1)
-def _beams(written: tuple[tuple[str, int], ...]) -> Beams:
-    """See `beams`."""
-    try:
-        spec = mujoco.MjSpec.from_file(str(model_path("maglev")))
-        model = spec.compile()
-        flotor = model.body("flotor").id
-        leds, diodes = ([model.site(f"{kind}{arm}").id for arm in range(3)] for kind in ("led", "psd"))
-    except (ValueError, KeyError) as error:
-        raise ModelError(f"model 'maglev' cannot be used: {' '.join(str(error).split())}") from error
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    centre = data.subtree_com[flotor]
-    axes = data.site_xmat.reshape(-1, 3, 3)
-    return Beams(
-        leds=data.site_xpos[leds] - centre,
-        directions=axes[leds][:, :, 2],
-        diodes=data.site_xpos[diodes] - centre,
-        across=axes[diodes][:, :, :2].swapaxes(1, 2).copy(),
-    )

@@ -11,8 +11,7 @@ import numpy as np
 
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import flag, number
-from maglev_mj.plants.energy import actuator_work
-from maglev_mj.plants.trace import Trace
+from maglev_mj.plants.trace import Trace, actuator_work
 from maglev_mj.result import number_text
 
 if TYPE_CHECKING:
