@@ -140,6 +140,12 @@ def numbers(
     return array
 
 
+def store(frozen: object, **values: Any) -> None:
+    """Set attributes of a frozen dataclass, by name."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
 def parsed_number(name: str, text: str) -> float:
     """Return the finite number given by a text.
 

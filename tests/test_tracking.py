@@ -15,7 +15,7 @@ import pytest
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.frames import Array, rotation_matrix
 from maglev_mj.plants import SpotReader, SpotSensor
-from maglev_mj.plants import beams as sensing
+from maglev_mj.plants import sensor as sensing
 from maglev_mj.plants.sensor import FARTHEST, MOST_TURNED, Beams, FastBeams, PoseTracker, beams
 from maglev_mj.spec import Spec
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import reduce
 from operator import add, mul
-from typing import Any, Protocol, TypeAlias, Unpack
+from typing import Any, TypeAlias, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -114,7 +114,9 @@ class ExactPlant(SampledPlant):
         self._actual = list(self._timeline.acting[1])
         self._amendments = tuple(self._amended(body, hand, dry_friction)) if special else ()
 
-    def _amended(self, body: list[Component], hand: Hand | None, dry_friction: ArrayLike | None) -> Iterator[Amendment]:
+    def _amended(
+        self, body: list[Component], hand: Hand | None, dry_friction: ArrayLike | None
+    ) -> Iterator[Lag | DryFriction | HeldAxis]:
         """Yield the corrections to the motion of free masses."""
         rub = None if dry_friction is None else self.six("dry_friction", dry_friction, finite=True)
         held = hand.indices if hand is not None else ()
@@ -260,20 +262,6 @@ Six components each.
 """
 
 
-class Amendment(Protocol):
-    """A correction of the motion of free masses."""
-
-    def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
-        """Correct the motion `after` in place.
-
-        Args:
-            duration: Duration [s].
-            forces: Commanded wrench and wrench of the hand's muscles.
-            before: Motion at the beginning.
-            after: Motion of free masses at the end.
-        """
-
-
 class Lag:
     """First-order lag of the drivers.
 
@@ -289,7 +277,10 @@ class Lag:
         self._known: dict[float, tuple[Component, list[Component], list[Component]]] = {}
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
-        """See `Amendment`."""
+        """Correct the motion `after`, of free masses over a duration [s], in place.
+
+        `forces` are those of the command and of the hand's muscles, `before` is the motion at the beginning.
+        """
         factors = self._known.get(duration) if duration.__class__ is float else None
         left, (way_x, way_y, way_z, way_rx, way_ry, way_rz), (by_x, by_y, by_z, by_rx, by_ry, by_rz) = (
             factors or self._factors(duration)
@@ -378,7 +369,7 @@ class HeldAxis:
         self._known: dict[float | bytes, list[list[Component]]] = {}
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
-        """See `Amendment`."""
+        """Correct the motion `after` in place; see `Lag`."""
         index, (force, effort) = self._index, forces
         (place, velocity, _), (places, velocities, _) = before, after
         rows = self._known.get(duration) if duration.__class__ is float else None
@@ -433,7 +424,7 @@ class DryFriction:
         self._axes = [(index, rub, 1.0 / inertia[index], weight[index]) for index, rub in friction.items()]
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
-        """See `Amendment`."""
+        """Correct the motion `after` in place; see `Lag`."""
         (force, effort), (place, velocity, _), (places, velocities, _) = forces, before, after
         for index, rub, inverse, weight in self._axes:
             x, v, push = place[index], velocity[index], force[index] + (weight + effort[index])

@@ -174,14 +174,8 @@ class MuJoCoPlant(SampledPlant):
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
         free = False
         if keywords.get("longest_step") is None:
-            needs: dict[str, Any] = {
-                "driver_lag": driver_lag,
-                "hand": hand,
-                "force_falloff": force_falloff,
-                "flexible": flexible,
-            }
-            free = longest_step(self.device, **needs) is None
-            keywords["longest_step"] = longest_step(self.device, stops=stops, **needs)
+            free = not (driver_lag or hand is not None or force_falloff or flexible)
+            keywords["longest_step"] = longest_step(self.device, driver_lag, hand, stops, force_falloff, flexible)
         super().__init__(timing, batch=(), **keywords)
         # if only the stops need short steps, these are made only near a stop
         self._reach = None
@@ -269,8 +263,7 @@ class MuJoCoPlant(SampledPlant):
     @property
     def load(self) -> Array:
         """Weight [N, N m], (6,)."""
-        weight: Array = np.append(self.device.model.opt.gravity * self.inertia[:3] + 0.0, np.zeros(3))
-        return weight
+        return np.append(self.device.model.opt.gravity * self.inertia[:3] + 0.0, np.zeros(3))
 
     @property
     def met_stops(self) -> bool:
@@ -299,8 +292,7 @@ class MuJoCoPlant(SampledPlant):
         """
         if self._coils is None:
             raise PlantError("there are no currents: the plant was made with coils=False")
-        currents: Array = self._data.ctrl[: len(COILS)].copy()
-        return currents
+        return np.array(self._data.ctrl[: len(COILS)])
 
     @property
     def segments(self) -> list[tuple[float, Sequence[float]]]:
@@ -551,7 +543,7 @@ class MuJoCoBatchPlant(SampledPlant):
         # inverse maps of the coils, (N, 6, 6) while any flotor is turned; None without coils
         self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
         if keywords.get("longest_step") is None:
-            keywords["longest_step"] = longest_step(self.device, driver_lag=driver_lag, hand=hand)
+            keywords["longest_step"] = longest_step(self.device, driver_lag, hand)
         self._corrects, self._excess = integrator == "corrected", np.zeros((len(start), 6))
         super().__init__(timing, batch=start.shape[:1], **keywords)
         if driver_lag:
@@ -574,13 +566,10 @@ class MuJoCoBatchPlant(SampledPlant):
         half = np.reshape(0.5 * np.asarray(duration) / pieces, (-1, 1))
         self._excess = self._excess + half * (self._qvel - before)
 
-    def _where(self) -> Sequence[Component]:
-        return self._corrected()
-
     def _work(self, drive: _BatchDrive, before: Sequence[Component], after: Sequence[Component]) -> Component:
         return turned_work(components(drive[0]), before, after)
 
-    def _corrected(self) -> list[Component]:
+    def _where(self) -> list[Component]:
         """Return x y z and a quaternion, corrected.
 
         The lead of the steps since the last sample is taken off; see `CorrectedSteps`.
@@ -596,7 +585,7 @@ class MuJoCoBatchPlant(SampledPlant):
     def _settle(self) -> None:
         """Subtract the accumulated step error from the flotors' positions."""
         if self._corrects:
-            self._qpos[:] = np.stack(self._corrected(), axis=-1)
+            self._qpos[:] = np.stack(self._where(), axis=-1)
             self._excess[:] = 0.0
 
     def _exert(self, effort: Sequence[Component]) -> None:
@@ -612,15 +601,12 @@ class MuJoCoBatchPlant(SampledPlant):
         if self._engine.warning.any():
             raise PlantError(f"MuJoCo warns at tick {self._tick}, in {int(self._engine.warning.any(-1).sum())} devices")
         self._settle()
-        position = self._components()
+        position = _pose(self._where())
         squared = self._check_escape(position)
         if (coils := self.device.coils) is not None:
             upright = (squared < UPRIGHT**2).all()
             self._inverse_map = coils.current_per_wrench if upright else coils.inverse_at(self._rotations())
         return position
-
-    def _components(self) -> list[Component]:
-        return _pose(self._corrected())
 
     def _rotations(self) -> Array:
         """Return the flotors' rotation matrices, (N, 9)."""
@@ -630,7 +616,7 @@ class MuJoCoBatchPlant(SampledPlant):
         currents = None
         if self.device.model.na:  # the drivers lag: their currents, not the commanded ones
             currents = self._engine.bind("act").copy()
-        return self._corrected(), self._qpos[:, 3:].copy(), self._qvel.copy(), drive[0], currents, self._inverse_map
+        return self._where(), self._qpos[:, 3:].copy(), self._qvel.copy(), drive[0], currents, self._inverse_map
 
     def _arrays(self, kept: Sequence[_BatchKept]) -> tuple[Array, Array, Array]:
         pose, twist, wrench = (np.stack(part) for part in zip(*map(self._parts, kept)))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.errors import ModelError, ParameterError, SensingError
 from maglev_mj.frames import Array, Component, components, join, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.lazy import mujoco
-from maglev_mj.parameters import number, numbers, whole
+from maglev_mj.parameters import number, numbers, store, whole
 from maglev_mj.plants.model import model_path, written
 from maglev_mj.versions import MODELS
 
@@ -486,8 +486,8 @@ class Sensor:
             values = numbers(name, getattr(self, name), at_least=0.0)
             if values.shape not in ((), (6,)):
                 raise ParameterError(f"{name} must be a number or have the shape (6,), not {values.shape}")
-            object.__setattr__(self, name, np.broadcast_to(values, (6,)))
-        object.__setattr__(self, "seed", whole("seed", self.seed))
+            store(self, **{name: np.broadcast_to(values, (6,))})
+        store(self, seed=whole("seed", self.seed))
 
     def start(self) -> Measure:
         """Return the measurement function in its initial state.
@@ -581,9 +581,9 @@ class SpotReader:
 
     def __init__(self, beams: Beams, quantum: float = 0.0, noise: float = 0.0, seed: int = 0) -> None:
         self._beams = FastBeams(beams)
-        self._quantize = _quantizer([number("quantum", quantum, at_least=0.0)] * 6)
-        spread, seed = number("noise", noise, at_least=0.0), whole("seed", seed)
-        self._draws = _draws([spread] * 6, seed) if spread else None
+        checked = SpotSensor(quantum=quantum, noise=noise, seed=seed)
+        self._quantize = _quantizer([checked.quantum] * 6)
+        self._draws = _draws([checked.noise] * 6, checked.seed) if checked.noise else None
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
         """Return six measured spot coordinates [m] of a true pose.
@@ -631,7 +631,7 @@ class SpotSensor:
     def __post_init__(self) -> None:
         for name in ("quantum", "noise"):
             number(name, getattr(self, name), at_least=0.0)
-        object.__setattr__(self, "seed", whole("seed", self.seed))
+        store(self, seed=whole("seed", self.seed))
 
     def start(self) -> Measure:
         """Return the measurement function in its initial state.

@@ -154,8 +154,7 @@ class Trace(Result):
         Motion between knots is included; exact under a constant wrench.
         """
         places = np.concatenate([self.pose, self.turning_points()[1]])
-        furthest: Array = np.abs(places).max(axis=0)
-        return furthest
+        return np.asarray(np.abs(places).max(axis=0))
 
     def until(self, end: float) -> Trace:
         """Return the trace cut off at `end` [s].
@@ -167,16 +166,11 @@ class Trace(Result):
         """
         pose, twist, wrench = self.at(end)
         beyond = self.time > end
-        wide = beyond[..., None]
-        cut = Trace(
-            np.where(beyond, end, self.time),
-            np.where(wide, pose, self.pose),
-            np.where(wide, twist, self.twist),
-            np.where(wide, wrench, self.wrench),
-        )
         keep = np.flatnonzero(~beyond.reshape(len(beyond), -1).all(axis=1))
         last = min(int(keep[-1]) + 2, len(beyond)) if keep.size else 1
-        return Trace(cut.time[:last], cut.pose[:last], cut.twist[:last], cut.wrench[:last])
+        pairs = (pose, self.pose), (twist, self.twist), (wrench, self.wrench)
+        parts = (np.where(beyond[..., None], at_end, knots)[:last] for at_end, knots in pairs)
+        return Trace(np.where(beyond, end, self.time)[:last], *parts)
 
     def turning_points(self) -> tuple[Array, Array]:
         """Return times and poses of turning points between knots.
@@ -201,8 +195,7 @@ def actuator_work(trace: Trace, carried: ArrayLike = 0.0) -> Array:
         trace: The motion.
         carried: Weight-bearing wrench, which does not count [N, N m], (6,).
     """
-    work: Array = (trace.wrench[:-1] - np.asarray(carried)) * np.diff(trace.pose, axis=0)
-    return work
+    return np.asarray((trace.wrench[:-1] - np.asarray(carried)) * np.diff(trace.pose, axis=0))
 
 
 def hand_work(poses: Array, efforts: Array) -> Array:
@@ -214,8 +207,7 @@ def hand_work(poses: Array, efforts: Array) -> Array:
         poses: Poses at the samples [m, rad], (N, 6).
         efforts: Wrenches of the hand from each sample on [N, N m], (N, 6).
     """
-    work: Array = efforts[:-1] * np.diff(poses, axis=0)
-    return work
+    return np.asarray(efforts[:-1] * np.diff(poses, axis=0))
 
 
 class HandWork:
@@ -355,11 +347,8 @@ class PassivityObserver:
             self.least = np.minimum(self.least, self.energy)
             self._count += 1
         self._pose = pose
-        held = command.wrench
-        if command.extra is None:
-            self._timeline.answer(self._count, held)
-        else:
-            self._timeline.answer(self._count, held, held + command.pulse, command.pulse_width)
+        held, width = command.wrench, 0.0 if command.extra is None else command.pulse_width
+        self._timeline.answer(self._count, held, held + command.pulse, width)
 
     def take(self, poses: Array, held: Array, pulses: Array, widths: Array) -> Array:
         """Process N samples of one device with their commands.
@@ -381,10 +370,7 @@ class PassivityObserver:
                 segments = self._timeline.period(self._count)
                 groups.setdefault(len(segments), []).append((place, segments))
                 self._count += 1
-            if width:
-                self._timeline.answer(self._count, force, force + pulse, width)
-            else:
-                self._timeline.answer(self._count, force)
+            self._timeline.answer(self._count, force, force + pulse if width else None, width)
         moved = np.diff(poses, axis=0, prepend=poses[:1] if self._pose is None else self._pose[None])
         work = np.zeros_like(poses)
         for group in groups.values():

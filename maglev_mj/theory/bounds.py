@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import numbers
 
@@ -105,9 +104,7 @@ def abbott_okamura(
     Source: Abbott & Okamura 2005, as quoted by others.
     """
     b, friction, time = _checked(dry_friction, physical_damping, period, name="dry_friction")
-    step = numbers("quantum", quantum, at_least=0.0)
-    if not (step > 0.0).all():
-        raise ParameterError("quantum must be above 0 everywhere, not 0")
+    step = numbers("quantum", quantum, at_least=0.0, above=0.0)
     return np.minimum(2.0 * b / time, 2.0 * friction / step)
 
 
@@ -115,8 +112,6 @@ def _checked(
     first: ArrayLike, physical_damping: ArrayLike, period: ArrayLike, name: str = "damping"
 ) -> tuple[Array, Array, Array]:
     """Return checked physical damping, first value, and period."""
-    time = numbers("period", period, at_least=0.0)
-    if not (time > 0.0).all():
-        raise ParameterError("period must be above 0 everywhere, not 0")
+    time = numbers("period", period, at_least=0.0, above=0.0)
     least = -np.inf if name == "damping" else 0.0
     return numbers("physical_damping", physical_damping, at_least=0.0), numbers(name, first, at_least=least), time

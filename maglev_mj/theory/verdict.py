@@ -241,11 +241,9 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
         True
     """
     check_instance("controller", controller, Controller, "a Controller")
-    start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0)
+    start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
     if start.shape != (6,) or body.shape != (6,):
         raise ParameterError(f"pose and inertia must be (6,), not {start.shape} and {body.shape}")
-    if not (body > 0.0).all():
-        raise ParameterError(f"inertia must be above 0 everywhere, not {body.min():g}")
     number("delay", delay, at_least=0.0)
     gains = stated_gains(controller)
     if gains is None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, named
 from maglev_mj.frames import AXES, Array, Component
-from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis
+from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis, store
 
 
 class LinearController(NamedTuple):
@@ -257,14 +257,10 @@ class AxisLaw(Law):
         each = []
         for slot, index in enumerate(indices):
             alone = object.__new__(type(self))
-            for one in fields(self):
-                if one.init:
-                    value = split[one.name][slot] if one.name in split else getattr(self, one.name)
-                    object.__setattr__(alone, one.name, value)
+            common = {one.name: getattr(self, one.name) for one in fields(self) if one.init}
+            store(alone, **common | {gain: parts[slot] for gain, parts in split.items()})
             each.append((index, alone))
-        object.__setattr__(self, "indices", indices)
-        object.__setattr__(self, "batch", batch_shape(name, values.values()))
-        object.__setattr__(self, "_each", tuple(each))
+        store(self, indices=indices, batch=batch_shape(name, values.values()), _each=tuple(each))
 
     def start(self) -> Any:
         """Return the state before the first sample.

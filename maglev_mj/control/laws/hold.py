@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.laws.base import AxisLaw, Gains, Law, gain
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
-from maglev_mj.parameters import axis_indices, number, numbers, per_axis
+from maglev_mj.parameters import axis_indices, number, numbers, per_axis, store
 from maglev_mj.spec import INERTIA
 
 
@@ -48,8 +48,7 @@ class Hold(AxisLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        gains = tuple((axis, one.stiffness, one.damping, one.target) for axis, one in self._each)
-        object.__setattr__(self, "_gains", gains)
+        store(self, _gains=tuple((axis, one.stiffness, one.damping, one.target) for axis, one in self._each))
 
     @classmethod
     def critically_damped(
@@ -126,8 +125,7 @@ class Bias(Law):
         wrench = numbers("bias wrench", self.wrench)
         if wrench.shape[-1:] != (len(AXES),):
             raise ParameterError(f"bias wrench must be (..., 6), not {wrench.shape}")
-        object.__setattr__(self, "batch", wrench.shape[:-1])
-        object.__setattr__(self, "_parts", per_axis("bias wrench", wrench, len(AXES)))
+        store(self, batch=wrench.shape[:-1], _parts=per_axis("bias wrench", wrench, len(AXES)))
 
     def __call__(
         self, position: Sequence[Component], velocity: Sequence[Component], state: None, wrench: list[Component]

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.laws.base import LinearController, choose
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Component
-from maglev_mj.parameters import number, whole
+from maglev_mj.parameters import number, store, whole
 from maglev_mj.spec import RESOLUTION
 
 _LONGEST = 1000
@@ -128,7 +128,7 @@ class Window:
     samples: int = 3
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "samples", whole("samples", self.samples, at_least=1, at_most=_LONGEST))
+        store(self, samples=whole("samples", self.samples, at_least=1, at_most=_LONGEST))
 
     def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
         """Return the mean velocity and the next state.
@@ -176,7 +176,7 @@ class AdaptiveWindow:
     longest: int = 16
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "longest", whole("longest", self.longest, at_least=1, at_most=_LONGEST))
+        store(self, longest=whole("longest", self.longest, at_least=1, at_most=_LONGEST))
         if len(self.noise) != len(AXES):
             raise ParameterError(f"noise must have {len(AXES)} numbers, not {len(self.noise)}")
         for value in self.noise:

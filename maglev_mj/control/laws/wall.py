@@ -14,7 +14,7 @@ from maglev_mj.control.laws.base import AxisLaw, Face, Gains, LinearController, 
 from maglev_mj.control.timeline import checked_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component, clipped
-from maglev_mj.parameters import flag, number
+from maglev_mj.parameters import flag, number, store
 
 
 class _Braking(NamedTuple):
@@ -111,8 +111,7 @@ class Wall(AxisLaw):
         faces = tuple(face for face in (*lower, *upper) if face is not None)
         if not faces:
             raise ParameterError("wall needs a finite lower or upper, not -inf and inf")
-        object.__setattr__(self, "pulse_width", width)
-        object.__setattr__(self, "_faces", faces)
+        store(self, pulse_width=width, _faces=faces)
 
     def faces(self) -> tuple[Face, ...]:
         """Return each plane: index into AXES, normal, edge.
@@ -328,7 +327,7 @@ class ObserverWall(AxisLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "_split", checked_delay(self.delay, self.period))
+        store(self, _split=checked_delay(self.delay, self.period))
         flag("disturbance", self.disturbance)
         if not self.force_limit > 0.0:
             raise ParameterError(f"wall force_limit must be above 0, not {self.force_limit!r}")
@@ -451,7 +450,7 @@ class PassivityController(AxisLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        object.__setattr__(self, "_split", checked_delay(self.delay, self.period))
+        store(self, _split=checked_delay(self.delay, self.period))
 
     def start(self) -> list[_AxisState]:
         """Return the state before the first sample."""
