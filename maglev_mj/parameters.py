@@ -441,10 +441,9 @@ class Parameters:
         Raises:
             ParameterError: If there is no such parameter.
         """
-        for one in cls.parameters():
-            if one.name == name:
-                return one
-        raise ParameterError(not_one_of("parameter", (one.name for one in cls.parameters()), name))
+        known = {one.name: one for one in cls.parameters()}
+        check_one_of("parameter", known, name)
+        return known[name]
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with changes; derived values are derived again.

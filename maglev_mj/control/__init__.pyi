@@ -1,7 +1,9 @@
 from maglev_mj.control.controller import Controller as Controller
 from maglev_mj.control.controller import check_law as check_law
 from maglev_mj.control.laws.base import AxisLaw as AxisLaw
+from maglev_mj.control.laws.base import Bias as Bias
 from maglev_mj.control.laws.base import Gains as Gains
+from maglev_mj.control.laws.base import Hold as Hold
 from maglev_mj.control.laws.base import Law as Law
 from maglev_mj.control.laws.base import LinearController as LinearController
 from maglev_mj.control.laws.base import VelocityEstimator as VelocityEstimator
@@ -15,8 +17,6 @@ from maglev_mj.control.laws.friction import ImplicitCoulomb as ImplicitCoulomb
 from maglev_mj.control.laws.friction import LuGre as LuGre
 from maglev_mj.control.laws.friction import SpringReset as SpringReset
 from maglev_mj.control.laws.friction import StickSlip as StickSlip
-from maglev_mj.control.laws.hold import Bias as Bias
-from maglev_mj.control.laws.hold import Hold as Hold
 from maglev_mj.control.laws.velocity import AdaptiveWindow as AdaptiveWindow
 from maglev_mj.control.laws.velocity import FiniteDifference as FiniteDifference
 from maglev_mj.control.laws.velocity import LowPass as LowPass

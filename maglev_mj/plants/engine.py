@@ -17,7 +17,7 @@ from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.hand import Hand
-from maglev_mj.plants.model import COILS, Device, Model, load_model
+from maglev_mj.plants.model import COILS, Device, Model, at_reference, load_model
 from maglev_mj.spec import GRAVITY
 
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
@@ -389,9 +389,7 @@ class _Falloff:
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float, step: Callable[[], object]) -> None:
         self._model, self._data, self._falloff, self._step = device.model, data, falloff, step
-        at_centre = mujoco.MjData(device.model)
-        mujoco.mj_forward(device.model, at_centre)
-        self._centre = at_centre.actuator_length[: len(COILS)].copy()
+        self._centre = at_reference(device.model).actuator_length[: len(COILS)].copy()
         self._flat = device.model.actuator_gainprm[: len(COILS), 0].copy()
         self._range = float(device.range[:3].max())
 

@@ -6,7 +6,7 @@ import bisect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -140,7 +140,8 @@ def get_hand(text: str | Hand | None) -> Hand | None:
         if len(values) not in (3, 5):
             own = ", or mass,damping,stiffness in SI units, optionally with grip damping and grip stiffness"
             raise ParameterError(not_one_of("hand", HANDS, text, own))
-    return Hand(**dict(zip(_MOST, values))) if values else None
+    by_name: dict[str, Any] = dict(zip(_MOST, values))
+    return Hand(**by_name) if by_name else None
 
 
 def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from maglev_mj.errors import ModelError, ParameterError, SensingError
 from maglev_mj.frames import Array, Component, components, join, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import number, numbers, store, whole
-from maglev_mj.plants.model import model_path, written
+from maglev_mj.plants.model import at_reference, model_path, unusable, written
 from maglev_mj.versions import MODELS
 
 _NEWTON_CLOSE = 1e-13
@@ -415,9 +415,8 @@ def _beams(written: tuple[tuple[str, int], ...]) -> Beams:
         flotor = model.body("flotor").id
         leds, diodes = ([model.site(f"{kind}{arm}").id for arm in range(3)] for kind in ("led", "psd"))
     except (ValueError, KeyError) as error:
-        raise ModelError(f"model 'maglev' cannot be used: {' '.join(str(error).split())}") from error
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+        raise unusable("maglev", error) from error
+    data = at_reference(model)
     centre = data.subtree_com[flotor]
     axes = data.site_xmat.reshape(-1, 3, 3)
     return Beams(

@@ -17,7 +17,7 @@ from maglev_mj.control.timeline import Timing
 from maglev_mj.frames import AXES, Array, Command, Sample
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import axis_indices
-from maglev_mj.plants.model import COILS, Device, Model, load_model
+from maglev_mj.plants.model import COILS, Device, Model, at_reference, load_model
 from maglev_mj.plants.mujoco import MuJoCoPlant
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import GRAVITY, Spec
@@ -140,8 +140,7 @@ def envelope(device: Device) -> tuple[float, float]:
     It is an upright cylinder around the device without its handle.
     """
     model = device.model
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    data = at_reference(model)
     handle = model.body("handle").id
     radius, low, high = 0.0, math.inf, -math.inf
     signs = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
@@ -186,7 +185,17 @@ class DeviceReport(Result):
     @property
     def contradictions(self) -> list[str]:
         """Contradictions within the paper."""
-        return _contradictions(self.figures)
+        spec, figures = Spec(), self.figures
+        payload, flotor, weak = spec.payload.value, spec.flotor_mass.value, spec.continuous_current.value
+        per_ampere = figures["largest_at_continuous_current"][2] / weak
+        needed = (payload + flotor) * GRAVITY / per_ampere
+        return [
+            f"A payload of {payload:g} kg with the flotor's {flotor:g} kg takes {needed:.2f} A in each vertical "
+            f"coil, above the {weak:g} A continuous, at which the payload is {_payload(figures):.2f} kg.",
+            "Table 1 gives a force response above 3 kHz; section 2 has the currents controlled to about 2 kHz. "
+            "The model's driver lag follows section 2.",
+            "Table 1 gives 10 A as the peak per coil; section 2 gives 10 A as the drivers' continuous maximum.",
+        ]
 
     def table(self) -> Table:
         """Return Table 1 beside the model, its largest wrenches and what the currents do."""
@@ -293,21 +302,6 @@ def _payload(figures: Mapping[str, Any]) -> float:
     It is in addition to the flotor's own mass.
     """
     return float(figures["largest_at_continuous_current"][2] / GRAVITY - figures["flotor_mass"])
-
-
-def _contradictions(figures: Mapping[str, Any]) -> list[str]:
-    spec = Spec()
-    load_ = (spec.payload.value + spec.flotor_mass.value) * GRAVITY
-    per_ampere = figures["largest_at_continuous_current"][2] / spec.continuous_current.value
-    payload, flotor, weak = spec.payload.value, spec.flotor_mass.value, spec.continuous_current.value
-    needed = load_ / per_ampere
-    return [
-        f"A payload of {payload:g} kg with the flotor's {flotor:g} kg takes {needed:.2f} A in each vertical "
-        f"coil, above the {weak:g} A continuous, at which the payload is {_payload(figures):.2f} kg.",
-        "Table 1 gives a force response above 3 kHz; section 2 has the currents controlled to about 2 kHz. "
-        "The model's driver lag follows section 2.",
-        "Table 1 gives 10 A as the peak per coil; section 2 gives 10 A as the drivers' continuous maximum.",
-    ]
 
 
 def position_bandwidth(

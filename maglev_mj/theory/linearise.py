@@ -8,11 +8,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
@@ -211,18 +212,12 @@ class ClosedLoop(Result):
         )
 
 
-class StateSpace(NamedTuple):
+class StateSpace(LinearController):
     """Linear controller of n coupled axes, with or without units.
 
-    q[k+1] = advance q[k] + take x[k], and force[k] = give q[k] + direct x[k].
-
-    Without units, positions are times sqrt(inertia), forces times T²/sqrt(inertia).
+    Take is (..., s, n), give (..., n, s) and direct (..., n, n). Without units, positions are times sqrt(inertia),
+    forces times T²/sqrt(inertia).
     """
-
-    advance: Array
-    take: Array
-    give: Array
-    direct: Array
 
     @classmethod
     def of(cls, response: Array) -> StateSpace:
