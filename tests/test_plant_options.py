@@ -211,7 +211,7 @@ def test_a_hand_and_lagging_drivers_are_their_transition_matrix(lag: float, grip
     hand = Hand(mass=0.1, damping=5.0, stiffness=100.0, axes="z", **grip)
     amendments: list[Lag | DryFriction | HeldAxis] = [
         *([Lag(INERTIA, lag)] if lag else []),
-        HeldAxis(2, 1e-3, 0.02, 1.0, INERTIA[2], -6.0, hand, lag),
+        HeldAxis(2, (1e-3, 0.02, 1.0), INERTIA[2], -6.0, hand, lag),
     ]
     force, effort = [0.3, -0.2, 5.0, 0.01, -0.02, 0.03], [0.0, 0.0, 0.4, 0.0, 0.0, 0.0]
     now: tuple[list[Component], list[Component], list[Component]] = [1e-3] * 6, [0.02] * 6, [1.0] * 6

@@ -134,7 +134,7 @@ class ExactPlant(SampledPlant):
         for index in held:
             assert hand is not None
             start = self._place[index], self._velocity[index], self._actual[index]
-            yield HeldAxis(index, *start, body[index], self._weight[index], hand, self._lag)
+            yield HeldAxis(index, start, body[index], self._weight[index], hand, self._lag)
 
     def _prepare(self, force: Sequence[Component]) -> Drive:
         fx, fy, fz, tx, ty, tz = force
@@ -342,9 +342,7 @@ class HeldAxis:
 
     Args:
         index: Index of the axis into AXES.
-        place: Position at release [m].
-        velocity: Velocity at release [m/s].
-        actual: Force of the actuators at release [N].
+        start: Position [m], velocity [m/s] and force of the actuators [N] at release.
         inertia: Mass of the flotor [kg].
         weight: Its weight along the axis [N].
         hand: The hand.
@@ -354,15 +352,14 @@ class HeldAxis:
     def __init__(
         self,
         index: int,
-        place: Component,
-        velocity: Component,
-        actual: Component,
+        start: Sequence[Component],
         inertia: Component,
         weight: Component,
         hand: Hand,
         lag: float,
     ) -> None:
         self._index, self._weight = index, weight
+        place, velocity, actual = start
         # the states of `motion` beyond position and velocity
         self._others = [*([hand.place(place), velocity] if hand.soft else []), *([actual] if lag else [])]
         self._a, self._b = motion(inertia, hand, lag)

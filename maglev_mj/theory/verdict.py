@@ -468,22 +468,14 @@ def _poses(controller: Controller, start: Array) -> Array:
 
     Start, centre, poses along each axis, and inside each face.
     """
-    start = _off_edges(controller, start)
+    (near,) = linearise(controller, start[None])
+    start = start + _OFF * _SCALE * near.jumps  # on an edge of the wrench, each pose of the grid would be a jump
     rows = [start, np.zeros(6)]
     for axis, reach in enumerate(RANGE):
         rows += [_with(start, axis, value) for value in np.linspace(-1.0, 1.0, _POINTS) * reach * _STRIDE]
     for axis, normal, edge in controller.faces:
         rows += [_with(start, axis, float(edge) - normal * depth * _SCALE[axis]) for depth in _DEPTHS]
     return np.array(rows)
-
-
-def _off_edges(controller: Controller, start: Array) -> Array:
-    """Return a start moved off edges of the wrench.
-
-    On an edge, each pose of the grid would be a jump.
-    """
-    (near,) = linearise(controller, start[None])
-    return start + _OFF * _SCALE * near.jumps
 
 
 def _with(pose: Array, axis: int, value: float) -> Array:

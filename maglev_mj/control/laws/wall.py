@@ -159,8 +159,10 @@ class Wall(AxisLaw):
             elif owed is not None or (free is not False and _any(inside & free)):
                 approach = normal * speed
                 entered = inside & free & (approach <= -braking.gate)
-                inward = False if owed is None else inside & (approach < 0.0)
-                pulse, owed = _brake(braking, damped, speed, force, entered, inward, owed)
+                pulse = (entered & braking.some) * (-(braking.pulse * speed + damped) - force)
+                if owed is not None:
+                    pulse = pulse + (inside & (approach < 0.0) & _not(entered)) * owed
+                pulse, owed = _within(braking.limit, force, pulse)
                 pulses = pulses or [0.0] * len(AXES)
                 pulses[axis] = pulses[axis] + pulse
             following.append((False if inside is True else ~inside, owed))
@@ -179,29 +181,14 @@ def _face(axis: int, normal: float, edge: Component, gains: Any) -> _Face | None
     return axis, normal, edge, gains.stiffness, gains.damping, braking if np.any(some) else None
 
 
-def _brake(
-    braking: _Braking,
-    damping_force: Component,
-    speed: Component,
-    force: Component,
-    entered: Component,
-    inward: Component,
-    owed: Component | None,
-) -> tuple[Component, Component | None]:
-    """Return the added pulse and the impulse left over.
-
-    The pulse is added to the PD force; the force limit leaves the rest for later samples.
-    """
-    pulse, some, limit, _ = braking
-    wanted = (entered & some) * (-(pulse * speed + damping_force) - force)
-    if owed is not None:
-        wanted = wanted + (inward & _not(entered)) * owed
+def _within(limit: Component | None, force: Component, pulse: Component) -> tuple[Component, Component | None]:
+    """Return a pulse on top of a PD force, within the force limit, and the impulse left over for later samples."""
     if limit is None:
-        return wanted, None
+        return pulse, None
     # excess over the limit with the pulse, less the excess of the PD force alone
-    whole = force + wanted
+    whole = force + pulse
     left = (whole - clipped(whole, limit)) - (force - clipped(force, limit))
-    return wanted - left, left if _any(left != 0.0) else None
+    return pulse - left, left if _any(left != 0.0) else None
 
 
 def _any(mask: Component) -> bool:
