@@ -33,8 +33,7 @@ TEXT = "__text__"
 """Attribute of a user's module with its executed text."""
 
 
-@lru_cache(maxsize=1)
-def versions() -> Versions:
+def versions() -> dict[str, str]:
     """Return the versions behind a result, ready for JSON.
 
     They are read once per process, in about 20 ms.
@@ -43,13 +42,7 @@ def versions() -> Versions:
         maglev_mj, python, mujoco and numpy: their versions.
         sources: First 16 digits of the SHA-256 of package and models: the same in a checkout and in its wheel.
     """
-    return {
-        "maglev_mj": maglev_mj.__version__,
-        "sources": _digest(),
-        "python": platform.python_version(),
-        "mujoco": mujoco.__version__,
-        "numpy": np.__version__,
-    }
+    return dict(_versions())
 
 
 def versions_read(found: object) -> Versions | None:
@@ -99,6 +92,17 @@ def _read(path: str) -> str:
     It is nearest to the text that was executed.
     """
     return Path(path).read_text(encoding="utf-8")
+
+
+@lru_cache(maxsize=1)
+def _versions() -> Versions:
+    return {
+        "maglev_mj": maglev_mj.__version__,
+        "sources": _digest(),
+        "python": platform.python_version(),
+        "mujoco": mujoco.__version__,
+        "numpy": np.__version__,
+    }
 
 
 def _digest() -> str:

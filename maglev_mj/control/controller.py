@@ -15,7 +15,7 @@ import numpy as np
 from maglev_mj.control.laws.base import Face, Law, VelocityEstimator, answer, as_law
 from maglev_mj.control.laws.velocity import FiniteDifference
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
-from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample, components
+from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample, Six, components
 from maglev_mj.parameters import number
 
 
@@ -145,7 +145,7 @@ class Controller:
         time, self._tick = (tick - last) * self.period, tick
         velocity, self._velocity_state = self._estimate(position, self._velocity_state, time)
         wrench: list[Component] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-        pulse: Sequence[Component] | None = None
+        pulse: Six | None = None
         states = self._states
         for place, law in calls:
             states[place], extra = law(position, velocity, states[place], wrench)
@@ -153,7 +153,7 @@ class Controller:
                 pulse = extra if pulse is None else [one + other for one, other in zip(pulse, extra)]
         return Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
 
-    def at_rest(self, position: Sequence[Component]) -> Command:
+    def at_rest(self, position: Six) -> Command:
         """Return the answer to a flotor at rest.
 
         The states do not change.
@@ -166,7 +166,7 @@ class Controller:
         rest._estimate = lambda position, state, period: (ZERO, state)
         return rest.step(Sample(0, 0.0, position))
 
-    def _check(self, position: Sequence[Component]) -> None:
+    def _check(self, position: Six) -> None:
         if len(position) != len(AXES):
             raise ParameterError(f"a sample must have {len(AXES)} position components, not {len(position)}")
         single = all(part.__class__ is float for part in position)
@@ -236,9 +236,7 @@ def _answers(law: Law, name: str, poses: Sequence[Array]) -> Array:
     return np.array(rows)
 
 
-def _row(
-    law: Law, position: Sequence[Component], velocity: Sequence[Component], state: Any, shape: tuple[int, ...]
-) -> tuple[Any, Array]:
+def _row(law: Law, position: Six, velocity: Six, state: Any, shape: tuple[int, ...]) -> tuple[Any, Array]:
     """Return the next state, and wrench and pulse, (..., 12)."""
     wrench: list[Component] = [0.0] * 6
     following, pulse = answer(law, list(position), list(velocity), state, wrench)

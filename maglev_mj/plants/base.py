@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Segment, Timeline, Timing
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError, check_instance
-from maglev_mj.frames import AXES, Array, Command, Component, Sample, clipped, components, join
+from maglev_mj.frames import AXES, Array, Command, Component, Sample, Six, clipped, components, join
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
 from maglev_mj.plants.trace import Trace, TraceRecorder
 from maglev_mj.spec import ESCAPE
 
-_NO_EFFORT: Sequence[Component] = (0.0,) * 6
+_NO_EFFORT: Six = (0.0,) * 6
 
 
 class PlantKeywords(TypedDict, total=False):
@@ -119,7 +119,7 @@ class SampledPlant(ABC):
         self._limits = self._limit is not None
 
     @abstractmethod
-    def _prepare(self, force: Sequence[Component]) -> Any:
+    def _prepare(self, force: Six) -> Any:
         """Convert a wrench to a drive for `_advance`."""
 
     @abstractmethod
@@ -137,7 +137,7 @@ class SampledPlant(ABC):
         """
 
     @abstractmethod
-    def _exert(self, effort: Sequence[Component]) -> None:
+    def _exert(self, effort: Six) -> None:
         """Apply a wrench of the hand's muscles from now on."""
 
     @abstractmethod
@@ -263,7 +263,7 @@ class SampledPlant(ABC):
         return self._hand_force is not None
 
     @property
-    def hand_wrench(self) -> Sequence[Component]:
+    def hand_wrench(self) -> Six:
         """Wrench of the hand's muscles [N, N m], six components.
 
         It acts since the last sample.
@@ -361,7 +361,7 @@ class SampledPlant(ABC):
         """
         return np.shape(total) in ((), self.batch) and bool(np.isfinite(total).all())
 
-    def _check_escape(self, position: Sequence[Component]) -> Component:
+    def _check_escape(self, position: Six) -> Component:
         """Return the squared angle [rad²] within the escape bounds.
 
         Raises DivergenceError if a flotor is far outside its range or its pose is NaN.
@@ -388,7 +388,7 @@ def _within(force: Sequence[float], limit: Sequence[float]) -> bool:
     return linear and -rx <= tx <= rx and -ry <= ty <= ry and -rz <= tz <= rz
 
 
-def _refusal(force: Sequence[Component], tick: int, batch: tuple[int, ...], what: str = "a command") -> PlantError:
+def _refusal(force: Six, tick: int, batch: tuple[int, ...], what: str = "a command") -> PlantError:
     """Return the error for the first invalid component.
 
     Args:

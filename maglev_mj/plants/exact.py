@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, Component, components, join
+from maglev_mj.frames import Array, Component, Six, components, join
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.hand import Hand, motion, transition
 from maglev_mj.plants.model import Model, load_model
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 
-Drive: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
+Drive: TypeAlias = tuple[Six, Six]
 """Accelerations with gravity [m/s², rad/s²], and forces [N, N m].
 
 Six components each.
@@ -136,7 +136,7 @@ class ExactPlant(SampledPlant):
             start = self._place[index], self._velocity[index], self._actual[index]
             yield HeldAxis(index, start, body[index], self._weight[index], hand, self._lag)
 
-    def _prepare(self, force: Sequence[Component]) -> Drive:
+    def _prepare(self, force: Six) -> Drive:
         fx, fy, fz, tx, ty, tz = force
         one, by_x, by_y, by_z, fall = self._body
         if self._uses_force:  # copied, because the caller may reuse its list or arrays
@@ -182,7 +182,7 @@ class ExactPlant(SampledPlant):
     def _work(self, drive: Drive, before: Sequence[Component], after: Sequence[Component]) -> Component:
         return sum(force * (end - start) for force, start, end in zip(drive[1], before, after))
 
-    def _exert(self, effort: Sequence[Component]) -> None:
+    def _exert(self, effort: Six) -> None:
         one, by_x, by_y, by_z, _ = self._body
         fx, fy, fz, tx, ty, tz = effort
         self._pull = fx * one, fy * one, fz * one, tx * by_x, ty * by_y, tz * by_z
@@ -255,7 +255,7 @@ Motion: TypeAlias = tuple[list[Component], list[Component], list[Component]]
 In [m, rad], [m/s, rad/s] and [N, N m]. The actuator force trails the command if the drivers lag.
 """
 
-Forces: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
+Forces: TypeAlias = tuple[Six, Six]
 """Commanded wrench and hand muscle wrench [N, N m].
 
 Six components each.
@@ -272,7 +272,7 @@ class Lag:
         lag: Time constant [s].
     """
 
-    def __init__(self, inertia: Sequence[Component], lag: float) -> None:
+    def __init__(self, inertia: Six, lag: float) -> None:
         self._inverse, self._lag = [1.0 / value for value in inertia], lag
         self._known: dict[float, tuple[Component, list[Component], list[Component]]] = {}
 
@@ -352,7 +352,7 @@ class HeldAxis:
     def __init__(
         self,
         index: int,
-        start: Sequence[Component],
+        start: Six,
         inertia: Component,
         weight: Component,
         hand: Hand,
@@ -412,8 +412,8 @@ class DryFriction:
     def __init__(
         self,
         friction: Mapping[int, Component],
-        inertia: Sequence[Component],
-        weight: Sequence[Component],
+        inertia: Six,
+        weight: Six,
         *,
         single: bool,
     ) -> None:

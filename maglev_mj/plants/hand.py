@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError, check_instance, not_one_of
-from maglev_mj.frames import AXES, Array, Component, quaternion, rotation_vector
+from maglev_mj.frames import AXES, Array, Component, Six, quaternion, rotation_vector
 from maglev_mj.parameters import axis_indices, common_shape, number, numbers, store
 
 HANDS: Mapping[str, tuple[float, ...]] = {
@@ -237,7 +237,7 @@ _NOTHING = (0.0,) * 6
 class HandForce(Protocol):
     """Interface of a hand's force on the flotor."""
 
-    def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
+    def __call__(self, tick: int, time: Component, state: State) -> Six:
         """Return the hand's wrench until the next sample.
 
         Six components [N, N m].
@@ -328,7 +328,7 @@ class GuidedHand:
         stiffness = float(np.asarray(self.hand.stiffness))
         store(self, _pulls=tuple((index, stiffness) for index in self.hand.indices))
 
-    def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
+    def __call__(self, tick: int, time: Component, state: State) -> Six:
         """See `HandForce`."""
         target = self.path.at(float(time))
         wrench = list(_NOTHING)
@@ -388,7 +388,7 @@ class SpringHand:
         """Present target; None if the hand is released."""
         return self.device_target if self.target is None else self.target
 
-    def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
+    def __call__(self, tick: int, time: Component, state: State) -> Six:
         """See `HandForce`."""
         target = self.goal
         if target is None:
@@ -427,7 +427,7 @@ class RecordedHand:
             raise ParameterError(f"hand wrenches must be (N, 6), not {rows.shape}")
         store(self, _rows=rows.tolist())
 
-    def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
+    def __call__(self, tick: int, time: Component, state: State) -> Six:
         """See `HandForce`."""
         return self._rows[tick] if tick < len(self._rows) else _NOTHING
 

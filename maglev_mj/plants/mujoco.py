@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.frames import Array, Command, Component, components, join, rotation_vector
+from maglev_mj.frames import Array, Command, Component, Six, components, join, rotation_vector
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
@@ -377,7 +377,7 @@ class MuJoCoPlant(SampledPlant):
         The map is renewed for the measured angle.
         """
 
-        def measured(position: Sequence[Component]) -> list[Component]:
+        def measured(position: Six) -> list[Component]:
             known = measure(position)
             self._angle, self._stale = known[3:], True
             return known
@@ -549,7 +549,7 @@ class MuJoCoBatchPlant(SampledPlant):
         if driver_lag:
             self._engine.bind("act")[:] = self._timeline.acting[1]
 
-    def _prepare(self, force: Sequence[Component]) -> _BatchDrive:
+    def _prepare(self, force: Six) -> _BatchDrive:
         wrench = np.broadcast_to(join(force), (*self.batch, 6))
         if self._inverse_map is None:
             return wrench, wrench
@@ -588,7 +588,7 @@ class MuJoCoBatchPlant(SampledPlant):
             self._qpos[:] = np.stack(self._where(), axis=-1)
             self._excess[:] = 0.0
 
-    def _exert(self, effort: Sequence[Component]) -> None:
+    def _exert(self, effort: Six) -> None:
         wrench = np.broadcast_to(join(effort), (*self.batch, 6))
         self._efforts[:, list(self._effort_addresses)] = wrench[:, :3]
         start = self.device.velocity_address + 3

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.errors import ModelError, ParameterError, SensingError
-from maglev_mj.frames import Array, Component, components, join, quaternions, rotation_matrix, rotation_vector
+from maglev_mj.frames import Array, Component, Six, components, join, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import number, numbers, store, whole
 from maglev_mj.plants.model import at_reference, model_path, unusable, written
@@ -427,7 +427,7 @@ def _beams(written: tuple[tuple[str, int], ...]) -> Beams:
     )
 
 
-Measure: TypeAlias = Callable[[Sequence[Component]], list[Component]]
+Measure: TypeAlias = Callable[[Six], list[Component]]
 """Function from true to measured pose components."""
 
 
@@ -498,7 +498,7 @@ class Sensor:
             return quantize
         draw: Callable[[], list[Component]] | None = None
 
-        def measure(position: Sequence[Component]) -> list[Component]:
+        def measure(position: Six) -> list[Component]:
             nonlocal draw
             if draw is None:
                 draw = _draws(noise, self.seed, np.broadcast_shapes(*map(np.shape, position))).__next__
@@ -642,7 +642,7 @@ class SpotSensor:
         geometry = self.beams or beams()
         chosen: Measure | None = None
 
-        def measure(position: Sequence[Component]) -> list[Component]:
+        def measure(position: Six) -> list[Component]:
             nonlocal chosen
             if chosen is None:
                 chosen = self._one(geometry) if join(position).ndim == 1 else self._many(geometry)
@@ -662,7 +662,7 @@ class SpotSensor:
         generator = np.random.default_rng(self.seed)
         last: Array | None = None
 
-        def measure(position: Sequence[Component]) -> list[Component]:
+        def measure(position: Six) -> list[Component]:
             nonlocal last
             spots = geometry.spots(join(position))
             if self.noise > 0.0:

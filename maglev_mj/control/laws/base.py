@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import MaglevError, ParameterError, named
-from maglev_mj.frames import AXES, Array, Component
+from maglev_mj.frames import AXES, Array, Component, Six
 from maglev_mj.parameters import axis_indices, batch_shape, flag, number, numbers, per_axis, store
 from maglev_mj.spec import INERTIA
 
@@ -46,6 +46,10 @@ Face: TypeAlias = tuple[int, float, Component]
 
 The index is into AXES. The axis is free while normal (x - edge) > 0.
 """
+
+
+Answer: TypeAlias = tuple[Any, Six | None]
+"""Next state of a law, and six components of its pulse or None."""
 
 
 class Gains(NamedTuple):
@@ -92,9 +96,7 @@ class Law:
         """Return the state before the first sample."""
         return None
 
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
-    ) -> tuple[Any, Sequence[Component] | None]:
+    def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
         """Answer one sample: add the held force to `wrench`.
 
         Args:
@@ -144,7 +146,7 @@ class Law:
 class VelocityEstimator(Protocol):
     """Interface of velocity estimators."""
 
-    def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
+    def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
         """Return six velocity components and the next state.
 
         `state` is None at the first sample.
@@ -284,9 +286,7 @@ class AxisLaw(Law):
         """
         raise ParameterError(f"{named(type(self))} must define force(self, x, v, gains, state)")
 
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
-    ) -> tuple[Any, Sequence[Component] | None]:
+    def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
         """Answer one sample; see `Law`."""
         after, force = [], self.force
         for (axis, gains), before in zip(self._each, state):
@@ -314,13 +314,11 @@ class FunctionLaw(Law):
     The function takes six positions and six velocities and returns six wrench components.
     """
 
-    def __init__(self, function: Callable[[Sequence[Component], Sequence[Component]], Sequence[Component]]) -> None:
+    def __init__(self, function: Callable[[Six, Six], Six]) -> None:
         self.function = function
         self.name = getattr(function, "__name__", type(function).__name__)
 
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
-    ) -> tuple[Any, Sequence[Component] | None]:
+    def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
         """Answer one sample; see `Law`."""
         parts: Any = self.function(position, velocity)
         if isinstance(parts, np.ndarray) and parts.ndim == 1:
@@ -346,9 +344,7 @@ def as_law(given: Law | Callable[..., Any]) -> Law:
     raise ParameterError(f"a law must be a Law, an AxisLaw or a function f(position, velocity), not {given!r}")
 
 
-def answer(
-    law: Law, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
-) -> tuple[Any, Sequence[Component] | None]:
+def answer(law: Law, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
     """Return a law's checked answer to one sample.
 
     See `Law` for the arguments.
@@ -383,7 +379,7 @@ def _same(one: Component, other: Component) -> bool:
     return one is other or np.array_equal(one, other)
 
 
-def _check(name: str, what: str, parts: Sequence[Component], batch: tuple[int, ...]) -> None:
+def _check(name: str, what: str, parts: Six, batch: tuple[int, ...]) -> None:
     """Raise ParameterError unless there are six finite components.
 
     Each is a number or has the batch shape.
@@ -474,9 +470,7 @@ class Hold(AxisLaw):
         )
         return cls(axes=axes, stiffness=body * frequency**2, damping=2.0 * body * frequency, target=target)
 
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
-    ) -> tuple[Any, None]:
+    def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> tuple[Any, None]:
         """Answer one sample; see `Law`.
 
         Written out for speed: calling `force` for each axis takes a quarter of the tick more.
@@ -520,9 +514,7 @@ class Bias(Law):
             raise ParameterError(f"bias wrench must be (..., 6), not {wrench.shape}")
         store(self, batch=wrench.shape[:-1], _parts=per_axis("bias wrench", wrench, len(AXES)))
 
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: None, wrench: list[Component]
-    ) -> tuple[None, None]:
+    def __call__(self, position: Six, velocity: Six, state: None, wrench: list[Component]) -> tuple[None, None]:
         """Answer one sample; see `Law`."""
         for axis, part in enumerate(self._parts):
             wrench[axis] = wrench[axis] + part

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.laws.base import AxisLaw, Gains, apply, choose, gain, setting
+from maglev_mj.control.laws.base import Answer, AxisLaw, Gains, apply, choose, gain, setting
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Component
+from maglev_mj.frames import AXES, Component, Six
 from maglev_mj.parameters import flag
 
 SLIDING_SHARE = 0.95
@@ -40,6 +40,10 @@ class FrictionState(NamedTuple):
     """Further state of the law."""
 
 
+FrictionStep: TypeAlias = tuple[Component, FrictionState]
+"""Friction force on one axis [N, N m], and the next state."""
+
+
 class Friction(AxisLaw):
     """Base class of friction laws.
 
@@ -59,18 +63,14 @@ class Friction(AxisLaw):
     damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
     breakaway: ArrayLike = gain(unit="N, N m", above=0.0)
 
-    def axis(
-        self, position: Component, velocity: Component, state: FrictionState, gains: Any
-    ) -> tuple[Component, FrictionState]:
+    def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Return friction force [N, N m] and next state.
 
         Viscous damping is not included.
         """
         raise NotImplementedError
 
-    def force(
-        self, x: Component, v: Component, gains: Any, state: FrictionState | None
-    ) -> tuple[Component, FrictionState]:
+    def force(self, x: Component, v: Component, gains: Any, state: FrictionState | None) -> FrictionStep:
         """Return the force on one axis and its next state.
 
         At the first sample the axis sticks at its position.
@@ -142,16 +142,12 @@ class StickSlip(Friction):
         if self.coupled and not set(self.indices) <= {0, 1, 2}:
             raise ParameterError(f"coupled axes must be translations, of x, y, z, not {self.axes!r}")
 
-    def axis(
-        self, position: Component, velocity: Component, state: FrictionState, gains: Any
-    ) -> tuple[Component, FrictionState]:
+    def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Answer one sample of one axis; see `Friction`."""
         pull = gains.stiffness * (state.anchor - position)
         return self._decide(position, pull, abs(pull), abs(velocity), state, gains)
 
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
-    ) -> tuple[Any, Sequence[Component] | None]:
+    def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
         """Answer one sample of all axes; see `Law`."""
         if not self.coupled:
             return super().__call__(position, velocity, state, wrench)
@@ -175,7 +171,7 @@ class StickSlip(Friction):
         speed: Component,
         state: FrictionState,
         gains: Any,
-    ) -> tuple[Component, FrictionState]:
+    ) -> FrictionStep:
         """Return the force and the next state.
 
         `pull` is the spring force; `size` and `speed` decide on the state.
@@ -197,9 +193,7 @@ class SpringReset(Friction):
     Source: described after the stick-slip effect of CHAI3D 3 (www.chai3d.org), which has no damping.
     """
 
-    def axis(
-        self, position: Component, velocity: Component, state: FrictionState, gains: Any
-    ) -> tuple[Component, FrictionState]:
+    def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Answer one sample of one axis; see `Friction`."""
         pull = gains.stiffness * (state.anchor - position)
         holds = abs(pull) <= gains.breakaway
@@ -238,9 +232,7 @@ class ImplicitCoulomb(Friction):
         """Damping of the element in series; see `Friction`."""
         return self.element_damping
 
-    def axis(
-        self, position: Component, velocity: Component, state: FrictionState, gains: Any
-    ) -> tuple[Component, FrictionState]:
+    def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Answer one sample of one axis; see `Friction`."""
         # the anchor stays while the flotor moves: position - anchor is the old stretch plus the travel
         drag = gains.element_damping / self.period
@@ -277,9 +269,7 @@ class _Bristle(Friction):
         """Return the sliding force at this velocity [N, N m]."""
         return gains.breakaway
 
-    def axis(
-        self, position: Component, velocity: Component, state: FrictionState, gains: Any
-    ) -> tuple[Component, FrictionState]:
+    def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Answer one sample of one axis; see `Friction`."""
         last, before = (position, 0.0) if state.memory is None else state.memory
         z = self.stretch(before, position - last, velocity, gains)

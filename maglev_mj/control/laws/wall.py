@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.laws.base import AxisLaw, Face, Gains, LinearController, choose, gain, setting
+from maglev_mj.control.laws.base import Answer, AxisLaw, Face, Gains, LinearController, choose, gain, setting
 from maglev_mj.control.timeline import checked_delay
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, Component, clipped
+from maglev_mj.frames import AXES, Array, Component, Six, clipped
 from maglev_mj.parameters import flag, number, store
 
 
@@ -134,13 +134,7 @@ class Wall(AxisLaw):
         """
         return [(False, None)] * len(self._faces)
 
-    def __call__(
-        self,
-        position: Sequence[Component],
-        velocity: Sequence[Component],
-        state: Sequence[_FaceState],
-        wrench: list[Component],
-    ) -> tuple[Sequence[_FaceState], list[Component] | None]:
+    def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
         """Answer one sample; see `Law`."""
         pulses: list[Component] | None = None
         following = []
@@ -447,13 +441,7 @@ class PassivityController(AxisLaw):
         """Return the absorbed energy [J] of each axis."""
         return {"energy": [one[0] for one in state]}
 
-    def __call__(
-        self,
-        position: Sequence[Component],
-        velocity: Sequence[Component],
-        state: Sequence[_AxisState],
-        wrench: list[Component],
-    ) -> tuple[list[_AxisState], None]:
+    def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
         """Answer one sample; see `Law`."""
         following: list[_AxisState] = []
         for (axis, gains), (energy, place, forces) in zip(self._each, state):
