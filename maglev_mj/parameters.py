@@ -146,6 +146,23 @@ def store(frozen: object, **values: Any) -> None:
         object.__setattr__(frozen, name, value)
 
 
+def six(
+    name: str, value: ArrayLike, batch: tuple[int, ...] = (), *, at_least: float = 0.0, finite: bool = False
+) -> Array:
+    """Return a checked parameter of the six axes, (6,) or (..., 6).
+
+    (..., 6) is for the batch; a number applies to all axes.
+
+    Raises:
+        ParameterError: If an entry is too small or the shape does not fit.
+    """
+    array = numbers(name, value, at_least=at_least, finite=finite)
+    if array.shape not in ((), (6,), (*batch, 6)):
+        allowed = "(6,)" if not batch else f"(6,) or {(*batch, 6)}"
+        raise ParameterError(f"{name} must be a number or have the shape {allowed}, not {array.shape}")
+    return np.broadcast_to(array, (6,)) if array.ndim == 0 else array
+
+
 def parsed_number(name: str, text: str) -> float:
     """Return the finite number given by a text.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from maglev_mj.control.laws.velocity import FiniteDifference
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample, Six, components
 from maglev_mj.parameters import number
+
+_Calls: TypeAlias = tuple[tuple[int, Callable[..., Any]], ...]
 
 
 class Controller:
@@ -62,10 +64,8 @@ class Controller:
         self._pulse_width = widths.pop() if widths else 0.0
         self.velocity = velocity or FiniteDifference()
         self._estimate = self.velocity.__call__
-        self._calls: tuple[tuple[int, Callable[..., Any]], ...] = tuple(enumerate(law.__call__ for law in self.laws))
-        self._first_calls: tuple[tuple[int, Callable[..., Any]], ...] = tuple(
-            enumerate(partial(answer, law) for law in self.laws)
-        )
+        self._calls: _Calls = tuple(enumerate(law.__call__ for law in self.laws))
+        self._first_calls: _Calls = tuple(enumerate(partial(answer, law) for law in self.laws))
         self.reset()
 
     def reset(self) -> None:

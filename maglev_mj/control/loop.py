@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -177,7 +178,7 @@ def drive(
         >>> last.tick, abs(last.position[2]) < 1e-9  # carried for a second
         (200, True)
     """
-    count = whole("ticks", ticks, at_least=1)
+    count = whole("ticks", ticks, at_least=1, at_most=math.inf)
     loop = ControlLoop(plant, controller, observe=observe, record=record)
     loop.cycle(count)
     return loop.finish()

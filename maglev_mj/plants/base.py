@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.timeline import Segment, Timeline, Timing
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError, check_instance
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, Six, clipped, components, join
-from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.parameters import flag, number, six
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
 from maglev_mj.plants.trace import Trace, TraceRecorder
@@ -95,7 +95,7 @@ class SampledPlant(ABC):
         # as few attributes as possible: with more than 30, Python's lookup is slower
         self.timing = timing
         self.batch = batch
-        self._limit = None if wrench_limit is None else components(self.six("wrench_limit", wrench_limit))
+        self._limit = None if wrench_limit is None else components(six("wrench_limit", wrench_limit, batch))
         self._measure = None if sensor is None else measuring(sensor)
         distance, angle = (number("escape", value, above=0.0) for value in escape)
         self._escape = distance * distance, angle * angle
@@ -104,7 +104,7 @@ class SampledPlant(ABC):
         self._total: Component | None = 0.0 if flag("metered", metered) else None
         self._run = self._carry if self._recorder is None and longest_step is None else self._run_in_pieces
         self._hand_force, self._effort = hand_force, _NO_EFFORT
-        self.before = self.six("wrench", wrench, at_least=-math.inf, finite=True)
+        self.before = six("wrench", wrench, batch, at_least=-math.inf, finite=True)
         self._tick = -1
         self._offset: Component = 0.0
         self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
@@ -327,20 +327,6 @@ class SampledPlant(ABC):
             recorder.add(tick, self._offset + duration * (done / pieces), self._kept(drive))
             carry(piece, drive)
         self._offset = self._offset + duration
-
-    def six(self, name: str, value: ArrayLike, *, at_least: float = 0.0, finite: bool = False) -> Array:
-        """Return a checked per-axis parameter, (6,) or (..., 6).
-
-        (..., 6) is for the batch; a number applies to all axes.
-
-        Raises:
-            ParameterError: If an entry is too small or the shape does not fit.
-        """
-        array = numbers(name, value, at_least=at_least, finite=finite)
-        if array.shape not in ((), (6,), (*self.batch, 6)):
-            allowed = "(6,)" if not self.batch else f"(6,) or {(*self.batch, 6)}"
-            raise ParameterError(f"{name} must be a number or have the shape {allowed}, not {array.shape}")
-        return np.broadcast_to(array, (6,)) if array.ndim == 0 else array
 
     def _limited(self, command: Command) -> Command:
         """Clip the held wrench and the pulse wrench separately."""

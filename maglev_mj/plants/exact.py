@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, Six, components, join
-from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.parameters import flag, number, numbers, six
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.hand import Hand, motion, transition
 from maglev_mj.plants.model import Model, load_model
@@ -118,7 +118,7 @@ class ExactPlant(SampledPlant):
         self, body: list[Component], hand: Hand | None, dry_friction: ArrayLike | None
     ) -> Iterator[Lag | DryFriction | HeldAxis]:
         """Yield the corrections to the motion of free masses."""
-        rub = None if dry_friction is None else self.six("dry_friction", dry_friction, finite=True)
+        rub = None if dry_friction is None else six("dry_friction", dry_friction, self.batch, finite=True)
         held = hand.indices if hand is not None else ()
         if hand is not None and hand.shape not in ((), self.batch):
             raise ParameterError(f"hand must be one, or one for each device of {self.batch}, not {hand.shape}")

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.errors import ModelError, ParameterError, SensingError
 from maglev_mj.frames import Array, Component, Six, components, join, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.lazy import mujoco
-from maglev_mj.parameters import number, numbers, store, whole
+from maglev_mj.parameters import number, numbers, six, store, whole
 from maglev_mj.plants.model import at_reference, model_path, unusable, written
 from maglev_mj.versions import MODELS
 
@@ -482,10 +482,7 @@ class Sensor:
 
     def __post_init__(self) -> None:
         for name in ("quantum", "noise"):
-            values = numbers(name, getattr(self, name), at_least=0.0)
-            if values.shape not in ((), (6,)):
-                raise ParameterError(f"{name} must be a number or have the shape (6,), not {values.shape}")
-            store(self, **{name: np.broadcast_to(values, (6,))})
+            store(self, **{name: six(name, getattr(self, name), finite=True)})
         store(self, seed=whole("seed", self.seed))
 
     def start(self) -> Measure:

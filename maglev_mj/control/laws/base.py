@@ -1,4 +1,4 @@
-"""Base classes of control laws and of velocity estimators, and the simplest laws: function, hold, constant wrench.
+"""Base classes of control laws and of velocity estimators, and the simplest laws.
 
 `Law` answers samples and describes itself; an `AxisLaw` consists of gains and one function.
 """

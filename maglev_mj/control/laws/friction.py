@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.laws.base import Answer, AxisLaw, Gains, apply, choose, gain, setting
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Component, Six
+from maglev_mj.frames import AXES, Component, Six, clipped
 from maglev_mj.parameters import flag
 
 SLIDING_SHARE = 0.95
@@ -240,7 +240,7 @@ class ImplicitCoulomb(Friction):
         before = 0.0 if state.memory is None else state.memory
         trial = stiff * (position - state.anchor) - drag * before
         limit = gains.breakaway
-        force = choose(trial > limit, limit, choose(trial < -limit, -limit, trial))
+        force = clipped(trial, limit)
         stretch = (force + drag * before) / stiff
         anchor = choose(abs(trial) <= limit, state.anchor, position - stretch)
         return -force, FrictionState(abs(trial) < SLIDING_SHARE * limit, anchor, stretch)
@@ -258,8 +258,13 @@ class _Bristle(Friction):
     """Friction law with the bristle deflection as its state."""
 
     def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
-        """Return the deflection [m, rad] after a travel [m, rad]."""
-        raise NotImplementedError
+        """Return the deflection [m, rad] after a travel [m, rad].
+
+        By default it solves dz = dx - |dx| z / limit, and tends to the limit in the direction of travel.
+        """
+        limit = self.limit(velocity, gains) / gains.stiffness
+        end = choose(travel > 0.0, limit, -limit)
+        return end + (z - end) * apply(np.exp, -abs(travel) / limit)
 
     def pull(self, before: Component, z: Component, velocity: Component, gains: Any) -> Component:
         """Return the force of the bristle [N, N m]."""
@@ -286,11 +291,6 @@ class Dahl(_Bristle):
     Source: Dahl 1968, in the form of Olsson et al. 1998; derived again, not checked against the original.
     """
 
-    def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
-        """Return the stretch after a travel; see `_Bristle`."""
-        limit = gains.breakaway / gains.stiffness
-        return _relaxed(z, travel, limit)
-
 
 class LuGre(_Bristle):
     """LuGre friction with Stribeck effect and bristle damping.
@@ -315,10 +315,6 @@ class LuGre(_Bristle):
     def stuck_damping(self) -> ArrayLike:
         """Damping of the bristle; see `Friction`."""
         return self.bristle_damping
-
-    def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
-        """Return the stretch after a travel; see `_Bristle`."""
-        return _relaxed(z, travel, self.limit(velocity, gains) / gains.stiffness)
 
     def limit(self, velocity: Component, gains: Any) -> Component:
         """Return the Stribeck curve at this velocity [N, N m]."""
@@ -353,7 +349,7 @@ class ElastoPlastic(_Bristle):
         rising = 0.5 + 0.5 * apply(np.sin, np.pi * choose(middle < -0.5, -0.5, choose(middle > 0.5, 0.5, middle)))
         alpha = choose(z * travel > 0.0, rising, 0.0)
         moved = z + travel * (1.0 - alpha * share)
-        return choose(moved > limit, limit, choose(moved < -limit, -limit, moved))
+        return clipped(moved, limit)
 
 
 class HaywardArmstrong(_Bristle):
@@ -380,13 +376,4 @@ class HaywardArmstrong(_Bristle):
         eighth = fourth * fourth
         alpha = eighth / (self.stick**8 + eighth) / limit
         followed = moved / (1.0 + alpha * abs(travel))  # implicit: never past the flotor, however long the travel
-        return choose(followed > limit, limit, choose(followed < -limit, -limit, followed))
-
-
-def _relaxed(z: Component, travel: Component, limit: Component) -> Component:
-    """Return the deflection after one travel.
-
-    Solves dz = dx - |dx| z / limit. The solution tends to the limit in the direction of travel.
-    """
-    end = choose(travel > 0.0, limit, -limit)
-    return end + (z - end) * apply(np.exp, -abs(travel) / limit)
+        return clipped(followed, limit)

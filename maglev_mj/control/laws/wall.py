@@ -176,7 +176,10 @@ def _face(axis: int, normal: float, edge: Component, gains: Any) -> _Face | None
 
 
 def _within(limit: Component | None, force: Component, pulse: Component) -> tuple[Component, Component | None]:
-    """Return a pulse on top of a PD force, within the force limit, and the impulse left over for later samples."""
+    """Return the pulse within the force limit, and the impulse left over.
+
+    The pulse is on top of the PD force; later samples give the rest.
+    """
     if limit is None:
         return pulse, None
     # excess over the limit with the pulse, less the excess of the PD force alone
@@ -327,7 +330,7 @@ class ObserverWall(AxisLaw):
             known = self._corrected(state, offset, gains.inertia)
         place, speed = self._at_effect(known, gains.inertia)
         force = (place <= 0.0) * -(gains.stiffness * place + gains.damping * speed)
-        given = force if self.force_limit == math.inf else _limited(force, self.force_limit)
+        given = force if self.force_limit == math.inf else clipped(force, self.force_limit)
         return force, known._replace(forces=(given, *known.forces[:-1]))
 
     def faces(self) -> Sequence[Face]:
@@ -382,10 +385,6 @@ class ObserverWall(AxisLaw):
         for force in forces[-3::-1]:
             place, speed = _moved(place, speed, unknown + force / inertia, self.period)
         return place, speed
-
-
-def _limited(force: Component, limit: float) -> Component:
-    return choose(force > limit, limit + 0.0 * force, choose(force < -limit, -limit + 0.0 * force, force))
 
 
 def _moved(place: Component, speed: Component, acceleration: Component, duration: float) -> tuple[Component, Component]:
