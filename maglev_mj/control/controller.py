@@ -169,8 +169,7 @@ class Controller:
     def _check(self, position: Six) -> None:
         if len(position) != len(AXES):
             raise ParameterError(f"a sample must have {len(AXES)} position components, not {len(position)}")
-        single = all(part.__class__ is float for part in position)
-        batch = () if single else np.broadcast_shapes(*map(np.shape, position))
+        batch = np.broadcast_shapes(*map(np.shape, position))
         for law in self.laws:
             if law.batch and law.batch != batch:
                 raise ParameterError(f"samples must have the batch shape {law.batch} of the laws, not {batch}")

@@ -226,11 +226,6 @@ class CoilDrive:
         self._fill = partial(struct.pack_into, "6d", self._wrench.data, 0)
         self._known: tuple[Sequence[float] | None, list[float]] = None, []
 
-    @property
-    def turned(self) -> bool:
-        """True if the map is not the upright one."""
-        return self.inverse_map is not self._upright
-
     def follow(self, rotation: Array | None, angle: Sequence[float] | None = None) -> bool:
         """Update the map to another angle.
 

@@ -349,15 +349,7 @@ class HeldAxis:
         lag: Time constant of the drivers [s]; 0 for none.
     """
 
-    def __init__(
-        self,
-        index: int,
-        start: Six,
-        inertia: Component,
-        weight: Component,
-        hand: Hand,
-        lag: float,
-    ) -> None:
+    def __init__(self, index: int, start: Six, inertia: Component, weight: Component, hand: Hand, lag: float) -> None:
         self._index, self._weight = index, weight
         place, velocity, actual = start
         # the states of `motion` beyond position and velocity
@@ -409,14 +401,7 @@ class DryFriction:
         single: True for one device.
     """
 
-    def __init__(
-        self,
-        friction: Mapping[int, Component],
-        inertia: Six,
-        weight: Six,
-        *,
-        single: bool,
-    ) -> None:
+    def __init__(self, friction: Mapping[int, Component], inertia: Six, weight: Six, *, single: bool) -> None:
         self._single = single
         self._axes = [(index, rub, 1.0 / inertia[index], weight[index]) for index, rub in friction.items()]
 

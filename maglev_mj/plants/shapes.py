@@ -271,7 +271,7 @@ def _measure(device: Device) -> dict[str, Any]:
 
 def _rows(figures: Mapping[str, Any]) -> list[tuple[str, float | str, float, str, str]]:
     """Return name, figure of the paper, of the model, unit and remark of each row."""
-    spec, mm, option = Spec(), 1e3, "an option of the plants"
+    spec, mm, option = Spec, 1e3, "an option of the plants"
     moving, strong = figures["moving_mass"], figures["peak_current"]
     largest = figures["largest_at_peak_current"][2]
     hold = "hold 6000 N/m, 80 N s/m at 200 Hz, 1.5 ms"

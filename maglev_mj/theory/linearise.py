@@ -135,11 +135,9 @@ class Linearised(Result):
         body = body[chosen]
         response = self.response[:, chosen][:, :, chosen]
         matrix = StateSpace.of(response).closed_loop(period=self.period, delay=delay, inertia=body)
-        enters, seen = np.zeros((len(matrix), len(chosen))), np.zeros((len(chosen), len(matrix)))
-        for slot, mass in enumerate(body):
-            enters[slot, slot], enters[len(chosen) + slot, slot] = 0.5 * self.period**2 / mass, self.period / mass
-            seen[slot, slot] = 1.0
-        return ClosedLoop(matrix, enters, seen, self.period)
+        n, size = len(chosen), len(matrix)
+        moved, sped = np.diag(0.5 * self.period**2 / body), np.diag(self.period / body)
+        return ClosedLoop(matrix, np.vstack([moved, sped, np.zeros((size - 2 * n, n))]), np.eye(n, size), self.period)
 
     def to_statespace(self) -> Any:
         """Return the controller as python-control's StateSpace.

@@ -353,26 +353,23 @@ def answer(law: Law, position: Six, velocity: Six, state: Any, wrench: list[Comp
         ParameterError: If the law fails, changes its input, or returns a wrong shape or a value that is not finite.
     """
     name = f"law {getattr(law, 'name', type(law).__name__)}"
-    given = [*position, *velocity]
-    single = set(map(type, given)) == {float}
-    if not single:
-        given = [part if part.__class__ is float else np.array(part) for part in given]
+    before = [part if part.__class__ is float else np.array(part) for part in (*position, *velocity)]
     try:
-        said = law(position, velocity, state, wrench)
+        result = law(position, velocity, state, wrench)
     except MaglevError:
         raise
     except Exception as error:
         raise ParameterError(f"{name} fails: {type(error).__name__}: {error}") from error
-    if not (isinstance(said, tuple) and len(said) == 2):
-        raise ParameterError(f"{name} must return its next state and a pulse or None, not {said!r}")
-    seen = [*position, *velocity]
-    if not (seen == given if single else len(seen) == len(given) and all(map(_same, seen, given))):
+    if not (isinstance(result, tuple) and len(result) == 2):
+        raise ParameterError(f"{name} must return its next state and a pulse or None, not {result!r}")
+    after = [*position, *velocity]
+    if not (len(after) == len(before) and all(map(_same, after, before))):
         raise ParameterError(f"{name} must not change the position or velocity that it is given")
-    batch = () if single else np.broadcast_shapes(*map(np.shape, given))
+    batch = np.broadcast_shapes(*map(np.shape, before))
     _check(name, "wrench", wrench, batch)
-    if said[1] is not None:
-        _check(name, "pulse", said[1], batch)
-    return said
+    if result[1] is not None:
+        _check(name, "pulse", result[1], batch)
+    return result
 
 
 def _same(one: Component, other: Component) -> bool:
@@ -386,8 +383,6 @@ def _check(name: str, what: str, parts: Six, batch: tuple[int, ...]) -> None:
     """
     if not hasattr(parts, "__len__") or len(parts) != len(AXES):
         raise ParameterError(f"{name} must leave six components of {what}, not {parts!r}")
-    if set(map(type, parts)) == {float} and all(map(math.isfinite, parts)):
-        return
     for axis, part in zip(AXES, parts):
         array = np.asarray(part)
         if array.dtype.kind not in "fiu" or array.shape not in ((), batch):

@@ -164,13 +164,7 @@ class StickSlip(Friction):
         return after, None
 
     def _decide(
-        self,
-        position: Component,
-        pull: Component,
-        size: Component,
-        speed: Component,
-        state: FrictionState,
-        gains: Any,
+        self, position: Component, pull: Component, size: Component, speed: Component, state: FrictionState, gains: Any
     ) -> FrictionStep:
         """Return the force and the next state.
 
