@@ -106,13 +106,10 @@ class Controller:
 
         NaN for a sliding axis; None without friction.
         """
-        found = [law.stick_positions(state) for law, state in zip(self.laws, self._states)]
-        if not any(found):
-            return None
-        positions = np.full(len(AXES), np.nan)
-        for index, position in (item for one in found for item in one.items()):
-            positions[index] = position
-        return positions
+        stuck: dict[int, float] = {}
+        for law, state in zip(self.laws, self._states):
+            stuck |= law.stick_positions(state)
+        return np.array([stuck.get(index, np.nan) for index in range(len(AXES))]) if stuck else None
 
     @property
     def signals(self) -> dict[str, Sequence[Component]]:
@@ -120,8 +117,8 @@ class Controller:
 
         One for each axis of a law; see `Law.signals`.
         """
-        found = [law.signals(state) for law, state in zip(self.laws, self._states)]
-        return {name: value for one in found for name, value in one.items()}
+        each = (law.signals(state) for law, state in zip(self.laws, self._states))
+        return {name: value for signals in each for name, value in signals.items()}
 
     def step(self, sample: Sample) -> Command:
         """Answer one sample.

@@ -582,35 +582,27 @@ class MuJoCoBatchPlant(SampledPlant):
         turned = np.abs(over[3:]).max() > NOTHING
         return [*moved, *(turned_back(*places[3:], *over[3:]) if turned else places[3:])]
 
-    def _settle(self) -> None:
-        """Subtract the accumulated step error from the flotors' positions."""
-        if self._corrects:
-            self._qpos[:] = np.stack(self._where(), axis=-1)
-            self._excess[:] = 0.0
-
     def _exert(self, effort: Six) -> None:
         wrench = np.broadcast_to(join(effort), (*self.batch, 6))
         self._efforts[:, list(self._effort_addresses)] = wrench[:, :3]
         start = self.device.velocity_address + 3
         # about the flotors' axes
         self._efforts[:, start : start + 3] = np.einsum(
-            "na,nab->nb", wrench[:, 3:], self._rotations().reshape(-1, 3, 3)
+            "na,nab->nb", wrench[:, 3:], _matrices(self._qpos[:, 3:]).reshape(-1, 3, 3)
         )
 
     def _position(self) -> list[Component]:
         if self._engine.warning.any():
             raise PlantError(f"MuJoCo warns at tick {self._tick}, in {int(self._engine.warning.any(-1).sum())} devices")
-        self._settle()
+        if self._corrects:  # the lead is taken off the flotors' positions
+            self._qpos[:] = np.stack(self._where(), axis=-1)
+            self._excess[:] = 0.0
         position = _pose(self._where())
         squared = self._check_escape(position)
         if (coils := self.device.coils) is not None:
             upright = (squared < UPRIGHT**2).all()
-            self._inverse_map = coils.current_per_wrench if upright else coils.inverse_at(self._rotations())
+            self._inverse_map = coils.current_per_wrench if upright else coils.inverse_at(_matrices(self._qpos[:, 3:]))
         return position
-
-    def _rotations(self) -> Array:
-        """Return the flotors' rotation matrices, (N, 9)."""
-        return _matrices(self._qpos[:, 3:])
 
     def _kept(self, drive: _BatchDrive) -> _BatchKept:
         currents = None

@@ -130,8 +130,7 @@ def arrow_start(knob: Array, force: Array) -> Array:
     It is on the surface of the knob.
     """
     radius, half_height = KNOB
-    start: Array = knob + force / np.linalg.norm(force / [radius, radius, half_height])
-    return start
+    return np.asarray(knob + force / np.linalg.norm(force / [radius, radius, half_height]))
 
 
 def envelope(device: Device) -> tuple[float, float]:

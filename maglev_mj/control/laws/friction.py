@@ -102,8 +102,8 @@ class Friction(AxisLaw):
 
         NaN for a sliding axis.
         """
-        found = zip(self.indices, state)
-        return {index: one.anchor if one.stuck else math.nan for index, one in found if one is not None}
+        states = zip(self.indices, state)
+        return {index: one.anchor if one.stuck else math.nan for index, one in states if one is not None}
 
 
 class StickSlip(Friction):

@@ -196,7 +196,18 @@ def _not(mask: Component) -> Component:
     return not mask if mask.__class__ is bool else ~mask
 
 
-class PredictiveWall(AxisLaw):
+class _LowerWall(AxisLaw):
+    """Wall below an edge on each axis."""
+
+    lower: ArrayLike = gain(unit="m, rad", default=0.0, at_least=-math.inf)
+    stiffness: ArrayLike = gain(unit="N/m, N m/rad")
+
+    def faces(self) -> Sequence[Face]:
+        """Return each plane of the wall."""
+        return [(axis, 1.0, one.lower) for axis, one in self._each]
+
+
+class PredictiveWall(_LowerWall):
     """Wall that renders the predicted mean force over each hold.
 
     The position is extrapolated along a straight line, and the force of the ideal wall averaged over it.
@@ -227,8 +238,6 @@ class PredictiveWall(AxisLaw):
         6.0
     """
 
-    lower: ArrayLike = gain(unit="m, rad", default=0.0, at_least=-math.inf)
-    stiffness: ArrayLike = gain(unit="N/m, N m/rad")
     damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
     period: float = setting(above=0.0)
     delay: float = setting(default=0.0, at_least=0.0)
@@ -243,10 +252,6 @@ class PredictiveWall(AxisLaw):
         share = (deep - deeper) / (travel + rests) + rests * (begin <= 0.0)
         return -(share * (0.5 * gains.stiffness * (deep + deeper) + gains.damping * v))
 
-    def faces(self) -> Sequence[Face]:
-        """Return each plane of the wall."""
-        return [(axis, 1.0, one.lower) for axis, one in self._each]
-
 
 class _Belief(NamedTuple):
     """Observer state at a sample.
@@ -260,7 +265,7 @@ class _Belief(NamedTuple):
     forces: tuple[Component, ...]
 
 
-class ObserverWall(AxisLaw):
+class ObserverWall(_LowerWall):
     """Wall with state feedback from a delay-compensating observer.
 
     The feedback uses the state predicted for the moment the command takes effect.
@@ -297,8 +302,6 @@ class ObserverWall(AxisLaw):
         12.0
     """
 
-    lower: ArrayLike = gain(unit="m, rad", default=0.0, at_least=-math.inf)
-    stiffness: ArrayLike = gain(unit="N/m, N m/rad")
     damping: ArrayLike = gain(unit="N s/m, N m s/rad")
     inertia: ArrayLike = gain(unit="kg, kg m²", above=0.0)
     period: float = setting(above=0.0)
@@ -332,10 +335,6 @@ class ObserverWall(AxisLaw):
         force = (place <= 0.0) * -(gains.stiffness * place + gains.damping * speed)
         given = force if self.force_limit == math.inf else clipped(force, self.force_limit)
         return force, known._replace(forces=(given, *known.forces[:-1]))
-
-    def faces(self) -> Sequence[Face]:
-        """Return each plane of the wall."""
-        return [(axis, 1.0, one.lower) for axis, one in self._each]
 
     def linear(self, stiffness: Array, damping: Array) -> LinearController:
         """Return the law in contact as a linear system.
