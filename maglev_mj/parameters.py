@@ -135,7 +135,7 @@ def numbers(
         raise ParameterError(f"{name} must be {kind}{bound} everywhere, not {array[~good].flat[0]:g}")
     if above is not None and not (array > above).all():
         raise ParameterError(f"{name} must be above {above:g} everywhere, not {array.min():g}")
-    if not (array <= at_most).all():
+    if at_most < math.inf and not (array <= at_most).all():
         raise ParameterError(f"{name} must be at most {at_most:g} everywhere, not {array.max():g}")
     return array
 

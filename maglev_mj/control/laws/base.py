@@ -9,7 +9,6 @@ import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
-from operator import add
 from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeAlias, dataclass_transform
 
 import numpy as np
@@ -258,10 +257,9 @@ class AxisLaw(Law):
             elif "setting" in one.metadata:
                 number(one.name, getattr(self, one.name), **one.metadata["setting"])
         split = {one: per_axis(f"{name} {one}", array, len(indices)) for one, array in values.items()}
-        each = []
+        common, each = {one.name: getattr(self, one.name) for one in fields(self) if one.init}, []
         for slot, index in enumerate(indices):
             alone = object.__new__(type(self))
-            common = {one.name: getattr(self, one.name) for one in fields(self) if one.init}
             store(alone, **common | {gain: parts[slot] for gain, parts in split.items()})
             each.append((index, alone))
         store(self, indices=indices, batch=batch_shape(name, values.values()), _each=tuple(each))
@@ -327,7 +325,14 @@ class FunctionLaw(Law):
             x, y, z, rx, ry, rz = parts
         except (TypeError, ValueError):
             raise ParameterError(f"law {self.name} must return six wrench components, not {parts!r}") from None
-        wrench[:] = map(add, wrench, (x, y, z, rx, ry, rz))
+        wrench[:] = (
+            wrench[0] + x,
+            wrench[1] + y,
+            wrench[2] + z,
+            wrench[3] + rx,
+            wrench[4] + ry,
+            wrench[5] + rz,
+        )
         return None, None
 
 
