@@ -48,6 +48,10 @@ comparisons, which IEEE 754 rounds equally in both, so commands agree bit for bi
 """
 
 
+Six: TypeAlias = Sequence[Component]
+"""Six components, one for each axis."""
+
+
 @dataclass(slots=True, eq=False)
 class Sample:
     """Measured pose at a sampling instant.
@@ -66,7 +70,7 @@ class Sample:
 
     tick: int
     time: float | Array
-    position: Sequence[Component]
+    position: Six
 
     @property
     def pose(self) -> Array:
@@ -92,8 +96,8 @@ class Command:
         (6.867, 0.0)
     """
 
-    force: Sequence[Component]
-    extra: Sequence[Component] | None = None
+    force: Six
+    extra: Six | None = None
     pulse_width: float = 0.0
 
     @property

@@ -95,19 +95,29 @@ def interval(
     return low, high
 
 
-def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite: bool = True) -> Array:
+def numbers(
+    name: str,
+    value: ArrayLike,
+    *,
+    at_least: float = -math.inf,
+    above: float | None = None,
+    at_most: float = math.inf,
+    finite: bool = True,
+) -> Array:
     """Return `value` as a float array with checked entries.
 
     Args:
         name: Name in the message.
         value: Number or array.
         at_least: Least value allowed.
+        above: Exclusive lower bound; None for none.
+        at_most: Largest value allowed.
         finite: False lets infinity pass; NaN never passes.
 
     Raises:
-        ParameterError: If an entry is not a number, not finite, or too small.
+        ParameterError: If an entry is not a number, not finite, or outside the bounds.
     """
-    if value.__class__ is float and max(at_least, -_LARGEST) <= value <= _LARGEST and finite.__class__ is bool:
+    if value.__class__ is float and max(at_least, -_LARGEST) <= value <= min(at_most, _LARGEST) and above is None:
         return np.array(value)  # most, at a third of the cost
     try:
         given = np.asarray(value)
@@ -123,7 +133,34 @@ def numbers(name: str, value: ArrayLike, *, at_least: float = -math.inf, finite:
         kind = "finite and " if finite else ""
         bound = f"at least {at_least:g}" if math.isfinite(at_least) else "a number"
         raise ParameterError(f"{name} must be {kind}{bound} everywhere, not {array[~good].flat[0]:g}")
+    if above is not None and not (array > above).all():
+        raise ParameterError(f"{name} must be above {above:g} everywhere, not {array.min():g}")
+    if at_most < math.inf and not (array <= at_most).all():
+        raise ParameterError(f"{name} must be at most {at_most:g} everywhere, not {array.max():g}")
     return array
+
+
+def store(frozen: object, **values: Any) -> None:
+    """Set attributes of a frozen dataclass, by name."""
+    for name, value in values.items():
+        object.__setattr__(frozen, name, value)
+
+
+def six(
+    name: str, value: ArrayLike, batch: tuple[int, ...] = (), *, at_least: float = 0.0, finite: bool = False
+) -> Array:
+    """Return a checked parameter of the six axes, (6,) or (..., 6).
+
+    (..., 6) is for the batch; a number applies to all axes.
+
+    Raises:
+        ParameterError: If an entry is too small or the shape does not fit.
+    """
+    array = numbers(name, value, at_least=at_least, finite=finite)
+    if array.shape not in ((), (6,), (*batch, 6)):
+        allowed = "(6,)" if not batch else f"(6,) or {(*batch, 6)}"
+        raise ParameterError(f"{name} must be a number or have the shape {allowed}, not {array.shape}")
+    return np.broadcast_to(array, (6,)) if array.ndim == 0 else array
 
 
 def parsed_number(name: str, text: str) -> float:
@@ -421,10 +458,9 @@ class Parameters:
         Raises:
             ParameterError: If there is no such parameter.
         """
-        for one in cls.parameters():
-            if one.name == name:
-                return one
-        raise ParameterError(not_one_of("parameter", (one.name for one in cls.parameters()), name))
+        known = {one.name: one for one in cls.parameters()}
+        check_one_of("parameter", known, name)
+        return known[name]
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with changes; derived values are derived again.

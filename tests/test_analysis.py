@@ -28,8 +28,8 @@ from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.cli import main
 from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.plants import Timing
-from maglev_mj.plants.energy import PassivityObserver
 from maglev_mj.plants.hand import SpringHand, Trajectory
+from maglev_mj.plants.trace import PassivityObserver
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, open_recording
 from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop

@@ -6,7 +6,8 @@ import pytest
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import Hand
 from maglev_mj.studies.designed_wall import hum
-from maglev_mj.theory import bounds, largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory import boundary as bounds
+from maglev_mj.theory import largest_stable_stiffness, stiffest_wall
 
 T, M = 0.005, 0.7
 

@@ -16,9 +16,9 @@ from maglev_mj.bridge.bench.calibration import Calibration, CalibrationError
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants import MuJoCoPlant
-from maglev_mj.plants.beams import Beams
 from maglev_mj.plants.coils import CoilMap
-from maglev_mj.plants.model import beams, load_model
+from maglev_mj.plants.model import load_model
+from maglev_mj.plants.sensor import Beams, beams
 
 _COILS = ("points", "directions", "force_constants", "wrench_per_current", "current_per_wrench")
 _BEAMS = ("leds", "directions", "diodes", "across")

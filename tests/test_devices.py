@@ -23,8 +23,8 @@ from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, Sample, quaternion
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
 from maglev_mj.plants.coils import CoilDrive, CoilMap
-from maglev_mj.plants.energy import EnergyAccount, HandWork, PassivityObserver, actuator_work, hand_work
 from maglev_mj.plants.model import load_model, model_path
+from maglev_mj.plants.trace import EnergyAccount, HandWork, PassivityObserver, actuator_work, hand_work
 from maglev_mj.spec import GRAVITY, INERTIA
 
 PERIOD = 0.005

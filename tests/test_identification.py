@@ -36,8 +36,8 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
-from maglev_mj.plants.beams import PoseTracker
 from maglev_mj.plants.coils import CoilMap
+from maglev_mj.plants.sensor import PoseTracker
 
 NOMINAL = Calibration.nominal()
 SLOW, FAST = (0.005, 0.0015), (0.001, 0.0003)

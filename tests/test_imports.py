@@ -175,7 +175,7 @@ UNUSED = [f"maglev_mj.{name}" for name in "recording session studies bridge anal
     [
         ("--help", LIGHT),
         ("estop udp://127.0.0.1:9", ["mujoco", "glfw"]),
-        ("drop", [*OTHERS, *UNUSED, "maglev_mj.theory.design", "maglev_mj.control.laws.bristle"]),
+        ("drop", [*OTHERS, *UNUSED, "maglev_mj.theory.design", "maglev_mj.control.laws.friction"]),
     ],
 )
 def test_a_command_loads_what_it_runs(words: str, absent: Sequence[str]) -> None:

@@ -18,8 +18,7 @@ from maglev_mj.plants import Sensor, model
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import COILS, Device, load_model, model_path, scenes
-from maglev_mj.plants.report import device_report, position_bandwidth
-from maglev_mj.plants.shapes import envelope
+from maglev_mj.plants.shapes import device_report, envelope, position_bandwidth
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, Spec
 from maglev_mj.terminal import WIDTH
 

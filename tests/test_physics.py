@@ -10,8 +10,7 @@ import pytest
 
 from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ParameterError
-from maglev_mj.plants.energy import actuator_work
-from maglev_mj.plants.trace import Trace
+from maglev_mj.plants.trace import Trace, actuator_work
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory.ideal import analog_wall
 from tests.closed_loop import largest_modulus, pd_matrix

@@ -16,7 +16,7 @@ from maglev_mj.control.timeline import Timeline
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
-from maglev_mj.plants.exact import Amendment, DryFriction, HeldAxis, Lag
+from maglev_mj.plants.exact import DryFriction, HeldAxis, Lag
 from maglev_mj.plants.hand import Hand, motion, transition
 from maglev_mj.plants.trace import TraceRecorder
 from maglev_mj.spec import INERTIA
@@ -209,9 +209,9 @@ def test_friction_slides_stops_rests_and_turns_back_to_the_last_bit() -> None:
 def test_a_hand_and_lagging_drivers_are_their_transition_matrix(lag: float, grip: dict[str, Any]) -> None:
     # Along z in the hand, and on the free axes beside it, over durations that return and others.
     hand = Hand(mass=0.1, damping=5.0, stiffness=100.0, axes="z", **grip)
-    amendments: list[Amendment] = [
+    amendments: list[Lag | DryFriction | HeldAxis] = [
         *([Lag(INERTIA, lag)] if lag else []),
-        HeldAxis(2, 1e-3, 0.02, 1.0, INERTIA[2], -6.0, hand, lag),
+        HeldAxis(2, (1e-3, 0.02, 1.0), INERTIA[2], -6.0, hand, lag),
     ]
     force, effort = [0.3, -0.2, 5.0, 0.01, -0.02, 0.03], [0.0, 0.0, 0.4, 0.0, 0.0, 0.0]
     now: tuple[list[Component], list[Component], list[Component]] = [1e-3] * 6, [0.02] * 6, [1.0] * 6

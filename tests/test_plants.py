@@ -210,7 +210,7 @@ def test_the_coils_map_is_upright_again_when_the_flotor_is() -> None:
     for angle, turned in ((0.1, True), (0.0, False)):
         assert plant.read().position[3] == pytest.approx(angle, abs=1e-12)
         plant.write(Command([0.0] * 6))
-        assert plant._coil_drive.turned is turned
+        assert (plant._coil_drive.inverse_map is not plant._coil_drive._upright) is turned
 
 
 def test_nan_counts_as_diverged() -> None:

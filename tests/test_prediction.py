@@ -16,8 +16,8 @@ from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Sample, Timing, Wall,
 from maglev_mj.control import Law, ObserverWall, PassivityController, PredictiveWall
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import components
-from maglev_mj.plants.energy import PassivityObserver, actuator_work
 from maglev_mj.plants.hand import exponential
+from maglev_mj.plants.trace import PassivityObserver, actuator_work
 from maglev_mj.scenes.figures import perceived_hardness
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory import largest_modulus, least_dynamic_stiffness

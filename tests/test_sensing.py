@@ -9,8 +9,7 @@ from maglev_mj import MuJoCoPlant
 from maglev_mj.errors import ModelError, ParameterError, SensingError
 from maglev_mj.frames import components, rotation_matrix
 from maglev_mj.plants import SpotSensor
-from maglev_mj.plants.beams import Beams
-from maglev_mj.plants.model import beams
+from maglev_mj.plants.sensor import Beams, beams
 from maglev_mj.spec import Spec
 
 

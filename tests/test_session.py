@@ -16,8 +16,8 @@ from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import param
 from maglev_mj.plants import MuJoCoPlant, Timing
-from maglev_mj.plants.energy import EnergyAccount
 from maglev_mj.plants.hand import SpringHand
+from maglev_mj.plants.trace import EnergyAccount
 from maglev_mj.recording import ArrayFile, Recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene

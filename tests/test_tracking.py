@@ -15,9 +15,8 @@ import pytest
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.frames import Array, rotation_matrix
 from maglev_mj.plants import SpotReader, SpotSensor
-from maglev_mj.plants import beams as sensing
-from maglev_mj.plants.beams import FARTHEST, MOST_TURNED, Beams, FastBeams, PoseTracker
-from maglev_mj.plants.model import beams
+from maglev_mj.plants import sensor as sensing
+from maglev_mj.plants.sensor import FARTHEST, MOST_TURNED, Beams, FastBeams, PoseTracker, beams
 from maglev_mj.spec import Spec
 
 QUANTUM = 8e-7

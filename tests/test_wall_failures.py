@@ -16,7 +16,7 @@ from maglev_mj.spec import RANGE
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness
-from maglev_mj.theory.bounds import gil
+from maglev_mj.theory.boundary import gil
 
 T, Q = 0.005, 5e-6
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from maglev_mj.analysis.motion import Motion
 from maglev_mj.frames import AXES, Array, Mask, unit_of
-from maglev_mj.plants.energy import actuator_work, hand_work
-from maglev_mj.plants.trace import Trace
+from maglev_mj.plants.trace import Trace, actuator_work, hand_work
 from maglev_mj.recording import RunMetadata
 from maglev_mj.recording.sample import Face
 from maglev_mj.result import Table, number_text, plain, with_unit

@@ -31,7 +31,7 @@ from maglev_mj.bridge.wire import Fault, Frame, Operation, State, StateReport, f
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.plants.beams import PoseTracker
+from maglev_mj.plants.sensor import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
 _NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6

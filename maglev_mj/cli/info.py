@@ -7,7 +7,7 @@ import argparse
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.options import add_json
 from maglev_mj.cli.output import write_result
-from maglev_mj.plants.report import device_report
+from maglev_mj.plants.shapes import device_report
 
 
 def add_options(parser: Parser) -> None:

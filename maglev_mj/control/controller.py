@@ -1,4 +1,4 @@
-"""Sampled controller: velocity estimate, laws, sum, command.
+"""Sampled controller: velocity estimate, laws, sum, command; and the check of a user's law.
 
 It is independent of engine, sockets and clock.
 """
@@ -8,15 +8,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from maglev_mj.control import FiniteDifference, Law, VelocityEstimator
-from maglev_mj.control.laws.base import Face, answer, as_law
-from maglev_mj.errors import ParameterError, check_instance
-from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample
+from maglev_mj.control.laws.base import Face, Law, VelocityEstimator, answer, as_law
+from maglev_mj.control.laws.velocity import FiniteDifference
+from maglev_mj.errors import MaglevError, ParameterError, check_instance
+from maglev_mj.frames import AXES, ZERO, Array, Command, Component, Sample, Six, components
 from maglev_mj.parameters import number
+
+_Calls: TypeAlias = tuple[tuple[int, Callable[..., Any]], ...]
 
 
 class Controller:
@@ -62,10 +64,8 @@ class Controller:
         self._pulse_width = widths.pop() if widths else 0.0
         self.velocity = velocity or FiniteDifference()
         self._estimate = self.velocity.__call__
-        self._calls: tuple[tuple[int, Callable[..., Any]], ...] = tuple(enumerate(law.__call__ for law in self.laws))
-        self._first_calls: tuple[tuple[int, Callable[..., Any]], ...] = tuple(
-            enumerate(partial(answer, law) for law in self.laws)
-        )
+        self._calls: _Calls = tuple(enumerate(law.__call__ for law in self.laws))
+        self._first_calls: _Calls = tuple(enumerate(partial(answer, law) for law in self.laws))
         self.reset()
 
     def reset(self) -> None:
@@ -106,13 +106,10 @@ class Controller:
 
         NaN for a sliding axis; None without friction.
         """
-        found = [law.stick_positions(state) for law, state in zip(self.laws, self._states)]
-        if not any(found):
-            return None
-        positions = np.full(len(AXES), np.nan)
-        for index, position in (item for one in found for item in one.items()):
-            positions[index] = position
-        return positions
+        stuck: dict[int, float] = {}
+        for law, state in zip(self.laws, self._states):
+            stuck |= law.stick_positions(state)
+        return np.array([stuck.get(index, np.nan) for index in range(len(AXES))]) if stuck else None
 
     @property
     def signals(self) -> dict[str, Sequence[Component]]:
@@ -120,8 +117,8 @@ class Controller:
 
         One for each axis of a law; see `Law.signals`.
         """
-        found = [law.signals(state) for law, state in zip(self.laws, self._states)]
-        return {name: value for one in found for name, value in one.items()}
+        each = (law.signals(state) for law, state in zip(self.laws, self._states))
+        return {name: value for signals in each for name, value in signals.items()}
 
     def step(self, sample: Sample) -> Command:
         """Answer one sample.
@@ -145,7 +142,7 @@ class Controller:
         time, self._tick = (tick - last) * self.period, tick
         velocity, self._velocity_state = self._estimate(position, self._velocity_state, time)
         wrench: list[Component] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-        pulse: Sequence[Component] | None = None
+        pulse: Six | None = None
         states = self._states
         for place, law in calls:
             states[place], extra = law(position, velocity, states[place], wrench)
@@ -153,7 +150,7 @@ class Controller:
                 pulse = extra if pulse is None else [one + other for one, other in zip(pulse, extra)]
         return Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
 
-    def at_rest(self, position: Sequence[Component]) -> Command:
+    def at_rest(self, position: Six) -> Command:
         """Return the answer to a flotor at rest.
 
         The states do not change.
@@ -166,11 +163,80 @@ class Controller:
         rest._estimate = lambda position, state, period: (ZERO, state)
         return rest.step(Sample(0, 0.0, position))
 
-    def _check(self, position: Sequence[Component]) -> None:
+    def _check(self, position: Six) -> None:
         if len(position) != len(AXES):
             raise ParameterError(f"a sample must have {len(AXES)} position components, not {len(position)}")
-        single = all(part.__class__ is float for part in position)
-        batch = () if single else np.broadcast_shapes(*map(np.shape, position))
+        batch = np.broadcast_shapes(*map(np.shape, position))
         for law in self.laws:
             if law.batch and law.batch != batch:
                 raise ParameterError(f"samples must have the batch shape {law.batch} of the laws, not {batch}")
+
+
+_DEVICES, _SAMPLES, _PERIOD = 7, 60, 0.005
+_REACH = np.array([4e-3] * 3 + [0.09] * 3)
+
+
+def check_law(law: Law | Callable[..., Any]) -> None:
+    """Check a law along random trajectories of seven devices.
+
+    The trajectories are seeded and cover the motion range.
+
+    Args:
+        law: The law, or a function f(position, velocity), for one device.
+
+    Raises:
+        ParameterError: If an answer has a wrong shape or is not finite, the law changes its input, a repeated call
+            gives another answer, one device and a batch differ in a bit, or the wrench is zero at every sample.
+
+    Example:
+        >>> from maglev_mj import Hold
+        >>> check_law(Hold(axes="z", stiffness=3000.0, damping=50.0))
+    """
+    one = as_law(law)
+    name = f"law {getattr(one, 'name', type(one).__name__)}"
+    if one.batch:
+        raise ParameterError(f"{name} must be of one device to be checked, not of shape {one.batch}")
+    random = np.random.default_rng(0)
+    phase, rate = random.uniform(0.0, 6.3, (2, _DEVICES, 6))
+    paths = [_REACH * np.sin(phase + 0.1 * rate * tick) for tick in range(_SAMPLES)]
+    single = np.stack([_answers(one, name, [path[device] for path in paths]) for device in range(_DEVICES)], axis=1)
+    try:
+        batch = _answers(one, name, paths)
+    except MaglevError as error:
+        raise ParameterError(f"{name} must take N devices as arrays: {error}") from None
+    if not single.any():
+        raise ParameterError(
+            f"{name} must add to the wrench it is given, as in wrench[0] = wrench[0] + ..., not nothing"
+        )
+    if len(wrong := np.argwhere(single != batch)):
+        tick, device, part = wrong[0]
+        raise ParameterError(
+            f"{name} must give one device and a batch the same bits: on {(AXES * 2)[part]}, at sample {tick}, it gives "
+            f"{float(single[tick, device, part])!r} and {float(batch[tick, device, part])!r}"
+        )
+
+
+def _answers(law: Law, name: str, poses: Sequence[Array]) -> Array:
+    """Return wrench and pulse at each sample, (M, ..., 12)."""
+    estimate, state, seen, rows = FiniteDifference(), law.start(), None, []
+    for pose in poses:
+        position = components(pose)
+        velocity, seen = estimate(position, seen, _PERIOD)
+        first, again = (_row(law, position, velocity, state, pose.shape) for _ in range(2))
+        if not np.array_equal(first[1], again[1]):
+            raise ParameterError(
+                f"{name} must answer the same state and sample alike each time: it keeps or changes a state"
+            )
+        state = again[0]
+        rows.append(again[1])
+    return np.array(rows)
+
+
+def _row(law: Law, position: Six, velocity: Six, state: Any, shape: tuple[int, ...]) -> tuple[Any, Array]:
+    """Return the next state, and wrench and pulse, (..., 12)."""
+    wrench: list[Component] = [0.0] * 6
+    following, pulse = answer(law, list(position), list(velocity), state, wrench)
+    row = np.empty((*shape[:-1], 12))
+    for axis, part in enumerate((*wrench, *(pulse or (0.0,) * 6))):
+        row[..., axis] = part
+    return following, row

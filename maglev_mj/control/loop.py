@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -9,7 +10,7 @@ from typing import Protocol, TypeAlias
 
 from maglev_mj.errors import MaglevError, ParameterError, one_line
 from maglev_mj.frames import Command, Sample
-from maglev_mj.parameters import number
+from maglev_mj.parameters import whole
 
 _KEPT = 50  # more of them leave the fastest cache: 200 cost 4 % of the loop
 
@@ -129,7 +130,11 @@ class ControlLoop:
 
     def _stop(self, error: BaseException, sample: Sample | None, command: Command | None) -> None:
         """Release the plant, and add the cycles to the error."""
-        _release(self._plant)
+        try:
+            self._plant.write(Command([0.0] * 6))
+        except Exception:  # errors here are dropped, so that the original one is reported
+            with suppress(Exception):
+                self._plant.close()
         cycles = self._cycles
         if sample is not None and command is not None and (not cycles or cycles[-1][0] is not sample):
             cycles.append((sample, command))  # the refused answer
@@ -173,20 +178,7 @@ def drive(
         >>> last.tick, abs(last.position[2]) < 1e-9  # carried for a second
         (200, True)
     """
-    if number("ticks", ticks, at_least=1) != int(ticks):
-        raise ParameterError(f"ticks must be a whole number, not {ticks:g}")
+    count = whole("ticks", ticks, at_least=1, at_most=math.inf)
     loop = ControlLoop(plant, controller, observe=observe, record=record)
-    loop.cycle(int(ticks))
+    loop.cycle(count)
     return loop.finish()
-
-
-def _release(plant: Plant) -> None:
-    """Command zero, or close the plant if that fails.
-
-    Errors here are dropped, so that the original error is reported.
-    """
-    try:
-        plant.write(Command([0.0] * 6))
-    except Exception:
-        with suppress(Exception):
-            plant.close()

@@ -14,7 +14,7 @@ import numpy as np
 
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component
-from maglev_mj.parameters import number, numbers, whole
+from maglev_mj.parameters import number, numbers, store, whole
 from maglev_mj.spec import Spec
 
 Segment: TypeAlias = tuple[Any, Any]
@@ -58,6 +58,12 @@ def split_delay(delay: Component, period: Component) -> tuple[Component, Compone
     whole = (delay / period + _ROUNDING) // 1.0
     rest = delay - whole * period
     return whole, rest * (rest > _ROUNDING * period)
+
+
+def checked_delay(delay: float, period: float) -> tuple[int, float]:
+    """Return whole periods and rest [s] of a checked delay."""
+    whole, rest = split_delay(number("delay", delay, at_least=0.0, at_most=MOST_PERIODS * period), period)
+    return int(whole), rest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,14 +124,10 @@ class Timing:
         room = float(np.minimum(rest, period - rest).min())
         if jitter > room:
             raise ParameterError(f"jitter must be at most {room:g} s at this delay and period, not {jitter:g}")
-        object.__setattr__(self, "seed", whole("seed", self.seed))
-        object.__setattr__(self, "jitter", jitter)
-        object.__setattr__(self, "period", period)
-        object.__setattr__(self, "delay", delay if delay.ndim else float(delay))
-        object.__setattr__(self, "phase", phase if phase.ndim else float(phase))
-        object.__setattr__(self, "whole", int(wholes.flat[0]))
-        object.__setattr__(self, "negligible", _ROUNDING * period)
-        object.__setattr__(self, "rest", rest if rest.ndim else float(rest))
+        parts = {"delay": delay, "phase": phase, "rest": rest}
+        store(self, **{name: part if part.ndim else float(part) for name, part in parts.items()})
+        store(self, period=period, jitter=jitter, seed=whole("seed", self.seed))
+        store(self, whole=int(wholes.flat[0]), negligible=_ROUNDING * period)
 
     def rest_at(self, tick: int) -> Component:
         """Return the rest of a delay [s].

@@ -16,14 +16,14 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Segment, Timeline, Timing
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError, check_instance
-from maglev_mj.frames import AXES, Array, Command, Component, Sample, clipped, components, join
-from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.frames import AXES, Array, Command, Component, Sample, Six, clipped, components, join
+from maglev_mj.parameters import flag, number, six
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
 from maglev_mj.plants.trace import Trace, TraceRecorder
 from maglev_mj.spec import ESCAPE
 
-_NO_EFFORT: Sequence[Component] = (0.0,) * 6
+_NO_EFFORT: Six = (0.0,) * 6
 
 
 class PlantKeywords(TypedDict, total=False):
@@ -95,7 +95,7 @@ class SampledPlant(ABC):
         # as few attributes as possible: with more than 30, Python's lookup is slower
         self.timing = timing
         self.batch = batch
-        self._limit = None if wrench_limit is None else components(self.six("wrench_limit", wrench_limit))
+        self._limit = None if wrench_limit is None else components(six("wrench_limit", wrench_limit, batch))
         self._measure = None if sensor is None else measuring(sensor)
         distance, angle = (number("escape", value, above=0.0) for value in escape)
         self._escape = distance * distance, angle * angle
@@ -104,7 +104,7 @@ class SampledPlant(ABC):
         self._total: Component | None = 0.0 if flag("metered", metered) else None
         self._run = self._carry if self._recorder is None and longest_step is None else self._run_in_pieces
         self._hand_force, self._effort = hand_force, _NO_EFFORT
-        self.before = self.six("wrench", wrench, at_least=-math.inf, finite=True)
+        self.before = six("wrench", wrench, batch, at_least=-math.inf, finite=True)
         self._tick = -1
         self._offset: Component = 0.0
         self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
@@ -119,7 +119,7 @@ class SampledPlant(ABC):
         self._limits = self._limit is not None
 
     @abstractmethod
-    def _prepare(self, force: Sequence[Component]) -> Any:
+    def _prepare(self, force: Six) -> Any:
         """Convert a wrench to a drive for `_advance`."""
 
     @abstractmethod
@@ -137,7 +137,7 @@ class SampledPlant(ABC):
         """
 
     @abstractmethod
-    def _exert(self, effort: Sequence[Component]) -> None:
+    def _exert(self, effort: Six) -> None:
         """Apply a wrench of the hand's muscles from now on."""
 
     @abstractmethod
@@ -263,7 +263,7 @@ class SampledPlant(ABC):
         return self._hand_force is not None
 
     @property
-    def hand_wrench(self) -> Sequence[Component]:
+    def hand_wrench(self) -> Six:
         """Wrench of the hand's muscles [N, N m], six components.
 
         It acts since the last sample.
@@ -328,20 +328,6 @@ class SampledPlant(ABC):
             carry(piece, drive)
         self._offset = self._offset + duration
 
-    def six(self, name: str, value: ArrayLike, *, at_least: float = 0.0, finite: bool = False) -> Array:
-        """Return a checked per-axis parameter, (6,) or (..., 6).
-
-        (..., 6) is for the batch; a number applies to all axes.
-
-        Raises:
-            ParameterError: If an entry is too small or the shape does not fit.
-        """
-        array = numbers(name, value, at_least=at_least, finite=finite)
-        if array.shape not in ((), (6,), (*self.batch, 6)):
-            allowed = "(6,)" if not self.batch else f"(6,) or {(*self.batch, 6)}"
-            raise ParameterError(f"{name} must be a number or have the shape {allowed}, not {array.shape}")
-        return np.broadcast_to(array, (6,)) if array.ndim == 0 else array
-
     def _limited(self, command: Command) -> Command:
         """Clip the held wrench and the pulse wrench separately."""
         limit = self._limit
@@ -361,7 +347,7 @@ class SampledPlant(ABC):
         """
         return np.shape(total) in ((), self.batch) and bool(np.isfinite(total).all())
 
-    def _check_escape(self, position: Sequence[Component]) -> Component:
+    def _check_escape(self, position: Six) -> Component:
         """Return the squared angle [rad²] within the escape bounds.
 
         Raises DivergenceError if a flotor is far outside its range or its pose is NaN.
@@ -388,7 +374,7 @@ def _within(force: Sequence[float], limit: Sequence[float]) -> bool:
     return linear and -rx <= tx <= rx and -ry <= ty <= ry and -rz <= tz <= rz
 
 
-def _refusal(force: Sequence[Component], tick: int, batch: tuple[int, ...], what: str = "a command") -> PlantError:
+def _refusal(force: Six, tick: int, batch: tuple[int, ...], what: str = "a command") -> PlantError:
     """Return the error for the first invalid component.
 
     Args:

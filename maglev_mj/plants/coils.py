@@ -13,6 +13,7 @@ import numpy as np
 
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, Command
+from maglev_mj.parameters import store
 
 UPRIGHT = 1e-9
 """Largest angle [rad] with the upright coil map.
@@ -57,7 +58,7 @@ class CoilMap:
 
     def __post_init__(self) -> None:
         for name in ("points", "directions", "force_constants"):
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64))
+            store(self, **{name: np.array(getattr(self, name), dtype=np.float64)})
         if self.points.shape != (6, 3) or self.directions.shape != (6, 3):
             raise ModelError(f"six coils are needed for six axes, not {len(self.points)}")
         forces = self.directions * self.force_constants[:, None]
@@ -69,12 +70,9 @@ class CoilMap:
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             levi_civita[i, j, k], levi_civita[i, k, j] = 1.0, -1.0
         turning = np.einsum("abc,jk,jc->ajbk", levi_civita, self.points, forces).reshape(18, 9)
-        object.__setattr__(self, "wrench_per_current", upright)
-        object.__setattr__(self, "current_per_wrench", np.linalg.inv(upright))
-        object.__setattr__(self, "_turning", turning)
+        store(self, wrench_per_current=upright, current_per_wrench=np.linalg.inv(upright), _turning=turning)
         blocks, spread = _blocks_of(self.current_per_wrench, turning)
-        object.__setattr__(self, "_blocks", blocks)
-        object.__setattr__(self, "_spread", spread)
+        store(self, _blocks=blocks, _spread=spread)
         for array in (self.points, self.directions, self.force_constants, upright, self.current_per_wrench):
             array.setflags(write=False)  # many plants share one map
 
@@ -107,8 +105,7 @@ class CoilMap:
         xx, yy, zz = 2.0 * x * x, 2.0 * y * y, 2.0 * z * z
         xy, xz, yz, wx, wy, wz = 2.0 * x * y, 2.0 * x * z, 2.0 * y * z, 2.0 * w * x, 2.0 * w * y, 2.0 * w * z
         rows = [1.0 - yy - zz, xy - wz, xz + wy, xy + wz, 1.0 - xx - zz, yz - wx, xz - wy, yz + wx, 1.0 - xx - yy]
-        inverse: Array = self._spread.dot(_lower_rows(self._blocks.dot(rows).tolist()))
-        return inverse.reshape(6, 6)
+        return cast(Array, self._spread.dot(_lower_rows(self._blocks.dot(rows).tolist())).reshape(6, 6))
 
     def currents(self, wrench: Array) -> Array:
         """Return the currents [A] for a wrench [N, N m].
@@ -137,8 +134,7 @@ class CoilMap:
         """
         if current < 0.0:
             raise ParameterError(f"current must be at least 0, not {current:g}")
-        largest: Array = current / np.abs(self.current_per_wrench).max(axis=0)
-        return largest
+        return np.asarray(current / np.abs(self.current_per_wrench).max(axis=0))
 
     def condition_number(self, length: float) -> float:
         """Return the 2-norm condition number.
@@ -229,11 +225,6 @@ class CoilDrive:
         # as `self._wrench[:] = force`, in half the time
         self._fill = partial(struct.pack_into, "6d", self._wrench.data, 0)
         self._known: tuple[Sequence[float] | None, list[float]] = None, []
-
-    @property
-    def turned(self) -> bool:
-        """True if the map is not the upright one."""
-        return self.inverse_map is not self._upright
 
     def follow(self, rotation: Array | None, angle: Sequence[float] | None = None) -> bool:
         """Update the map to another angle.

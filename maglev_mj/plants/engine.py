@@ -17,7 +17,7 @@ from maglev_mj.frames import AXES, Array, Component, quaternion
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.hand import Hand
-from maglev_mj.plants.model import COILS, Device, Model, load_model
+from maglev_mj.plants.model import COILS, Device, Model, at_reference, load_model
 from maglev_mj.spec import GRAVITY
 
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
@@ -150,31 +150,26 @@ def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) ->
     mujoco.mju_quat2Mat(rotation, position[first + 3 : first + 7])
     # the engine turns about the flotor's axes
     velocity[start : start + 3], velocity[start + 3 : start + 6] = twist[:3], twist[3:] @ rotation.reshape(3, 3)
-    for index, axis in enumerate(AXES[:3]):
-        if hand is not None and hand.soft and index in hand.indices:
-            joint = model.joint(f"hand_{axis}").id
-            position[model.jnt_qposadr[joint]] = hand.place(pose[index])
-            velocity[model.jnt_dofadr[joint]] = twist[index]
+    if hand is not None and hand.soft:
+        for index in hand.indices:
+            joint = model.joint(f"hand_{AXES[index]}")
+            position[joint.qposadr], velocity[joint.dofadr] = hand.place(pose[index]), twist[index]
     return position, velocity
 
 
-def effort_addresses(device: Device, hand: Hand | None) -> tuple[int, int, int]:
+def effort_addresses(device: Device, hand: Hand | None) -> list[int]:
     """Return indices into qvel of the hand's muscle forces.
 
     They are for x, y and z; they are the hand's own if its grip is soft, otherwise the flotor's.
     """
-    first, second, third = (
-        int(device.model.joint(f"hand_{axis}").dofadr[0])
-        if hand is not None and hand.soft and index in hand.indices
-        else device.velocity_address + index
-        for index, axis in enumerate(AXES[:3])
-    )
-    return first, second, third
+    addresses = [device.velocity_address + index for index in range(3)]
+    for index in hand.indices if hand is not None and hand.soft else ():
+        addresses[index] = int(device.model.joint(f"hand_{AXES[index]}").dofadr[0])
+    return addresses
 
 
 def longest_step(
     device: Device,
-    *,
     driver_lag: bool = False,
     hand: Hand | None = None,
     stops: bool = False,
@@ -244,13 +239,12 @@ class Steps:
     """
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
-        damped, model = stop_damping, device.model
-        self._options = model.opt
+        self._options = device.model.opt
         controls = data.xfrc_applied[device.flotor] if device.coils is None else data.ctrl[: len(COILS)]
         # as `controls[:] = values`, in half the time
         self._control = partial(struct.Struct("6d").pack_into, controls.data, 0)
         self._drive: Drive | None = None
-        step = _DampedStops(device, data) if damped else partial(mujoco.mj_step, model, data)
+        step = _DampedStops(device, data) if stop_damping else partial(mujoco.mj_step, device.model, data)
         self.falloff = _Falloff(device, data, falloff, step) if falloff else None
         self._step: Callable[..., object] = self.falloff or step
         self._position = data.qpos[device.position_address :][:7]
@@ -395,20 +389,15 @@ class _Falloff:
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float, step: Callable[[], object]) -> None:
         self._model, self._data, self._falloff, self._step = device.model, data, falloff, step
-        at_centre = mujoco.MjData(device.model)
-        mujoco.mj_forward(device.model, at_centre)
-        self._centre = at_centre.actuator_length[: len(COILS)].copy()
+        self._centre = at_reference(device.model).actuator_length[: len(COILS)].copy()
         self._flat = device.model.actuator_gainprm[: len(COILS), 0].copy()
         self._range = float(device.range[:3].max())
 
     def __call__(self, steps: int = 1) -> None:
         """Make `steps` steps."""
         model, data, coils = self._model, self._data, slice(len(COILS))
-        gains, length, speed = (
-            model.actuator_gainprm[coils, 0],
-            data.actuator_length[coils],
-            data.actuator_velocity[coils],
-        )
+        gains = model.actuator_gainprm[coils, 0]
+        length, speed = data.actuator_length[coils], data.actuator_velocity[coils]
         half = 0.5 * model.opt.timestep
         for _ in range(steps):
             mujoco.mj_fwdPosition(model, data)
@@ -419,12 +408,11 @@ class _Falloff:
     def share(self) -> Array:
         """Return each coil's present force share, (6,)."""
         mujoco.mj_fwdPosition(self._model, self._data)
-        length: Array = self._data.actuator_length[: len(COILS)]
-        return self._share(length)
+        return self._share(self._data.actuator_length[: len(COILS)])
 
     def _share(self, length: Array) -> Array:
-        stroke: Array = (length - self._centre) / self._range
-        return 1.0 - self._falloff * stroke * stroke
+        stroke = (length - self._centre) / self._range
+        return np.asarray(1.0 - self._falloff * stroke * stroke)
 
 
 def one_step(

@@ -5,21 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from functools import reduce
 from operator import add, mul
-from typing import Any, Protocol, TypeAlias, Unpack
+from typing import Any, TypeAlias, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, Component, components, join
-from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.frames import Array, Component, Six, components, join
+from maglev_mj.parameters import flag, number, numbers, six
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.hand import Hand, motion, transition
 from maglev_mj.plants.model import Model, load_model
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 
-Drive: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
+Drive: TypeAlias = tuple[Six, Six]
 """Accelerations with gravity [m/s², rad/s²], and forces [N, N m].
 
 Six components each.
@@ -114,9 +114,11 @@ class ExactPlant(SampledPlant):
         self._actual = list(self._timeline.acting[1])
         self._amendments = tuple(self._amended(body, hand, dry_friction)) if special else ()
 
-    def _amended(self, body: list[Component], hand: Hand | None, dry_friction: ArrayLike | None) -> Iterator[Amendment]:
+    def _amended(
+        self, body: list[Component], hand: Hand | None, dry_friction: ArrayLike | None
+    ) -> Iterator[Lag | DryFriction | HeldAxis]:
         """Yield the corrections to the motion of free masses."""
-        rub = None if dry_friction is None else self.six("dry_friction", dry_friction, finite=True)
+        rub = None if dry_friction is None else six("dry_friction", dry_friction, self.batch, finite=True)
         held = hand.indices if hand is not None else ()
         if hand is not None and hand.shape not in ((), self.batch):
             raise ParameterError(f"hand must be one, or one for each device of {self.batch}, not {hand.shape}")
@@ -132,9 +134,9 @@ class ExactPlant(SampledPlant):
         for index in held:
             assert hand is not None
             start = self._place[index], self._velocity[index], self._actual[index]
-            yield HeldAxis(index, *start, body[index], self._weight[index], hand, self._lag)
+            yield HeldAxis(index, start, body[index], self._weight[index], hand, self._lag)
 
-    def _prepare(self, force: Sequence[Component]) -> Drive:
+    def _prepare(self, force: Six) -> Drive:
         fx, fy, fz, tx, ty, tz = force
         one, by_x, by_y, by_z, fall = self._body
         if self._uses_force:  # copied, because the caller may reuse its list or arrays
@@ -180,7 +182,7 @@ class ExactPlant(SampledPlant):
     def _work(self, drive: Drive, before: Sequence[Component], after: Sequence[Component]) -> Component:
         return sum(force * (end - start) for force, start, end in zip(drive[1], before, after))
 
-    def _exert(self, effort: Sequence[Component]) -> None:
+    def _exert(self, effort: Six) -> None:
         one, by_x, by_y, by_z, _ = self._body
         fx, fy, fz, tx, ty, tz = effort
         self._pull = fx * one, fy * one, fz * one, tx * by_x, ty * by_y, tz * by_z
@@ -253,25 +255,11 @@ Motion: TypeAlias = tuple[list[Component], list[Component], list[Component]]
 In [m, rad], [m/s, rad/s] and [N, N m]. The actuator force trails the command if the drivers lag.
 """
 
-Forces: TypeAlias = tuple[Sequence[Component], Sequence[Component]]
+Forces: TypeAlias = tuple[Six, Six]
 """Commanded wrench and hand muscle wrench [N, N m].
 
 Six components each.
 """
-
-
-class Amendment(Protocol):
-    """A correction of the motion of free masses."""
-
-    def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
-        """Correct the motion `after` in place.
-
-        Args:
-            duration: Duration [s].
-            forces: Commanded wrench and wrench of the hand's muscles.
-            before: Motion at the beginning.
-            after: Motion of free masses at the end.
-        """
 
 
 class Lag:
@@ -284,12 +272,15 @@ class Lag:
         lag: Time constant [s].
     """
 
-    def __init__(self, inertia: Sequence[Component], lag: float) -> None:
+    def __init__(self, inertia: Six, lag: float) -> None:
         self._inverse, self._lag = [1.0 / value for value in inertia], lag
         self._known: dict[float, tuple[Component, list[Component], list[Component]]] = {}
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
-        """See `Amendment`."""
+        """Correct the motion `after`, of free masses over a duration [s], in place.
+
+        `forces` are those of the command and of the hand's muscles, `before` is the motion at the beginning.
+        """
         factors = self._known.get(duration) if duration.__class__ is float else None
         left, (way_x, way_y, way_z, way_rx, way_ry, way_rz), (by_x, by_y, by_z, by_rx, by_ry, by_rz) = (
             factors or self._factors(duration)
@@ -351,34 +342,23 @@ class HeldAxis:
 
     Args:
         index: Index of the axis into AXES.
-        place: Position at release [m].
-        velocity: Velocity at release [m/s].
-        actual: Force of the actuators at release [N].
+        start: Position [m], velocity [m/s] and force of the actuators [N] at release.
         inertia: Mass of the flotor [kg].
         weight: Its weight along the axis [N].
         hand: The hand.
         lag: Time constant of the drivers [s]; 0 for none.
     """
 
-    def __init__(
-        self,
-        index: int,
-        place: Component,
-        velocity: Component,
-        actual: Component,
-        inertia: Component,
-        weight: Component,
-        hand: Hand,
-        lag: float,
-    ) -> None:
+    def __init__(self, index: int, start: Six, inertia: Component, weight: Component, hand: Hand, lag: float) -> None:
         self._index, self._weight = index, weight
+        place, velocity, actual = start
         # the states of `motion` beyond position and velocity
         self._others = [*([hand.place(place), velocity] if hand.soft else []), *([actual] if lag else [])]
         self._a, self._b = motion(inertia, hand, lag)
         self._known: dict[float | bytes, list[list[Component]]] = {}
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
-        """See `Amendment`."""
+        """Correct the motion `after` in place; see `Lag`."""
         index, (force, effort) = self._index, forces
         (place, velocity, _), (places, velocities, _) = before, after
         rows = self._known.get(duration) if duration.__class__ is float else None
@@ -421,19 +401,12 @@ class DryFriction:
         single: True for one device.
     """
 
-    def __init__(
-        self,
-        friction: Mapping[int, Component],
-        inertia: Sequence[Component],
-        weight: Sequence[Component],
-        *,
-        single: bool,
-    ) -> None:
+    def __init__(self, friction: Mapping[int, Component], inertia: Six, weight: Six, *, single: bool) -> None:
         self._single = single
         self._axes = [(index, rub, 1.0 / inertia[index], weight[index]) for index, rub in friction.items()]
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
-        """See `Amendment`."""
+        """Correct the motion `after` in place; see `Lag`."""
         (force, effort), (place, velocity, _), (places, velocities, _) = forces, before, after
         for index, rub, inverse, weight in self._axes:
             x, v, push = place[index], velocity[index], force[index] + (weight + effort[index])

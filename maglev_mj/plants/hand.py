@@ -6,14 +6,14 @@ import bisect
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.errors import ParameterError, check_instance, not_one_of
-from maglev_mj.frames import AXES, Array, Component, quaternion, rotation_vector
-from maglev_mj.parameters import axis_indices, common_shape, number, numbers
+from maglev_mj.frames import AXES, Array, Component, Six, quaternion, rotation_vector
+from maglev_mj.parameters import axis_indices, common_shape, number, numbers, store
 
 HANDS: Mapping[str, tuple[float, ...]] = {
     "none": (),
@@ -32,7 +32,6 @@ Mass [kg], damping [N s/m] and stiffness [N/m] of the arm, then damping and stif
 _TERMS = 14
 _LEAST_MASS = 1e-3
 _MOST = {"mass": 1e3, "damping": 1e6, "stiffness": 1e7, "grip_damping": 1e5, "grip_stiffness": 1e7}
-_VALUES = ("mass", "damping", "stiffness", "grip_damping", "grip_stiffness")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,11 +75,9 @@ class Hand:
     """Batch shape of the values."""
 
     def __post_init__(self) -> None:
-        for name in _VALUES:
-            if (given := getattr(self, name)) is not None and not (
-                (checked := numbers(f"hand {name}", given, at_least=0.0)) <= _MOST[name]
-            ).all():
-                raise ParameterError(f"hand {name} must be at most {_MOST[name]:g} everywhere, not {checked.max():g}")
+        for name, most in _MOST.items():
+            if (value := getattr(self, name)) is not None:
+                numbers(f"hand {name}", value, at_least=0.0, at_most=most)
         shape = common_shape("hand values", *(value.shape for value in self.values))
         mass, _, _, grip_damping, grip_stiffness = self.values
         if self.soft and not ((mass >= _LEAST_MASS).all() and (grip_stiffness > 0.0).all()):
@@ -90,8 +87,7 @@ class Hand:
             )
         if not self.soft and grip_damping.any():
             raise ParameterError("hand grip_damping must be 0 in a rigid grip: give it a grip_stiffness")
-        object.__setattr__(self, "indices", axis_indices(self.axes))
-        object.__setattr__(self, "shape", shape)
+        store(self, indices=axis_indices(self.axes), shape=shape)
 
     @property
     def soft(self) -> bool:
@@ -144,12 +140,8 @@ def get_hand(text: str | Hand | None) -> Hand | None:
         if len(values) not in (3, 5):
             own = ", or mass,damping,stiffness in SI units, optionally with grip damping and grip stiffness"
             raise ParameterError(not_one_of("hand", HANDS, text, own))
-    if not values:
-        return None
-    mass, damping, stiffness, *grip = values
-    if not grip:
-        return Hand(mass=mass, damping=damping, stiffness=stiffness)
-    return Hand(mass=mass, damping=damping, stiffness=stiffness, grip_damping=grip[0], grip_stiffness=grip[1])
+    by_name: dict[str, Any] = dict(zip(_MOST, values))
+    return Hand(**by_name) if by_name else None
 
 
 def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple[Array, Array]:
@@ -176,18 +168,15 @@ def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple
     size = 2 + 2 * hand.soft + (lag > 0.0)
     shape = np.broadcast_shapes(total.shape, hand.shape)
     a, b = np.zeros((*shape, size, size)), np.zeros((*shape, size, 3))
-    a[..., 0, 1] = 1.0
+    spring, damper = (grip_stiffness, grip_damping) if hand.soft else (stiffness, damping)
+    a[..., 0, 1], a[..., 1, 0], a[..., 1, 1] = 1.0, -spring / total, -damper / total
+    b[..., 1, 1] = 1.0 / total
     if hand.soft:
-        a[..., 1, 0], a[..., 1, 1] = -grip_stiffness / total, -grip_damping / total
         a[..., 1, 2], a[..., 1, 3] = grip_stiffness / total, grip_damping / total
         a[..., 2, 3] = 1.0
         a[..., 3, 0], a[..., 3, 1] = grip_stiffness / hand_mass, grip_damping / hand_mass
         a[..., 3, 2] = -(grip_stiffness + stiffness) / hand_mass
         a[..., 3, 3] = -(grip_damping + damping) / hand_mass
-    else:
-        a[..., 1, 0], a[..., 1, 1] = -stiffness / total, -damping / total
-    b[..., 1, 1] = 1.0 / total
-    if hand.soft:
         b[..., 3, 2] = 1.0 / hand_mass
     else:
         b[..., 1, 2] = 1.0 / total
@@ -248,7 +237,7 @@ _NOTHING = (0.0,) * 6
 class HandForce(Protocol):
     """Interface of a hand's force on the flotor."""
 
-    def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
+    def __call__(self, tick: int, time: Component, state: State) -> Six:
         """Return the hand's wrench until the next sample.
 
         Six components [N, N m].
@@ -291,8 +280,7 @@ class Trajectory:
             raise ParameterError(f"path must have times (N,) and poses (N, 6), not {times.shape} and {poses.shape}")
         if not (np.diff(times) > 0.0).all():
             raise ParameterError(f"path times must increase, not {times.tolist()}")
-        object.__setattr__(self, "_times", times.tolist())
-        object.__setattr__(self, "_poses", poses.tolist())
+        store(self, _times=times.tolist(), _poses=poses.tolist())
 
     def at(self, time: float) -> list[float]:
         """Return the pose at a time [s].
@@ -338,9 +326,9 @@ class GuidedHand:
         if self.hand.shape or not float(np.max(self.hand.stiffness)) > 0.0:
             raise ParameterError("a guided hand must be one, and its arm's stiffness above 0")
         stiffness = float(np.asarray(self.hand.stiffness))
-        object.__setattr__(self, "_pulls", tuple((index, stiffness) for index in self.hand.indices))
+        store(self, _pulls=tuple((index, stiffness) for index in self.hand.indices))
 
-    def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
+    def __call__(self, tick: int, time: Component, state: State) -> Six:
         """See `HandForce`."""
         target = self.path.at(float(time))
         wrench = list(_NOTHING)
@@ -400,7 +388,7 @@ class SpringHand:
         """Present target; None if the hand is released."""
         return self.device_target if self.target is None else self.target
 
-    def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
+    def __call__(self, tick: int, time: Component, state: State) -> Six:
         """See `HandForce`."""
         target = self.goal
         if target is None:
@@ -437,9 +425,9 @@ class RecordedHand:
         rows = numbers("hand wrenches", self.wrenches)
         if rows.ndim != 2 or rows.shape[1] != len(AXES):
             raise ParameterError(f"hand wrenches must be (N, 6), not {rows.shape}")
-        object.__setattr__(self, "_rows", rows.tolist())
+        store(self, _rows=rows.tolist())
 
-    def __call__(self, tick: int, time: Component, state: State) -> Sequence[Component]:
+    def __call__(self, tick: int, time: Component, state: State) -> Six:
         """See `HandForce`."""
         return self._rows[tick] if tick < len(self._rows) else _NOTHING
 

@@ -18,7 +18,6 @@ from maglev_mj.errors import ModelError, ParameterError, check_instance, not_one
 from maglev_mj.frames import AXES, Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.plants.beams import Beams
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand
 from maglev_mj.versions import MODELS
@@ -63,7 +62,7 @@ def _read(path: Path, written: int) -> tuple[tuple[str, str], ...]:
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
-        raise _unusable(path.name, error) from None
+        raise unusable(path.name, error) from None
     own = path.relative_to(MODELS.resolve()).as_posix() if path.is_relative_to(MODELS.resolve()) else path.name
     parts = [path.parent / name for name in re.findall(r'<include\s+file="([^"]+)"', text)]
     return ((own, text), *(file for part in parts for file in model_files(part)))
@@ -93,7 +92,7 @@ def model_path(model: str | Path) -> Path:
     return path
 
 
-def _written(folder: Path) -> tuple[tuple[str, int], ...]:
+def written(folder: Path) -> tuple[tuple[str, int], ...]:
     """Return a folder's MJCF files with their modification times."""
     return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in folder.glob("*.xml")))
 
@@ -213,7 +212,7 @@ def load_model(
         device = _compile(model.modelname, model.copy(), chosen)
     else:
         path = model_path(model)
-        device = _compiled(path, _written(path.parent), chosen)
+        device = _compiled(path, written(path.parent), chosen)
     device = replace(device, model=copy(device.model))
     if coil_map is not None:
         if device.coils is None:
@@ -251,11 +250,12 @@ def _compiled(path: Path, written: tuple[tuple[str, int], ...], chosen: _Chosen)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, KeyError) as error:
-        raise _unusable(name, error) from error
+        raise unusable(name, error) from error
     return _compile(name, spec, chosen)
 
 
-def _unusable(name: str, error: object) -> ModelError:
+def unusable(name: str, error: object) -> ModelError:
+    """Return the error of a model that cannot be used."""
     return ModelError(f"model {name!r} cannot be used: {' '.join(str(error).split())}")
 
 
@@ -266,7 +266,7 @@ def _compile(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> Device:
     constant = math.nan if numeric is None else float(numeric.data[0])
     constant = constant if chosen.lag is None else chosen.lag
     if chosen.driver_lag and not constant > 0.0:
-        raise _unusable(name, "it has no numeric 'driver_time_constant' above 0 for the drivers' lag")
+        raise unusable(name, "it has no numeric 'driver_time_constant' above 0 for the drivers' lag")
     try:
         if not chosen.coils:
             for actuator in list(spec.actuators):
@@ -291,7 +291,7 @@ def _compile(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> Device:
     except ParameterError:
         raise
     except (ValueError, KeyError) as error:
-        raise _unusable(name, error) from error
+        raise unusable(name, error) from error
     addresses = [int(joint.qposadr[0]) for joint in joints]
     first = addresses[0]
     if addresses != [first, first + 1, first + 2, first + 3]:
@@ -314,18 +314,18 @@ def _check_names(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> None:
     """Raise ModelError for missing or wrong parts."""
     flotor = spec.body("flotor")
     if flotor is None:
-        raise _unusable(name, "it has no body 'flotor'")
+        raise unusable(name, "it has no body 'flotor'")
     if chosen.flexible and spec.body("handle") is None:
-        raise _unusable(name, "it has no body 'handle' to swing")
+        raise unusable(name, "it has no body 'handle' to swing")
     kinds = [mujoco.mjtJoint.mjJNT_SLIDE] * 3 + [mujoco.mjtJoint.mjJNT_BALL]
     found = {joint.name: joint.type for joint in flotor.joints}
     for joint, kind in zip(JOINTS, kinds, strict=True):
         if found.get(joint) != kind:
             is_kind = "ball" if kind == mujoco.mjtJoint.mjJNT_BALL else "slide"
-            raise _unusable(name, f"its flotor has no {is_kind} joint {joint!r}")
+            raise unusable(name, f"its flotor has no {is_kind} joint {joint!r}")
     names = [actuator.name for actuator in spec.actuators]
     if missing := [coil for coil in COILS if chosen.coils and coil not in names]:
-        raise _unusable(name, f"of its {len(names)} actuators none is {' or '.join(missing)}")
+        raise unusable(name, f"of its {len(names)} actuators none is {' or '.join(missing)}")
 
 
 def _leave_out_sites(spec: mujoco.MjSpec) -> None:
@@ -339,8 +339,7 @@ def _leave_out_sites(spec: mujoco.MjSpec) -> None:
 def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
     """Set the flotor's moving mass [kg], keeping its inertia."""
     carried = np.flatnonzero(model.body_treeid == model.body_treeid[flotor])
-    share, data = mass / model.body_subtreemass[flotor], mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    share, data = mass / model.body_subtreemass[flotor], at_reference(model)
     centre = data.subtree_com[flotor]
     # nearer to the common centre of mass, so that mass times distance squared stays
     places = centre + (data.xipos[carried] - centre) / math.sqrt(share) - data.xpos[carried]
@@ -368,10 +367,16 @@ def _give_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel, inertia: Sequence[
     body.inertia, body.iquat, body.fullinertia = moments, turned, np.full(6, np.nan)
 
 
-def _mass_matrix(model: mujoco.MjModel) -> Array:
-    """Return a model's mass matrix at its reference pose."""
+def at_reference(model: mujoco.MjModel) -> mujoco.MjData:
+    """Return the state of a model at its reference pose."""
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
+    return data
+
+
+def _mass_matrix(model: mujoco.MjModel) -> Array:
+    """Return a model's mass matrix at its reference pose."""
+    data = at_reference(model)
     whole = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, whole)
     return whole
@@ -411,8 +416,7 @@ def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
 
 def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
     """Return the coil map at the model's reference pose."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    data = at_reference(model)
     coils, magnets = model.actuator_trnid[: len(COILS)].T
     gear = model.actuator_gear[: len(COILS), :3]
     axes = data.site_xmat[magnets].reshape(-1, 3, 3)
@@ -427,41 +431,9 @@ def _put_coils(device: Device, coils: CoilMap) -> None:
     """Replace the model's coils by a coil map."""
     model, known = device.model, device.coils
     assert known is not None
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
+    data = at_reference(model)
     sites, magnets = model.actuator_trnid[: len(COILS)].T
     model.site_pos[sites] += coils.points - known.points
     axes = data.site_xmat[magnets].reshape(-1, 3, 3)
     model.actuator_gear[: len(COILS), :3] = np.einsum("jba,jb->ja", axes, coils.directions)
     model.actuator_gainprm[: len(COILS), 0] = coils.force_constants
-
-
-def beams() -> Beams:
-    """Return the geometry of the LEDs and position-sensing diodes.
-
-    Raises:
-        ModelError: If the model lacks an LED or diode.
-    """
-    return _beams(_written(MODELS))
-
-
-@lru_cache(maxsize=1)
-def _beams(written: tuple[tuple[str, int], ...]) -> Beams:
-    """See `beams`."""
-    try:
-        spec = mujoco.MjSpec.from_file(str(model_path("maglev")))
-        model = spec.compile()
-        flotor = model.body("flotor").id
-        leds, diodes = ([model.site(f"{kind}{arm}").id for arm in range(3)] for kind in ("led", "psd"))
-    except (ValueError, KeyError) as error:
-        raise ModelError(f"model 'maglev' cannot be used: {' '.join(str(error).split())}") from error
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    centre = data.subtree_com[flotor]
-    axes = data.site_xmat.reshape(-1, 3, 3)
-    return Beams(
-        leds=data.site_xpos[leds] - centre,
-        directions=axes[leds][:, :, 2],
-        diodes=data.site_xpos[diodes] - centre,
-        across=axes[diodes][:, :, :2].swapaxes(1, 2).copy(),
-    )

@@ -1,4 +1,4 @@
-"""MuJoCo plant, stepped from force switch to force switch."""
+"""MuJoCo plants, stepped from force switch to force switch: one device, or N in one batch."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError, PlantError
-from maglev_mj.frames import Array, Command, Component, rotation_vector
+from maglev_mj.frames import Array, Command, Component, Six, components, join, rotation_vector
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
 from maglev_mj.plants.base import PlantKeywords, SampledPlant
 from maglev_mj.plants.coils import UPRIGHT, CoilDrive, CoilMap
 from maglev_mj.plants.engine import (
+    NOTHING,
     CorrectedSteps,
     Drive,
     Steps,
@@ -26,6 +27,7 @@ from maglev_mj.plants.engine import (
     near_stops,
     prepared,
     start_state,
+    turned_back,
     turned_work,
 )
 from maglev_mj.plants.hand import Hand
@@ -172,14 +174,8 @@ class MuJoCoPlant(SampledPlant):
         self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
         free = False
         if keywords.get("longest_step") is None:
-            needs: dict[str, Any] = {
-                "driver_lag": driver_lag,
-                "hand": hand,
-                "force_falloff": force_falloff,
-                "flexible": flexible,
-            }
-            free = longest_step(self.device, **needs) is None
-            keywords["longest_step"] = longest_step(self.device, stops=stops, **needs)
+            free = not (driver_lag or hand is not None or force_falloff or flexible)
+            keywords["longest_step"] = longest_step(self.device, driver_lag, hand, stops, force_falloff, flexible)
         super().__init__(timing, batch=(), **keywords)
         # if only the stops need short steps, these are made only near a stop
         self._reach = None
@@ -267,8 +263,7 @@ class MuJoCoPlant(SampledPlant):
     @property
     def load(self) -> Array:
         """Weight [N, N m], (6,)."""
-        weight: Array = np.append(self.device.model.opt.gravity * self.inertia[:3] + 0.0, np.zeros(3))
-        return weight
+        return np.append(self.device.model.opt.gravity * self.inertia[:3] + 0.0, np.zeros(3))
 
     @property
     def met_stops(self) -> bool:
@@ -297,8 +292,7 @@ class MuJoCoPlant(SampledPlant):
         """
         if self._coils is None:
             raise PlantError("there are no currents: the plant was made with coils=False")
-        currents: Array = self._data.ctrl[: len(COILS)].copy()
-        return currents
+        return np.array(self._data.ctrl[: len(COILS)])
 
     @property
     def segments(self) -> list[tuple[float, Sequence[float]]]:
@@ -383,7 +377,7 @@ class MuJoCoPlant(SampledPlant):
         The map is renewed for the measured angle.
         """
 
-        def measured(position: Sequence[Component]) -> list[Component]:
+        def measured(position: Six) -> list[Component]:
             known = measure(position)
             self._angle, self._stale = known[3:], True
             return known
@@ -438,9 +432,7 @@ class MuJoCoPlant(SampledPlant):
     def _arrays(self, kept: Sequence[_Kept]) -> tuple[Array, Array, Array]:
         places, velocities, actings = zip(*kept)
         pose = [[x, y, z, *rotation_vector(q0, q1, q2, q3)] for x, y, z, q0, q1, q2, q3 in places]
-        twist, matrices = np.array(velocities), np.empty((len(kept), 9))
-        for matrix, turn in zip(matrices, np.array(places)[:, 3:], strict=True):
-            mujoco.mju_quat2Mat(matrix, turn)
+        twist, matrices = np.array(velocities), _matrices(np.array(places)[:, 3:])
         twist[:, 3:] = np.matmul(matrices.reshape(-1, 3, 3), twist[:, 3:, None])[..., 0]
         return np.array(pose), twist, np.array([self._wrench(*one) for one in zip(actings, places)])
 
@@ -451,3 +443,202 @@ def _of_currents(currents: Sequence[float]) -> Drive:
     Drives of this kind are never equal.
     """
     return (None, *currents), tuple(currents), None
+
+
+_BatchDrive: TypeAlias = tuple[Array, Array]
+"""Wrenches (N, 6) and engine controls (N, 6)."""
+
+_BatchKept: TypeAlias = tuple[Sequence[Component], Array, Array, Array, Array | None, Array | None]
+"""Snapshot of a batch.
+
+Position x y z and quaternion, the engine's own quaternion (N, 4), velocities (N, 6), wrenches (N, 6), currents (N, 6),
+inverse coil maps.
+"""
+
+
+class MuJoCoBatchPlant(SampledPlant):
+    """N MuJoCo devices advanced by one engine call.
+
+    Each device is as in `MuJoCoPlant` with its coils.
+
+    Args:
+        timing: Sample period, delay and phase; (N,) phases go with poses (N, 6).
+        model: See `MuJoCoPlant`, and for mass, inertia, gravity, coils, coil_map, driver_lag, driver_time_constant.
+        mass: Moving mass in place of the model's [kg].
+        inertia: Moments of inertia in place of the model's [kg m²], (3,).
+        pose: Poses at release [m, rad], (N, 6).
+        twist: Velocities at release [m/s, rad/s], (N, 6) or (6,).
+        gravity: Acceleration of free fall [m/s²].
+        coils: Send each wrench through the coils.
+        coil_map: Coils in place of the model's.
+        driver_lag: Switch the current drivers' first-order lag on.
+        driver_time_constant: Time constant of that lag in place of the model's [s].
+        hand: A hand on each flotor, all alike.
+        integrator: One of `INTEGRATORS`.
+        threads: Number of stepping threads; 0 for one per processor.
+        keywords: As for `MuJoCoPlant`.
+
+    Raises:
+        ParameterError: If a value is outside its bounds or the shapes do not fit.
+        ModelError: If the model cannot be used.
+    """
+
+    def __init__(
+        self,
+        timing: Timing | None = None,
+        *,
+        model: Model = "drop",
+        mass: float | None = None,
+        inertia: ArrayLike | None = None,
+        pose: ArrayLike,
+        twist: ArrayLike = (0.0,) * 6,
+        gravity: ArrayLike = GRAVITY,
+        coils: bool = True,
+        coil_map: CoilMap | None = None,
+        driver_lag: bool = False,
+        driver_time_constant: float | None = None,
+        hand: Hand | None = None,
+        integrator: str = "rk4",
+        threads: int = 0,
+        **keywords: Unpack[PlantKeywords],
+    ) -> None:
+        timing = timing or Timing()
+        start, motion = numbers("pose", pose), numbers("twist", twist)
+        if start.ndim != 2 or start.shape[1] != 6 or np.shape(timing.phase) not in ((), start.shape[:1]):
+            raise ParameterError(
+                f"pose must be (N, 6) and phase a number or (N,), not {start.shape} and {np.shape(timing.phase)}"
+            )
+        if motion.shape not in ((6,), start.shape):
+            raise ParameterError(f"twist must be (6,) or {start.shape}, not {motion.shape}")
+        count = int(number("threads", threads, at_least=0))
+        if driver_lag and not coils:
+            raise ParameterError("driver_lag needs coils=True")
+        self.device = prepared(
+            model,
+            gravity=gravity,
+            integrator=integrator,
+            mass=mass,
+            inertia=inertia,
+            coils=coils,
+            coil_map=coil_map if coils else None,
+            driver_lag=driver_lag,
+            driver_time_constant=driver_time_constant,
+            hand=hand,
+        )
+        from mujoco.batch import Batch  # the engine is loaded by now
+
+        self._engine = Batch(self.device.model, len(start), count)
+        for row, (place, speed) in enumerate(zip(start, np.broadcast_to(motion, start.shape), strict=True)):
+            self._engine.qpos[row], self._engine.qvel[row] = start_state(self.device, place, speed, hand)
+        self._qpos = self._engine.bind("qpos")[:, self.device.position_address :][:, :7]
+        self._qvel = self._engine.bind("qvel")[:, self.device.velocity_address :][:, :6]
+        self._controls = (
+            self._engine.bind("ctrl")[:, : len(COILS)]
+            if coils
+            else self._engine.bind("xfrc_applied").reshape(len(start), -1, 6)[:, self.device.flotor]
+        )
+        self._timestep = self._engine.expand("opt.timestep")
+        self._efforts = self._engine.bind("qfrc_applied")
+        self._effort_addresses = effort_addresses(self.device, hand)
+        # inverse maps of the coils, (N, 6, 6) while any flotor is turned; None without coils
+        self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
+        if keywords.get("longest_step") is None:
+            keywords["longest_step"] = longest_step(self.device, driver_lag, hand)
+        self._corrects, self._excess = integrator == "corrected", np.zeros((len(start), 6))
+        super().__init__(timing, batch=start.shape[:1], **keywords)
+        if driver_lag:
+            self._engine.bind("act")[:] = self._timeline.acting[1]
+
+    def _prepare(self, force: Six) -> _BatchDrive:
+        wrench = np.broadcast_to(join(force), (*self.batch, 6))
+        if self._inverse_map is None:
+            return wrench, wrench
+        return wrench, np.matmul(self._inverse_map, wrench[..., None])[..., 0]
+
+    def _advance(self, duration: Component, drive: _BatchDrive, pieces: int = 1) -> None:
+        self._controls[:] = drive[1]
+        self._timestep[:] = np.reshape(duration, (-1, *(1,) * (self._timestep.ndim - 1))) / pieces
+        if not self._corrects:
+            self._engine.step(nstep=pieces)
+            return
+        before = self._qvel.copy()
+        self._engine.step(nstep=pieces)
+        half = np.reshape(0.5 * np.asarray(duration) / pieces, (-1, 1))
+        self._excess = self._excess + half * (self._qvel - before)
+
+    def _work(self, drive: _BatchDrive, before: Sequence[Component], after: Sequence[Component]) -> Component:
+        return turned_work(components(drive[0]), before, after)
+
+    def _where(self) -> list[Component]:
+        """Return x y z and a quaternion, corrected.
+
+        The lead of the steps since the last sample is taken off; see `CorrectedSteps`.
+        """
+        places: list[Component] = [column.copy() for column in self._qpos.T]  # a batch of one would return live views
+        if not self._corrects or not self._excess.any():
+            return places
+        over = self._excess.T
+        moved = [place - ahead for place, ahead in zip(places[:3], over[:3])]
+        turned = np.abs(over[3:]).max() > NOTHING
+        return [*moved, *(turned_back(*places[3:], *over[3:]) if turned else places[3:])]
+
+    def _exert(self, effort: Six) -> None:
+        wrench = np.broadcast_to(join(effort), (*self.batch, 6))
+        self._efforts[:, list(self._effort_addresses)] = wrench[:, :3]
+        start = self.device.velocity_address + 3
+        # about the flotors' axes
+        self._efforts[:, start : start + 3] = np.einsum(
+            "na,nab->nb", wrench[:, 3:], _matrices(self._qpos[:, 3:]).reshape(-1, 3, 3)
+        )
+
+    def _position(self) -> list[Component]:
+        if self._engine.warning.any():
+            raise PlantError(f"MuJoCo warns at tick {self._tick}, in {int(self._engine.warning.any(-1).sum())} devices")
+        if self._corrects:  # the lead is taken off the flotors' positions
+            self._qpos[:] = np.stack(self._where(), axis=-1)
+            self._excess[:] = 0.0
+        position = _pose(self._where())
+        squared = self._check_escape(position)
+        if (coils := self.device.coils) is not None:
+            upright = (squared < UPRIGHT**2).all()
+            self._inverse_map = coils.current_per_wrench if upright else coils.inverse_at(_matrices(self._qpos[:, 3:]))
+        return position
+
+    def _kept(self, drive: _BatchDrive) -> _BatchKept:
+        currents = None
+        if self.device.model.na:  # the drivers lag: their currents, not the commanded ones
+            currents = self._engine.bind("act").copy()
+        return self._where(), self._qpos[:, 3:].copy(), self._qvel.copy(), drive[0], currents, self._inverse_map
+
+    def _arrays(self, kept: Sequence[_BatchKept]) -> tuple[Array, Array, Array]:
+        pose, twist, wrench = (np.stack(part) for part in zip(*map(self._parts, kept)))
+        return pose, twist, wrench
+
+    def _parts(self, kept: _BatchKept) -> tuple[Array, Array, Array]:
+        """Return pose, twist and wrench of one snapshot.
+
+        (N, 6) each.
+        """
+        place, turns, velocity, wrench, currents, inverse_map = kept
+        spin = np.einsum("nab,nb->na", _matrices(turns).reshape(-1, 3, 3), velocity[:, 3:])
+        if currents is not None:
+            maps = np.broadcast_to(np.asarray(inverse_map), (*self.batch, 6, 6))
+            wrench = np.linalg.solve(maps, currents[..., None])[..., 0]
+        return join(_pose(place)), np.column_stack([velocity[:, :3], spin]), wrench
+
+
+def _pose(place: Sequence[Component]) -> list[Component]:
+    """Return pose components from x y z and a quaternion.
+
+    (N,) each.
+    """
+    x, y, z, q0, q1, q2, q3 = place
+    return [x, y, z, *rotation_vector(q0, q1, q2, q3, np.sqrt, np.arctan2)]
+
+
+def _matrices(turns: Array) -> Array:
+    """Return rotation matrices (N, 9) of quaternions (N, 4)."""
+    matrices = np.empty((len(turns), 9))
+    for matrix, turn in zip(matrices, turns, strict=True):
+        mujoco.mju_quat2Mat(matrix, turn)
+    return matrices

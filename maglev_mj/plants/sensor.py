@@ -1,24 +1,433 @@
-"""Sensor models: resolution and noise."""
+"""Pose sensors: resolution and noise, and the geometry of three light beams on three position-sensing diodes.
+
+Spots follow from a pose, and the pose from spots by Newton's method.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import chain, count
 from operator import add
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, Component, components, join
-from maglev_mj.parameters import number, numbers, whole
-from maglev_mj.plants.beams import Beams, FastBeams, PoseTracker
-from maglev_mj.plants.model import beams
+from maglev_mj.errors import ModelError, ParameterError, SensingError
+from maglev_mj.frames import Array, Component, Six, components, join, quaternions, rotation_matrix, rotation_vector
+from maglev_mj.lazy import mujoco
+from maglev_mj.parameters import number, numbers, six, store, whole
+from maglev_mj.plants.model import at_reference, model_path, unusable, written
+from maglev_mj.versions import MODELS
 
-Measure: TypeAlias = Callable[[Sequence[Component]], list[Component]]
+_NEWTON_CLOSE = 1e-13
+_NEWTON_STEPS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Beams:
+    """Geometry of the pose sensor.
+
+    Three LEDs on the flotor each light one two-dimensional diode on the stator.
+
+    Args:
+        leds: Position of each LED from the flotor's centre of mass, in flotor axes [m], (3, 3).
+        directions: Unit direction of each beam in flotor axes, (3, 3).
+        diodes: Centre of each diode from the centre of the range, in stator axes [m], (3, 3).
+        across: The two unit axes of each diode's surface in stator axes, (3, 2, 3).
+
+    Raises:
+        ModelError: If a beam does not meet its diode, or the spots at the centre do not determine the pose.
+
+    Source: Salcudean & Vlaar 1997, section 2 and figure 1; the positions are the model's, assumed.
+    """
+
+    leds: Array
+    directions: Array
+    diodes: Array
+    across: Array
+
+    def __post_init__(self) -> None:
+        shapes = self.leds.shape, self.directions.shape, self.diodes.shape, self.across.shape
+        if shapes != ((3, 3), (3, 3), (3, 3), (3, 2, 3)):
+            raise ModelError(f"three LEDs and three diodes are needed, not {shapes}")
+        if np.abs(np.einsum("ka,ka->k", self.directions, self.normals)).min() < 1e-6:
+            raise ModelError("every beam must meet its diode, not run along it")
+        if np.linalg.matrix_rank(self._spots(np.zeros(6))[1]) < 6:
+            raise ModelError("the spots must tell all six coordinates apart")
+
+    @property
+    def normals(self) -> Array:
+        """Unit normal of each diode in stator axes, (3, 3)."""
+        return np.cross(self.across[:, 0], self.across[:, 1])
+
+    def spots(self, pose: Array) -> Array:
+        """Return the beams' spots on their diodes.
+
+        Args:
+            pose: Poses [m, rad], (..., 6).
+
+        Returns:
+            Both coordinates of the first diode's spot, then of the second's and the third's [m], (..., 6).
+        """
+        return self._spots(pose)[0]
+
+    def pose(self, spots: Array, guess: Array | None = None) -> Array:
+        """Return the pose of given spots by Newton's method.
+
+        Args:
+            spots: Spots in the order of `spots` [m], (..., 6).
+            guess: Start of Newton's method [m, rad], (..., 6); the centre by default.
+
+        Raises:
+            SensingError: If it does not converge, as for spots outside the range of poses.
+        """
+        pose = np.zeros(spots.shape) if guess is None else np.array(np.broadcast_to(guess, spots.shape))
+        for _ in range(_NEWTON_STEPS):
+            seen, slopes = self._spots(pose)
+            try:
+                change = np.linalg.solve(slopes, (spots - seen)[..., None])[..., 0]
+            except np.linalg.LinAlgError:
+                break
+            if not np.isfinite(change).all():
+                break
+            pose = _moved(pose, change)
+            if np.abs(change).max(initial=0.0) < _NEWTON_CLOSE:
+                return pose
+        raise SensingError(f"no pose was found for the spots {np.array2string(spots, precision=6)} m")
+
+    def _spots(self, pose: Array) -> tuple[Array, Array]:
+        """Return spots (..., 6) and their derivatives (..., 6, 6).
+
+        Derivatives with respect to small translations and rotations in stator axes.
+        """
+        turn = rotation_matrix(pose[..., 3:])
+        arm = np.einsum("...ab,kb->...ka", turn, self.leds)
+        beam = np.einsum("...ab,kb->...ka", turn, self.directions)
+        normals = self.normals
+        forward = np.einsum("...ka,ka->...k", beam, normals)[..., None]
+        to_diode = self.diodes - arm - pose[..., None, :3]
+        length = np.einsum("...ka,ka->...k", to_diode, normals)[..., None] / forward
+        spots = np.einsum("kca,...ka->...kc", self.across, length * beam - to_diode)
+        # a motion of the light moves the spot by its part along the diode, seen along the beam
+        seen = self.across - np.einsum("kca,...ka->...kc", self.across, beam)[..., None] * (
+            normals[:, None] / forward[..., None]
+        )
+        turned = np.cross((arm + length * beam)[..., None, :], seen)
+        slopes = np.concatenate([seen, turned], axis=-1)
+        return spots.reshape(*pose.shape[:-1], 6), slopes.reshape(*pose.shape[:-1], 6, 6)
+
+
+def _moved(pose: Array, change: NDArray[Any]) -> Array:
+    """Return poses after a translation and a rotation.
+
+    The rotation is about stator axes.
+    """
+    w, x, y, z = quaternions(change[..., 3:])
+    p, a, b, c = quaternions(pose[..., 3:])
+    product = (
+        w * p - x * a - y * b - z * c,
+        w * a + x * p + y * c - z * b,
+        w * b - x * c + y * p + z * a,
+        w * c + x * b - y * a + z * p,
+    )
+    turn = rotation_vector(*product, np.sqrt, np.arctan2)
+    return np.concatenate([pose[..., :3] + change[..., :3], np.stack(turn, axis=-1)], axis=-1)
+
+
+FARTHEST = 30e-3
+"""Largest distance of a measured pose from the centre [m].
+
+The default; several times the range.
+"""
+
+MOST_TURNED = 0.8
+"""Largest angle of a measured pose [rad].
+
+The default. At most three other poses give the same spots on the model's diodes, each upside down or half a turn about
+the flotor's axis away: no two are within a quarter turn.
+"""
+
+_CLOSE_ENOUGH = 1e-7
+"""Last step of Newton's method in g.
+
+As steps square, the next would be 1e-14, the rounding of a pose. (A spot's resolution of 0.8 µm is 1e-5 here.)
+"""
+
+_MOST_STEPS = 12
+"""Largest number of Newton steps.
+
+From the centre to any pose within `FARTHEST` and `MOST_TURNED` it takes 5.
+"""
+
+_Turn: TypeAlias = tuple[float, float, float]
+_UPRIGHT: _Turn = (0.0, 0.0, 0.0)
+
+
+def _form(stator: Array, flotor: Array) -> Array:
+    """Return a . R b as a quaternion's quadratic form.
+
+    The ten entries of K in q . K q = (q . q) (a . R b), with the quaternion q of R.
+
+    Args:
+        stator: a in stator axes, (..., 3).
+        flotor: b in flotor axes, (..., 3).
+
+    Returns:
+        Entries ww, wx, wy, wz, xx, yy, zz, xy, xz, yz, (..., 10); off the diagonal each counts twice.
+    """
+    product = np.sum(stator * flotor, axis=-1)[..., None]
+    outer = stator[..., :, None] * flotor[..., None, :]
+    outer = outer + outer.swapaxes(-1, -2)
+    diagonal = np.einsum("...aa->...a", outer) - product
+    beside = outer[..., [0, 0, 1], [1, 2, 2]]
+    return np.concatenate([product, np.cross(flotor, stator), diagonal, beside], axis=-1)
+
+
+_ONE = np.array([1.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0])
+"""Quadratic form of the number 1, q . q."""
+
+
+class FastBeams:
+    """Fast `Beams.spots` for one device, in plain floats.
+
+    Args:
+        beams: The geometry.
+    """
+
+    def __init__(self, beams: Beams) -> None:
+        # by diode: where the light is and where its beam points, each along the diode's normal and its two axes
+        normals = beams.normals[:, None]
+        rows = []
+        for axes in (normals, beams.across):
+            place = _form(axes, beams.leds[:, None])
+            beam = _form(axes, beams.directions[:, None])
+            from_diode = -np.sum(axes * beams.diodes[:, None], axis=-1)[..., None]
+            rows.append(np.concatenate([place, axes, from_diode], axis=-1).reshape(-1, 14))
+            rows.append(np.concatenate([beam, np.zeros((*beam.shape[:-1], 4))], axis=-1).reshape(-1, 14))
+        self._rows = np.concatenate(rows)
+
+    def spots(self, pose: Sequence[float]) -> list[float]:
+        """Return the beams' spots on their diodes.
+
+        Args:
+            pose: Six components [m, rad].
+
+        Returns:
+            The six coordinates of `Beams.spots` [m], to 1e-16 m.
+
+        Raises:
+            SensingError: If a beam runs along its diode, or the pose is not finite.
+        """
+        px, py, pz, rx, ry, rz = pose
+        angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+        if not math.isfinite(px * px + py * py + pz * pz + angle):
+            raise SensingError(f"no spots were found for the pose {_written(pose)} m, rad")
+        scale = math.sin(0.5 * angle) / angle if angle else 0.5
+        w, x, y, z = math.cos(0.5 * angle), scale * rx, scale * ry, scale * rz
+        v, u, t = w + w, x + x, y + y
+        monomials = (w * w, v * x, v * y, v * z, x * x, y * y, z * z, u * y, u * z, t * z, px, py, pz, 1.0)
+        # d0: ahead of diode 0; f0: how fast its beam goes there; places and slants along both axes of each diode
+        d0, d1, d2, f0, f1, f2, p0, p1, p2, p3, p4, p5, s0, s1, s2, s3, s4, s5 = self._rows.dot(monomials).tolist()
+        if not f0 * f1 * f2:
+            raise SensingError(f"no spots were found for the pose {_written(pose)} m, rad: a beam runs along its diode")
+        d0, d1, d2 = d0 / f0, d1 / f1, d2 / f2
+        return [p0 - d0 * s0, p1 - d0 * s1, p2 - d1 * s2, p3 - d1 * s3, p4 - d2 * s4, p5 - d2 * s5]
+
+
+class PoseTracker:
+    """Fast `Beams.pose` for one device, in plain floats.
+
+    Each search begins at the last rotation.
+
+    The same spots in the same order give bit-identical poses from every tracker of the same geometry on one machine.
+    The start of a search changes only the rounding (1e-14).
+
+    Args:
+        beams: The geometry.
+        farthest: Largest distance of a pose from the centre [m]; may be infinite.
+        most_turned: Largest angle of a pose [rad].
+
+    Raises:
+        ParameterError: If the largest distance or angle is negative, or the angle is beyond pi.
+    """
+
+    def __init__(self, beams: Beams, farthest: float = FARTHEST, most_turned: float = MOST_TURNED) -> None:
+        distance = float(numbers("farthest", farthest, at_least=0.0, finite=False))
+        angle = number("most_turned", most_turned, at_least=0.0, at_most=math.pi)
+        self._limits = distance * distance, angle * angle
+        self._forms = _forms(beams)
+        self._last = _UPRIGHT
+
+    def __call__(self, spots: Sequence[float]) -> list[float]:
+        """Return the pose of given spots.
+
+        Six components [m, rad], the angle in [0, pi].
+
+        Args:
+            spots: Both coordinates of the first diode's spot, then of the second's and the third's [m].
+
+        Raises:
+            SensingError: If no pose is found within the largest distance and angle, as for spots that are not finite.
+                The next search begins upright.
+        """
+        a, b, c, d, e, f = spots
+        # numpy would warn of non-finite values; squares also catch values that would overflow there
+        if not math.isfinite(a * a + b * b + c * c + d * d + e * e + f * f):
+            raise self._lost(spots)
+        forms = self._forms.dot((a, b, c, d, e, f, 1.0)).tolist()
+        turning, placing = forms[:30], forms[30:]
+        distance, angle = self._limits  # squared
+        # where the last rotation leads astray, upright has yet to
+        for start in (self._last, _UPRIGHT):
+            turn = _turn(turning, start)
+            if turn is not None:
+                pose = px, py, pz, rx, ry, rz = _pose(placing, turn)
+                if px * px + py * py + pz * pz <= distance and rx * rx + ry * ry + rz * rz <= angle:
+                    self._last = turn
+                    return list(pose)
+        raise self._lost(spots)
+
+    def reset(self) -> None:
+        """Forget the last pose: the next search begins upright."""
+        self._last = _UPRIGHT
+
+    def _lost(self, spots: Sequence[float]) -> SensingError:
+        """Forget the last pose and return the error to raise."""
+        self.reset()
+        return SensingError(f"no pose was found for the spots {_written(spots)} m")
+
+
+def _forms(beams: Beams) -> Array:
+    """Return the matrix from spots to quadratic forms, (60, 7).
+
+    It turns six spots and a 1 into the coefficients of six forms.
+
+    The first three vanish at the rotation; the others, over q . q, are the translation in flotor axes.
+    """
+    across_beam = np.linalg.svd(beams.directions[:, None])[2][:, 1:]
+    linear = across_beam.reshape(6, 3)  # of rank 3: only parallel beams have less, and Beams has refused those
+    without = np.linalg.svd(linear.T)[2][3:]
+    # by form, by diode: the flotor axis whose product with the spot counts
+    axes = np.einsum("jki,kia->jka", np.concatenate([without, np.linalg.pinv(linear)]).reshape(6, 3, 2), across_beam)
+    spot = np.zeros((3, 7, 3))  # in stator axes, by diode: its part for each coordinate of each spot, and for the 1
+    for diode in range(3):
+        spot[diode, 2 * diode : 2 * diode + 2] = beams.across[diode]
+        spot[diode, 6] = beams.diodes[diode]
+    forms = _form(spot, axes[:, :, None]).sum(axis=1)
+    forms[:, 6] -= np.einsum("jka,ka->j", axes, beams.leds)[:, None] * _ONE
+    return np.ascontiguousarray(forms.swapaxes(1, 2).reshape(60, 7))
+
+
+def _turn(forms: Sequence[float], start: _Turn, close: float = _CLOSE_ENOUGH) -> _Turn | None:
+    """Solve three quadratic forms in (1, g) for g.
+
+    By Newton's method, from `start`.
+
+    Args:
+        forms: Ten entries of each of them.
+        start: Initial g.
+        close: Size of a last step in g.
+
+    Returns:
+        g; None if it does not converge.
+    """
+    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, b0, b1, b2, b3, b4, b5, b6, b7, b8, b9 = forms[:20]
+    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = forms[20:]
+    x, y, z = start
+    for _ in range(_MOST_STEPS):
+        # half the slopes of each form
+        ax, ay, az = a1 + a4 * x + a7 * y + a8 * z, a2 + a7 * x + a5 * y + a9 * z, a3 + a8 * x + a9 * y + a6 * z
+        bx, by, bz = b1 + b4 * x + b7 * y + b8 * z, b2 + b7 * x + b5 * y + b9 * z, b3 + b8 * x + b9 * y + b6 * z
+        cx, cy, cz = c1 + c4 * x + c7 * y + c8 * z, c2 + c7 * x + c5 * y + c9 * z, c3 + c8 * x + c9 * y + c6 * z
+        # their values
+        a = a0 + (a1 + ax) * x + (a2 + ay) * y + (a3 + az) * z
+        b = b0 + (b1 + bx) * x + (b2 + by) * y + (b3 + bz) * z
+        c = c0 + (c1 + cx) * x + (c2 + cy) * y + (c3 + cz) * z
+        # three linear equations by cross products
+        px, py, pz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        twice = ax * px + ay * py + az * pz
+        if not twice:
+            return None
+        scale = -0.5 / twice
+        dx = scale * (a * px + b * (cy * az - cz * ay) + c * (ay * bz - az * by))
+        dy = scale * (a * py + b * (cz * ax - cx * az) + c * (az * bx - ax * bz))
+        dz = scale * (a * pz + b * (cx * ay - cy * ax) + c * (ax * by - ay * bx))
+        x, y, z = x + dx, y + dy, z + dz
+        if -close < dx < close and -close < dy < close and -close < dz < close:
+            return x, y, z
+    return None
+
+
+def _pose(forms: Sequence[float], turn: _Turn) -> tuple[float, float, float, float, float, float]:
+    """Return the pose [m, rad] of a rotation g.
+
+    `forms` are those of the translation in flotor axes.
+    """
+    a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, b0, b1, b2, b3, b4, b5, b6, b7, b8, b9 = forms[:20]
+    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = forms[20:]
+    x, y, z = turn
+    square = x * x + y * y + z * z
+    over = 1.0 / (1.0 + square)
+    u, v, w = x + x, y + y, z + z
+    # the translation in flotor axes
+    a = over * (a0 + (a1 + a7 * y) * u + (a2 + a9 * z) * v + (a3 + a8 * x) * w + a4 * x * x + a5 * y * y + a6 * z * z)
+    b = over * (b0 + (b1 + b7 * y) * u + (b2 + b9 * z) * v + (b3 + b8 * x) * w + b4 * x * x + b5 * y * y + b6 * z * z)
+    c = over * (c0 + (c1 + c7 * y) * u + (c2 + c9 * z) * v + (c3 + c8 * x) * w + c4 * x * x + c5 * y * y + c6 * z * z)
+    # turned into stator axes
+    upright, beside, along = (1.0 - square) * over, 2.0 * over, 2.0 * over * (x * a + y * b + z * c)
+    # the offset keeps 0/0 away and is far below the rounding of any rotation that is not zero
+    sine = math.sqrt(square) + 1e-300
+    angle = 2.0 * (math.atan(sine) / sine)
+    return (
+        upright * a + beside * (y * c - z * b) + along * x,
+        upright * b + beside * (z * a - x * c) + along * y,
+        upright * c + beside * (x * b - y * a) + along * z,
+        angle * x,
+        angle * y,
+        angle * z,
+    )
+
+
+def _written(values: Sequence[float]) -> str:
+    """Return values for a message."""
+    return np.array2string(np.asarray(values), precision=6)
+
+
+def beams() -> Beams:
+    """Return the geometry of the LEDs and position-sensing diodes.
+
+    Raises:
+        ModelError: If the model lacks an LED or diode.
+    """
+    return _beams(written(MODELS))
+
+
+@lru_cache(maxsize=1)
+def _beams(written: tuple[tuple[str, int], ...]) -> Beams:
+    """See `beams`."""
+    try:
+        spec = mujoco.MjSpec.from_file(str(model_path("maglev")))
+        model = spec.compile()
+        flotor = model.body("flotor").id
+        leds, diodes = ([model.site(f"{kind}{arm}").id for arm in range(3)] for kind in ("led", "psd"))
+    except (ValueError, KeyError) as error:
+        raise unusable("maglev", error) from error
+    data = at_reference(model)
+    centre = data.subtree_com[flotor]
+    axes = data.site_xmat.reshape(-1, 3, 3)
+    return Beams(
+        leds=data.site_xpos[leds] - centre,
+        directions=axes[leds][:, :, 2],
+        diodes=data.site_xpos[diodes] - centre,
+        across=axes[diodes][:, :, :2].swapaxes(1, 2).copy(),
+    )
+
+
+Measure: TypeAlias = Callable[[Six], list[Component]]
 """Function from true to measured pose components."""
 
 
@@ -73,11 +482,8 @@ class Sensor:
 
     def __post_init__(self) -> None:
         for name in ("quantum", "noise"):
-            values = numbers(name, getattr(self, name), at_least=0.0)
-            if values.shape not in ((), (6,)):
-                raise ParameterError(f"{name} must be a number or have the shape (6,), not {values.shape}")
-            object.__setattr__(self, name, np.broadcast_to(values, (6,)))
-        object.__setattr__(self, "seed", whole("seed", self.seed))
+            store(self, **{name: six(name, getattr(self, name), finite=True)})
+        store(self, seed=whole("seed", self.seed))
 
     def start(self) -> Measure:
         """Return the measurement function in its initial state.
@@ -89,7 +495,7 @@ class Sensor:
             return quantize
         draw: Callable[[], list[Component]] | None = None
 
-        def measure(position: Sequence[Component]) -> list[Component]:
+        def measure(position: Six) -> list[Component]:
             nonlocal draw
             if draw is None:
                 draw = _draws(noise, self.seed, np.broadcast_shapes(*map(np.shape, position))).__next__
@@ -171,9 +577,9 @@ class SpotReader:
 
     def __init__(self, beams: Beams, quantum: float = 0.0, noise: float = 0.0, seed: int = 0) -> None:
         self._beams = FastBeams(beams)
-        self._quantize = _quantizer([number("quantum", quantum, at_least=0.0)] * 6)
-        spread, seed = number("noise", noise, at_least=0.0), whole("seed", seed)
-        self._draws = _draws([spread] * 6, seed) if spread else None
+        checked = SpotSensor(quantum=quantum, noise=noise, seed=seed)
+        self._quantize = _quantizer([checked.quantum] * 6)
+        self._draws = _draws([checked.noise] * 6, checked.seed) if checked.noise else None
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
         """Return six measured spot coordinates [m] of a true pose.
@@ -221,7 +627,7 @@ class SpotSensor:
     def __post_init__(self) -> None:
         for name in ("quantum", "noise"):
             number(name, getattr(self, name), at_least=0.0)
-        object.__setattr__(self, "seed", whole("seed", self.seed))
+        store(self, seed=whole("seed", self.seed))
 
     def start(self) -> Measure:
         """Return the measurement function in its initial state.
@@ -233,7 +639,7 @@ class SpotSensor:
         geometry = self.beams or beams()
         chosen: Measure | None = None
 
-        def measure(position: Sequence[Component]) -> list[Component]:
+        def measure(position: Six) -> list[Component]:
             nonlocal chosen
             if chosen is None:
                 chosen = self._one(geometry) if join(position).ndim == 1 else self._many(geometry)
@@ -253,7 +659,7 @@ class SpotSensor:
         generator = np.random.default_rng(self.seed)
         last: Array | None = None
 
-        def measure(position: Sequence[Component]) -> list[Component]:
+        def measure(position: Six) -> list[Component]:
             nonlocal last
             spots = geometry.spots(join(position))
             if self.noise > 0.0:

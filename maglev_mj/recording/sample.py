@@ -19,7 +19,7 @@ from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import axis_indices, flag, number, numbers
-from maglev_mj.plants.energy import HandWork, PassivityObserver
+from maglev_mj.plants.trace import HandWork, PassivityObserver
 from maglev_mj.spec import GRAVITY, INERTIA
 from maglev_mj.terminal import printable
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import number
-from maglev_mj.plants.energy import actuator_work
-from maglev_mj.plants.trace import Trace
+from maglev_mj.plants.trace import Trace, actuator_work
 from maglev_mj.scenes.results import Figure, RunResult
 
 _STEP = 1e-4  # of the grids on which a motion is evaluated [s]

@@ -12,9 +12,9 @@ import numpy as np
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
-from maglev_mj.plants.energy import hand_work
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.model import load_model
+from maglev_mj.plants.trace import hand_work
 from maglev_mj.recording import InvalidRecordingError, Recording, Stretch
 from maglev_mj.session import SHOWN, TIME_SCALES, Snapshot, next_scale
 from maglev_mj.session.replay import OwnCode, rebuild_for, shown_scene, stick_positions

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 import numpy as np
 
 from maglev_mj.frames import Array
-from maglev_mj.plants.energy import HandWork
 from maglev_mj.plants.hand import SpringHand
+from maglev_mj.plants.trace import HandWork
 from maglev_mj.scenes import Scene
 from maglev_mj.session.pacing import Due
 

@@ -13,8 +13,8 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop, Record
 from maglev_mj.frames import ZERO, Array, Command, Sample
 from maglev_mj.plants import MuJoCoPlant, Timing
-from maglev_mj.plants.energy import EnergyAccount
 from maglev_mj.plants.hand import HandForce
+from maglev_mj.plants.trace import EnergyAccount
 from maglev_mj.recording import RecordingFile, setup_of
 from maglev_mj.recording.setup import attach_model, attach_source
 from maglev_mj.scenes import Scene

@@ -30,7 +30,7 @@ from maglev_mj.scenes.bench import along, hold, others, wall_controller
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies.cells import Cell, Record, Workers, run_cells
-from maglev_mj.theory import bounds
+from maglev_mj.theory import boundary as bounds
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 
 _MOVED = 1e-6

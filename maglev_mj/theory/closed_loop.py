@@ -20,7 +20,7 @@ from maglev_mj.control import FiniteDifference, LinearController, LowPass, Veloc
 from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Mask
-from maglev_mj.parameters import common_shape, number, numbers
+from maglev_mj.parameters import common_shape, number, numbers, store
 from maglev_mj.plants.hand import Hand, get_hand, motion, transition
 from maglev_mj.spec import Spec
 
@@ -115,26 +115,17 @@ class SampledLoop:
     """Broadcast shape of period, delay, mass, prediction, hand."""
 
     def __post_init__(self) -> None:
-        for name in ("period", "delay", "mass"):
-            values = numbers(name, getattr(self, name), at_least=0.0)
-            if name != "delay" and not (values > 0.0).all():
-                raise ParameterError(f"{name} must be above 0 everywhere, not 0")
-            object.__setattr__(self, name, values)
+        for name, above in (("period", 0.0), ("delay", None), ("mass", 0.0), ("prediction", None)):
+            store(self, **{name: numbers(name, getattr(self, name), at_least=0.0, above=above)})
         number("driver_lag", self.driver_lag, at_least=0.0)
-        object.__setattr__(self, "hand", get_hand(self.hand))
+        store(self, hand=get_hand(self.hand))
         common_shape("period and delay", np.shape(self.period), np.shape(self.delay))
         ratio = np.asarray(self.delay) / np.asarray(self.period)
         if not (ratio <= MOST_PERIODS * (1.0 + 1e-9)).all():
             raise ParameterError(f"delay must be at most {MOST_PERIODS} periods, not {float(ratio.max()):g} periods")
-        object.__setattr__(self, "prediction", numbers("prediction", self.prediction, at_least=0.0))
         shapes = [np.shape(part) for part in (self.period, self.delay, self.mass, self.prediction)]
-        object.__setattr__(
-            self, "shape", common_shape("period, delay, mass, prediction, hand", *shapes, self._hand_shape)
-        )
-
-    @property
-    def _hand_shape(self) -> tuple[int, ...]:
-        return () if self.hand is None else self.hand.shape
+        shapes += [] if self.hand is None else [self.hand.shape]
+        store(self, shape=common_shape("period, delay, mass, prediction, hand", *shapes))
 
     def matrix(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
         """Return the closed-loop matrix (..., n, n).
@@ -188,16 +179,20 @@ class SampledLoop:
 
     def modulus(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
         """Return the largest eigenvalue modulus, broadcast over gains and loop."""
-        k = numbers("stiffness", stiffness, at_least=0.0)
-        b = numbers("damping", damping, at_least=0.0)
-        shape = common_shape("stiffness, damping and loop", k.shape, b.shape, self.shape)
-        k, b = (np.broadcast_to(gain, shape).reshape(-1) for gain in (k, b))
+        gains = self.broadcast(stiffness, damping)
+        shape, (k, b) = gains[0].shape, (gain.reshape(-1) for gain in gains)
         result = np.empty(k.size)
         for start in range(0, k.size, _TOGETHER):
             part = slice(start, start + _TOGETHER)
             matrices = self.part(shape, part).matrix(k[part], b[part])
             result[part] = np.abs(np.linalg.eigvals(matrices)).max(axis=-1)
         return result.reshape(shape)
+
+    def broadcast(self, stiffness: ArrayLike, damping: ArrayLike) -> tuple[Array, Array]:
+        """Return checked stiffness and damping, broadcast with the loop."""
+        k, b = numbers("stiffness", stiffness, at_least=0.0), numbers("damping", damping, at_least=0.0)
+        shape = common_shape("stiffness, damping and loop", k.shape, b.shape, self.shape)
+        return np.broadcast_to(k, shape), np.broadcast_to(b, shape)
 
     def _each(self, change: Callable[[Array], Array]) -> SampledLoop:
         """Return the loop with each array changed by a function."""
@@ -343,9 +338,8 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
         raise ParameterError(f"delay must be left out of critical_delay, which looks for it, not {loop['delay']!r}")
     loop["delay"] = 0.0
     around = SampledLoop(**loop)
-    k, b = numbers("stiffness", stiffness, at_least=0.0), numbers("damping", damping, at_least=0.0)
-    shape = common_shape("stiffness, damping and loop", k.shape, b.shape, around.shape)
-    k, b = np.broadcast_to(k, shape)[..., None], np.broadcast_to(b, shape)[..., None]
+    k, b = (gain[..., None] for gain in around.broadcast(stiffness, damping))
+    shape = k.shape[:-1]
     wide = around.widened()
     period = np.broadcast_to(np.asarray(wide.period), (*shape, 1))
     low, high = np.zeros(shape), np.full(shape, np.inf)

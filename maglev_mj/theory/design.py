@@ -211,7 +211,8 @@ class DesignedWall:
         """
         if self.pole is None:
             return None
-        return _observer(self.requirements, self.law, self.pole, self.stiffness, self.damping, force_limit)
+        gains = {"stiffness": self.stiffness, "damping": self.damping, "force_limit": force_limit}
+        return _observer(self.requirements, self.law, self.pole, **gains)
 
 
 class _Gains(NamedTuple):
@@ -220,26 +221,10 @@ class _Gains(NamedTuple):
     figure: float
 
 
-def _observer(
-    requirements: WallRequirements,
-    law: str,
-    pole: float,
-    stiffness: float,
-    damping: float,
-    force_limit: float = math.inf,
-) -> ObserverWall:
+def _observer(requirements: WallRequirements, law: str, pole: float, **gains: float) -> ObserverWall:
     mass, delay = requirements.nominal
-    return ObserverWall(
-        axes="z",
-        stiffness=stiffness,
-        damping=damping,
-        inertia=mass,
-        period=requirements.period,
-        delay=delay,
-        pole=pole,
-        disturbance=law == "disturbance-observer",
-        force_limit=force_limit,
-    )
+    model: dict[str, Any] = {"inertia": mass, "period": requirements.period, "delay": delay, "pole": pole, **gains}
+    return ObserverWall(axes="z", disturbance=law == "disturbance-observer", **model)
 
 
 def _design(requirements: WallRequirements, law: str, pole: float | None) -> Design | None:
@@ -249,7 +234,7 @@ def _design(requirements: WallRequirements, law: str, pole: float | None) -> Des
     """
     if pole is None:
         return None
-    wall = _observer(requirements, law, pole, 1.0, 1.0)
+    wall = _observer(requirements, law, pole, stiffness=1.0, damping=1.0)
     return lambda stiffness, damping, period: wall.linear(stiffness, damping)
 
 

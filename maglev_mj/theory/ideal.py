@@ -94,8 +94,7 @@ def _in_wall(k: float, b: float, m: float, g: float, rate: float) -> Motion:
 
     def motion(state: Array, time: Array) -> Array:
         modes = inverse @ (state - rest) * np.exp(np.multiply.outer(time, values))
-        states: Array = rest + (modes @ vectors.T).real
-        return states
+        return np.asarray(rest + (modes @ vectors.T).real)
 
     return motion
 

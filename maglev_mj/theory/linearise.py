@@ -8,11 +8,12 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from maglev_mj.control import LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
@@ -134,11 +135,9 @@ class Linearised(Result):
         body = body[chosen]
         response = self.response[:, chosen][:, :, chosen]
         matrix = StateSpace.of(response).closed_loop(period=self.period, delay=delay, inertia=body)
-        enters, seen = np.zeros((len(matrix), len(chosen))), np.zeros((len(chosen), len(matrix)))
-        for slot, mass in enumerate(body):
-            enters[slot, slot], enters[len(chosen) + slot, slot] = 0.5 * self.period**2 / mass, self.period / mass
-            seen[slot, slot] = 1.0
-        return ClosedLoop(matrix, enters, seen, self.period)
+        n, size = len(chosen), len(matrix)
+        moved, sped = np.diag(0.5 * self.period**2 / body), np.diag(self.period / body)
+        return ClosedLoop(matrix, np.vstack([moved, sped, np.zeros((size - 2 * n, n))]), np.eye(n, size), self.period)
 
     def to_statespace(self) -> Any:
         """Return the controller as python-control's StateSpace.
@@ -211,18 +210,12 @@ class ClosedLoop(Result):
         )
 
 
-class StateSpace(NamedTuple):
+class StateSpace(LinearController):
     """Linear controller of n coupled axes, with or without units.
 
-    q[k+1] = advance q[k] + take x[k], and force[k] = give q[k] + direct x[k].
-
-    Without units, positions are times sqrt(inertia), forces times T²/sqrt(inertia).
+    Take is (..., s, n), give (..., n, s) and direct (..., n, n). Without units, positions are times sqrt(inertia),
+    forces times T²/sqrt(inertia).
     """
-
-    advance: Array
-    take: Array
-    give: Array
-    direct: Array
 
     @classmethod
     def of(cls, response: Array) -> StateSpace:

@@ -241,11 +241,9 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
         True
     """
     check_instance("controller", controller, Controller, "a Controller")
-    start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0)
+    start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
     if start.shape != (6,) or body.shape != (6,):
         raise ParameterError(f"pose and inertia must be (6,), not {start.shape} and {body.shape}")
-    if not (body > 0.0).all():
-        raise ParameterError(f"inertia must be above 0 everywhere, not {body.min():g}")
     number("delay", delay, at_least=0.0)
     gains = stated_gains(controller)
     if gains is None:
@@ -470,22 +468,14 @@ def _poses(controller: Controller, start: Array) -> Array:
 
     Start, centre, poses along each axis, and inside each face.
     """
-    start = _off_edges(controller, start)
+    (near,) = linearise(controller, start[None])
+    start = start + _OFF * _SCALE * near.jumps  # on an edge of the wrench, each pose of the grid would be a jump
     rows = [start, np.zeros(6)]
     for axis, reach in enumerate(RANGE):
         rows += [_with(start, axis, value) for value in np.linspace(-1.0, 1.0, _POINTS) * reach * _STRIDE]
     for axis, normal, edge in controller.faces:
         rows += [_with(start, axis, float(edge) - normal * depth * _SCALE[axis]) for depth in _DEPTHS]
     return np.array(rows)
-
-
-def _off_edges(controller: Controller, start: Array) -> Array:
-    """Return a start moved off edges of the wrench.
-
-    On an edge, each pose of the grid would be a jump.
-    """
-    (near,) = linearise(controller, start[None])
-    return start + _OFF * _SCALE * near.jumps
 
 
 def _with(pose: Array, axis: int, value: float) -> Array:

@@ -34,7 +34,7 @@ from maglev_mj.bridge.wire import Codec, Command, StateReport
 from maglev_mj.control import Bias
 from maglev_mj.control.loop import drive
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.plants.beams import FastBeams, PoseTracker
+from maglev_mj.plants.sensor import FastBeams, PoseTracker
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 from maglev_mj.scenes.rooms import Joystick

@@ -14,7 +14,8 @@ from maglev_mj.plants import INTEGRATORS
 from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import Spec
 from maglev_mj.studies.levels import boundary_shift
-from maglev_mj.theory import bounds, largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory import boundary as bounds
+from maglev_mj.theory import largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.versions import versions
 

@@ -16,9 +16,9 @@ import numpy as np
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers
-from maglev_mj.plants.beams import Beams
 from maglev_mj.plants.coils import CoilMap
-from maglev_mj.plants.model import beams, load_model
+from maglev_mj.plants.model import load_model
+from maglev_mj.plants.sensor import Beams, beams
 from maglev_mj.spec import GRAVITY, INERTIA
 
 _FORMAT = "maglev_mj calibration 1"

@@ -22,7 +22,7 @@ from maglev_mj.bridge.takeoff import shown as pose_shown
 from maglev_mj.bridge.wire import Fault, Flag, HelloStatus, Operation, State, fault_names, newer
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Sample
-from maglev_mj.plants.beams import PoseTracker
+from maglev_mj.plants.sensor import PoseTracker
 
 WRAP = 0xFFFFFFFF
 _AGAIN, _PATIENCE, _TAKEOVER = 0.02, 2.0, 1.0  # [s]

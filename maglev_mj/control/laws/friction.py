@@ -1,21 +1,23 @@
 """Rendered friction: PD stick-slip, spring reset, implicit Coulomb friction.
 
-Every friction law keeps, for each axis, a `FrictionState`; the models with a bristle are in `bristle`.
+Every friction law keeps, for each axis, a `FrictionState`. The bristle models (Dahl, LuGre, elasto-plastic,
+Hayward-Armstrong) carry a stretch z behind the position x; the anchor of their state is x - z. Their differential
+equations in z are driven by the travel dx of a sample, over which the velocity counts as constant.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.laws.base import AxisLaw, Gains, gain
+from maglev_mj.control.laws.base import Answer, AxisLaw, Gains, apply, choose, gain, setting
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Component
-from maglev_mj.parameters import flag, number
+from maglev_mj.frames import AXES, Component, Six, clipped
+from maglev_mj.parameters import flag
 
 SLIDING_SHARE = 0.95
 """Share of the limit force that counts as sliding.
@@ -38,6 +40,10 @@ class FrictionState(NamedTuple):
     """Further state of the law."""
 
 
+FrictionStep: TypeAlias = tuple[Component, FrictionState]
+"""Friction force on one axis [N, N m], and the next state."""
+
+
 class Friction(AxisLaw):
     """Base class of friction laws.
 
@@ -57,18 +63,14 @@ class Friction(AxisLaw):
     damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
     breakaway: ArrayLike = gain(unit="N, N m", above=0.0)
 
-    def axis(
-        self, position: Component, velocity: Component, state: FrictionState, gains: Any
-    ) -> tuple[Component, FrictionState]:
+    def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Return friction force [N, N m] and next state.
 
         Viscous damping is not included.
         """
         raise NotImplementedError
 
-    def force(
-        self, x: Component, v: Component, gains: Any, state: FrictionState | None
-    ) -> tuple[Component, FrictionState]:
+    def force(self, x: Component, v: Component, gains: Any, state: FrictionState | None) -> FrictionStep:
         """Return the force on one axis and its next state.
 
         At the first sample the axis sticks at its position.
@@ -100,8 +102,8 @@ class Friction(AxisLaw):
 
         NaN for a sliding axis.
         """
-        found = zip(self.indices, state)
-        return {index: one.anchor if one.stuck else math.nan for index, one in found if one is not None}
+        states = zip(self.indices, state)
+        return {index: one.anchor if one.stuck else math.nan for index, one in states if one is not None}
 
 
 class StickSlip(Friction):
@@ -140,16 +142,12 @@ class StickSlip(Friction):
         if self.coupled and not set(self.indices) <= {0, 1, 2}:
             raise ParameterError(f"coupled axes must be translations, of x, y, z, not {self.axes!r}")
 
-    def axis(
-        self, position: Component, velocity: Component, state: FrictionState, gains: Any
-    ) -> tuple[Component, FrictionState]:
+    def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Answer one sample of one axis; see `Friction`."""
         pull = gains.stiffness * (state.anchor - position)
         return self._decide(position, pull, abs(pull), abs(velocity), state, gains)
 
-    def __call__(
-        self, position: Sequence[Component], velocity: Sequence[Component], state: Any, wrench: list[Component]
-    ) -> tuple[Any, Sequence[Component] | None]:
+    def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
         """Answer one sample of all axes; see `Law`."""
         if not self.coupled:
             return super().__call__(position, velocity, state, wrench)
@@ -166,14 +164,8 @@ class StickSlip(Friction):
         return after, None
 
     def _decide(
-        self,
-        position: Component,
-        pull: Component,
-        size: Component,
-        speed: Component,
-        state: FrictionState,
-        gains: Any,
-    ) -> tuple[Component, FrictionState]:
+        self, position: Component, pull: Component, size: Component, speed: Component, state: FrictionState, gains: Any
+    ) -> FrictionStep:
         """Return the force and the next state.
 
         `pull` is the spring force; `size` and `speed` decide on the state.
@@ -195,9 +187,7 @@ class SpringReset(Friction):
     Source: described after the stick-slip effect of CHAI3D 3 (www.chai3d.org), which has no damping.
     """
 
-    def axis(
-        self, position: Component, velocity: Component, state: FrictionState, gains: Any
-    ) -> tuple[Component, FrictionState]:
+    def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Answer one sample of one axis; see `Friction`."""
         pull = gains.stiffness * (state.anchor - position)
         holds = abs(pull) <= gains.breakaway
@@ -228,21 +218,15 @@ class ImplicitCoulomb(Friction):
         [0.0, -0.6, -1.8, -2.0]
     """
 
-    period: float
+    period: float = setting(above=0.0)
     element_damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        number("period", self.period, above=0.0)
 
     @property
     def stuck_damping(self) -> ArrayLike:
         """Damping of the element in series; see `Friction`."""
         return self.element_damping
 
-    def axis(
-        self, position: Component, velocity: Component, state: FrictionState, gains: Any
-    ) -> tuple[Component, FrictionState]:
+    def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
         """Answer one sample of one axis; see `Friction`."""
         # the anchor stays while the flotor moves: position - anchor is the old stretch plus the travel
         drag = gains.element_damping / self.period
@@ -250,7 +234,7 @@ class ImplicitCoulomb(Friction):
         before = 0.0 if state.memory is None else state.memory
         trial = stiff * (position - state.anchor) - drag * before
         limit = gains.breakaway
-        force = choose(trial > limit, limit, choose(trial < -limit, -limit, trial))
+        force = clipped(trial, limit)
         stretch = (force + drag * before) / stiff
         anchor = choose(abs(trial) <= limit, state.anchor, position - stretch)
         return -force, FrictionState(abs(trial) < SLIDING_SHARE * limit, anchor, stretch)
@@ -264,20 +248,126 @@ def _stuck_at(position: Component) -> FrictionState:
     return FrictionState(position == position, position)
 
 
-def choose(mask: Component, yes: Component, no: Component) -> Component:
-    """Select `yes` or `no` by a mask, elementwise.
+class _Bristle(Friction):
+    """Friction law with the bristle deflection as its state."""
 
-    Floats and arrays are both accepted.
+    def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
+        """Return the deflection [m, rad] after a travel [m, rad].
+
+        By default it solves dz = dx - |dx| z / limit, and tends to the limit in the direction of travel.
+        """
+        limit = self.limit(velocity, gains) / gains.stiffness
+        end = choose(travel > 0.0, limit, -limit)
+        return end + (z - end) * apply(np.exp, -abs(travel) / limit)
+
+    def pull(self, before: Component, z: Component, velocity: Component, gains: Any) -> Component:
+        """Return the force of the bristle [N, N m]."""
+        return -(gains.stiffness * z)
+
+    def limit(self, velocity: Component, gains: Any) -> Component:
+        """Return the sliding force at this velocity [N, N m]."""
+        return gains.breakaway
+
+    def axis(self, position: Component, velocity: Component, state: FrictionState, gains: Any) -> FrictionStep:
+        """Answer one sample of one axis; see `Friction`."""
+        last, before = (position, 0.0) if state.memory is None else state.memory
+        z = self.stretch(before, position - last, velocity, gains)
+        force = self.pull(before, z, velocity, gains)
+        sticks = gains.stiffness * abs(z) < SLIDING_SHARE * self.limit(velocity, gains)
+        return force, FrictionState(sticks, position - z, (position, z))
+
+
+class Dahl(_Bristle):
+    """Dahl friction model.
+
+    dz = dx (1 - sgn(dx) z / z_c) with z_c = breakaway / stiffness. The equation is solved exactly for each travel.
+
+    Source: Dahl 1968, in the form of Olsson et al. 1998; derived again, not checked against the original.
     """
-    if isinstance(mask, bool | np.bool_):
-        return yes if mask else no
-    return np.where(mask, yes, no)
 
 
-def apply(function: Callable[[Component], Component], value: Component) -> Component:
-    """Apply a numpy function; a float stays a float.
+class LuGre(_Bristle):
+    """LuGre friction with Stribeck effect and bristle damping.
 
-    numpy's own function serves both cases, because the standard library's may round differently.
+    `dz/dt = v - stiffness |v| z / g(v)`, with g falling from breakaway to Coulomb friction; F = s0 z + s1 dz/dt.
+
+    Args:
+        period: Sample period [s].
+        coulomb: Friction in fast sliding, as a share of `breakaway`, in (0, 1].
+        stribeck: Stribeck velocity, of the fall from breakaway to Coulomb friction [m/s, rad/s], above 0.
+        bristle_damping: Damping s1 of the bristle [N s/m, N m s/rad].
+
+    Source: Canudas de Wit, Olsson, Astrom & Lischinsky 1995; not checked against the original.
     """
-    result = function(value)
-    return float(result) if isinstance(value, float) else result
+
+    period: float = setting(above=0.0)
+    coulomb: float = setting(default=0.8, above=0.0, at_most=1.0)
+    stribeck: ArrayLike = gain(unit="m/s, rad/s", default=0.01, above=0.0)
+    bristle_damping: ArrayLike = gain(unit="N s/m, N m s/rad", default=0.0)
+
+    @property
+    def stuck_damping(self) -> ArrayLike:
+        """Damping of the bristle; see `Friction`."""
+        return self.bristle_damping
+
+    def limit(self, velocity: Component, gains: Any) -> Component:
+        """Return the Stribeck curve at this velocity [N, N m]."""
+        ratio = velocity / gains.stribeck
+        share = self.coulomb + (1.0 - self.coulomb) * apply(np.exp, -(ratio * ratio))
+        return share * gains.breakaway
+
+    def pull(self, before: Component, z: Component, velocity: Component, gains: Any) -> Component:
+        """Return the bristle force with its damping [N, N m]."""
+        return -(gains.stiffness * z + gains.bristle_damping * ((z - before) / self.period))
+
+
+class ElastoPlastic(_Bristle):
+    """Elasto-plastic friction without creep at small loads.
+
+    dz = dx (1 - alpha(z) z / z_ss). Up to a share of the limit the bristle is purely elastic. alpha rises from 0 to 1
+    over half a sine between elastic * z_ss and z_ss if z and dx have the same sign; otherwise it is 0.
+
+    Args:
+        elastic: Share of the largest stretch up to which the bristle is purely elastic, in (0, 1).
+
+    Source: Dupont, Hayward, Armstrong & Altpeter 2002; not checked against the original.
+    """
+
+    elastic: float = setting(default=0.7, above=0.0, below=1.0)
+
+    def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
+        """Return the stretch after a travel; see `_Bristle`."""
+        limit = gains.breakaway / gains.stiffness
+        share = abs(z) / limit
+        middle = (share - 0.5 * (1.0 + self.elastic)) / (1.0 - self.elastic)
+        rising = 0.5 + 0.5 * apply(np.sin, np.pi * choose(middle < -0.5, -0.5, choose(middle > 0.5, 0.5, middle)))
+        alpha = choose(z * travel > 0.0, rising, 0.0)
+        moved = z + travel * (1.0 - alpha * share)
+        return clipped(moved, limit)
+
+
+class HaywardArmstrong(_Bristle):
+    """Displacement-based friction without drift.
+
+    The anchor follows by `alpha(z) |dx| z` and stays within z_max of the flotor.
+
+    alpha(z) = 1/z_max z^8 / (z_stick^8 + z^8): almost 0 while stuck, so small load cycles do not creep.
+
+    Args:
+        stick: z_stick as a share of z_max, in (0, 1).
+
+    Source: Hayward & Armstrong 2000; not checked against the original.
+    """
+
+    stick: float = setting(default=0.7, above=0.0, below=1.0)
+
+    def stretch(self, z: Component, travel: Component, velocity: Component, gains: Any) -> Component:
+        """Return the stretch after a travel; see `_Bristle`."""
+        limit = gains.breakaway / gains.stiffness
+        moved = z + travel
+        square = moved * moved / (limit * limit)
+        fourth = square * square
+        eighth = fourth * fourth
+        alpha = eighth / (self.stick**8 + eighth) / limit
+        followed = moved / (1.0 + alpha * abs(travel))  # implicit: never past the flotor, however long the travel
+        return clipped(followed, limit)

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.laws.base import LinearController
-from maglev_mj.control.laws.friction import choose
+from maglev_mj.control.laws.base import LinearController, choose
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Component
-from maglev_mj.parameters import number, whole
+from maglev_mj.frames import AXES, Component, Six
+from maglev_mj.parameters import number, store, whole
 from maglev_mj.spec import RESOLUTION
 
 _LONGEST = 1000
@@ -34,9 +33,7 @@ class FiniteDifference:
         0.2
     """
 
-    def __call__(
-        self, position: Sequence[Component], state: Sequence[Component] | None, period: float
-    ) -> tuple[Sequence[Component], Sequence[Component]]:
+    def __call__(self, position: Six, state: Six | None, period: float) -> tuple[Six, Six]:
         """Return (x[k] - x[k-1]) / T and the next state.
 
         The next state is the positions.
@@ -87,7 +84,7 @@ class LowPass:
     def __post_init__(self) -> None:
         number("cutoff", self.cutoff, above=0.0)
 
-    def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
+    def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
         """Return the filtered velocity and the next state.
 
         The velocity is zero at the first sample.
@@ -129,9 +126,9 @@ class Window:
     samples: int = 3
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "samples", whole("samples", self.samples, at_least=1, at_most=_LONGEST))
+        store(self, samples=whole("samples", self.samples, at_least=1, at_most=_LONGEST))
 
-    def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
+    def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
         """Return the mean velocity and the next state.
 
         The velocity is (x[k] - x[k-n]) / (n T) for each component. The velocity is zero at the first sample.
@@ -177,18 +174,18 @@ class AdaptiveWindow:
     longest: int = 16
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "longest", whole("longest", self.longest, at_least=1, at_most=_LONGEST))
+        store(self, longest=whole("longest", self.longest, at_least=1, at_most=_LONGEST))
         if len(self.noise) != len(AXES):
             raise ParameterError(f"noise must have {len(AXES)} numbers, not {len(self.noise)}")
         for value in self.noise:
             number("noise", value, at_least=0.0)
 
-    def __call__(self, position: Sequence[Component], state: Any, period: float) -> tuple[Sequence[Component], Any]:
+    def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
         """Return each component's windowed velocity and the next state.
 
         The velocity is zero at the first sample.
         """
-        past: list[Sequence[Component]] = [] if state is None else state
+        past: list[Six] = [] if state is None else state
         history = [position, *past[: self.longest]]
         velocity = [self._slope([sample[axis] for sample in history], self.noise[axis], period) for axis in range(6)]
         return velocity, history
