@@ -120,12 +120,12 @@ def numbers(
     if value.__class__ is float and max(at_least, -_LARGEST) <= value <= min(at_most, _LARGEST) and above is None:
         return np.array(value)  # most, at a third of the cost
     try:
-        given = np.asarray(value)
+        raw = np.asarray(value)
     except ValueError:  # rows of different lengths
-        given = np.asarray("")
-    if given.dtype.kind not in "fiu" or _has_flag(value):
+        raw = np.asarray("")
+    if raw.dtype.kind not in "fiu" or _has_flag(value):
         raise ParameterError(f"{name} must be a number or an array of numbers, not {value!r}")
-    array = np.asarray(given, dtype=np.float64)
+    array = np.asarray(raw, dtype=np.float64)
     good = array >= at_least
     if finite:
         good &= np.isfinite(array)
@@ -458,9 +458,9 @@ class Parameters:
         Raises:
             ParameterError: If there is no such parameter.
         """
-        known = {one.name: one for one in cls.parameters()}
-        check_one_of("parameter", known, name)
-        return known[name]
+        by_name = {one.name: one for one in cls.parameters()}
+        check_one_of("parameter", by_name, name)
+        return by_name[name]
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with changes; derived values are derived again.

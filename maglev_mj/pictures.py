@@ -177,16 +177,6 @@ def name_curves(place: Any, panels: Sequence[Any] = ()) -> None:
     place.legend(entries.values(), entries.keys(), **options)
 
 
-def legend_height(names: Sequence[Sequence[str]], columns: int) -> float:
-    """Return the largest legend height under several panels [inch].
-
-    Args:
-        names: Of the curves of each panel.
-        columns: How many stand side by side.
-    """
-    return 0.19 * max(-(-len(some) // _columns(some, _width(columns))) for some in names)
-
-
 def _width(columns: int) -> float:
     """Return the width of a legend under a panel [inch]."""
     return WIDTH if columns == 1 else WIDTH / columns - 0.4
@@ -240,8 +230,9 @@ def small_multiples(panels: Sequence[Panel], path: Path) -> Path:
         MissingPackageError: If matplotlib is not installed.
     """
     rows = -(-len(panels) // 2)
-    legends = legend_height([[label for label, _, _ in panel.curves] for panel in panels], 2)
-    figure, axes = new_figure(rows, 2, rows * (3.3 + legends))
+    names = [[label for label, _, _ in panel.curves] for panel in panels]
+    lines = max(-(-len(some) // _columns(some, _width(2))) for some in names)
+    figure, axes = new_figure(rows, 2, rows * (3.3 + 0.19 * lines))
     for axis, panel in zip(axes, panels):
         for index, (label, x, y) in enumerate(panel.curves):
             color = SERIES[index % len(SERIES)]

@@ -288,10 +288,10 @@ class AxisLaw(Law):
         """Answer one sample; see `Law`."""
         after, force = [], self.force
         for (axis, gains), before in zip(self._each, state):
-            given = force(position[axis], velocity[axis], gains, before)
-            if given.__class__ is tuple:
-                given, before = given
-            wrench[axis] = wrench[axis] + given
+            result = force(position[axis], velocity[axis], gains, before)
+            if result.__class__ is tuple:
+                result, before = result
+            wrench[axis] = wrench[axis] + result
             after.append(before)
         return after, None
 

@@ -328,13 +328,13 @@ class ObserverWall(_LowerWall):
         """
         offset = x - gains.lower
         if state is None:
-            known = _Belief(offset, 0.0, 0.0, (0.0,) * (self._split[0] + 2))
+            belief = _Belief(offset, 0.0, 0.0, (0.0,) * (self._split[0] + 2))
         else:
-            known = self._corrected(state, offset, gains.inertia)
-        place, speed = self._at_effect(known, gains.inertia)
+            belief = self._corrected(state, offset, gains.inertia)
+        place, speed = self._at_effect(belief, gains.inertia)
         force = (place <= 0.0) * -(gains.stiffness * place + gains.damping * speed)
-        given = force if self.force_limit == math.inf else clipped(force, self.force_limit)
-        return force, known._replace(forces=(given, *known.forces[:-1]))
+        applied = force if self.force_limit == math.inf else clipped(force, self.force_limit)
+        return force, belief._replace(forces=(applied, *belief.forces[:-1]))
 
     def linear(self, stiffness: Array, damping: Array) -> LinearController:
         """Return the law in contact as a linear system.
@@ -348,11 +348,11 @@ class ObserverWall(_LowerWall):
         shape = np.broadcast_shapes(stiffness.shape, damping.shape, inertia.shape)
         columns = []
         for part in np.eye(size + 1):  # each entry of the memory in turn, then the position
-            belief = _Belief(part[0], part[1], part[2], tuple(part[3:size]))
-            known = self._corrected(belief, part[size], inertia)
-            place, speed = self._at_effect(known, inertia)
+            memory = _Belief(part[0], part[1], part[2], tuple(part[3:size]))
+            belief = self._corrected(memory, part[size], inertia)
+            place, speed = self._at_effect(belief, inertia)
             force = -(stiffness * place + damping * speed)
-            rows = (known.place, known.speed, known.unknown, force, *known.forces[:-1], force)
+            rows = (belief.place, belief.speed, belief.unknown, force, *belief.forces[:-1], force)
             columns.append(np.stack([np.broadcast_to(row, shape) for row in rows], axis=-1))
         whole = np.stack(columns, axis=-1)
         return LinearController(
