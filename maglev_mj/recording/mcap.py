@@ -12,10 +12,11 @@ import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from io import BytesIO
-from typing import IO, TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
 
 from maglev_mj.errors import ParameterError, require
 from maglev_mj.frames import AXES, Array
@@ -24,7 +25,7 @@ from maglev_mj.recording.sample import (
     FIELDS,
     TOTALS,
     Field,
-    Row,
+    Rows,
     RunMetadata,
     Setup,
     check_rows,
@@ -139,45 +140,6 @@ def _head(field: Field) -> bytes:
     return _varint(number << 3 | _FIXED64)
 
 
-class _Value(NamedTuple):
-    """Number in a message: preceding bytes and type code."""
-
-    head: bytes
-    code: str
-
-
-def _values(fields: Sequence[Field]) -> list[_Value]:
-    found = []
-    for field in fields:
-        head, code = _head(field), "d" if field.unit else "Q"
-        for place in range(len(field.units)):
-            inner = bytes([place + 1 << 3 | _FIXED64]) if field.six else b""
-            found.append(_Value(head + inner if not place else inner, code))
-    return found
-
-
-_WRITTEN = _values((STRETCH_NUMBER, *FIELDS, *TOTALS))
-_STRUCT = struct.Struct("<" + "".join(f"{len(value.head)}s{value.code}" for value in _WRITTEN))
-_PARTS = [part for value in _WRITTEN for part in (value.head, None)]
-_WHOLE = [place for place, value in enumerate(_WRITTEN) if value.code == "Q"]
-
-
-def packed(stretch: int, row: Row, totals: Row) -> bytes:
-    """Return a sample as a message.
-
-    Args:
-        stretch: Number of the stretch.
-        row: Values in the order of FIELDS.
-        totals: Running totals in the order of TOTALS.
-    """
-    values: list[float] = [stretch, *row, *totals]
-    for place in _WHOLE:
-        values[place] = int(values[place])
-    parts = _PARTS.copy()
-    parts[1::2] = values  # type: ignore[assignment]
-    return _STRUCT.pack(*parts)
-
-
 MessageArray: TypeAlias = "np.ndarray[tuple[int, int], np.dtype[np.uint8]]"
 """Messages of one layout, (N, size) bytes."""
 
@@ -193,20 +155,19 @@ class Layout:
     """
 
     def __init__(self, fields: Sequence[Field | int]) -> None:
-        heads: list[int] = []
-        expected, at = b"", 0
+        template, heads = b"", list[int]()
         self._places: dict[str, int] = {}
         for field in fields:
             if isinstance(field, int):
-                at += field
+                template += bytes(field)
                 continue
-            for value in _values([field]):
-                heads += range(at, at + len(value.head))
-                at, expected = at + len(value.head), expected + value.head
-                self._places.setdefault(field.name, at)
-                at += _NUMBER_SIZE
-        self.size = at
-        self._heads, self._expected = np.array(heads), np.frombuffer(expected, np.uint8)
+            head = _head(field)
+            for number in range(1, len(field.units) + 1):
+                head += bytes([number << 3 | _FIXED64]) if field.six else b""
+                heads += range(len(template), len(template) + len(head))
+                self._places.setdefault(field.name, len(template) + len(head))
+                template, head = template + head + bytes(_NUMBER_SIZE), b""
+        self.size, self._heads, self._template = len(template), np.array(heads), np.frombuffer(template, np.uint8)
 
     def check(self, messages: MessageArray) -> None:
         """Check that messages have this layout.
@@ -214,7 +175,7 @@ class Layout:
         Raises:
             ParameterError: If one has another layout.
         """
-        if not (messages[:, self._heads] == self._expected).all():
+        if not (messages[:, self._heads] == self._template[self._heads]).all():
             raise ParameterError("the samples of a file must all have the same fields")
 
     def values(self, messages: MessageArray, field: Field) -> Array:
@@ -222,16 +183,37 @@ class Layout:
 
         The shape is (N,) or (N, 6).
         """
-        at = self._places.get(field.name)
-        count = len(messages)
-        if at is None:
-            return np.full((count, 6) if field.six else count, np.nan)
-        kind = np.dtype("<f8" if field.unit else "<u8")
-        values = messages[:, at : at + _NUMBER_SIZE].view(kind)
-        if field.six:
-            values = as_strided(values, (count, 6), (values.strides[0], _SIX_SIZE // 6))
-        found = values.astype(np.float64)
-        return found if field.six else found[:, 0]
+        if field.name not in self._places:
+            return np.full((len(messages), 6) if field.six else len(messages), np.nan)
+        return self._view(messages, field).astype(np.float64)
+
+    def packed(self, values: Mapping[str, Array | float], count: int) -> list[bytes]:
+        """Return samples as messages, of the values of each field."""
+        messages = np.tile(self._template, (count, 1))
+        for field in _ORDERED:
+            self._view(messages, field)[:] = values[field.name]
+        return [message.tobytes() for message in messages]
+
+    def _view(self, messages: MessageArray, field: Field) -> NDArray[Any]:
+        at = self._places[field.name]
+        numbers = messages[:, at : at + _NUMBER_SIZE].view("<f8" if field.unit else "<u8")
+        values = as_strided(numbers, (len(messages), len(field.units)), (numbers.strides[0], _SIX_SIZE // 6))
+        return values if field.six else values[:, 0]
+
+
+_WRITTEN = Layout((STRETCH_NUMBER, *FIELDS, *TOTALS))
+
+
+def packed(stretch: int, rows: Rows, totals: Array) -> list[bytes]:
+    """Return N samples as messages.
+
+    Args:
+        stretch: Number of the stretch.
+        rows: Their values, (N,).
+        totals: Running totals in the order of TOTALS, (N, 3).
+    """
+    values = {STRETCH_NUMBER.name: stretch} | {field.name: rows[field.name] for field in FIELDS}
+    return _WRITTEN.packed(values | {field.name: one for field, one in zip(TOTALS, totals.T)}, len(rows))
 
 
 def layout_of(message: bytes) -> Layout:

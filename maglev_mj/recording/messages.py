@@ -160,20 +160,15 @@ class Messages:
         """Log one or more samples, their values in FIELDS order."""
         assert self._totals is not None
         table = as_rows(rows)
-        for row, values, totals in zip(rows, table, self._totals.take(table).tolist()):
-            self._log_sample(row, values, totals)
-
-    def _log_sample(self, row: Row, values: np.void, totals: Row) -> None:
-        tick, time = row[0], row[1]
-        if self._first is None:
-            self._first = time
-        self._tick = int(tick)
-        self._now = max(self._now, self._began + round((time - self._first) * 1e9))
-        self._sample.log(packed(self._stretch, row, totals), self._now)
-        turn = math.floor((time - self._first) * _SHOWN + 1e-6)
-        if turn > self._shown:
-            self._shown = turn
-            self._show(values)
+        for row, values, message in zip(rows, table, packed(self._stretch, table, self._totals.take(table))):
+            time, self._tick = row[1], int(row[0])
+            self._first = time if self._first is None else self._first
+            self._now = max(self._now, self._began + round((time - self._first) * 1e9))
+            self._sample.log(message, self._now)
+            turn = math.floor((time - self._first) * _SHOWN + 1e-6)
+            if turn > self._shown:
+                self._shown = turn
+                self._show(values)
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Log an event.
