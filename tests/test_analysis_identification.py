@@ -356,7 +356,7 @@ def test_the_same_recording_without_its_first_samples_says_the_same() -> None:
     part = identify(stretch[25:], anchors=anchors[25:])
     assert part.samples == part.of - 2
     assert holds(part.axes["x"].inertia, CASE.mass)
-    assert reconstruct(stretch, stretch.metadata).time[-1] > 0.0
+    assert reconstruct(stretch).time[-1] > 0.0
 
 
 def test_a_case_of_the_study_is_the_same_for_its_seed() -> None:

@@ -24,8 +24,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import run_variants
 from maglev_mj.session import Pacer, Session
-from maglev_mj.session.playback import Replay
-from maglev_mj.session.replay import rebuild, record_run, recorded
+from maglev_mj.session.replay import Replay, rebuild, record_run, recorded
 from maglev_mj.viewer.clip import write_clip, write_picture
 
 

@@ -13,7 +13,7 @@ from maglev_mj.analysis.motion import Motion
 from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.plants.energy import actuator_work, hand_work
 from maglev_mj.plants.trace import Trace
-from maglev_mj.recording import RunMetadata
+from maglev_mj.recording import Stretch
 from maglev_mj.recording.sample import Face
 from maglev_mj.result import Table, number_text, plain, with_unit
 from maglev_mj.scenes.figures import Hardness, perceived_hardness, summarise_bounce
@@ -406,19 +406,17 @@ def _woven(knots: Array, between: Array) -> Array:
 
 
 def stretch_figures(
-    motion: Motion, metadata: RunMetadata, ticks: Array, hand: Array, anchors: Array | None, rest: float | None = None
+    motion: Motion, stretch: Stretch, anchors: Array | None, rest: float | None = None
 ) -> StretchFigures:
     """Return the figures of a stretch of N samples.
 
     Args:
         motion: The motion through them.
-        metadata: Metadata of the stretch.
-        ticks: Numbers of the samples, (N,).
-        hand: Wrench of the hand from each sample on [N, N m], (N, 6).
+        stretch: The samples.
         anchors: Stick positions at each sample [m, rad], (N, 6), NaN while sliding; None without friction.
         rest: Rest position at a wall [m, rad]; found from the samples by default.
     """
-    trace = motion.trace
+    trace, metadata, ticks = motion.trace, stretch.metadata, stretch.tick
     faces = [figures for face in metadata.faces if (figures := face_figures(trace, face, rest=rest)) is not None]
     lines = np.full((len(ticks), len(AXES)), np.nan) if anchors is None else anchors
     stuck = np.isfinite(lines)
@@ -431,7 +429,7 @@ def stretch_figures(
         peak_force=np.abs(trace.wrench[:-1]).max(axis=0),
         faces=faces,
         untouched=len(metadata.faces) - len(faces),
-        energy=_energy(motion, metadata, hand),
+        energy=_energy(motion, stretch),
         unexplained=np.sqrt((motion.unexplained**2).mean(axis=0)),
         friction={
             AXES[axis]: _stick_slip(motion.time, stuck[:, axis], lines[:, axis])
@@ -440,14 +438,15 @@ def stretch_figures(
     )
 
 
-def _energy(motion: Motion, metadata: RunMetadata, hand: Array) -> Energy:
+def _energy(motion: Motion, stretch: Stretch) -> Energy:
     """Return the energy balance of each axis.
 
     Each force is paired with the displacement during its action.
     """
-    taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, metadata.carried), axis=0)])
+    taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, stretch.metadata.carried), axis=0)])
     positions = motion.trace.pose[motion.starts]
-    work = hand_work(positions, hand).sum(axis=0) if metadata.hand_recorded else np.full(len(AXES), np.nan)
+    known = stretch.metadata.hand_recorded
+    work = hand_work(positions, stretch.hand).sum(axis=0) if known else np.full(len(AXES), np.nan)
     return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * np.diff(positions, axis=0)).sum(axis=0))
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.frames import Array, Mask
-from maglev_mj.recording import RunMetadata, Stretch
+from maglev_mj.recording import Stretch
 from maglev_mj.recording.sample import Face
 
 _SINGULAR, _ROUNDS = 1e-10, 40
@@ -410,22 +410,19 @@ def is_inside(position: Array, face: Face) -> Mask:
     return np.asarray(face[1] * (position - face[2]) <= 0.0)
 
 
-def fit_law(
-    stretch: Stretch, metadata: RunMetadata, axis: int, faces: Sequence[Face], anchors: Array | None, used: Mask
-) -> CommandedLaw:
+def fit_law(stretch: Stretch, axis: int, faces: Sequence[Face], anchors: Array | None, used: Mask) -> CommandedLaw:
     """Fit the commands on an axis by a law.
 
     The law is a sum of walls, friction, and a spring and a damper that act everywhere.
 
     Args:
         stretch: N samples.
-        metadata: Metadata of the run.
         axis: Index into AXES.
         faces: Touched walls.
         anchors: Stick positions of the axis [m, rad], (N,); None without friction.
         used: True for samples that count, (N,).
     """
-    tick, position, period = stretch.tick, stretch.position[:, axis], metadata.period
+    tick, position, period = stretch.tick, stretch.position[:, axis], stretch.metadata.period
     speed = np.append(0.0, np.diff(position) / (np.diff(tick) * period))
     names: list[tuple[str, int]] = []
     parts: list[Array] = []
@@ -437,7 +434,7 @@ def fit_law(
         parts += [inside * (face[2] - position), inside * -speed]
     stated = stretch.command[:, axis]
     applied = stretch.applied[:, axis]
-    command = np.where(np.isfinite(stated), stated, applied) - metadata.carried[axis]
+    command = np.where(np.isfinite(stated), stated, applied) - stretch.metadata.carried[axis]
     outside &= used
     if anchors is not None:
         stuck = np.isfinite(anchors)

@@ -283,21 +283,22 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
         (True, True)
     """
     check_instance("stretch", stretch, Stretch, READ_STRETCH)
-    run = stretch.metadata if metadata is None else metadata
+    if metadata is not None:
+        stretch = replace(stretch, setup={**stretch.setup, "run": metadata.as_json()})
     axes: dict[str, AxisEstimates] = {}
     walls: list[WallEstimates] = []
     friction: dict[str, Friction] = {}
     used = 0
     for index, name in enumerate(AXES):
         stuck = None if anchors is None or not np.isfinite(anchors[:, index]).any() else anchors[:, index]
-        faces = [face for face in run.faces if face[0] == index]
+        faces = [face for face in stretch.metadata.faces if face[0] == index]
         axis = None
         if len(stretch) < _LEAST_SAMPLES:
             why = f"only {len(stretch)} samples"
         elif not np.ptp(stretch.position[:, index]) > _STILL:
             why = "the axis does not move"
         else:
-            axis, why = _Axis.of(stretch, run, index, stuck), "too few samples without a gap"
+            axis, why = _Axis.of(stretch, index, stuck), "too few samples without a gap"
         if axis is None:
             walls += [WallEstimates.of(face, **_every(WallEstimates, Estimate(why=why))) for face in faces]
         else:
@@ -315,7 +316,6 @@ class _Axis:
 
     Attributes:
         stretch: The samples used, and earlier ones whose commands take effect during them.
-        metadata: Metadata of the run.
         axis: Index into AXES.
         anchors: Stick positions [m, rad], (N,); None without friction.
         windows: Windows of the samples used.
@@ -323,21 +323,20 @@ class _Axis:
     """
 
     stretch: Stretch
-    metadata: RunMetadata
     axis: int
     anchors: Array | None
     windows: Windows
     held: bool = False
 
     @classmethod
-    def of(cls, stretch: Stretch, metadata: RunMetadata, axis: int, anchors: Array | None) -> _Axis | None:
+    def of(cls, stretch: Stretch, axis: int, anchors: Array | None) -> _Axis | None:
         """Return the coordinate with its selected samples, or None.
 
         Of a long stretch, the windows with the least straight motion are selected; None if there are none.
         """
-        period = metadata.period
+        period = stretch.metadata.period
         # after a gap the delayed commands are unknown
-        ahead = int(split_delay(metadata.delay, period)[0]) + 2
+        ahead = int(split_delay(stretch.metadata.delay, period)[0]) + 2
         breaks = (np.flatnonzero(np.diff(stretch.tick) != 1) + 1).tolist()
         first = 0 if stretch.time[0] < period else ahead
         runs = [(one, end) for one, end in zip([first, *(at + ahead for at in breaks)], [*breaks, len(stretch)])]
@@ -348,7 +347,7 @@ class _Axis:
         needed = np.unique(np.maximum(windows.rows[windows.there][:, None] - np.arange(ahead + 1), 0))
         windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.there)
         stuck = None if anchors is None else anchors[needed]
-        free = cls(stretch=stretch[needed], metadata=metadata, axis=axis, anchors=stuck, windows=windows)
+        free = cls(stretch=stretch[needed], axis=axis, anchors=stuck, windows=windows)
         if free.disturbed:
             held = replace(free, held=True)
             return free if held.disturbed else held
@@ -369,7 +368,7 @@ class _Axis:
     @property
     def inertia(self) -> float:
         """Recorded mass or moment of inertia [kg, kg m²]."""
-        return float(self.metadata.inertia[self.axis])
+        return float(self.stretch.metadata.inertia[self.axis])
 
     def _fit(
         self, *, delay: float, search: bool, mass: float | None = None, law: tuple[Array, Array] | None = None
@@ -388,14 +387,14 @@ class _Axis:
         whole = np.zeros((len(self.position), 0)), self.stretch.applied[:, self.axis]
         parts, rest = whole if law is None else law
         count, gains = parts.shape
-        period, time, axis = self.metadata.period, self.stretch.time, self.axis
+        period, time, axis = self.stretch.metadata.period, self.stretch.time, self.axis
         nothing, none = np.zeros((count, gains)), np.zeros(count)
         late = np.column_stack([parts, rest, none])
         extra = np.column_stack([nothing, self.stretch.applied_pulse[:, axis], none])
         width = self.stretch.applied_pulse_width
         switch, levels = recorded_switches(time, late, extra, width, period=period, delay=0.0)
-        before = np.append(np.zeros(gains), [self.metadata.before[axis], 0.0])
-        hand = self.stretch.known_hand[:-1, axis] if self.metadata.hand_acts_on_flotor else none[:-1]
+        before = np.append(np.zeros(gains), [self.stretch.metadata.before[axis], 0.0])
+        hand = self.stretch.known_hand[:-1, axis] if self.stretch.metadata.hand_acts_on_flotor else none[:-1]
         span = np.diff(time)[:, None]
         prompt = np.column_stack([nothing[:-1], hand, none[:-1] + 1.0])
         speed, way = span * prompt, 0.5 * span**2 * prompt
@@ -428,7 +427,7 @@ class _Axis:
 
         The integral and double integral over each period, (N - 1,), for the spring, then for the damper.
         """
-        motion, axis = reconstruct(self.stretch, self.metadata), self.axis
+        motion, axis = reconstruct(self.stretch), self.axis
         trace, ends = motion.trace.along(axis), motion.starts
         knots, position, speed = trace.time, trace.pose[:-1, 0], trace.twist[:-1, 0]
         width = np.diff(knots)
@@ -452,7 +451,7 @@ class _Axis:
 
         It has their common factor, a constant, and their delay.
         """
-        return self._fit(delay=self.metadata.delay, search=True)
+        return self._fit(delay=self.stretch.metadata.delay, search=True)
 
     @property
     def pushed(self) -> bool:
@@ -500,15 +499,18 @@ class _Axis:
             inertia = motion.estimate(mass, mass**2 * motion.errors[0])
             delay = self._late(motion)
         else:
-            motion = self._fit(delay=self.metadata.delay, search=False, mass=mass)
+            motion = self._fit(delay=self.stretch.metadata.delay, search=False, mass=mass)
         slope = np.zeros(len(motion.errors))
         slope[:2] = -motion.values[1] * mass**2 * (not self._why), mass
-        force = mass * motion.values[1] - float(self.metadata.load[self.axis])
+        force = mass * motion.values[1] - float(self.stretch.metadata.load[self.axis])
         error = motion.estimate(force, motion.error_of(slope))
         return AxisEstimates(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
 
     def _late(self, motion: Fit) -> Estimate:
-        if motion.moves[-1] < _CLEAR * motion.residual or motion.errors[-1] > _MOST_DELAY * self.metadata.period:
+        if (
+            motion.moves[-1] < _CLEAR * motion.residual
+            or motion.errors[-1] > _MOST_DELAY * self.stretch.metadata.period
+        ):
             return Estimate(why="the force switches too little")
         return motion.estimate(motion.delay, motion.errors[-1])
 
@@ -517,13 +519,13 @@ class _Axis:
     @cached_property
     def faces(self) -> list[Face]:
         """Touched walls of the axis."""
-        faces = [face for face in self.metadata.faces if face[0] == self.axis]
+        faces = [face for face in self.stretch.metadata.faces if face[0] == self.axis]
         return [face for face in faces if (is_inside(self.position, face) & self.used).sum() >= _LEAST_INSIDE]
 
     @cached_property
     def law(self) -> CommandedLaw:
         """Law as a fit of commands by positions."""
-        return fit_law(self.stretch, self.metadata, self.axis, self.faces, self.anchors, self.used)
+        return fit_law(self.stretch, self.axis, self.faces, self.anchors, self.used)
 
     def _commanded(self, name: tuple[str, int]) -> Estimate:
         """Return an identified gain of the law."""
@@ -584,7 +586,7 @@ class _Axis:
             if not (shown := self._shown(one)).known:
                 return shown
         rendered, names, mass = self.rendered, self.law.names, self.inertia
-        period, last = self.metadata.period, len(rendered.values)
+        period, last = self.stretch.metadata.period, len(rendered.values)
         weights = np.zeros((3, last + 1))
         for row, name, other in zip(weights, gains, (("spring", 0), ("damper", 0))):
             row[[names.index(one) for one in (name, other) if one in names]] = mass

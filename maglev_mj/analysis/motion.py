@@ -67,7 +67,7 @@ class _Pieces(NamedTuple):
     start: Array
 
 
-def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
+def reconstruct(stretch: Stretch) -> Motion:
     """Return the motion through the samples of a stretch.
 
     Between two samples the recorded forces and their switching times are known. The speed at the first sample is such
@@ -79,7 +79,6 @@ def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
 
     Args:
         stretch: The stretch.
-        metadata: Metadata of the stretch.
 
     Raises:
         InvalidRecordingError: If it has less than two samples, or they are not in order.
@@ -88,9 +87,10 @@ def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
         raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
     if not (np.diff(stretch.time) > 0.0).all():
         raise InvalidRecordingError("the samples of a recording must be in the order in which they were taken")
+    metadata = stretch.metadata
     released = stretch.time[0] < metadata.period * (1.0 - _ROUNDING)
     time = stretch.time if released else stretch.time - stretch.time[0]
-    pieces = _pieces(stretch, metadata, time)
+    pieces = _pieces(stretch, time)
     steady = np.tile(metadata.load, (len(time) - 1, 1))
     if metadata.hand_acts_on_flotor:
         steady += stretch.known_hand[:-1]
@@ -107,9 +107,10 @@ def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
     return Motion(trace, starts, jumps, unexplained)
 
 
-def _pieces(stretch: Stretch, metadata: RunMetadata, time: Array) -> _Pieces:
+def _pieces(stretch: Stretch, time: Array) -> _Pieces:
     """Cut the time between samples at force switches."""
     held, extra, widths = stretch.applied, stretch.applied_pulse, stretch.applied_pulse_width
+    metadata = stretch.metadata
     when, force = recorded_switches(time, held, extra, widths, period=metadata.period, delay=metadata.delay)
     inside = when[(when > time[0]) & (when < time[-1])]
     knots = np.unique(np.concatenate([time, inside]))[:-1]

@@ -33,7 +33,7 @@ from maglev_mj.session import (
     real_time,
     settable,
 )
-from maglev_mj.session.actions import actions
+from maglev_mj.session.session import actions
 
 _MOST_ROWS = 400
 _NAP = 0.001

@@ -56,6 +56,7 @@ ALLOW = "allow it by --scene {}, or by --scene attached for the source in the re
 _OBJECTS = ("timing", "sensor", "hand", "hand_force", "path")
 _OWN_SLOTS = ("laws", "velocity")
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
+_INVALID = MaglevError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError
 _MOST, _LONGEST_LIST, _MOST_LAWS, _LEAST_STEP = 1e12, 100_000, 100, 1e-5
 
 
@@ -173,7 +174,7 @@ def controller_again(setup: Setup, own: Own | None = None) -> Controller:
         OwnCodeError: If it needs user code that was not allowed or is not known.
         InvalidRecordingError: If a value is missing, of another type, or out of range.
     """
-    with _refused():
+    with refused(*_INVALID):
         controller = _made("controller", setup["controller"], own)
         if not isinstance(controller, Controller):
             raise OwnCodeError(f"nothing tells how {controller} was made, or it had run before the recording began")
@@ -195,7 +196,7 @@ def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | N
     told = setup.get("plant")
     if isinstance(told, str):
         return None
-    with _refused(), engine_warnings_silenced():
+    with refused(*_INVALID), engine_warnings_silenced():
         if isinstance(told, dict) and (hand is not None or not scripted(setup)):
             told = {name: value for name, value in told.items() if name != "hand_force"}
         plant: SampledPlant = _made("plant", told, None, {} if hand is None else {"hand_force": hand})
@@ -206,13 +207,13 @@ def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | N
 
 
 @contextmanager
-def _refused() -> Iterator[None]:
-    """Turn any error of an invalid setup into one line."""
+def refused(*errors: type[Exception]) -> Iterator[None]:
+    """Turn errors of an invalid setup into one line."""
     try:
         yield
     except InvalidRecordingError:
         raise
-    except (MaglevError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
+    except errors as error:
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
 
 

@@ -5,24 +5,253 @@ It knows neither window nor keys.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from maglev_mj.control import Bias
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import ControlLoop, Record
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
-from maglev_mj.parameters import number
+from maglev_mj.frames import ZERO, Array, Command, Sample
+from maglev_mj.parameters import Parameter, number
+from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.plants.energy import EnergyAccount
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
-from maglev_mj.recording import RecordingFile
-from maglev_mj.scenes import BUILT_IN, find_scene
-from maglev_mj.scenes.find import SceneLike, get_scene
+from maglev_mj.recording import RecordingFile, setup_of
+from maglev_mj.recording.setup import attach_model, attach_source
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, source_of
+from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
-from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, Action, actions, settable
 from maglev_mj.session.pacing import TIME_SCALES, Pacer, next_scale
 from maglev_mj.session.recorder import SessionRecorder
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
-from maglev_mj.session.stretch import LiveStretch, centred, lifted
+from maglev_mj.spec import Spec
+
+DEVICES_OWN = "period", "delay"
+"""Parameters that other programs cannot change.
+
+They belong to the device, or to the user at the machine.
+"""
+
+EMERGENCY_STOP = "emergency stop"
+"""Action of the emergency stop key of every window."""
+
+Action: TypeAlias = Callable[[Scene], Scene]
+"""Function that returns the changed scene."""
+
+
+def settable(scene: Scene) -> tuple[str, ...]:
+    """Return the parameters that other programs may change."""
+    return tuple(one.name for one in scene.parameters() if one.live and one.name not in DEVICES_OWN)
+
+
+def actions(cls: type[Scene]) -> Mapping[str, Action]:
+    """Return a scene's key actions by name.
+
+    A switch has its name; a number has "NAME up" and "NAME down", and its name alone turns it off and on if
+    it may be 0.
+    """
+    found: dict[str, Action] = {}
+    for one in cls.parameters():
+        if not one.live or not one.live.has_keys or one.kind not in (bool, float, int):
+            continue
+        word = one.live.word or one.name
+        if one.kind is bool:
+            found[word] = _switched(one.name)
+            continue
+        if one.default and one.bounds.get("at_least") == 0.0 and not one.live.word:
+            found[word] = _cleared(one.name, one.default)
+        for sense, way in (("up", 1), ("down", -1)):
+            found[f"{word} {sense}"] = _turned(one, way)
+    return found
+
+
+def device_actions(cls: type[Scene]) -> tuple[str, ...]:
+    """Return the actions of a scene on a device."""
+    own = {one.live.word or one.name for one in cls.parameters() if one.live and one.name in DEVICES_OWN}
+    names = (name for name in actions(cls) if name.removesuffix(" up").removesuffix(" down") not in own)
+    return *names, EMERGENCY_STOP
+
+
+def _switched(name: str) -> Action:
+    return lambda scene: scene.replace(**{name: not getattr(scene, name)})
+
+
+def _cleared(name: str, default: float) -> Action:
+    return lambda scene: scene.replace(**{name: 0.0 if getattr(scene, name) else default})
+
+
+def _turned(one: Parameter, way: int) -> Action:
+    assert one.live
+    turn, least, most = one.live, one.bounds.get("at_least", -math.inf), one.bounds.get("at_most", math.inf)
+
+    def change(scene: Scene) -> Scene:
+        value = getattr(scene, one.name)
+        if value is None:
+            return scene
+        turned = turn(value, way)
+        if one.kind is int:  # a whole step at least, or a small number would stay
+            turned = value + way if round(turned) == value else round(turned)
+        # a person at a key is stopped at a bound, not told off
+        return scene.replace(**{one.name: min(max(turned, least), most)})
+
+    return change
+
+
+def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **known: Any) -> Record:
+    """Begin a stretch of a recording with a scene's metadata.
+
+    Args:
+        file: The file.
+        scene: The scene.
+        plant: The controlled plant.
+        controller: The controller.
+        known: Further arguments of `setup_of`.
+    """
+    cls = type(scene)
+    attach_model(file, scene.model)
+    attach_source(file, cls)
+    known |= {"scene": reference_of(cls), "source": source_of(cls), "parameters": scene.as_json(), "axis": scene.axis}
+    return file.begin(plant, controller, setup_of(plant, controller, **known))
+
+
+class LiveStretch:
+    """Scene running with constant parameters from a given state.
+
+    Args:
+        scene: The scene.
+        hand: The hand.
+        pose: Initial pose [m, rad].
+        twist: Initial twist [m/s, rad/s].
+        wrench: Coil wrench until the first command takes effect [N, N m].
+        file: Recording of every sample; None for none.
+        began: Session time at the start [s].
+        keep: Called after each tick with a row of history, see `History.add`.
+
+    Attributes:
+        scene: The scene.
+        energy: Energy balance.
+        faces: Every wall: index into AXES, normal, edge.
+        pulsed: True if the last command had a pulse.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        hand: HandForce,
+        *,
+        pose: Sequence[float],
+        twist: Sequence[float] = ZERO,
+        wrench: Sequence[float],
+        file: RecordingFile | None,
+        began: float,
+        keep: Callable[..., object],
+    ) -> None:
+        self.plant = live_plant(scene, hand, pose=pose, twist=twist, wrench=wrench)
+        self.controller = scene.controller()
+        record = None
+        if file is not None:
+            record = begin_scene(file, scene, self.plant, self.controller, name=f"scene {scene.name}")
+        self._carried = self.controller.carried
+        self.energy = EnergyAccount(np.array(pose), self._carried)
+        self.faces = self.controller.faces
+        self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
+        self.scene, self._keep, self._began = scene, keep, began
+        self.ticks, self._period = 0, scene.period
+        self.pose, self.twist = np.array(pose, dtype=np.float64), np.array(twist, dtype=np.float64)
+        self.force: Sequence[float] = wrench
+        self.pulsed = False
+
+    def tick(self) -> None:
+        """Answer one sample."""
+        self._loop.cycle()
+        self.ticks += 1
+
+    @property
+    def time(self) -> float:
+        """Time of the session [s]."""
+        return self._began + self.ticks * self._period
+
+    @property
+    def anchors(self) -> Array | None:
+        """Stick positions [m, rad], (6,).
+
+        NaN on axes without friction; None without any friction.
+        """
+        return self.controller.stick_positions
+
+    @property
+    def rendered(self) -> Array:
+        """Device wrench without weight compensation [N, N m], (6,)."""
+        rendered: Array = np.array(self.force) - self._carried
+        return rendered
+
+    def _observe(self, sample: Sample, applied: Command) -> None:
+        plant = self.plant
+        self.pose, self.twist = plant.state()
+        effort = plant.hand_wrench
+        self.energy.add(self.pose, effort, plant.work)
+        self.force = applied.force
+        self.pulsed = applied.extra is not None and any(applied.extra)
+        self._keep(self.time, self.pose, self.twist, self.rendered, effort)
+
+
+_LIFTED = 0.004
+
+
+def lifted(scene: Scene) -> tuple[Scene, Sequence[float]]:
+    """Return the scene with gravity, and a raised start pose.
+
+    The pose is [m, rad], at a height of 4 mm.
+    """
+    pose = scene.start().pose
+    falling = scene.replace(weightless=False) if "weightless" in settable(scene) else scene
+    return falling, (*pose[:2], _LIFTED, *pose[3:])
+
+
+def centred(scene: Scene) -> Scene:
+    """Return the scene with its default gravity compensation."""
+    if "weightless" not in settable(scene):
+        return scene
+    return scene.replace(weightless=scene.parameter("weightless").default)
+
+
+def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
+    """Return a scene's plant with stops and current limits.
+
+    At most 10 A in each coil unless the scene has another limit.
+
+    Args:
+        scene: The scene.
+        hand: The hand on the flotor; its attribute `hand`, if any, is its impedance.
+        start: Pose, twist and wrench in place of the scene's own.
+    """
+
+    def make(timing: Timing, **options: Any) -> MuJoCoPlant:
+        limits: dict[str, Any] = {"current_limit": Spec.peak_current.value, "stops": True, "metered": True}
+        return MuJoCoPlant(timing, **limits | options | {"hand_force": hand, "hand": getattr(hand, "hand", None)})
+
+    plant = scene.plant(make, **start)  # type: ignore[arg-type]
+    assert isinstance(plant, MuJoCoPlant)
+    return plant
+
+
+def device_controller(scene: Scene) -> Controller:
+    """Return a scene's controller for a device, with gravity compensation.
+
+    Added only if the scene has no gravity.
+    """
+    controller = scene.controller()
+    if scene.start().gravity:
+        return controller
+    return Controller([*controller.laws, Bias(WEIGHT)], period=scene.period, velocity=scene.velocity_estimator())
+
 
 _OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", EMERGENCY_STOP
 _CHOOSES = "scene "

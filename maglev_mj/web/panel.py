@@ -13,7 +13,7 @@ from maglev_mj.colours import BAD, DEVICE, GOOD, HAND, STOP, Colour, hex_of
 from maglev_mj.display.banner import Banner, banner, pace
 from maglev_mj.parameters import flag
 from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot
-from maglev_mj.session.actions import actions
+from maglev_mj.session.session import actions
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.web.controls import Ask, Choice, Control, Slider, control
 from maglev_mj.web.handles import put
