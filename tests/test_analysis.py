@@ -19,7 +19,7 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, Hold, Law, Wall
 from maglev_mj.analysis import StretchReport, analyse, face_figures, identify, reconstruct
-from maglev_mj.analysis.contacts import _stick_slip
+from maglev_mj.analysis.motion import _stick_slip
 from maglev_mj.bridge.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant

@@ -18,11 +18,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from maglev_mj.analysis.motion import Numbers
 from maglev_mj.frames import Array, Mask
 from maglev_mj.recording import Stretch
 from maglev_mj.recording.sample import Face
@@ -45,8 +45,6 @@ From this value on, noise of half a step moves a flotor at rest over several ste
 """
 _OFF_LATTICE, _DIVISORS, _LEAST_STEPS, _LEAST_MOVING = 1e-4, 20, 4, 20
 _EXACT, _NORMAL, _TINY = 1e-12, 1.959963984540054, 4.0 * float(np.finfo(np.float64).eps)
-
-Numbers: TypeAlias = NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,10 +145,6 @@ class Windows(NamedTuple):
         rows, there = np.zeros((len(parts), width), dtype=np.intp), np.zeros((len(parts), width), dtype=np.bool_)
         for index, part in enumerate(parts):
             rows[index, : len(part)], there[index, : len(part)] = part, True
-        return cls._of(rows, there, time)
-
-    @classmethod
-    def _of(cls, rows: Numbers, there: Mask, time: Array) -> Windows:
         since = (time[rows] - time[rows[:, :1]]) * there
         basis, _ = np.linalg.qr(np.stack([there.astype(np.float64), since], axis=-1)) if rows.size else (since, None)
         return cls(rows, there, basis)

@@ -12,11 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import groupby
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.analysis.contacts import OfWall
 from maglev_mj.analysis.fit import (
     ROUNDING,
     SLOW,
@@ -31,7 +30,7 @@ from maglev_mj.analysis.fit import (
     fit_law,
     is_inside,
 )
-from maglev_mj.analysis.motion import reconstruct
+from maglev_mj.analysis.motion import OfWall, reconstruct
 from maglev_mj.control.timeline import recorded_switches, split_delay
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import AXES, Array, Mask, unit_of
@@ -98,12 +97,6 @@ class WallEstimates(OfWall):
     commanded_damping: Estimate
     share: Estimate
 
-    @classmethod
-    def of(cls, face: Face, **estimates: Estimate) -> Self:
-        """Return the estimates of a wall given by index of the axis, normal and edge."""
-        axis, normal, edge = face
-        return cls(axis=AXES[axis], normal=normal, edge=edge, **estimates)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Friction:
@@ -132,35 +125,28 @@ def _every(kind: type[AxisEstimates | WallEstimates | Friction], estimate: Estim
 class _Row(NamedTuple):
     """Row of the table of identified quantities.
 
-    Owner, name, estimate, scale and unit of the estimate and of its residual.
+    Owner, axis, name, estimate, its unit and that of its residual on a translation, and scale of the estimate.
     """
 
     whose: str
+    axis: str
     name: str
     estimate: Estimate
-    scale: float
     unit: str
-    left_scale: float
-    left_unit: str
-
-    @classmethod
-    def of(
-        cls, whose: str, axis: str, name: str, estimate: Estimate, unit: str, left: str = "µm", scale: float = 1.0
-    ) -> Self:
-        """Return a row with the units of a translation made those of the axis."""
-        return cls(whose, name, estimate, scale, unit_of(unit, axis), 1e6 if left == "µm" else 1.0, unit_of(left, axis))
+    left: str = "µm"
+    scale: float = 1.0
 
     def cells(self) -> tuple[str, ...]:
         """Return an identified quantity as texts, its value rounded to two digits of its error."""
-        one = self.estimate
-        value, error = one.value * self.scale, one.standard_error * self.scale
+        value, error = self.estimate.value * self.scale, self.estimate.standard_error * self.scale
         decimals = min(max(1 - math.floor(math.log10(error)), 0), _DECIMALS) if error > 0.0 else _DECIMALS
+        left = self.estimate.residual * (1e6 if self.left == "µm" else 1.0)
         return (
             f"{'  ' if self.whose else ''}{self.name}",
             f"{round(value, decimals) + 0.0:.{decimals}f}",
             f"{error:.2g}" if error < 100.0 else f"{error:.0f}",
-            self.unit,
-            f"{one.residual * self.left_scale:.2g} {self.left_unit}",
+            unit_of(self.unit, self.axis),
+            f"{left:.2g} {unit_of(self.left, self.axis)}",
         )
 
 
@@ -207,29 +193,29 @@ class Identification:
 
     def _rows(self) -> Iterator[_Row]:
         best = next((axis for axis, one in self.axes.items() if one.delay is self.delay), AXES[0])
-        yield _Row.of("", best, "effective delay", self.delay, "ms", scale=1e3)
+        yield _Row("", best, "effective delay", self.delay, "ms", scale=1e3)
         for wall in self.walls:
             name, axis = wall.name, wall.axis
-            yield _Row.of(name, axis, "stiffness", wall.stiffness, "N/m")
-            yield _Row.of(name, axis, "damping", wall.damping, "N s/m")
-            yield _Row.of(name, axis, "of largest stable", wall.share, "%", scale=1e2)
-            yield _Row.of(name, axis, "commanded stiffness", wall.commanded_stiffness, "N/m", "N")
-            yield _Row.of(name, axis, "commanded damping", wall.commanded_damping, "N s/m", "N")
+            yield _Row(name, axis, "stiffness", wall.stiffness, "N/m")
+            yield _Row(name, axis, "damping", wall.damping, "N s/m")
+            yield _Row(name, axis, "of largest stable", wall.share, "%", scale=1e2)
+            yield _Row(name, axis, "commanded stiffness", wall.commanded_stiffness, "N/m", "N")
+            yield _Row(name, axis, "commanded damping", wall.commanded_damping, "N s/m", "N")
         for axis, friction in self.friction.items():
             name = f"friction on {axis}"
-            yield _Row.of(name, axis, "stiffness", friction.stiffness, "N/m")
-            yield _Row.of(name, axis, "commanded stiffness", friction.commanded_stiffness, "N/m", "N")
-            yield _Row.of(name, axis, "breakaway", friction.breakaway, "N", "N")
-            yield _Row.of(name, axis, "sliding", friction.sliding, "N", "N")
-            yield _Row.of(name, axis, "damping", friction.damping, "N s/m", "N")
+            yield _Row(name, axis, "stiffness", friction.stiffness, "N/m")
+            yield _Row(name, axis, "commanded stiffness", friction.commanded_stiffness, "N/m", "N")
+            yield _Row(name, axis, "breakaway", friction.breakaway, "N", "N")
+            yield _Row(name, axis, "sliding", friction.sliding, "N", "N")
+            yield _Row(name, axis, "damping", friction.damping, "N s/m", "N")
         for axis, one in self.axes.items():
             if axis in AXES[:3]:
-                yield _Row.of(axis, axis, "mass", one.inertia, "kg")
+                yield _Row(axis, axis, "mass", one.inertia, "kg")
             else:
-                yield _Row.of(axis, axis, "moment of inertia", one.inertia, "g m²", scale=1e3)
-            yield _Row.of(axis, axis, "force not compensated", one.force_error, "mN", scale=1e3)
-            yield _Row.of(axis, axis, "noise", one.noise, "µm", scale=1e6)
-            yield _Row.of(axis, axis, "steps", one.quantum, "µm", scale=1e6)
+                yield _Row(axis, axis, "moment of inertia", one.inertia, "g m²", scale=1e3)
+            yield _Row(axis, axis, "force not compensated", one.force_error, "mN", scale=1e3)
+            yield _Row(axis, axis, "noise", one.noise, "µm", scale=1e6)
+            yield _Row(axis, axis, "steps", one.quantum, "µm", scale=1e6)
 
     def table(self) -> Table:
         """Return a row for each identified quantity, and the reasons for the others below."""

@@ -8,14 +8,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.analysis.contacts import StretchFigures, axis_row, by_axis, stretch_figures
 from maglev_mj.analysis.identification import Identification, identify
-from maglev_mj.analysis.motion import Motion, reconstruct
+from maglev_mj.analysis.motion import Motion, StretchFigures, axis_row, by_axis, reconstruct, stretch_figures
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import flag, number
-from maglev_mj.plants import SampledPlant, engine_warnings_silenced
+from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
 from maglev_mj.recording.recording import READ_STRETCH
@@ -317,7 +316,9 @@ def simulate(stretch: Stretch, motion: Motion, rebuild: Rebuild, scene: type[Sce
     rows = np.round(stretch.tick - stretch.tick[0]).astype(np.intp)
     plant, controller = rebuild(stretch.setup, RecordedHand(stretch.known_hand))
     if plant is None:
-        plant = _twin(stretch, motion, scene)
+        device = recorded_scene(stretch.setup["scene"], stretch.setup["parameters"], scene)
+        start = {"pose": motion.trace.pose[motion.starts[0]], "twist": motion.trace.twist[motion.starts[0]]}
+        plant = live_plant(device, **start, wrench=stretch.metadata.before)
     recorder = Recorder(plant, stretch.setup)
     with plant, engine_warnings_silenced():
         try:
@@ -328,13 +329,6 @@ def simulate(stretch: Stretch, motion: Motion, rebuild: Rebuild, scene: type[Sce
             pass  # the comparison reports the number of samples
     kept = rows[rows < len(recorder)]
     return recorder.stretch()[kept].replace(tick=stretch.tick[: len(kept)], time=stretch.time[: len(kept)])
-
-
-def _twin(stretch: Stretch, motion: Motion, scene: type[Scene] | None) -> SampledPlant:
-    """Return the simulated device in place of a real one."""
-    flown, first = recorded_scene(stretch.setup["scene"], stretch.setup["parameters"], scene), motion.starts[0]
-    pose, twist = motion.trace.pose[first], motion.trace.twist[first]
-    return live_plant(flown, pose=pose, twist=twist, wrench=stretch.metadata.before)
 
 
 def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:

@@ -1,4 +1,3 @@
-from maglev_mj.recording.export import EXPORTS as EXPORTS
 from maglev_mj.recording.files import ArrayFile as ArrayFile
 from maglev_mj.recording.files import Recorder as Recorder
 from maglev_mj.recording.files import RecordingFile as RecordingFile
@@ -6,6 +5,7 @@ from maglev_mj.recording.files import best_suffix as best_suffix
 from maglev_mj.recording.files import check_name as check_name
 from maglev_mj.recording.files import open_recording as open_recording
 from maglev_mj.recording.files import tee as tee
+from maglev_mj.recording.recording import EXPORTS as EXPORTS
 from maglev_mj.recording.recording import InvalidRecordingError as InvalidRecordingError
 from maglev_mj.recording.recording import Recording as Recording
 from maglev_mj.recording.recording import RecordingError as RecordingError

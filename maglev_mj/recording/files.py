@@ -133,10 +133,8 @@ class ArrayFile:
     @property
     def recording(self) -> Recording:
         """Recording of all samples so far."""
-        stretches = [recorder.stretch() for recorder in self._recorders]
-        kept = [stretch for stretch in stretches if len(stretch)]
         return Recording(
-            kept,
+            [recorder.stretch() for recorder in self._recorders if len(recorder)],
             events=tuple(self._events),
             event_samples=tuple(self._event_samples),
             attachments=self._attachments,

@@ -8,9 +8,10 @@ array. Any decoder of protobuf reads them by name.
 from __future__ import annotations
 
 import json
+import operator
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from io import BytesIO
 from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
@@ -63,6 +64,13 @@ _NUMBERED, _COUNT = struct.Struct("<HI"), struct.Struct("<I")
 _FRONT, _SAME = _RECORD.size + _MESSAGE.size, _RECORD.size + 2  # bytes before a message; those alike in each of a topic
 _FOOTER, _SCHEMA, _CHANNEL, _SAID, _CHUNK = 2, 3, 4, 5, 6
 _ATTACHMENT, _STATISTICS, _METADATA, _DATA_END = 9, 11, 12, 15
+_RECORDS = {
+    _CHUNK: "Chunk",
+    _CHANNEL: "Channel",
+    _ATTACHMENT: "Attachment",
+    _METADATA: "Metadata",
+    _STATISTICS: "Statistics",
+}
 _OURS = frozenset((STRETCH, SAMPLE, EVENT))
 _NEEDED = "record", "recordings as MCAP need mcap and foxglove-sdk"
 _TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
@@ -445,10 +453,11 @@ class McapStretch:
 
     def arrays(self) -> dict[str, Array]:
         """Return the fields of all samples, (N,) or (N, 6) each, not to be changed."""
-        twins = {name: twin for name, twin in _TWINS.items() if {name, twin} <= self._blocks.keys()}
-        copies = [name for name, twin in twins.items() if _identical(self._blocks[name], self._blocks[twin])]
-        found = {name: _joined(self._blocks.pop(name)) for name in list(self._blocks) if name not in copies}
-        return {name: found[twins.get(name, name) if name in copies else name] for name in (*found, *copies)}
+        blocks = self._blocks
+        twins = {name: twin for name, twin in _TWINS.items() if {name, twin} <= blocks.keys()}
+        copies = {name: twin for name, twin in twins.items() if all(map(operator.is_, blocks[name], blocks[twin]))}
+        arrays = {name: _joined(blocks.pop(name)) for name in list(blocks) if name not in copies}
+        return arrays | {name: arrays[twin] for name, twin in copies.items()}
 
 
 def _check_same(message: Any, name: str, number: int) -> None:
@@ -461,10 +470,6 @@ def _check_same(message: Any, name: str, number: int) -> None:
 def _same(one: Array, other: Array) -> bool:
     """Return True if two arrays are bitwise equal."""
     return bool((one.view(np.int64) == other.view(np.int64)).all())
-
-
-def _identical(blocks: Sequence[Array], others: Sequence[Array]) -> bool:
-    return all(one is other for one, other in zip(blocks, others, strict=True))
 
 
 def _constant_once(block: Array) -> Array:
@@ -497,8 +502,6 @@ class McapContent:
     """
 
     def __init__(self, allowance: Allowance, names: frozenset[str] | None) -> None:
-        from mcap import records
-
         self.stretches: list[McapStretch] = []
         self.events: list[str] = []
         self.event_samples: list[int] = []
@@ -513,13 +516,6 @@ class McapContent:
         self._runs: list[bytes] = []
         self._waiting = 0
         self._tick = 0
-        self._takers: Mapping[int, tuple[Any, Callable[[Any], None]]] = {
-            _CHUNK: (records.Chunk, self._chunk),
-            _CHANNEL: (records.Channel, self._channel),
-            _ATTACHMENT: (records.Attachment, self._attachment),
-            _METADATA: (records.Metadata, self._metadata),
-            _STATISTICS: (records.Statistics, self._statistics),
-        }
 
     def take(self, kind: int, data: bytes) -> None:
         """Take one record.
@@ -528,15 +524,15 @@ class McapContent:
             ParameterError: If the record is invalid in a recording.
             Exception: Any error, if the record is damaged.
         """
+        from mcap import records
         from mcap.data_stream import ReadDataStream
 
         if kind == _ATTACHMENT and _COUNT.unpack(data[-4:])[0] not in (0, zlib.crc32(data[:-4])):
             self.damage.append("an attachment is damaged, and left out")
         elif kind == _SAID:
             self._walk(_RECORD.pack(kind, len(data)) + data)
-        elif kind in self._takers:
-            record, taker = self._takers[kind]
-            taker(record.read(ReadDataStream(BytesIO(data))))
+        elif name := _RECORDS.get(kind):
+            getattr(self, f"_{name.lower()}")(getattr(records, name).read(ReadDataStream(BytesIO(data))))
 
     def _chunk(self, chunk: Chunk) -> None:
         self._allowance.part(chunk.uncompressed_size)

@@ -133,12 +133,12 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
         True
     """
     check_instance("recording", recording, Recording, READ)
-    found: dict[str, FieldVerdict] = {}
+    verdicts: dict[str, FieldVerdict] = {}
     for place, stretch in enumerate(recording.stretches):
         for name, values, again in _fields(stretch, rebuild, expect(stretch.setup) if expect else Expected()):
-            same = None if again is None else _same(values, again)
-            found[name] = _added(found.get(name), same, place, stretch.tick)
-    return Verdict(recording.ticks, found, recording.damage)
+            same = np.ones(0, np.bool_) if again is None else _same(values, again)
+            verdicts[name] = _added(verdicts.get(name, FieldVerdict(0, 0, None)), same, place, stretch.tick)
+    return Verdict(recording.ticks, verdicts, recording.damage)
 
 
 def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tuple[int, int, str] | None:
@@ -165,14 +165,9 @@ def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tup
     return None
 
 
-def _added(before: FieldVerdict | None, same: Mask | None, place: int, ticks: Array) -> FieldVerdict:
-    """Return a verdict extended by one more stretch.
-
-    It has one value per tick, or one value only.
-    """
-    good, compared, first = before or FieldVerdict(0, 0, None)
-    if same is None:
-        return FieldVerdict(good, compared, first)
+def _added(before: FieldVerdict, same: Mask, place: int, ticks: Array) -> FieldVerdict:
+    """Return a verdict extended by one more stretch, of one value per tick, one value, or none."""
+    good, compared, first = before
     if first is None and not same.all():
         first = place, int(ticks[np.argmin(same)])
     return FieldVerdict(good + int(same.sum()), compared + len(same), first)

@@ -27,8 +27,6 @@ from typing import IO, Any
 
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record
-from maglev_mj.frames import Command, Sample
-from maglev_mj.parameters import flag
 from maglev_mj.process import interrupts_held
 from maglev_mj.recording.mcap import FORMAT, METADATA, require_mcap
 from maglev_mj.recording.recording import RecordingError
@@ -90,25 +88,20 @@ class Ring:
             raise
         self.descriptor = self._file.fileno()
 
-    def record(self, plant: RecordedPlant) -> Record:
+    def record(self, plant: RecordedPlant, *, first: Callable[[], object] | None = None) -> Record:
         """Return the function that writes one row per cycle.
 
         A compiled function, because it is called in every tick and a method is slower.
 
         Args:
             plant: Plant with the hand's wrench.
+            first: Function called before each row; None for none.
         """
         names: dict[str, Any] = {"pack": _SLOT.pack_into, "memory": self._memory, "ring": self, "plant": plant}
-        put = compiled("sample, command, applied", _PUT, **names)
-        if self._wait is None:
-            return put
-
-        def put_and_wait(sample: Sample, command: Command, applied: Command) -> None:
-            put(sample, command, applied)
-            if not self.count % _LOOKED_AFTER:
-                self._let_catch_up()
-
-        return put_and_wait
+        before = "" if first is None else "first()\n"
+        after = "" if self._wait is None else f"\nif not number % {_LOOKED_AFTER}: catch_up()"
+        names |= {"first": first, "catch_up": self._let_catch_up}
+        return compiled("sample, command, applied", before + _PUT + after, **names)
 
     def close(self) -> None:
         """Release the memory; idempotent."""
@@ -177,7 +170,6 @@ class LiveFile:
     """
 
     def __init__(self, path: Path, *, wait: bool = False) -> None:
-        flag("wait", wait)
         require_mcap()
         if not hasattr(os, "fork"):
             raise RecordingError("recordings as MCAP need a POSIX system; .npz needs none")
@@ -190,7 +182,11 @@ class LiveFile:
         self._aside.open("wb").close()
         with ExitStack() as undo:
             undo.callback(self._aside.unlink, missing_ok=True)
-            self._ring = _ring(self.check if wait else None)
+            try:
+                self._ring = Ring(wait=self.check if wait else None)
+            except OSError as error:
+                why = f"no memory to share with what writes a recording: {error.strerror}"
+                raise RecordingError(why) from None
             undo.callback(self._ring.close)
             self._process = self._start()
             undo.pop_all()
@@ -201,15 +197,7 @@ class LiveFile:
         attach_parts(self, plant, controller)
         self._say("begin", whole, time.time_ns())
         self._controller, self._stuck = controller, repr(None)
-        put = self._ring.record(plant)
-        if not self._waits:
-            return put
-
-        def put_and_tell(sample: Sample, command: Command, applied: Command) -> None:
-            self._tell_stick_position()
-            put(sample, command, applied)
-
-        return put_and_tell
+        return self._ring.record(plant, first=self._tell_stick_position if self._waits else None)
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Record an event for the user.
@@ -297,13 +285,6 @@ class LiveFile:
         with suppress(BrokenPipeError):  # it is gone: `check` and `close` say so
             self._process.stdin.write(json.dumps([self._ring.count, method, *arguments]) + "\n")
             self._process.stdin.flush()
-
-
-def _ring(wait: Callable[[], object] | None) -> Ring:
-    try:
-        return Ring(wait=wait)
-    except OSError as error:
-        raise RecordingError(f"no memory to share with what writes a recording: {error.strerror}") from None
 
 
 class _File:

@@ -6,7 +6,10 @@ It knows neither window nor keys.
 from __future__ import annotations
 
 import math
+import tempfile
+import threading
 from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -22,16 +25,137 @@ from maglev_mj.parameters import Parameter, number
 from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.plants.energy import EnergyAccount
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
-from maglev_mj.recording import RecordingFile, setup_of
+from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording, setup_of, tee
 from maglev_mj.recording.setup import attach_model, attach_source
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, source_of
 from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
-from maglev_mj.session.pacing import TIME_SCALES, Pacer, next_scale
-from maglev_mj.session.recorder import SessionRecorder
+from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
 from maglev_mj.spec import Spec
+
+
+class SessionRecorder:
+    """Recordings of a session.
+
+    Args:
+        folder: Folder of the files.
+        beside: Further destination of all samples, left open; None for none.
+
+    Attributes:
+        written: Closed recordings.
+        file: Open recording; None for none.
+    """
+
+    def __init__(self, folder: Path, beside: RecordingFile | None = None) -> None:
+        self.written: list[Path] = []
+        self.file: RecordingFile | None = None
+        self._folder, self._beside, self._failed, self._missed = folder, beside, "", 0
+        self._said = Note()
+        self._closing: list[threading.Thread] = []
+        self._unwritten: dict[RecordingFile, str] = {}
+        self._broken: list[str] = []
+        self._named: set[Path] = set()
+
+    @property
+    def whole(self) -> RecordingFile | None:
+        """File for all samples, None without one."""
+        return tee(self.file, self._beside)
+
+    def start(self, path: Path | None = None) -> None:
+        """Begin a recording.
+
+        Args:
+            path: Path of the file; None for a new name in the folder, or in the temporary folder if that cannot be
+                written.
+
+        Raises:
+            OSError: If the file cannot be written.
+        """
+        if path is not None:
+            self.file = open_recording(path)
+            return
+        try:
+            self.file = open_recording(self._new_path(self._folder))
+        except OSError:
+            self.file = open_recording(self._new_path(Path(tempfile.gettempdir())))
+
+    def stop(self) -> None:
+        """End the recording; its file is closed in another thread."""
+        if self.file is None:
+            return
+        file, self.file = self.file, None
+        self._said.say("writing the recording")
+        self._closing.append(threading.Thread(target=self._keep, args=(file,)))
+        self._closing[-1].start()
+
+    def close(self) -> None:
+        """End the recording and wait for all files.
+
+        Raises:
+            RecordingError: If one is not whole, or cannot be written after another try; all are tried.
+        """
+        self.stop()
+        for thread in self._closing:
+            thread.join()
+        again, self._unwritten = self._unwritten, {}
+        for file in again:
+            self._keep(file)
+        if broken := [*self._broken, *self._unwritten.values()]:
+            raise RecordingError("; ".join(broken))
+
+    def _keep(self, file: RecordingFile) -> None:
+        """Close a file and report the outcome."""
+        try:
+            path = file.close()
+        except RecordingError as error:  # the part before the error is on disk
+            self._broken.append(str(error))
+            self._failed = f"RECORDING: {error}"
+            return
+        except OSError as error:
+            self._unwritten[file] = str(error)
+            self._failed = f"RECORDING: {error}; it is tried again at the end"
+            return
+        self._said.say(f"wrote {path}" if path is not None else "nothing was recorded")
+        if path is not None:
+            self.written.append(path)
+
+    def failed(self, why: str) -> None:
+        """Set the reason of a stopped scene."""
+        if (file := self.whole) is not None:
+            file.event("fault", why)
+
+    def missed(self, count: int) -> None:
+        """Set the number of ticks given up so far."""
+        more, self._missed = count - self._missed, count
+        if more and (file := self.whole) is not None:
+            file.event("missed", f"{more} ticks were given up: too slow", more)
+
+    @property
+    def notes(self) -> list[str]:
+        """Recording status lines for the viewer.
+
+        Success messages disappear after some seconds.
+        """
+        found = [*filter(None, [self._failed]), *self._said.lines]
+        if self.file is None:
+            return found
+        try:
+            self.file.check()
+        except RecordingError as error:
+            return [*found, f"NOT RECORDING: {error}"]
+        return [*found, "RECORDING"]
+
+    def _new_path(self, folder: Path) -> Path:
+        """Return an unused name for a recording."""
+        stem, suffix = datetime.now().strftime("maglev-%Y%m%d-%H%M%S"), best_suffix()
+        path, count = folder / f"{stem}{suffix}", 1
+        while path in self._named or path.exists():
+            path, count = folder / f"{stem}-{count}{suffix}", count + 1
+        self._named.add(path)
+        return path
+
 
 DEVICES_OWN = "period", "delay"
 """Parameters that other programs cannot change.
@@ -46,7 +170,7 @@ Action: TypeAlias = Callable[[Scene], Scene]
 """Function that returns the changed scene."""
 
 
-def settable(scene: Scene) -> tuple[str, ...]:
+def settable(scene: Scene | type[Scene]) -> tuple[str, ...]:
     """Return the parameters that other programs may change."""
     return tuple(one.name for one in scene.parameters() if one.live and one.name not in DEVICES_OWN)
 
@@ -137,7 +261,6 @@ class LiveStretch:
     Attributes:
         scene: The scene.
         energy: Energy balance.
-        faces: Every wall: index into AXES, normal, edge.
         pulsed: True if the last command had a pulse.
     """
 
@@ -155,12 +278,10 @@ class LiveStretch:
     ) -> None:
         self.plant = live_plant(scene, hand, pose=pose, twist=twist, wrench=wrench)
         self.controller = scene.controller()
-        record = None
-        if file is not None:
-            record = begin_scene(file, scene, self.plant, self.controller, name=f"scene {scene.name}")
+        known = scene, self.plant, self.controller
+        record = None if file is None else begin_scene(file, *known, name=f"scene {scene.name}")
         self._carried = self.controller.carried
         self.energy = EnergyAccount(np.array(pose), self._carried)
-        self.faces = self.controller.faces
         self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
         self.scene, self._keep, self._began = scene, keep, began
         self.ticks, self._period = 0, scene.period
@@ -177,14 +298,6 @@ class LiveStretch:
     def time(self) -> float:
         """Time of the session [s]."""
         return self._began + self.ticks * self._period
-
-    @property
-    def anchors(self) -> Array | None:
-        """Stick positions [m, rad], (6,).
-
-        NaN on axes without friction; None without any friction.
-        """
-        return self.controller.stick_positions
 
     @property
     def rendered(self) -> Array:
@@ -440,8 +553,8 @@ class Session:
             target=None if isinstance(target, Trajectory) else target,
             hand_stiffness=self.hand.stiffness,
             currents=stretch.plant.currents,
-            faces=stretch.faces,
-            anchors=stretch.anchors,
+            faces=stretch.controller.faces,
+            anchors=stretch.controller.stick_positions,
             history=self._history.rows,
             work=stretch.energy.hand,
             taken=stretch.energy.taken,
