@@ -16,7 +16,6 @@ from io import BytesIO
 from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from maglev_mj.errors import ParameterError, require
@@ -97,6 +96,7 @@ _SIX = "SixAxes"
 _VARINT, _FIXED64, _BYTES = 0, 1, 2
 _DOUBLE_TYPE, _MESSAGE_TYPE, _FIXED64_TYPE, _OPTIONAL = 1, 11, 6, 1
 _NUMBER_SIZE, _SIX_SIZE = 8, 6 * 9
+_SIX_KIND = np.dtype(([("head", "u1"), ("value", "<f8")], 6))
 
 
 def _varint(value: int) -> bytes:
@@ -176,6 +176,11 @@ class Layout:
                 self._places.setdefault(field.name, len(template) + len(head))
                 template, head = template + head + bytes(_NUMBER_SIZE), b""
         self.size, self._heads, self._template = len(template), np.array(heads), np.frombuffer(template, np.uint8)
+        known = [field for field in fields if not isinstance(field, int)]
+        kinds = [_SIX_KIND if field.six else "<f8" if field.unit else "<u8" for field in known]
+        starts = [self._places[field.name] - field.six for field in known]
+        names = list(self._places)
+        self._kind = np.dtype({"names": names, "formats": kinds, "offsets": starts, "itemsize": self.size})
 
     def check(self, messages: MessageArray) -> None:
         """Check that messages have this layout.
@@ -197,16 +202,14 @@ class Layout:
 
     def packed(self, values: Mapping[str, Array | float], count: int) -> list[bytes]:
         """Return samples as messages, of the values of each field."""
-        messages = np.tile(self._template, (count, 1))
+        messages = self._template[None].repeat(count, axis=0)
         for field in _ORDERED:
             self._view(messages, field)[:] = values[field.name]
         return [message.tobytes() for message in messages]
 
     def _view(self, messages: MessageArray, field: Field) -> NDArray[Any]:
-        at = self._places[field.name]
-        numbers = messages[:, at : at + _NUMBER_SIZE].view("<f8" if field.unit else "<u8")
-        values = as_strided(numbers, (len(messages), len(field.units)), (numbers.strides[0], _SIX_SIZE // 6))
-        return values if field.six else values[:, 0]
+        values = messages.view(self._kind)[:, 0][field.name]
+        return values["value"] if field.six else values
 
 
 _WRITTEN = Layout((STRETCH_NUMBER, *FIELDS, *TOTALS))
