@@ -1,6 +1,5 @@
 from maglev_mj.recording.files import ArrayFile as ArrayFile
 from maglev_mj.recording.files import Recorder as Recorder
-from maglev_mj.recording.files import RecordingFile as RecordingFile
 from maglev_mj.recording.files import best_suffix as best_suffix
 from maglev_mj.recording.files import check_name as check_name
 from maglev_mj.recording.files import open_recording as open_recording
@@ -15,6 +14,7 @@ from maglev_mj.recording.recording import load_samples as load_samples
 from maglev_mj.recording.sample import RunMetadata as RunMetadata
 from maglev_mj.recording.sample import Setup as Setup
 from maglev_mj.recording.setup import OwnCodeError as OwnCodeError
+from maglev_mj.recording.setup import RecordingFile as RecordingFile
 from maglev_mj.recording.setup import setup_of as setup_of
 from maglev_mj.recording.verify import Expected as Expected
 from maglev_mj.recording.verify import Rebuild as Rebuild

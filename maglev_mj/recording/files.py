@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from maglev_mj.parameters import flag
 from maglev_mj.recording.mcap import require_mcap
 from maglev_mj.recording.recording import Recording, RecordingError, Stretch
 from maglev_mj.recording.sample import ROW, RecordedPlant, Row, Setup, as_rows, compiled
-from maglev_mj.recording.setup import attach_parts, whole_setup
+from maglev_mj.recording.setup import RecordingFile, attach_parts, whole_setup
 from maglev_mj.recording.writer import LiveFile
 from maglev_mj.versions import versions
 
@@ -28,52 +28,6 @@ _SUFFIXES = (".mcap", ".npz")
 
 
 _RowOf: TypeAlias = Callable[[Sample, Command, Command, RecordedPlant], Row]
-
-
-class RecordingFile(Protocol):
-    """Interface of a file that records a run."""
-
-    def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
-        """Begin a stretch; return the loop's recording function.
-
-        Args:
-            plant: The controlled plant.
-            controller: The controller.
-            setup: Setup of both, by default by `setup_of`; its metadata, `run`, are added if they are not
-                there.
-        """
-
-    def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """Record an event for the user.
-
-        `missed` is the number of samples missed with it.
-        """
-
-    def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Attach a file, before the first sample.
-
-        Args:
-            name: Unique name.
-            media_type: Such as "text/xml".
-            data: Content of the file.
-        """
-
-    def check(self) -> None:
-        """Check that the recording is being written.
-
-        Raises:
-            RecordingError: If writing has failed.
-        """
-
-    def close(self) -> Path | None:
-        """Finish writing; return the file, or None without samples.
-
-        A second call does nothing.
-
-        Raises:
-            RecordingError: If the file is incomplete.
-            OSError: If it cannot be written.
-        """
 
 
 class Recorder:

@@ -507,12 +507,8 @@ def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
     parquet.write_table(pyarrow.table([*named.values()], schema=pyarrow.schema(fields, metadata=about)), partial)
 
 
-def _as_arrays(recording: Recording, partial: Path, _path: Path) -> None:
-    recording.save(partial)
-
-
 EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {
-    "npz": _as_arrays,
+    "npz": lambda recording, partial, _: recording.save(partial),
     "csv": _as_csv,
     "parquet": _as_parquet,
 }

@@ -17,13 +17,14 @@ import numpy as np
 from maglev_mj import control as _laws
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.laws.base import FunctionLaw
+from maglev_mj.control.loop import Record
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing, engine_warnings_silenced
 from maglev_mj.plants.hand import GuidedHand, Hand, HandForce, SpringHand, Trajectory
 from maglev_mj.plants.model import model_files, model_names
 from maglev_mj.recording.recording import InvalidRecordingError
-from maglev_mj.recording.sample import RunMetadata, Setup, check_setup, value_in
+from maglev_mj.recording.sample import RecordedPlant, RunMetadata, Setup, check_setup, value_in
 from maglev_mj.versions import file_of, hash_of
 
 Own: TypeAlias = Callable[[str], Any]
@@ -121,17 +122,53 @@ def whole_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setu
     return setup if "run" in setup else {**setup, "run": RunMetadata.of(plant, controller).as_json()}
 
 
-class Attaching(Protocol):
-    """Interface of a file that takes attachments.
+class RecordingFile(Protocol):
+    """Interface of a file that records a run."""
 
-    See `RecordingFile`.
-    """
+    def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
+        """Begin a stretch; return the loop's recording function.
+
+        Args:
+            plant: The controlled plant.
+            controller: The controller.
+            setup: Setup of both, by default by `setup_of`; its metadata, `run`, are added if they are not
+                there.
+        """
+
+    def event(self, kind: str, text: str, missed: int = 0) -> None:
+        """Record an event for the user.
+
+        `missed` is the number of samples missed with it.
+        """
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Attach a file unless its name exists."""
+        """Attach a file, before the first sample.
+
+        Args:
+            name: Unique name.
+            media_type: Such as "text/xml".
+            data: Content of the file.
+        """
+
+    def check(self) -> None:
+        """Check that the recording is being written.
+
+        Raises:
+            RecordingError: If writing has failed.
+        """
+
+    def close(self) -> Path | None:
+        """Finish writing; return the file, or None without samples.
+
+        A second call does nothing.
+
+        Raises:
+            RecordingError: If the file is incomplete.
+            OSError: If it cannot be written.
+        """
 
 
-def attach_parts(file: Attaching, plant: Any, controller: Controller) -> None:
+def attach_parts(file: RecordingFile, plant: Any, controller: Controller) -> None:
     """Attach the MJCF and user sources of plant and controller."""
     model = getattr(plant, "given", {}).get("model", "drop" if isinstance(plant, MuJoCoPlant) else None)
     if isinstance(model, str | Path):
@@ -140,13 +177,13 @@ def attach_parts(file: Attaching, plant: Any, controller: Controller) -> None:
         attach_source(file, part.function if isinstance(part, FunctionLaw) else type(part))
 
 
-def attach_model(file: Attaching, model: str | Path) -> None:
+def attach_model(file: RecordingFile, model: str | Path) -> None:
     """Attach the MJCF of a model, included files too."""
     for name, text in model_files(model):
         file.attach(f"model/{name}", "application/xml", text.encode())
 
 
-def attach_source(file: Attaching, thing: Any) -> None:
+def attach_source(file: RecordingFile, thing: Any) -> None:
     """Attach the source file of a user's class or function."""
     own = getattr(thing, "__module__", "maglev_mj").partition(".")[0] != "maglev_mj"
     if own and (found := file_of(thing)) is not None:
