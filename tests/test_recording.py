@@ -273,7 +273,7 @@ def test_a_session_records_to_what_can_be_written(tmp_path: Path, monkeypatch: p
         assert best_suffix() == ".npz"
         open_recording(tmp_path / "run.mcap")
     for missing in ("mcap", "foxglove"):
-        monkeypatch.setattr("maglev_mj.recording.files.find_spec", lambda name, missing=missing: name != missing)
+        monkeypatch.setattr("maglev_mj.recording.writer.find_spec", lambda name, missing=missing: name != missing)
         assert best_suffix() == ".npz"
 
 

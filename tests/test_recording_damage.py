@@ -16,9 +16,8 @@ from maglev_mj.control.loop import drive
 from maglev_mj.display.remote import ShowReport
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import Recording, RecordingError, load_samples, open_recording, setup_of
-from maglev_mj.recording.files import row_of
 from maglev_mj.recording.sample import FIELDS, TOTALS
-from maglev_mj.recording.writer import McapWriter
+from maglev_mj.recording.writer import McapWriter, row_of
 from maglev_mj.session import Pacer, Session
 
 PERIOD = 0.001

@@ -1,9 +1,3 @@
-from maglev_mj.recording.files import ArrayFile as ArrayFile
-from maglev_mj.recording.files import Recorder as Recorder
-from maglev_mj.recording.files import best_suffix as best_suffix
-from maglev_mj.recording.files import check_name as check_name
-from maglev_mj.recording.files import open_recording as open_recording
-from maglev_mj.recording.files import tee as tee
 from maglev_mj.recording.recording import EXPORTS as EXPORTS
 from maglev_mj.recording.recording import InvalidRecordingError as InvalidRecordingError
 from maglev_mj.recording.recording import Recording as Recording
@@ -19,3 +13,9 @@ from maglev_mj.recording.setup import setup_of as setup_of
 from maglev_mj.recording.verify import Expected as Expected
 from maglev_mj.recording.verify import Rebuild as Rebuild
 from maglev_mj.recording.verify import Verdict as Verdict
+from maglev_mj.recording.writer import ArrayFile as ArrayFile
+from maglev_mj.recording.writer import Recorder as Recorder
+from maglev_mj.recording.writer import best_suffix as best_suffix
+from maglev_mj.recording.writer import check_name as check_name
+from maglev_mj.recording.writer import open_recording as open_recording
+from maglev_mj.recording.writer import tee as tee

@@ -14,7 +14,6 @@ from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HandForce, RecordedHand
-from maglev_mj.recording.files import row_of
 from maglev_mj.recording.recording import READ, Recording, Stretch
 from maglev_mj.recording.sample import (
     ARRAYS,
@@ -30,6 +29,7 @@ from maglev_mj.recording.sample import (
     compiled,
     is_recorded,
 )
+from maglev_mj.recording.writer import row_of
 from maglev_mj.terminal import wrapped
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
