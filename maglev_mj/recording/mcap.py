@@ -442,11 +442,9 @@ class McapStretch:
         Raises:
             ParameterError: If a sample is invalid.
         """
-        if self._last:  # with the row before, for checks between rows
-            joined = {name: np.concatenate([self._last[name], part]) for name, part in values.items()}
-            check_rows(joined, self._count - 1)
-        else:
-            check_rows(values)
+        # with the row before, for checks between rows
+        rows = {name: np.concatenate([self._last.get(name, part[:0]), part]) for name, part in values.items()}
+        check_rows(rows, max(self._count - 1, 0))
         self._count += len(values["tick"])
         self._last = {name: part[-1:].copy() for name, part in values.items()}
         kept = {name: _constant_once(part) for name, part in values.items()}

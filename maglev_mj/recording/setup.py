@@ -99,7 +99,7 @@ def setup_of(
     """
     if scene is not None:
         metadata.setdefault("name", scene)
-    told: dict[str, Any] = {
+    setup = {
         "kind": kind,
         "scene": scene,
         "source": source,
@@ -109,7 +109,7 @@ def setup_of(
         "plant": _told("plant", plant),
         "run": RunMetadata.of(plant, controller, **metadata).as_json(),
     }
-    return dict(check_setup(told))
+    return dict(check_setup(setup))
 
 
 def whole_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setup:
