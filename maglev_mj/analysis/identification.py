@@ -396,16 +396,7 @@ class _Axis:
             )
         forces = Forces(time=time, switch=switch, late=levels, before=before, speed=speed, way=way)
         floor = ROUNDING * float(np.abs(self.position).max())
-        return fit(
-            forces,
-            self.windows,
-            self.position,
-            delay,
-            period=period,
-            search=search,
-            floor=floor,
-            fixed=fixed,
-        )
+        return fit(forces, self.windows, self.position, delay, period=period, search=search, floor=floor, fixed=fixed)
 
     @cached_property
     def _impedance(self) -> list[tuple[Array, Array]]:

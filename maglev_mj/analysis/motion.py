@@ -506,8 +506,8 @@ def _hardness(line: Trace, contacts: Sequence[Contact]) -> Hardness:
         time = np.append(0.0, line.time[rest] - start)
         parts = ((pose, line.pose), (twist, line.twist), (wrench, line.wrench))
         line = Trace(time, *(np.concatenate([first, part[rest]]) for first, part in parts))
-    known = float(line.time[-1]) > _HARDNESS_WINDOW
-    return perceived_hardness(line, _HARDNESS_WINDOW, axis=0) if known else unknown
+    is_long = float(line.time[-1]) > _HARDNESS_WINDOW
+    return perceived_hardness(line, _HARDNESS_WINDOW, axis=0) if is_long else unknown
 
 
 class _Curve(NamedTuple):
@@ -613,8 +613,8 @@ def _energy(motion: Motion, stretch: Stretch) -> Energy:
     """
     taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, stretch.metadata.carried), axis=0)])
     positions = motion.trace.pose[motion.starts]
-    known = stretch.metadata.hand_recorded
-    work = hand_work(positions, stretch.hand).sum(axis=0) if known else np.full(len(AXES), np.nan)
+    recorded = stretch.metadata.hand_recorded
+    work = hand_work(positions, stretch.hand).sum(axis=0) if recorded else np.full(len(AXES), np.nan)
     return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * np.diff(positions, axis=0)).sum(axis=0))
 
 

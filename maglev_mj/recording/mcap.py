@@ -100,10 +100,10 @@ _SIX_KIND = np.dtype(([("head", "u1"), ("value", "<f8")], 6))
 
 
 def _varint(value: int) -> bytes:
-    found = b""
+    encoded = b""
     while value > 0x7F:
-        found, value = found + bytes([value & 0x7F | 0x80]), value >> 7
-    return found + bytes([value])
+        encoded, value = encoded + bytes([value & 0x7F | 0x80]), value >> 7
+    return encoded + bytes([value])
 
 
 def _part(number: int, value: int | str | bytes) -> bytes:
@@ -176,9 +176,9 @@ class Layout:
                 self._places.setdefault(field.name, len(template) + len(head))
                 template, head = template + head + bytes(_NUMBER_SIZE), b""
         self.size, self._heads, self._template = len(template), np.array(heads), np.frombuffer(template, np.uint8)
-        known = [field for field in fields if not isinstance(field, int)]
-        kinds = [_SIX_KIND if field.six else "<f8" if field.unit else "<u8" for field in known]
-        starts = [self._places[field.name] - field.six for field in known]
+        numbered = [field for field in fields if not isinstance(field, int)]
+        kinds = [_SIX_KIND if field.six else "<f8" if field.unit else "<u8" for field in numbered]
+        starts = [self._places[field.name] - field.six for field in numbered]
         names = list(self._places)
         self._kind = np.dtype({"names": names, "formats": kinds, "offsets": starts, "itemsize": self.size})
 
@@ -253,12 +253,12 @@ def layout_of(message: bytes) -> Layout:
 
 def _number_at(message: bytes, at: int) -> tuple[int, int]:
     """Return a variable-length number and the offset behind it."""
-    found = shift = 0
+    value = shift = 0
     while at < len(message) and shift < 63:
-        found |= (message[at] & 0x7F) << shift
+        value |= (message[at] & 0x7F) << shift
         at, shift = at + 1, shift + 7
         if message[at - 1] < 0x80:
-            return found, at
+            return value, at
     raise ParameterError("a sample must have all its bytes")
 
 
@@ -596,10 +596,10 @@ class McapContent:
         head, end, last = data[at : at + _SAME], after, len(data) - size
         while end <= last and data.startswith(head, end):
             end += size
-        (first,), found = _COUNT.unpack_from(data, at + _SAME), (end - at) // size
-        self._count(channel, first, found)
+        (first,), number = _COUNT.unpack_from(data, at + _SAME), (end - at) // size
+        self._count(channel, first, number)
         self._runs.append(data[at:end])
-        self._waiting += found
+        self._waiting += number
         return end
 
     def store_samples(self) -> None:

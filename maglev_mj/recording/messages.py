@@ -180,8 +180,8 @@ class Messages:
         """
         if self._totals is not None:
             self._totals.miss(missed)
-        told = {"stretch": self._stretch, "tick": self._tick, "kind": kind, "text": text, "missed": missed}
-        self._say(self._event_channel, told)
+        message = {"stretch": self._stretch, "tick": self._tick, "kind": kind, "text": text, "missed": missed}
+        self._say(self._event_channel, message)
         self._tell(_LEVELS.get(kind, LogLevel.Info), f"{kind}: {text}")
 
     def _say(self, channel: Channel, message: Mapping[str, Any]) -> None:
@@ -198,7 +198,7 @@ class Messages:
         if self._stick is not None:
             stuck = [seen if math.isnan(held) else held for held, seen in zip(self._stick, position)]
             frames.append(("stator", "stick position", stuck[:3], quaternion(stuck[3:])))
-        made = [
+        transforms = [
             FrameTransform(
                 timestamp=stamp,
                 parent_frame_id=parent,
@@ -208,7 +208,7 @@ class Messages:
             )
             for parent, child, place, turn in frames
         ]
-        self._frames.log(FrameTransforms(transforms=made), log_time=self._now)
+        self._frames.log(FrameTransforms(transforms=transforms), log_time=self._now)
         knob = np.array(position[:3]) + rotation_matrix(np.array(position[3:])) @ GRIP
         forces = ("force of the hand", values["hand"], _HAND), ("force of the device", values["applied"], _DEVICE)
         self._draw([("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces])
@@ -219,13 +219,13 @@ class Messages:
         An entity replaces the former one of its name.
         """
         stamp = _stamp(self._now)
-        made = [
+        drawn = [
             SceneEntity(
                 timestamp=stamp, frame_id=frame, id=name, lifetime=Duration(sec=0), frame_locked=True, **primitives
             )
             for frame, name, primitives in entities
         ]
-        self._scene.log(SceneUpdate(entities=made), log_time=self._now)
+        self._scene.log(SceneUpdate(entities=drawn), log_time=self._now)
 
 
 def _stamp(now: int) -> Timestamp:
@@ -247,27 +247,27 @@ def _color(colour: Sequence[float]) -> Color:
     return Color(r=red, g=green, b=blue, a=opacity)
 
 
-def _device(found: Sequence[Shape]) -> list[tuple[str, str, Mapping[str, Any]]]:
+def _device(parts: Sequence[Shape]) -> list[tuple[str, str, Mapping[str, Any]]]:
     """Return the entities of the device: stator and flotor."""
     return [
-        (frame, frame, _primitives([shape for shape in found if shape.moves == moves]))
+        (frame, frame, _primitives([shape for shape in parts if shape.moves == moves]))
         for frame, moves in (("stator", False), ("flotor", True))
     ]
 
 
-def _primitives(found: Sequence[Shape]) -> dict[str, Any]:
+def _primitives(parts: Sequence[Shape]) -> dict[str, Any]:
     """Return shapes as the primitives of an entity."""
-    made: dict[str, Any] = {"cubes": [], "cylinders": [], "spheres": []}
-    for shape in found:
+    primitives: dict[str, Any] = {"cubes": [], "cylinders": [], "spheres": []}
+    for shape in parts:
         pose = Pose(position=_vector(shape.position), orientation=_quaternion(shape.turn))
         about: dict[str, Any] = {"pose": pose, "size": _vector(2.0 * shape.half), "color": _color(shape.colour)}
         if shape.kind == "box":
-            made["cubes"].append(CubePrimitive(**about))
+            primitives["cubes"].append(CubePrimitive(**about))
         elif shape.kind == "cylinder":
-            made["cylinders"].append(CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, **about))
+            primitives["cylinders"].append(CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, **about))
         else:
-            made["spheres"].append(SpherePrimitive(**about))
-    return made
+            primitives["spheres"].append(SpherePrimitive(**about))
+    return primitives
 
 
 def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list[ArrowPrimitive]:

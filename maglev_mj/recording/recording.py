@@ -1,4 +1,4 @@
-"""Recordings in memory and as files of arrays."""
+"""Recordings in memory, as files of arrays, and as tables for other programs."""
 
 from __future__ import annotations
 
@@ -370,13 +370,13 @@ class Samples(Result):
 
         `stretch` comes first, then those of `units`. Columns without unit are whole numbers.
         """
-        found: dict[str, NDArray[Any]] = {"stretch": self.stretch}
+        columns: dict[str, NDArray[Any]] = {"stretch": self.stretch}
         for name, values in self.arrays.items():
             field = _FIELDS[name]
             for place, (column, unit) in enumerate(field.units):
                 part = values[:, place] if field.six else values
-                found[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
-        return found
+                columns[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
+        return columns
 
     def to_pandas(self) -> Any:
         """Return a data frame with one row per sample.
@@ -462,8 +462,8 @@ def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
     stretches = recording.stretches
     fields = [*FIELDS, *(one for one in TOTALS if stretches and all(one.name in part.arrays for part in stretches))]
     samples = recording.samples([field.name for field in fields])
-    known = {one.name: values for one in fields if is_recorded(one, values := samples.arrays[one.name])}
-    return replace(samples, arrays=known).columns()
+    recorded = {one.name: values for one in fields if is_recorded(one, values := samples.arrays[one.name])}
+    return replace(samples, arrays=recorded).columns()
 
 
 def _about(recording: Recording) -> dict[str, Any]:
@@ -483,14 +483,14 @@ def _about(recording: Recording) -> dict[str, Any]:
 
 
 def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
-    named, known = _columns(recording), units()
+    columns, unit_of = _columns(recording), units()
     with aside(path.with_name(f"{path.name}.json")) as beside:
         beside.write_text(json.dumps(_about(recording), indent=1), encoding="utf-8")
         with partial.open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)
-            table.writerow([f"{name} [{known[name]}]" if known.get(name) else name for name in named])
+            table.writerow([f"{name} [{unit_of[name]}]" if unit_of.get(name) else name for name in columns])
             for first in range(0, recording.ticks, _BLOCK):
-                table.writerows(zip(*(column[first : first + _BLOCK].tolist() for column in named.values())))
+                table.writerows(zip(*(column[first : first + _BLOCK].tolist() for column in columns.values())))
 
 
 def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
@@ -498,13 +498,13 @@ def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
     import pyarrow
     from pyarrow import parquet
 
-    named, known = {name: pyarrow.array(column) for name, column in _columns(recording).items()}, units()
+    columns, unit_of = {name: pyarrow.array(column) for name, column in _columns(recording).items()}, units()
     fields = [
-        pyarrow.field(name, column.type, metadata={"unit": known[name]} if known.get(name) else None)
-        for name, column in named.items()
+        pyarrow.field(name, column.type, metadata={"unit": unit_of[name]} if unit_of.get(name) else None)
+        for name, column in columns.items()
     ]
     about = {f"maglev_mj.{name}": json.dumps(part) for name, part in _about(recording).items()}
-    parquet.write_table(pyarrow.table([*named.values()], schema=pyarrow.schema(fields, metadata=about)), partial)
+    parquet.write_table(pyarrow.table([*columns.values()], schema=pyarrow.schema(fields, metadata=about)), partial)
 
 
 EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {

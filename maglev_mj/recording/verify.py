@@ -212,14 +212,14 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[
 def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controller, expected: Expected) -> list[_Field]:
     """Return the metadata fields, one row each, names excluded."""
     recorded = stretch.metadata
-    known: dict[str, Any] = {name: getattr(controller, name) for name in ("period", "carried", "faces")}
+    values: dict[str, Any] = {name: getattr(controller, name) for name in ("period", "carried", "faces")}
     names = "period", "delay", "carried", "inertia", "load", "before", "faces", "hand_recorded", "hand_acts_on_flotor"
     if plant is not None:
-        made = RunMetadata.of(plant, controller)
-        known |= {name: getattr(made, name) for name in names if name not in (*known, "hand_recorded")}
-        known["hand_recorded"] = plant.held if expected.scripted else None
-    known |= expected.metadata
-    return [(name, *_rows(getattr(recorded, name), known.get(name))) for name in names]
+        metadata = RunMetadata.of(plant, controller)
+        values |= {name: getattr(metadata, name) for name in names if name not in (*values, "hand_recorded")}
+        values["hand_recorded"] = plant.held if expected.scripted else None
+    values |= expected.metadata
+    return [(name, *_rows(getattr(recorded, name), values.get(name))) for name in names]
 
 
 def _rows(recorded: ArrayLike, again: ArrayLike | None) -> tuple[Array, Array | None]:
@@ -271,10 +271,10 @@ def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows
 
 def _totals(stretch: Stretch) -> Array:
     """Return the totals at each sample, (N, 3)."""
-    adding, found, first = Totals(stretch.metadata), list[Array](), 0
+    totals, blocks, first = Totals(stretch.metadata), list[Array](), 0
     for row, missed in (*stretch.gaps, (len(stretch), 0)):
         if row > first:
-            found.append(adding.take(stretch[first:row].arrays))
+            blocks.append(totals.take(stretch[first:row].arrays))
             first = row
-        adding.miss(missed)
-    return np.concatenate(found)
+        totals.miss(missed)
+    return np.concatenate(blocks)

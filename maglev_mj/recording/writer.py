@@ -170,13 +170,11 @@ class LiveFile:
         wait: True if a run faster than the writer waits for it; not for a run in real time.
 
     Raises:
-        MissingPackageError: If the package is not installed.
         RecordingError: If the system is not supported, or has no shared memory left.
         OSError: If the file cannot be written.
     """
 
     def __init__(self, path: Path, *, wait: bool = False) -> None:
-        require_mcap()
         if not hasattr(os, "fork"):
             raise RecordingError("recordings as MCAP need a POSIX system; .npz needs none")
         self._path, self._closed, self._waits, self._attached = path, False, wait, set[str]()
@@ -237,10 +235,10 @@ class LiveFile:
         Too slow for a tick in real time.
         """
         stuck = None if self._controller is None else self._controller.stick_positions
-        told = None if stuck is None else stuck.tolist()
-        if repr(told) != self._stuck:  # which NaN does not differ from itself in
-            self._stuck = repr(told)
-            self._say("stick", told)
+        position = None if stuck is None else stuck.tolist()
+        if repr(position) != self._stuck:  # which NaN does not differ from itself in
+            self._stuck = repr(position)
+            self._say("stick", position)
 
     def close(self) -> Path | None:
         """Finish writing; return the file, or None without samples.
@@ -254,8 +252,8 @@ class LiveFile:
             return self._result
         self._closed = True
         try:
-            said, _ = self._process.communicate(timeout=_PATIENCE)
-            status = json.loads(said)
+            answer, _ = self._process.communicate(timeout=_PATIENCE)
+            status = json.loads(answer)
         except (ValueError, subprocess.TimeoutExpired):
             self._process.kill()
             self._process.communicate()
@@ -640,8 +638,8 @@ def open_recording(path: Path | str, *, wait: bool = False) -> RecordingFile:
 
 def tee(*files: RecordingFile | None) -> RecordingFile | None:
     """Return one file that writes to all given, or None."""
-    given = [file for file in files if file is not None]
-    return _Tee(given) if len(given) > 1 else given[0] if given else None
+    opened = [file for file in files if file is not None]
+    return _Tee(opened) if len(opened) > 1 else opened[0] if opened else None
 
 
 class _Tee:

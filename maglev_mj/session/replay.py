@@ -83,8 +83,8 @@ class OwnCode:
     def __init__(self, text: str, recording: Recording) -> None:
         self._attached = recording.attachments if text == ATTACHED else None
         setups = [stretch.setup for stretch in recording.stretches]
-        said = [(setup.get("scene"), setup.get("source")) for setup in setups]
-        named = {(scene, source) for scene, source in said if isinstance(scene, str) and isinstance(source, str)}
+        sources = [(setup.get("scene"), setup.get("source")) for setup in setups]
+        named = {(scene, source) for scene, source in sources if isinstance(scene, str) and isinstance(source, str)}
         hashes, self._text, self._file = {source for _, source in named}, "", text
         for setup in setups:
             hashes |= {name.rpartition("@")[2] for name in _own_names(setup)}
@@ -122,9 +122,9 @@ class OwnCode:
 
 def _own_names(setup: Setup) -> Iterator[str]:
     """Yield the references of user code in a controller."""
-    told = setup.get("controller")
-    told = told if isinstance(told, dict) else {}
-    parts = [*(laws if isinstance(laws := told.get("laws"), list) else []), told.get("velocity")]
+    controller = setup.get("controller")
+    controller = controller if isinstance(controller, dict) else {}
+    parts = [*(laws if isinstance(laws := controller.get("laws"), list) else []), controller.get("velocity")]
     yield from (one["class"] for one in parts if isinstance(one, dict) and "@" in str(one.get("class")))
 
 
@@ -205,14 +205,14 @@ def expected(setup: Setup) -> Expected:
     Raises:
         InvalidRecordingError: If the setup is not known here.
     """
-    kind, metadata, known = setup["kind"], dict[str, Any](), scripted(setup)
+    kind, metadata, in_setup = setup["kind"], dict[str, Any](), scripted(setup)
     with refused(*_INVALID):
         samples = None if setup.get("samples") is None else whole("samples", setup["samples"])
         if kind == "device":  # inertia and previous wrench are recorded with the flight, not in the setup
             metadata = {"delay": setup["parameters"]["delay"], "hand_recorded": False, "hand_acts_on_flotor": True}
-        elif isinstance(setup.get("plant"), dict) and not known:
+        elif isinstance(setup.get("plant"), dict) and not in_setup:
             metadata = {"hand_recorded": True}
-    return Expected(scripted=known, samples=samples, metadata=metadata)
+    return Expected(scripted=in_setup, samples=samples, metadata=metadata)
 
 
 def unmade_plant(setup: Setup, own: OwnCode | None = None) -> str:
@@ -382,8 +382,8 @@ def stick_positions_of(stretch: Stretch, again: Rebuild | None = rebuild) -> Arr
 
     None without friction. See `stick_positions`.
     """
-    found = list(stick_positions(stretch, again))
-    return np.array(found) if found else None
+    positions = list(stick_positions(stretch, again))
+    return np.array(positions) if positions else None
 
 
 ACTIONS = "pause", "step", "step back", "skip forward", "skip back", "slower", "faster", "loop", "start", "end"
@@ -496,12 +496,12 @@ class Replay:
         Raises:
             ParameterError: If there is another parameter or a value is out of range; nothing changes then.
         """
-        given = dict(parameters)
-        time = number("time", given.pop("time", self._time), at_least=0.0, at_most=self._duration)
+        changes = dict(parameters)
+        time = number("time", changes.pop("time", self._time), at_least=0.0, at_most=self._duration)
         least, most = _SCALES[0], _SCALES[-1]
-        scale = number("time_scale", given.pop("time_scale", self._scale), at_least=least, at_most=most)
-        if given:
-            raise ParameterError(f"parameters of a recording must be of time, time_scale, not {', '.join(given)}")
+        scale = number("time_scale", changes.pop("time_scale", self._scale), at_least=least, at_most=most)
+        if changes:
+            raise ParameterError(f"parameters of a recording must be of time, time_scale, not {', '.join(changes)}")
         self._scale = scale
         self._seek(time)
 

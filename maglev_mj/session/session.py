@@ -1,6 +1,6 @@
-"""Scene running in real time, with changeable parameters.
+"""Scene running in real time, with changeable parameters and recordings.
 
-It knows neither window nor keys.
+Its actions have names; it knows neither window nor keys.
 """
 
 from __future__ import annotations
@@ -138,14 +138,14 @@ class SessionRecorder:
 
         Success messages disappear after some seconds.
         """
-        found = [*filter(None, [self._failed]), *self._said.lines]
+        notes = [*filter(None, [self._failed]), *self._said.lines]
         if self.file is None:
-            return found
+            return notes
         try:
             self.file.check()
         except RecordingError as error:
-            return [*found, f"NOT RECORDING: {error}"]
-        return [*found, "RECORDING"]
+            return [*notes, f"NOT RECORDING: {error}"]
+        return [*notes, "RECORDING"]
 
     def _new_path(self, folder: Path) -> Path:
         """Return an unused name for a recording."""
@@ -181,19 +181,19 @@ def actions(cls: type[Scene]) -> Mapping[str, Action]:
     A switch has its name; a number has "NAME up" and "NAME down", and its name alone turns it off and on if
     it may be 0.
     """
-    found: dict[str, Action] = {}
+    changes: dict[str, Action] = {}
     for one in cls.parameters():
         if not one.live or not one.live.has_keys or one.kind not in (bool, float, int):
             continue
         word = one.live.word or one.name
         if one.kind is bool:
-            found[word] = _switched(one.name)
+            changes[word] = _switched(one.name)
             continue
         if one.default and one.bounds.get("at_least") == 0.0 and not one.live.word:
-            found[word] = _cleared(one.name, one.default)
+            changes[word] = _cleared(one.name, one.default)
         for sense, way in (("up", 1), ("down", -1)):
-            found[f"{word} {sense}"] = _turned(one, way)
-    return found
+            changes[f"{word} {sense}"] = _turned(one, way)
+    return changes
 
 
 def device_actions(cls: type[Scene]) -> tuple[str, ...]:
@@ -228,7 +228,7 @@ def _turned(one: Parameter, way: int) -> Action:
     return change
 
 
-def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **known: Any) -> Record:
+def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **details: Any) -> Record:
     """Begin a stretch of a recording with a scene's metadata.
 
     Args:
@@ -236,13 +236,13 @@ def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Contr
         scene: The scene.
         plant: The controlled plant.
         controller: The controller.
-        known: Further arguments of `setup_of`.
+        details: Further arguments of `setup_of`.
     """
     cls = type(scene)
     attach_model(file, scene.model)
     attach_source(file, cls)
-    known |= {"scene": reference_of(cls), "source": source_of(cls), "parameters": scene.as_json(), "axis": scene.axis}
-    return file.begin(plant, controller, setup_of(plant, controller, **known))
+    details |= {"scene": reference_of(cls), "source": source_of(cls), "parameters": scene.as_json(), "axis": scene.axis}
+    return file.begin(plant, controller, setup_of(plant, controller, **details))
 
 
 class LiveStretch:
@@ -278,8 +278,8 @@ class LiveStretch:
     ) -> None:
         self.plant = live_plant(scene, hand, pose=pose, twist=twist, wrench=wrench)
         self.controller = scene.controller()
-        known = scene, self.plant, self.controller
-        record = None if file is None else begin_scene(file, *known, name=f"scene {scene.name}")
+        parts = scene, self.plant, self.controller
+        record = None if file is None else begin_scene(file, *parts, name=f"scene {scene.name}")
         self._carried = self.controller.carried
         self.energy = EnergyAccount(np.array(pose), self._carried)
         self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
@@ -468,10 +468,10 @@ class Session:
                 self._pacer.advance(elapsed * self._time_scale, self._stretch.scene.period, self._one)
         except MaglevError as error:
             self._stop(str(error))
-        made, self._steps = self._ticks - before, 0
+        ticks, self._steps = self._ticks - before, 0
         self._recorder.missed(self._pacer.missed)
         self._publishers.show(self.snapshot)
-        return made
+        return ticks
 
     @property
     def actions(self) -> Sequence[str]:
@@ -525,16 +525,16 @@ class Session:
         Raises:
             ParameterError: If there is no such live parameter, or the scene refuses a value; nothing changes then.
         """
-        given = dict(parameters)
-        stiffness = number("hand_stiffness", given.pop("hand_stiffness", self.hand.stiffness), at_least=0.0)
+        changes = dict(parameters)
+        stiffness = number("hand_stiffness", changes.pop("hand_stiffness", self.hand.stiffness), at_least=0.0)
         least, most = TIME_SCALES[0], TIME_SCALES[-1]
-        scale = number("time_scale", given.pop("time_scale", self._time_scale), at_least=least, at_most=most)
-        known = (*DEVICES_OWN, *settable(self._scene))
-        if unknown := sorted(set(given) - set(known)):
-            names = ", ".join((*known, "hand_stiffness", "time_scale"))
+        scale = number("time_scale", changes.pop("time_scale", self._time_scale), at_least=least, at_most=most)
+        allowed = (*DEVICES_OWN, *settable(self._scene))
+        if unknown := sorted(set(changes) - set(allowed)):
+            names = ", ".join((*allowed, "hand_stiffness", "time_scale"))
             raise ParameterError(f"parameters must be of {names}, not {', '.join(unknown)}")
-        if given:
-            self._adopt(lambda scene: scene.replace(**given))
+        if changes:
+            self._adopt(lambda scene: scene.replace(**changes))
         self.hand.stiffness, self._time_scale = stiffness, scale
 
     def snapshot(self) -> Snapshot:
@@ -591,8 +591,8 @@ class Session:
         self._pulses += self._stretch.pulsed
         self.simulated += self._stretch.scene.period
         if self._stretch.energy.stored < _MADE:
-            made = -self._stretch.energy.stored
-            raise MaglevError(f"the rendered world made {made * 1e3:.0f} mJ more than it took: it is unstable")
+            energy = -self._stretch.energy.stored
+            raise MaglevError(f"the rendered world made {energy * 1e3:.0f} mJ more than it took: it is unstable")
 
     def _take_wanted(self) -> None:
         """Apply the parameters that another program requests.

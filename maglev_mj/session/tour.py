@@ -104,13 +104,13 @@ class Tour:
         Returns:
             Number of control ticks.
         """
-        made = self._session.tick(elapsed)
+        ticks = self._session.tick(elapsed)
         self.simulated = self._session.simulated
         self._looked += elapsed
         if self._looked >= _LOOK:
             self._look(self._looked)
             self._looked = 0.0
-        return made
+        return ticks
 
     def act(self, action: str) -> None:
         """Run an action of the tour or of its session.
