@@ -18,7 +18,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import Recording
 from maglev_mj.recording.mcap import STRETCH_NUMBER as NUMBER
 from maglev_mj.recording.mcap import layout_of, packed
-from maglev_mj.recording.sample import FIELDS, TOTALS
+from maglev_mj.recording.sample import FIELDS, TOTALS, as_rows
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.stick_slip import StickSlip
@@ -208,7 +208,7 @@ def packed_sample(message: Message) -> bytes:
         parts = [message.get(field.name) for field in fields]
         flat = [one for part in parts for one in (part.values() if isinstance(part, dict) else [part])]
         values.append([np.nan if one is None else one for one in flat])
-    return packed(message["stretch"], *values)
+    return packed(message["stretch"], as_rows(values[0]), np.array([values[1]]))[0]
 
 
 def arrays_in(data: bytes) -> tuple[Message, dict[str, Any]]:

@@ -19,7 +19,7 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, Hold, Law, Wall
 from maglev_mj.analysis import StretchReport, analyse, face_figures, identify, reconstruct
-from maglev_mj.analysis.contacts import _stick_slip
+from maglev_mj.analysis.motion import _stick_slip
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
@@ -41,8 +41,7 @@ from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
-from maglev_mj.session.playback import Replay
-from maglev_mj.session.replay import rebuild, record_run, stick_positions_of
+from maglev_mj.session.replay import Replay, rebuild, record_run, stick_positions_of
 from maglev_mj.spec import GRAVITY
 from maglev_mj.views.charts import Charts
 from maglev_mj.views.page import panel, plots
@@ -226,7 +225,7 @@ def with_losses(hand: tuple[float, ...], law: Law, start: float) -> Stretch:
 def test_a_constant_force_is_found_over_samples_that_were_lost() -> None:
     push = (0.3, -0.2, 0.5, 1e-3, -2e-3, 1e-3)
     stretch = with_losses(push, Hold(stiffness=[200.0] * 3 + [0.2] * 3, damping=[10.0] * 3 + [0.01] * 3), 1e-3)
-    found = reconstruct(stretch, stretch.metadata)
+    found = reconstruct(stretch)
     assert len(found.unexplained) == 59 - len(LOST)
     np.testing.assert_allclose(found.unexplained, np.tile(push, (len(found.unexplained), 1)), rtol=1e-8)
 
@@ -419,12 +418,11 @@ def test_a_recording_that_begins_inside_a_wall_has_a_contact_without_an_approach
 
 def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
     stretch = recorded(Press())
-    known = stretch.metadata
     turned = stretch.replace(
         **{name: -stretch.arrays[name] for name in ("position", "hand", "applied", "applied_pulse")}
     )
-    down = face_figures(reconstruct(stretch, known).trace, (2, 1.0, 0.0))
-    up = face_figures(reconstruct(turned, known).trace, (2, -1.0, 0.0))
+    down = face_figures(reconstruct(stretch).trace, (2, 1.0, 0.0))
+    up = face_figures(reconstruct(turned).trace, (2, -1.0, 0.0))
     assert down is not None and up is not None
     assert up.contacts == down.contacts
     assert up.penetration == down.penetration > 1e-3

@@ -23,8 +23,9 @@ from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
+from maglev_mj.bridge.twin import firmware
 from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
-from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters, firmware
+from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.control import Bias, FiniteDifference, Hold
 from maglev_mj.control.controller import Controller

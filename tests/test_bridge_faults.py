@@ -22,9 +22,10 @@ from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import ThermalModel
+from maglev_mj.bridge.twin import firmware
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, InjectedFault
 from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
-from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters, firmware
+from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Fault, Operation, State, fault_names
 from maglev_mj.control import Bias

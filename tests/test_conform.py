@@ -22,9 +22,10 @@ from maglev_mj.bridge.conformance.check import CHECKS
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.links import PtyServer, SerialLink, Server, UdpLink, UdpServer
 from maglev_mj.bridge.safety import Limits, ThermalModel, command_fault
+from maglev_mj.bridge.twin import firmware, twin
 from maglev_mj.bridge.twin.firmware import Firmware
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
-from maglev_mj.bridge.twin.twin import AmplifierBoard, Twin, TwinParameters, TwinServer, firmware, twin
+from maglev_mj.bridge.twin.twin import AmplifierBoard, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Fault, State
 from maglev_mj.cli import main
 from maglev_mj.errors import PlantError

@@ -13,7 +13,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import Recording
 from maglev_mj.session import Pacer, Session
-from maglev_mj.session.playback import ACTIONS, Replay
+from maglev_mj.session.replay import ACTIONS, Replay
 
 FIRST, SECOND = 600, 1000
 """Samples of two stretches at 200 Hz and 1 kHz.

@@ -24,8 +24,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import run_variants
 from maglev_mj.session import Pacer, Session
-from maglev_mj.session.playback import Replay
-from maglev_mj.session.replay import rebuild, record_run, recorded
+from maglev_mj.session.replay import Replay, rebuild, record_run, recorded
 from maglev_mj.views.window.clip import write_clip, write_picture
 
 
@@ -274,7 +273,7 @@ def test_a_session_records_to_what_can_be_written(tmp_path: Path, monkeypatch: p
         assert best_suffix() == ".npz"
         open_recording(tmp_path / "run.mcap")
     for missing in ("mcap", "foxglove"):
-        monkeypatch.setattr("maglev_mj.recording.files.find_spec", lambda name, missing=missing: name != missing)
+        monkeypatch.setattr("maglev_mj.recording.writer.find_spec", lambda name, missing=missing: name != missing)
         assert best_suffix() == ".npz"
 
 

@@ -57,8 +57,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import _module_of_text, find_scene
 from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.session import Pacer, Session
-from maglev_mj.session.playback import Replay
-from maglev_mj.session.replay import expected, rebuild, write_run
+from maglev_mj.session.replay import Replay, expected, rebuild, write_run
 from maglev_mj.versions import MODELS, differences, hash_of, versions
 from tests.golden.outputs import HERE
 from tests.recorded import arrays_in, npz_of, numbers_in, some_of

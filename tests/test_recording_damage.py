@@ -15,9 +15,8 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import Recording, RecordingError, load_samples, open_recording, setup_of
-from maglev_mj.recording.files import row_of
 from maglev_mj.recording.sample import FIELDS, TOTALS
-from maglev_mj.recording.writer import McapWriter
+from maglev_mj.recording.writer import McapWriter, row_of
 from maglev_mj.session import Pacer, Session
 from maglev_mj.views.remote import ShowReport
 
@@ -211,7 +210,7 @@ def test_a_disk_that_is_full_ends_a_session_with_one_line(
     spare.mkdir()
     (spare / f"run{suffix}").write_text("of another run")
     monkeypatch.setattr("tempfile.tempdir", str(spare))
-    monkeypatch.setattr("maglev_mj.session.recorder.best_suffix", lambda: suffix)
+    monkeypatch.setattr("maglev_mj.session.session.best_suffix", lambda: suffix)
     monkeypatch.setattr(view, "chosen_page", lambda _: Mock())
 
     def full(recording: Recording, path: Path) -> None:

@@ -34,8 +34,7 @@ from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
-from maglev_mj.session.playback import Replay
-from maglev_mj.session.replay import rebuild, record_run, write_run
+from maglev_mj.session.replay import Replay, rebuild, record_run, write_run
 from maglev_mj.spec import INERTIA
 from maglev_mj.versions import versions
 from tests.recorded import messages_in

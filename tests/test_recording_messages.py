@@ -12,7 +12,7 @@ import pytest
 from maglev_mj.frames import ZERO, quaternion
 from maglev_mj.plants.shapes import ARROW, GRIP, shapes
 from maglev_mj.recording import Recording, mcap, open_recording
-from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, RunMetadata, Totals
+from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, RunMetadata, Totals, as_rows
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.stick_slip import StickSlip
@@ -72,7 +72,7 @@ def test_a_sample_is_packed_as_the_package_of_protobuf_packs_it() -> None:
                 else random.normal(size=len(field.units)).tolist()
             )
         count = sum(len(field.units) for field in FIELDS)
-        data = mcap.packed(7, row[:count], row[count:])
+        (data,) = mcap.packed(7, as_rows(row[:count]), np.array([row[count:]]))
         message = kind.FromString(data)
         assert message.stretch == 7
         again = kind.FromString(message.SerializeToString(deterministic=True))
@@ -85,7 +85,7 @@ def test_a_sample_is_packed_as_the_package_of_protobuf_packs_it() -> None:
 
 
 def test_a_layout_is_read_from_its_first_message_or_refused() -> None:
-    data = mcap.packed(0, [0.0] * sum(len(field.units) for field in FIELDS), [0.0] * len(TOTALS))
+    (data,) = mcap.packed(0, np.zeros(1, ROW), np.zeros((1, len(TOTALS))))
     later = data + bytes([0xF9, 0x01]) + bytes(8) + bytes([0x82, 0x02, 3]) + b"abc"  # fields 31 and 32
     assert mcap.layout_of(later).size == len(later)
     arrival = data[: -len(TOTALS) * 9 - 9] + data[-len(TOTALS) * 9 :]  # of a version without it

@@ -37,9 +37,9 @@ from maglev_mj.session import (
     replay,
     settable,
 )
-from maglev_mj.session.actions import actions
 from maglev_mj.session.pacing import Due
 from maglev_mj.session.replay import rebuild
+from maglev_mj.session.session import actions
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.window.keys import help_rows, keys_of
@@ -347,7 +347,7 @@ def test_the_end_of_a_recording_never_holds_the_loop_up(tmp_path: Path, monkeypa
             assert gate.wait(4.0)
             return super().close()
 
-    monkeypatch.setattr("maglev_mj.session.recorder.open_recording", lambda path: Slow(path.with_suffix(".npz")))
+    monkeypatch.setattr("maglev_mj.session.session.open_recording", lambda path: Slow(path.with_suffix(".npz")))
     session = made(folder=tmp_path)
     for ticks in (4, 8, 12):
         session.act("record")
@@ -375,7 +375,7 @@ def test_a_recording_that_cannot_be_written_is_tried_again_at_the_end(
                 raise OSError("no space left")
             return super().close()
 
-    monkeypatch.setattr("maglev_mj.session.recorder.open_recording", lambda path: Full(path.with_suffix(".npz")))
+    monkeypatch.setattr("maglev_mj.session.session.open_recording", lambda path: Full(path.with_suffix(".npz")))
     session = made(folder=tmp_path)
     session.act("record")
     after(session, 0.1)

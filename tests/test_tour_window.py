@@ -32,7 +32,7 @@ import json, sys, time
 import numpy as np
 from pathlib import Path
 from maglev_mj.cli import main
-from maglev_mj.session.playback import Replay
+from maglev_mj.session.replay import Replay
 from maglev_mj.session.tour import Tour
 
 def telling(tick):

@@ -278,7 +278,7 @@ def test_a_scene_that_has_started_again_is_shown_from_its_beginning() -> None:
 
 def test_a_folder_that_takes_no_recording_ends_no_session() -> None:
     viewer, session = ViewerHere(Joystick()), Session()
-    with patch("maglev_mj.session.recorder.open_recording", side_effect=OSError("no space left")):
+    with patch("maglev_mj.session.session.open_recording", side_effect=OSError("no space left")):
         viewer.window.act("record")
         viewer.serve(session)
     assert viewer.sent[0].notes == ["no space left"] and session.tick(0.02) > 0

@@ -12,7 +12,7 @@ from browser import chromium
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import ArrayFile
 from maglev_mj.session import Pacer, Session
-from maglev_mj.session.playback import Replay
+from maglev_mj.session.replay import Replay
 from maglev_mj.session.tour import Tour
 from tests.test_web_browser import Run, opened, press, pull
 

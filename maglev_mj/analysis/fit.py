@@ -18,13 +18,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Self, TypeAlias
+from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from maglev_mj.analysis.motion import Numbers
 from maglev_mj.frames import Array, Mask
-from maglev_mj.recording import RunMetadata, Stretch
+from maglev_mj.recording import Stretch
 from maglev_mj.recording.sample import Face
 
 _SINGULAR, _ROUNDS = 1e-10, 40
@@ -45,8 +45,6 @@ From this value on, noise of half a step moves a flotor at rest over several ste
 """
 _OFF_LATTICE, _DIVISORS, _LEAST_STEPS, _LEAST_MOVING = 1e-4, 20, 4, 20
 _EXACT, _NORMAL, _TINY = 1e-12, 1.959963984540054, 4.0 * float(np.finfo(np.float64).eps)
-
-Numbers: TypeAlias = NDArray[np.intp]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,10 +145,6 @@ class Windows(NamedTuple):
         rows, there = np.zeros((len(parts), width), dtype=np.intp), np.zeros((len(parts), width), dtype=np.bool_)
         for index, part in enumerate(parts):
             rows[index, : len(part)], there[index, : len(part)] = part, True
-        return cls._of(rows, there, time)
-
-    @classmethod
-    def _of(cls, rows: Numbers, there: Mask, time: Array) -> Windows:
         since = (time[rows] - time[rows[:, :1]]) * there
         basis, _ = np.linalg.qr(np.stack([there.astype(np.float64), since], axis=-1)) if rows.size else (since, None)
         return cls(rows, there, basis)
@@ -410,22 +404,19 @@ def is_inside(position: Array, face: Face) -> Mask:
     return np.asarray(face[1] * (position - face[2]) <= 0.0)
 
 
-def fit_law(
-    stretch: Stretch, metadata: RunMetadata, axis: int, faces: Sequence[Face], anchors: Array | None, used: Mask
-) -> CommandedLaw:
+def fit_law(stretch: Stretch, axis: int, faces: Sequence[Face], anchors: Array | None, used: Mask) -> CommandedLaw:
     """Fit the commands on an axis by a law.
 
     The law is a sum of walls, friction, and a spring and a damper that act everywhere.
 
     Args:
         stretch: N samples.
-        metadata: Metadata of the run.
         axis: Index into AXES.
         faces: Touched walls.
         anchors: Stick positions of the axis [m, rad], (N,); None without friction.
         used: True for samples that count, (N,).
     """
-    tick, position, period = stretch.tick, stretch.position[:, axis], metadata.period
+    tick, position, period = stretch.tick, stretch.position[:, axis], stretch.metadata.period
     speed = np.append(0.0, np.diff(position) / (np.diff(tick) * period))
     names: list[tuple[str, int]] = []
     parts: list[Array] = []
@@ -437,7 +428,7 @@ def fit_law(
         parts += [inside * (face[2] - position), inside * -speed]
     stated = stretch.command[:, axis]
     applied = stretch.applied[:, axis]
-    command = np.where(np.isfinite(stated), stated, applied) - metadata.carried[axis]
+    command = np.where(np.isfinite(stated), stated, applied) - stretch.metadata.carried[axis]
     outside &= used
     if anchors is not None:
         stuck = np.isfinite(anchors)

@@ -12,11 +12,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from itertools import groupby
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.analysis.contacts import OfWall
 from maglev_mj.analysis.fit import (
     ROUNDING,
     SLOW,
@@ -31,7 +30,7 @@ from maglev_mj.analysis.fit import (
     fit_law,
     is_inside,
 )
-from maglev_mj.analysis.motion import reconstruct
+from maglev_mj.analysis.motion import OfWall, reconstruct
 from maglev_mj.control.timeline import recorded_switches, split_delay
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import AXES, Array, Mask, unit_of
@@ -98,12 +97,6 @@ class WallEstimates(OfWall):
     commanded_damping: Estimate
     share: Estimate
 
-    @classmethod
-    def of(cls, face: Face, **estimates: Estimate) -> Self:
-        """Return the estimates of a wall given by index of the axis, normal and edge."""
-        axis, normal, edge = face
-        return cls(axis=AXES[axis], normal=normal, edge=edge, **estimates)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Friction:
@@ -132,35 +125,28 @@ def _every(kind: type[AxisEstimates | WallEstimates | Friction], estimate: Estim
 class _Row(NamedTuple):
     """Row of the table of identified quantities.
 
-    Owner, name, estimate, scale and unit of the estimate and of its residual.
+    Owner, axis, name, estimate, its unit and that of its residual on a translation, and scale of the estimate.
     """
 
     whose: str
+    axis: str
     name: str
     estimate: Estimate
-    scale: float
     unit: str
-    left_scale: float
-    left_unit: str
-
-    @classmethod
-    def of(
-        cls, whose: str, axis: str, name: str, estimate: Estimate, unit: str, left: str = "µm", scale: float = 1.0
-    ) -> Self:
-        """Return a row with the units of a translation made those of the axis."""
-        return cls(whose, name, estimate, scale, unit_of(unit, axis), 1e6 if left == "µm" else 1.0, unit_of(left, axis))
+    left: str = "µm"
+    scale: float = 1.0
 
     def cells(self) -> tuple[str, ...]:
         """Return an identified quantity as texts, its value rounded to two digits of its error."""
-        one = self.estimate
-        value, error = one.value * self.scale, one.standard_error * self.scale
+        value, error = self.estimate.value * self.scale, self.estimate.standard_error * self.scale
         decimals = min(max(1 - math.floor(math.log10(error)), 0), _DECIMALS) if error > 0.0 else _DECIMALS
+        left = self.estimate.residual * (1e6 if self.left == "µm" else 1.0)
         return (
             f"{'  ' if self.whose else ''}{self.name}",
             f"{round(value, decimals) + 0.0:.{decimals}f}",
             f"{error:.2g}" if error < 100.0 else f"{error:.0f}",
-            self.unit,
-            f"{one.residual * self.left_scale:.2g} {self.left_unit}",
+            unit_of(self.unit, self.axis),
+            f"{left:.2g} {unit_of(self.left, self.axis)}",
         )
 
 
@@ -207,29 +193,29 @@ class Identification:
 
     def _rows(self) -> Iterator[_Row]:
         best = next((axis for axis, one in self.axes.items() if one.delay is self.delay), AXES[0])
-        yield _Row.of("", best, "effective delay", self.delay, "ms", scale=1e3)
+        yield _Row("", best, "effective delay", self.delay, "ms", scale=1e3)
         for wall in self.walls:
             name, axis = wall.name, wall.axis
-            yield _Row.of(name, axis, "stiffness", wall.stiffness, "N/m")
-            yield _Row.of(name, axis, "damping", wall.damping, "N s/m")
-            yield _Row.of(name, axis, "of largest stable", wall.share, "%", scale=1e2)
-            yield _Row.of(name, axis, "commanded stiffness", wall.commanded_stiffness, "N/m", "N")
-            yield _Row.of(name, axis, "commanded damping", wall.commanded_damping, "N s/m", "N")
+            yield _Row(name, axis, "stiffness", wall.stiffness, "N/m")
+            yield _Row(name, axis, "damping", wall.damping, "N s/m")
+            yield _Row(name, axis, "of largest stable", wall.share, "%", scale=1e2)
+            yield _Row(name, axis, "commanded stiffness", wall.commanded_stiffness, "N/m", "N")
+            yield _Row(name, axis, "commanded damping", wall.commanded_damping, "N s/m", "N")
         for axis, friction in self.friction.items():
             name = f"friction on {axis}"
-            yield _Row.of(name, axis, "stiffness", friction.stiffness, "N/m")
-            yield _Row.of(name, axis, "commanded stiffness", friction.commanded_stiffness, "N/m", "N")
-            yield _Row.of(name, axis, "breakaway", friction.breakaway, "N", "N")
-            yield _Row.of(name, axis, "sliding", friction.sliding, "N", "N")
-            yield _Row.of(name, axis, "damping", friction.damping, "N s/m", "N")
+            yield _Row(name, axis, "stiffness", friction.stiffness, "N/m")
+            yield _Row(name, axis, "commanded stiffness", friction.commanded_stiffness, "N/m", "N")
+            yield _Row(name, axis, "breakaway", friction.breakaway, "N", "N")
+            yield _Row(name, axis, "sliding", friction.sliding, "N", "N")
+            yield _Row(name, axis, "damping", friction.damping, "N s/m", "N")
         for axis, one in self.axes.items():
             if axis in AXES[:3]:
-                yield _Row.of(axis, axis, "mass", one.inertia, "kg")
+                yield _Row(axis, axis, "mass", one.inertia, "kg")
             else:
-                yield _Row.of(axis, axis, "moment of inertia", one.inertia, "g m²", scale=1e3)
-            yield _Row.of(axis, axis, "force not compensated", one.force_error, "mN", scale=1e3)
-            yield _Row.of(axis, axis, "noise", one.noise, "µm", scale=1e6)
-            yield _Row.of(axis, axis, "steps", one.quantum, "µm", scale=1e6)
+                yield _Row(axis, axis, "moment of inertia", one.inertia, "g m²", scale=1e3)
+            yield _Row(axis, axis, "force not compensated", one.force_error, "mN", scale=1e3)
+            yield _Row(axis, axis, "noise", one.noise, "µm", scale=1e6)
+            yield _Row(axis, axis, "steps", one.quantum, "µm", scale=1e6)
 
     def table(self) -> Table:
         """Return a row for each identified quantity, and the reasons for the others below."""
@@ -283,21 +269,22 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
         (True, True)
     """
     check_instance("stretch", stretch, Stretch, READ_STRETCH)
-    run = stretch.metadata if metadata is None else metadata
+    if metadata is not None:
+        stretch = replace(stretch, setup={**stretch.setup, "run": metadata.as_json()})
     axes: dict[str, AxisEstimates] = {}
     walls: list[WallEstimates] = []
     friction: dict[str, Friction] = {}
     used = 0
     for index, name in enumerate(AXES):
         stuck = None if anchors is None or not np.isfinite(anchors[:, index]).any() else anchors[:, index]
-        faces = [face for face in run.faces if face[0] == index]
+        faces = [face for face in stretch.metadata.faces if face[0] == index]
         axis = None
         if len(stretch) < _LEAST_SAMPLES:
             why = f"only {len(stretch)} samples"
         elif not np.ptp(stretch.position[:, index]) > _STILL:
             why = "the axis does not move"
         else:
-            axis, why = _Axis.of(stretch, run, index, stuck), "too few samples without a gap"
+            axis, why = _Axis.of(stretch, index, stuck), "too few samples without a gap"
         if axis is None:
             walls += [WallEstimates.of(face, **_every(WallEstimates, Estimate(why=why))) for face in faces]
         else:
@@ -315,7 +302,6 @@ class _Axis:
 
     Attributes:
         stretch: The samples used, and earlier ones whose commands take effect during them.
-        metadata: Metadata of the run.
         axis: Index into AXES.
         anchors: Stick positions [m, rad], (N,); None without friction.
         windows: Windows of the samples used.
@@ -323,21 +309,20 @@ class _Axis:
     """
 
     stretch: Stretch
-    metadata: RunMetadata
     axis: int
     anchors: Array | None
     windows: Windows
     held: bool = False
 
     @classmethod
-    def of(cls, stretch: Stretch, metadata: RunMetadata, axis: int, anchors: Array | None) -> _Axis | None:
+    def of(cls, stretch: Stretch, axis: int, anchors: Array | None) -> _Axis | None:
         """Return the coordinate with its selected samples, or None.
 
         Of a long stretch, the windows with the least straight motion are selected; None if there are none.
         """
-        period = metadata.period
+        period = stretch.metadata.period
         # after a gap the delayed commands are unknown
-        ahead = int(split_delay(metadata.delay, period)[0]) + 2
+        ahead = int(split_delay(stretch.metadata.delay, period)[0]) + 2
         breaks = (np.flatnonzero(np.diff(stretch.tick) != 1) + 1).tolist()
         first = 0 if stretch.time[0] < period else ahead
         runs = [(one, end) for one, end in zip([first, *(at + ahead for at in breaks)], [*breaks, len(stretch)])]
@@ -348,7 +333,7 @@ class _Axis:
         needed = np.unique(np.maximum(windows.rows[windows.there][:, None] - np.arange(ahead + 1), 0))
         windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.there)
         stuck = None if anchors is None else anchors[needed]
-        free = cls(stretch=stretch[needed], metadata=metadata, axis=axis, anchors=stuck, windows=windows)
+        free = cls(stretch=stretch[needed], axis=axis, anchors=stuck, windows=windows)
         if free.disturbed:
             held = replace(free, held=True)
             return free if held.disturbed else held
@@ -369,7 +354,7 @@ class _Axis:
     @property
     def inertia(self) -> float:
         """Recorded mass or moment of inertia [kg, kg m²]."""
-        return float(self.metadata.inertia[self.axis])
+        return float(self.stretch.metadata.inertia[self.axis])
 
     def _fit(
         self, *, delay: float, search: bool, mass: float | None = None, law: tuple[Array, Array] | None = None
@@ -388,14 +373,14 @@ class _Axis:
         whole = np.zeros((len(self.position), 0)), self.stretch.applied[:, self.axis]
         parts, rest = whole if law is None else law
         count, gains = parts.shape
-        period, time, axis = self.metadata.period, self.stretch.time, self.axis
+        period, time, axis = self.stretch.metadata.period, self.stretch.time, self.axis
         nothing, none = np.zeros((count, gains)), np.zeros(count)
         late = np.column_stack([parts, rest, none])
         extra = np.column_stack([nothing, self.stretch.applied_pulse[:, axis], none])
         width = self.stretch.applied_pulse_width
         switch, levels = recorded_switches(time, late, extra, width, period=period, delay=0.0)
-        before = np.append(np.zeros(gains), [self.metadata.before[axis], 0.0])
-        hand = self.stretch.known_hand[:-1, axis] if self.metadata.hand_acts_on_flotor else none[:-1]
+        before = np.append(np.zeros(gains), [self.stretch.metadata.before[axis], 0.0])
+        hand = self.stretch.known_hand[:-1, axis] if self.stretch.metadata.hand_acts_on_flotor else none[:-1]
         span = np.diff(time)[:, None]
         prompt = np.column_stack([nothing[:-1], hand, none[:-1] + 1.0])
         speed, way = span * prompt, 0.5 * span**2 * prompt
@@ -411,16 +396,7 @@ class _Axis:
             )
         forces = Forces(time=time, switch=switch, late=levels, before=before, speed=speed, way=way)
         floor = ROUNDING * float(np.abs(self.position).max())
-        return fit(
-            forces,
-            self.windows,
-            self.position,
-            delay,
-            period=period,
-            search=search,
-            floor=floor,
-            fixed=fixed,
-        )
+        return fit(forces, self.windows, self.position, delay, period=period, search=search, floor=floor, fixed=fixed)
 
     @cached_property
     def _impedance(self) -> list[tuple[Array, Array]]:
@@ -428,7 +404,7 @@ class _Axis:
 
         The integral and double integral over each period, (N - 1,), for the spring, then for the damper.
         """
-        motion, axis = reconstruct(self.stretch, self.metadata), self.axis
+        motion, axis = reconstruct(self.stretch), self.axis
         trace, ends = motion.trace.along(axis), motion.starts
         knots, position, speed = trace.time, trace.pose[:-1, 0], trace.twist[:-1, 0]
         width = np.diff(knots)
@@ -452,7 +428,7 @@ class _Axis:
 
         It has their common factor, a constant, and their delay.
         """
-        return self._fit(delay=self.metadata.delay, search=True)
+        return self._fit(delay=self.stretch.metadata.delay, search=True)
 
     @property
     def pushed(self) -> bool:
@@ -500,15 +476,18 @@ class _Axis:
             inertia = motion.estimate(mass, mass**2 * motion.errors[0])
             delay = self._late(motion)
         else:
-            motion = self._fit(delay=self.metadata.delay, search=False, mass=mass)
+            motion = self._fit(delay=self.stretch.metadata.delay, search=False, mass=mass)
         slope = np.zeros(len(motion.errors))
         slope[:2] = -motion.values[1] * mass**2 * (not self._why), mass
-        force = mass * motion.values[1] - float(self.metadata.load[self.axis])
+        force = mass * motion.values[1] - float(self.stretch.metadata.load[self.axis])
         error = motion.estimate(force, motion.error_of(slope))
         return AxisEstimates(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
 
     def _late(self, motion: Fit) -> Estimate:
-        if motion.moves[-1] < _CLEAR * motion.residual or motion.errors[-1] > _MOST_DELAY * self.metadata.period:
+        if (
+            motion.moves[-1] < _CLEAR * motion.residual
+            or motion.errors[-1] > _MOST_DELAY * self.stretch.metadata.period
+        ):
             return Estimate(why="the force switches too little")
         return motion.estimate(motion.delay, motion.errors[-1])
 
@@ -517,13 +496,13 @@ class _Axis:
     @cached_property
     def faces(self) -> list[Face]:
         """Touched walls of the axis."""
-        faces = [face for face in self.metadata.faces if face[0] == self.axis]
+        faces = [face for face in self.stretch.metadata.faces if face[0] == self.axis]
         return [face for face in faces if (is_inside(self.position, face) & self.used).sum() >= _LEAST_INSIDE]
 
     @cached_property
     def law(self) -> CommandedLaw:
         """Law as a fit of commands by positions."""
-        return fit_law(self.stretch, self.metadata, self.axis, self.faces, self.anchors, self.used)
+        return fit_law(self.stretch, self.axis, self.faces, self.anchors, self.used)
 
     def _commanded(self, name: tuple[str, int]) -> Estimate:
         """Return an identified gain of the law."""
@@ -584,7 +563,7 @@ class _Axis:
             if not (shown := self._shown(one)).known:
                 return shown
         rendered, names, mass = self.rendered, self.law.names, self.inertia
-        period, last = self.metadata.period, len(rendered.values)
+        period, last = self.stretch.metadata.period, len(rendered.values)
         weights = np.zeros((3, last + 1))
         for row, name, other in zip(weights, gains, (("spring", 0), ("damper", 0))):
             row[[names.index(one) for one in (name, other) if one in names]] = mass

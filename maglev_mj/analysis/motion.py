@@ -1,17 +1,22 @@
-"""Motion between recorded samples, from the recorded forces."""
+"""Motion between recorded samples, and its figures: contacts at walls, energy, friction."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.control.timeline import recorded_switches
-from maglev_mj.frames import Array, Mask
-from maglev_mj.plants.trace import Trace
+from maglev_mj.frames import AXES, Array, Mask, unit_of
+from maglev_mj.plants.trace import Trace, actuator_work, hand_work
 from maglev_mj.recording import InvalidRecordingError, RunMetadata, Stretch
+from maglev_mj.recording.sample import Face
+from maglev_mj.result import Table, number_text, plain, with_unit
+from maglev_mj.scenes.figures import Hardness, perceived_hardness, summarise_bounce
 
 _ROUNDING = 1e-9
 
@@ -67,7 +72,7 @@ class _Pieces(NamedTuple):
     start: Array
 
 
-def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
+def reconstruct(stretch: Stretch) -> Motion:
     """Return the motion through the samples of a stretch.
 
     Between two samples the recorded forces and their switching times are known. The speed at the first sample is such
@@ -79,7 +84,6 @@ def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
 
     Args:
         stretch: The stretch.
-        metadata: Metadata of the stretch.
 
     Raises:
         InvalidRecordingError: If it has less than two samples, or they are not in order.
@@ -88,9 +92,10 @@ def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
         raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
     if not (np.diff(stretch.time) > 0.0).all():
         raise InvalidRecordingError("the samples of a recording must be in the order in which they were taken")
+    metadata = stretch.metadata
     released = stretch.time[0] < metadata.period * (1.0 - _ROUNDING)
     time = stretch.time if released else stretch.time - stretch.time[0]
-    pieces = _pieces(stretch, metadata, time)
+    pieces = _pieces(stretch, time)
     steady = np.tile(metadata.load, (len(time) - 1, 1))
     if metadata.hand_acts_on_flotor:
         steady += stretch.known_hand[:-1]
@@ -107,9 +112,10 @@ def reconstruct(stretch: Stretch, metadata: RunMetadata) -> Motion:
     return Motion(trace, starts, jumps, unexplained)
 
 
-def _pieces(stretch: Stretch, metadata: RunMetadata, time: Array) -> _Pieces:
+def _pieces(stretch: Stretch, time: Array) -> _Pieces:
     """Cut the time between samples at force switches."""
     held, extra, widths = stretch.applied, stretch.applied_pulse, stretch.applied_pulse_width
+    metadata = stretch.metadata
     when, force = recorded_switches(time, held, extra, widths, period=metadata.period, delay=metadata.delay)
     inside = when[(when > time[0]) & (when < time[-1])]
     knots = np.unique(np.concatenate([time, inside]))[:-1]
@@ -180,3 +186,449 @@ def _from_release(trace: Trace, metadata: RunMetadata) -> Trace:
     rows = (np.zeros(1), pose[None], twist[None], metadata.before[None])
     old = (trace.time, trace.pose, trace.twist, trace.wrench)
     return Trace(*(np.concatenate([row, rest]) for row, rest in zip(rows, old, strict=True)))
+
+
+_HARDNESS_WINDOW = 0.005
+"""Window of the force rise for the hardness [s]."""
+
+_REST = 0.1
+"""Final share of a stretch that counts as rest.
+
+The flotor must rest over it to have settled.
+"""
+_CONTACTS_SHOWN, _STICKS_SHOWN = 8, 8
+_NOTHING = 1e-12
+"""Figure below which a difference is rounding, in SI units."""
+
+
+class Contact(NamedTuple):
+    """Contact from entering a wall to leaving it.
+
+    Attributes:
+        start: Time of entry [s].
+        duration: Time until the exit, or the end of the recording [s].
+        approach_speed: Speed at entry [m/s, rad/s]; NaN if the recording begins inside.
+        penetration: Largest depth [m, rad].
+        peak_force: Largest force of the actuators on the axis during contact, either sign [N, N m].
+    """
+
+    start: float
+    duration: float
+    approach_speed: float
+    penetration: float
+    peak_force: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OfWall:
+    """Values that belong to a plane of a wall.
+
+    Attributes:
+        axis: Name of the axis.
+        normal: 1 if the axis is free above the edge, -1 if below.
+        edge: Edge of the wall [m, rad].
+    """
+
+    axis: str
+    normal: float
+    edge: float
+
+    @classmethod
+    def of(cls, face: Face, **values: Any) -> Self:
+        """Return the values of a wall given by index of the axis, normal and edge."""
+        axis, normal, edge = face
+        return cls(axis=AXES[axis], normal=float(normal), edge=float(edge), **values)
+
+    @property
+    def name(self) -> str:
+        """Axis, side and edge, such as "z below 0 mm"."""
+        side = "below" if self.normal > 0.0 else "above"
+        return f"{self.axis} {side} {self.edge * 1e3:.4g} {unit_of('mm', self.axis)}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FaceFigures(OfWall):
+    """Figures of the contacts at one wall.
+
+    Attributes:
+        penetration: Largest depth of all [m, rad].
+        rebound: Largest distance from the wall after the first contact, from any cause [m, rad].
+        peak_force: Largest force of the actuators on the axis, in contact or not [N, N m].
+        settling_time: Time from the start after which the position stays within 2 % of the way from start to rest
+            around the rest [s]; NaN if the flotor does not rest over the last tenth.
+        rest: Mean position over the last tenth [m, rad].
+        rate_hardness: Rate-hardness of the contact with the fastest approach [N/m, N m/rad]; NaN if there is no such
+            contact with enough time.
+        extended_hardness: Extended rate-hardness of the same contact [N/m, N m/rad]; see `Hardness`.
+        contacts: All contacts, in order.
+    """
+
+    penetration: float
+    rebound: float
+    peak_force: float
+    settling_time: float
+    rest: float
+    rate_hardness: float
+    extended_hardness: float
+    contacts: Sequence[Contact]
+
+    def row(self) -> list[str]:
+        """Return the figures as texts for a table."""
+        hard = 1.0 if self.axis in AXES[3:] else 1e-3
+        figures = (
+            (self.penetration, 1e3),
+            (self.rebound, 1e3),
+            (self.peak_force, 1.0),
+            (self.settling_time, 1e3),
+            (self.rate_hardness, hard),
+            (self.extended_hardness, hard),
+        )
+        return [*(number_text(figure * scale, 3, 2) for figure, scale in figures), str(len(self.contacts))]
+
+
+class Energy(NamedTuple):
+    """Energy balance of each axis [J], (6,) each.
+
+    Attributes:
+        taken: Energy absorbed by the rendered environment; below 0 it has generated energy.
+        least: Least absorbed energy at any switch of the force; the further below 0, the less passive.
+        hand: Work of the hand; NaN if its force was not recorded.
+        others: Work of unrecorded forces: of an unmeasured hand, or from a wrong mass.
+    """
+
+    taken: Array
+    least: Array
+    hand: Array
+    others: Array
+
+
+class Stick(NamedTuple):
+    """One sticking phase of an axis.
+
+    Attributes:
+        start: Time of the first stuck sample [s].
+        duration: Time until the first sliding sample, or the last of all [s].
+        position: Final anchor of the friction spring [m, rad].
+        slipped: True if it broke away; otherwise it stuck until the end.
+    """
+
+    start: float
+    duration: float
+    position: float
+    slipped: bool
+
+
+class StickSlip(NamedTuple):
+    """Stick-slip motion of an axis with friction.
+
+    Attributes:
+        slips: Number of breakaways.
+        transitions: Number of transitions between stick and slip.
+        sticks: Sticking phases, in order.
+    """
+
+    slips: int
+    transitions: int
+    sticks: Sequence[Stick]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StretchFigures:
+    """Figures of a stretch.
+
+    Attributes:
+        samples: Number of samples.
+        missed: Number of missing samples, by the gaps in their numbers.
+        start: Time of the first sample [s].
+        end: Time of the last sample [s].
+        travel: Distance between the extremes of each axis [m, rad], (6,).
+        peak_force: Largest wrench of the actuators on each axis [N, N m], (6,).
+        faces: Touched walls.
+        untouched: Number of untouched walls.
+        energy: Energy balance.
+        unexplained: Root mean square of the wrench of unrecorded forces [N, N m], (6,).
+        friction: Stick-slip motion of each axis with friction, by its name.
+    """
+
+    samples: int
+    missed: int
+    start: float
+    end: float
+    travel: Array
+    peak_force: Array
+    faces: Sequence[FaceFigures]
+    untouched: int
+    energy: Energy
+    unexplained: Array
+    friction: Mapping[str, StickSlip]
+
+    def tables(self, beside: StretchFigures | None = None) -> list[Table]:
+        """Return the tables of walls, contacts, axes and friction.
+
+        Args:
+            beside: Figures of the simulation, for rows of their own; None for none.
+        """
+        tables = []
+        for axes in (AXES[:3], AXES[3:]):  # they have units of their own
+            if faces := [face for face in self.faces if face.axis in axes]:
+                tables += [_walls(faces, beside), _contacts(faces)]
+        if not self.faces:
+            tables = [Table("", [], [], "no wall was touched" if self.untouched else "there are no walls")]
+        elif self.untouched:
+            tables[-1] = tables[-1]._replace(note=f"{tables[-1].note}\nwalls that were not touched: {self.untouched}")
+        return [*tables, self._axes(beside), *([_friction(self.friction)] if self.friction else [])]
+
+    def _axes(self, beside: StretchFigures | None) -> Table:
+        """Return the table of travel and energy on each axis."""
+        energy = self.energy
+        by_hand = np.isfinite(energy.hand).any()
+        work = ("work of the hand", energy.hand) if by_hand else ("unrecorded work", energy.others)
+        rows = [
+            axis_row("travel", self.travel, 1e3, "mm, mrad"),
+            axis_row("energy taken", energy.taken, 1e3, "mJ"),
+            *([] if beside is None else [axis_row("  simulated", beside.energy.taken, 1e3, "mJ")]),
+            axis_row("  least", energy.least, 1e3, "mJ"),
+            axis_row(*work, 1e3, "mJ"),
+            axis_row("unrecorded force", self.unexplained, 1e3, "mN, mN m"),
+        ]
+        return Table("", ("", *AXES, ""), rows)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return everything, ready for JSON."""
+        kept = {name: plain(getattr(self, name)) for name in ("samples", "missed", "start", "end", "faces", "friction")}
+        axes = {"travel": self.travel, "peak_force": self.peak_force, "unexplained_force": self.unexplained}
+        return {**kept, **by_axis(axes), "energy": by_axis(self.energy._asdict())}
+
+
+def by_axis(values: Mapping[str, Array]) -> dict[str, Any]:
+    """Return values (6,) by the names of their axes, ready for JSON."""
+    return {name: dict(zip(AXES, plain(six))) for name, six in values.items()}
+
+
+def axis_row(label: str, values: Array, scale: float, unit: str) -> tuple[str, ...]:
+    """Return a row of a table with values of each axis, rounding errors as 0."""
+    return label, *(number_text(v * scale, 3, 2) if abs(v) >= _NOTHING else "0" for v in values.tolist()), unit
+
+
+def _walls(faces: Sequence[FaceFigures], beside: StretchFigures | None) -> Table:
+    """Return the table of walls, and of their simulation."""
+    axis = faces[0].axis
+    small, force = unit_of("mm", axis), unit_of("N", axis)
+    hard = "N/mm" if axis in AXES[:3] else unit_of("N/m", axis)
+    units = {"depth": small, "rebound": small, "peak": force, "settling": "ms, 2 %", "rate": hard, "extended": hard}
+    rows = []
+    for face in faces:
+        rows.append((face.name, *face.row()))
+        if beside is not None:
+            twins = [one.row() for one in beside.faces if (one.axis, one.normal) == (face.axis, face.normal)]
+            rows.append(("  simulated", *next(iter(twins), ["0.00", *["-"] * 5, "0"])))
+    return Table("", ("wall", *(with_unit(*one) for one in units.items()), "contacts"), rows)
+
+
+def _contacts(faces: Sequence[FaceFigures]) -> Table:
+    """Return the table of contacts, the first ones, by time."""
+    small, force = unit_of("mm", faces[0].axis), unit_of("N", faces[0].axis)
+    units = {"at": "s", "for": "ms", "approach": f"{small}/s", "depth": small, "peak": force}
+    contacts = [(one.start, face.name, one) for face in faces for one in face.contacts]
+    contacts.sort(key=lambda row: (round(row[0], 7), row[1]))  # rounding does not order those at the same time
+    rows = []
+    for start, name, one in contacts[:_CONTACTS_SHOWN]:
+        figures = (one.duration * 1e3, one.approach_speed * 1e3, one.penetration * 1e3, one.peak_force)
+        rows.append((name, f"{start:.4f}", *(number_text(figure, 3, 2) for figure in figures)))
+    more = len(contacts) - len(rows)
+    head = "contact", *(with_unit(*one) for one in units.items())
+    return Table("", head, rows, f"and {more} more: see --json" if more else "")
+
+
+def _friction(axes: Mapping[str, StickSlip]) -> Table:
+    """Return the table of slips and stick positions."""
+    rows = []
+    for axis, friction in axes.items():
+        longest = number_text(max(stick.duration for stick in friction.sticks) * 1e3, 3, 2)
+        positions = [f"{stick.position * 1e3:.3f}" for stick in friction.sticks[:_STICKS_SHOWN]]
+        more = len(friction.sticks) - len(positions)
+        stuck = f"{', '.join(positions)}{f' and {more} more' if more else ''} {unit_of('mm', axis)}"
+        rows.append((axis, friction.slips, longest, stuck))
+    return Table("", ("friction", "slips", "longest stuck [ms]", "stuck at"), rows)
+
+
+def face_figures(trace: Trace, face: Face, *, rest: float | None = None) -> FaceFigures | None:
+    """Return the figures of a wall, None if untouched.
+
+    Args:
+        trace: The motion.
+        face: The wall: index into AXES, normal, edge.
+        rest: Rest position of the flotor [m, rad]; its mean position over the last tenth by default.
+    """
+    axis, normal, edge = face
+    line, begin = trace.along(axis), float(trace.time[0])
+    # relative to the wall, from time 0: it fills positions up to 0
+    line = Trace(line.time - begin, normal * (line.pose - edge), normal * line.twist, normal * line.wrench)
+    curve = _Curve.of(line)
+    if not curve.inside.any():
+        return None
+    contacts = curve.contacts()
+    end = float(line.time[-1])
+    tail = line.at(np.linspace(end * (1.0 - _REST), end, 201))[0][:, 0]
+    resting = float(tail.mean()) if rest is None else normal * (rest - edge)
+    bounce = summarise_bounce(line, resting, axis=0)
+    settled = float(bounce.settling_time)
+    hardness = _hardness(line, contacts)
+    return FaceFigures.of(
+        face,
+        penetration=float(bounce.penetration),
+        rebound=float(bounce.rebound),
+        peak_force=float(bounce.peak_force),
+        settling_time=settled if settled <= end * (1.0 - _REST) else math.nan,
+        rest=edge + normal * resting,
+        rate_hardness=float(hardness.rate),
+        extended_hardness=float(hardness.extended),
+        contacts=[contact._replace(start=contact.start + begin) for contact in contacts],
+    )
+
+
+def _hardness(line: Trace, contacts: Sequence[Contact]) -> Hardness:
+    """Return the hardness of the contact with fastest approach.
+
+    A grazing contact has no hardness.
+    """
+    speeds = [contact.approach_speed for contact in contacts]
+    unknown = Hardness(np.array(np.nan), np.array(np.nan))
+    if np.isnan(speeds).all():
+        return unknown
+    index = int(np.nanargmax(speeds))
+    if index:  # from the middle between the previous contact and this one
+        before, this = contacts[index - 1], contacts[index]
+        start = 0.5 * (before.start + before.duration + this.start)
+        pose, twist, wrench = line.at(start)
+        rest = line.time > start
+        time = np.append(0.0, line.time[rest] - start)
+        parts = ((pose, line.pose), (twist, line.twist), (wrench, line.wrench))
+        line = Trace(time, *(np.concatenate([first, part[rest]]) for first, part in parts))
+    is_long = float(line.time[-1]) > _HARDNESS_WINDOW
+    return perceived_hardness(line, _HARDNESS_WINDOW, axis=0) if is_long else unknown
+
+
+class _Curve(NamedTuple):
+    """One axis on its knots and turning points.
+
+    The motion is monotonic between them.
+    """
+
+    time: Array
+    position: Array
+    speed: Array
+    force: Array
+    inside: Mask
+
+    @classmethod
+    def of(cls, line: Trace) -> _Curve:
+        """Return the curve of a trace of one axis."""
+        turn_time, turn = (part[:, 0] for part in line.turning_points())
+        knots, position, speed = line.time, line.pose[:, 0], line.twist[:, 0]
+        turned = speed[:-1] * speed[1:] < 0.0
+        times, positions = _woven(knots, turn_time), _woven(position, turn)
+        speeds = _woven(speed, np.where(turned, 0.0, speed[:-1]))
+        return cls(times, positions, speeds, np.repeat(line.wrench[:, 0], 2)[:-1], positions <= 0.0)
+
+    def contacts(self) -> list[Contact]:
+        """Return every contact, in order."""
+        changes = np.flatnonzero(self.inside[1:] != self.inside[:-1])
+        crossings = [self._crossing(int(index)) for index in changes]
+        entered = [(int(index) + 1, *crossing) for index, crossing in zip(changes, crossings) if self.inside[index + 1]]
+        left = [(int(index), when) for index, (when, _) in zip(changes, crossings) if self.inside[index]]
+        if self.inside[0]:
+            entered.insert(0, (0, float(self.time[0]), math.nan))
+        if self.inside[-1]:
+            left.append((len(self.time) - 1, float(self.time[-1])))
+        contacts = []
+        for (first, start, speed), (last, end) in zip(entered, left, strict=True):
+            depth = -float(self.position[first : last + 1].min())
+            # from the piece on in which the wall is entered
+            force = float(np.abs(self.force[max(first - 1, 0) : max(last, first) + 1]).max())
+            contacts.append(Contact(start, end - start, speed, depth, force))
+        return contacts
+
+    def _crossing(self, index: int) -> tuple[float, float]:
+        """Return time and speed of an edge crossing.
+
+        It is after a given point: v² = v0² - 2 a x0, exact on a parabola.
+        """
+        width = self.time[index + 1] - self.time[index]
+        start, speed = float(self.position[index]), float(self.speed[index])
+        if width <= 0.0:
+            return float(self.time[index]), abs(speed)
+        push = (self.speed[index + 1] - speed) / width
+        crossing = math.sqrt(max(speed * speed - 2.0 * push * start, 0.0))
+        mean = 0.5 * (abs(speed) + crossing)
+        elapsed = min(abs(start) / mean, width) if mean > 0.0 else 0.0
+        return float(self.time[index] + elapsed), crossing
+
+
+def _woven(knots: Array, between: Array) -> Array:
+    """Return values at knots interleaved with values between them."""
+    woven = np.empty(2 * len(knots) - 1)
+    woven[0::2], woven[1::2] = knots, between
+    return woven
+
+
+def stretch_figures(
+    motion: Motion, stretch: Stretch, anchors: Array | None, rest: float | None = None
+) -> StretchFigures:
+    """Return the figures of a stretch of N samples.
+
+    Args:
+        motion: The motion through them.
+        stretch: The samples.
+        anchors: Stick positions at each sample [m, rad], (N, 6), NaN while sliding; None without friction.
+        rest: Rest position at a wall [m, rad]; found from the samples by default.
+    """
+    trace, metadata, ticks = motion.trace, stretch.metadata, stretch.tick
+    faces = [figures for face in metadata.faces if (figures := face_figures(trace, face, rest=rest)) is not None]
+    lines = np.full((len(ticks), len(AXES)), np.nan) if anchors is None else anchors
+    stuck = np.isfinite(lines)
+    return StretchFigures(
+        samples=len(ticks),
+        missed=round(float(ticks[-1] - ticks[0])) + 1 - len(ticks),
+        start=float(motion.time[0]),
+        end=float(motion.time[-1]),
+        travel=np.ptp(trace.pose, axis=0),
+        peak_force=np.abs(trace.wrench[:-1]).max(axis=0),
+        faces=faces,
+        untouched=len(metadata.faces) - len(faces),
+        energy=_energy(motion, stretch),
+        unexplained=np.sqrt((motion.unexplained**2).mean(axis=0)),
+        friction={
+            AXES[axis]: _stick_slip(motion.time, stuck[:, axis], lines[:, axis])
+            for axis in np.flatnonzero(stuck.any(axis=0))
+        },
+    )
+
+
+def _energy(motion: Motion, stretch: Stretch) -> Energy:
+    """Return the energy balance of each axis.
+
+    Each force is paired with the displacement during its action.
+    """
+    taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, stretch.metadata.carried), axis=0)])
+    positions = motion.trace.pose[motion.starts]
+    recorded = stretch.metadata.hand_recorded
+    work = hand_work(positions, stretch.hand).sum(axis=0) if recorded else np.full(len(AXES), np.nan)
+    return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * np.diff(positions, axis=0)).sum(axis=0))
+
+
+def _stick_slip(time: Array, stuck: Mask, anchors: Array) -> StickSlip:
+    """Return the stick-slip motion of an axis that sticks at some samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], stuck, [False]]).astype(np.int8)))
+    final = len(time) - 1
+    sticks = [
+        Stick(
+            float(time[first]),
+            float(time[min(last, final)] - time[first]),
+            float(anchors[last - 1]),
+            bool(last <= final),
+        )
+        for first, last in edges.reshape(-1, 2)
+    ]
+    slips = sum(stick.slipped for stick in sticks)
+    return StickSlip(slips, slips + sum(stick.start > time[0] for stick in sticks), sticks)

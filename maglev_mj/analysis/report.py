@@ -8,14 +8,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.analysis.contacts import StretchFigures, axis_row, by_axis, stretch_figures
 from maglev_mj.analysis.identification import Identification, identify
-from maglev_mj.analysis.motion import Motion, reconstruct
+from maglev_mj.analysis.motion import Motion, StretchFigures, axis_row, by_axis, reconstruct, stretch_figures
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import flag, number
-from maglev_mj.plants import SampledPlant, engine_warnings_silenced
+from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
 from maglev_mj.recording.recording import READ_STRETCH
@@ -254,24 +253,23 @@ def analyse(
     """
     flag("simulated", simulated)
     check_instance("stretch", stretch, Stretch, READ_STRETCH)
-    metadata = stretch.metadata
-    whole = reconstruct(stretch, metadata)
+    whole = reconstruct(stretch)
     first, last = _rows(whole, begin, end)
     comparison = other = None
     if simulated and rebuild is not None:
-        twin = simulate(stretch, whole, metadata, rebuild, scene)
+        twin = simulate(stretch, whole, rebuild, scene)
         comparison = compare(stretch[first : last + 1], twin[first : last + 1], whole.between(first, last))
         until = min(last, len(twin.tick) - 1)
         if until - first >= 1:
-            other = _run(twin, reconstruct(twin, metadata), metadata, None, (first, until), rest)
-    run = _run(stretch, whole, metadata, anchors, (first, last), rest)
+            other = _run(twin, reconstruct(twin), None, (first, until), rest)
+    run = _run(stretch, whole, anchors, (first, last), rest)
     return StretchReport(
         kind=stretch.setup["kind"],
-        metadata=metadata,
+        metadata=stretch.metadata,
         recorded=run,
         simulated=other,
         comparison=comparison,
-        identified=identify(stretch[first : last + 1], metadata, anchors=run.anchors),
+        identified=identify(stretch[first : last + 1], anchors=run.anchors),
     )
 
 
@@ -286,24 +284,15 @@ def _rows(motion: Motion, begin: float, end: float | None) -> tuple[int, int]:
     return int(inside[0]), int(inside[-1])
 
 
-def _run(
-    stretch: Stretch,
-    whole: Motion,
-    metadata: RunMetadata,
-    anchors: Array | None,
-    rows: tuple[int, int],
-    rest: float | None,
-) -> Run:
+def _run(stretch: Stretch, whole: Motion, anchors: Array | None, rows: tuple[int, int], rest: float | None) -> Run:
     first, last = rows
     chosen = slice(first, last + 1)
     motion, stuck = whole.between(first, last), None if anchors is None else anchors[chosen]
-    figures = stretch_figures(motion, metadata, stretch.tick[chosen], stretch.hand[chosen], stuck, rest)
+    figures = stretch_figures(motion, stretch[chosen], stuck, rest)
     return Run(motion=motion, figures=figures, anchors=stuck)
 
 
-def simulate(
-    stretch: Stretch, motion: Motion, metadata: RunMetadata, rebuild: Rebuild, scene: type[Scene] | None = None
-) -> Stretch:
+def simulate(stretch: Stretch, motion: Motion, rebuild: Rebuild, scene: type[Scene] | None = None) -> Stretch:
     """Simulate a recorded run again.
 
     It has the same laws, the recorded hand, and the recorded start.
@@ -314,7 +303,6 @@ def simulate(
     Args:
         stretch: The recording.
         motion: Its motion.
-        metadata: Metadata of the stretch.
         rebuild: Function from a setup and a hand to plant and controller.
         scene: Scene class of a user's own recording.
 
@@ -328,7 +316,9 @@ def simulate(
     rows = np.round(stretch.tick - stretch.tick[0]).astype(np.intp)
     plant, controller = rebuild(stretch.setup, RecordedHand(stretch.known_hand))
     if plant is None:
-        plant = _twin(stretch, motion, metadata, scene)
+        device = recorded_scene(stretch.setup["scene"], stretch.setup["parameters"], scene)
+        start = {"pose": motion.trace.pose[motion.starts[0]], "twist": motion.trace.twist[motion.starts[0]]}
+        plant = live_plant(device, **start, wrench=stretch.metadata.before)
     recorder = Recorder(plant, stretch.setup)
     with plant, engine_warnings_silenced():
         try:
@@ -339,12 +329,6 @@ def simulate(
             pass  # the comparison reports the number of samples
     kept = rows[rows < len(recorder)]
     return recorder.stretch()[kept].replace(tick=stretch.tick[: len(kept)], time=stretch.time[: len(kept)])
-
-
-def _twin(stretch: Stretch, motion: Motion, metadata: RunMetadata, scene: type[Scene] | None) -> SampledPlant:
-    """Return the simulated device in place of a real one."""
-    flown, first = recorded_scene(stretch.setup["scene"], stretch.setup["parameters"], scene), motion.starts[0]
-    return live_plant(flown, pose=motion.trace.pose[first], twist=motion.trace.twist[first], wrench=metadata.before)
 
 
 def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:

@@ -9,7 +9,7 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.writable import check_outputs
 from maglev_mj.recording import EXPORTS, Recording
-from maglev_mj.recording.export import export
+from maglev_mj.recording.recording import export
 from maglev_mj.terminal import say
 
 

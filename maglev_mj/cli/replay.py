@@ -12,8 +12,7 @@ from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.web import add_web, chosen_page, show_session
 from maglev_mj.recording import InvalidRecordingError, OwnCodeError, Recording, RecordingError
 from maglev_mj.recording.verify import first_other_answer, verify
-from maglev_mj.session.playback import Replay
-from maglev_mj.session.replay import OwnCode, expected, rebuild, unmade_plant
+from maglev_mj.session.replay import OwnCode, Replay, expected, rebuild, unmade_plant
 from maglev_mj.terminal import printable, say, wrapped
 from maglev_mj.versions import differences, versions, versions_read
 

@@ -1,11 +1,4 @@
-from maglev_mj.recording.export import EXPORTS as EXPORTS
-from maglev_mj.recording.files import ArrayFile as ArrayFile
-from maglev_mj.recording.files import Recorder as Recorder
-from maglev_mj.recording.files import RecordingFile as RecordingFile
-from maglev_mj.recording.files import best_suffix as best_suffix
-from maglev_mj.recording.files import check_name as check_name
-from maglev_mj.recording.files import open_recording as open_recording
-from maglev_mj.recording.files import tee as tee
+from maglev_mj.recording.recording import EXPORTS as EXPORTS
 from maglev_mj.recording.recording import InvalidRecordingError as InvalidRecordingError
 from maglev_mj.recording.recording import Recording as Recording
 from maglev_mj.recording.recording import RecordingError as RecordingError
@@ -15,7 +8,14 @@ from maglev_mj.recording.recording import load_samples as load_samples
 from maglev_mj.recording.sample import RunMetadata as RunMetadata
 from maglev_mj.recording.sample import Setup as Setup
 from maglev_mj.recording.setup import OwnCodeError as OwnCodeError
+from maglev_mj.recording.setup import RecordingFile as RecordingFile
 from maglev_mj.recording.setup import setup_of as setup_of
 from maglev_mj.recording.verify import Expected as Expected
 from maglev_mj.recording.verify import Rebuild as Rebuild
 from maglev_mj.recording.verify import Verdict as Verdict
+from maglev_mj.recording.writer import ArrayFile as ArrayFile
+from maglev_mj.recording.writer import Recorder as Recorder
+from maglev_mj.recording.writer import best_suffix as best_suffix
+from maglev_mj.recording.writer import check_name as check_name
+from maglev_mj.recording.writer import open_recording as open_recording
+from maglev_mj.recording.writer import tee as tee

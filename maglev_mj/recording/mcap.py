@@ -8,14 +8,15 @@ array. Any decoder of protobuf reads them by name.
 from __future__ import annotations
 
 import json
+import operator
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from io import BytesIO
-from typing import IO, TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
 
 from maglev_mj.errors import ParameterError, require
 from maglev_mj.frames import AXES, Array
@@ -24,7 +25,7 @@ from maglev_mj.recording.sample import (
     FIELDS,
     TOTALS,
     Field,
-    Row,
+    Rows,
     RunMetadata,
     Setup,
     check_rows,
@@ -62,6 +63,13 @@ _NUMBERED, _COUNT = struct.Struct("<HI"), struct.Struct("<I")
 _FRONT, _SAME = _RECORD.size + _MESSAGE.size, _RECORD.size + 2  # bytes before a message; those alike in each of a topic
 _FOOTER, _SCHEMA, _CHANNEL, _SAID, _CHUNK = 2, 3, 4, 5, 6
 _ATTACHMENT, _STATISTICS, _METADATA, _DATA_END = 9, 11, 12, 15
+_RECORDS = {
+    _CHUNK: "Chunk",
+    _CHANNEL: "Channel",
+    _ATTACHMENT: "Attachment",
+    _METADATA: "Metadata",
+    _STATISTICS: "Statistics",
+}
 _OURS = frozenset((STRETCH, SAMPLE, EVENT))
 _NEEDED = "record", "recordings as MCAP need mcap and foxglove-sdk"
 _TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
@@ -88,13 +96,14 @@ _SIX = "SixAxes"
 _VARINT, _FIXED64, _BYTES = 0, 1, 2
 _DOUBLE_TYPE, _MESSAGE_TYPE, _FIXED64_TYPE, _OPTIONAL = 1, 11, 6, 1
 _NUMBER_SIZE, _SIX_SIZE = 8, 6 * 9
+_SIX_KIND = np.dtype(([("head", "u1"), ("value", "<f8")], 6))
 
 
 def _varint(value: int) -> bytes:
-    found = b""
+    encoded = b""
     while value > 0x7F:
-        found, value = found + bytes([value & 0x7F | 0x80]), value >> 7
-    return found + bytes([value])
+        encoded, value = encoded + bytes([value & 0x7F | 0x80]), value >> 7
+    return encoded + bytes([value])
 
 
 def _part(number: int, value: int | str | bytes) -> bytes:
@@ -139,45 +148,6 @@ def _head(field: Field) -> bytes:
     return _varint(number << 3 | _FIXED64)
 
 
-class _Value(NamedTuple):
-    """Number in a message: preceding bytes and type code."""
-
-    head: bytes
-    code: str
-
-
-def _values(fields: Sequence[Field]) -> list[_Value]:
-    found = []
-    for field in fields:
-        head, code = _head(field), "d" if field.unit else "Q"
-        for place in range(len(field.units)):
-            inner = bytes([place + 1 << 3 | _FIXED64]) if field.six else b""
-            found.append(_Value(head + inner if not place else inner, code))
-    return found
-
-
-_WRITTEN = _values((STRETCH_NUMBER, *FIELDS, *TOTALS))
-_STRUCT = struct.Struct("<" + "".join(f"{len(value.head)}s{value.code}" for value in _WRITTEN))
-_PARTS = [part for value in _WRITTEN for part in (value.head, None)]
-_WHOLE = [place for place, value in enumerate(_WRITTEN) if value.code == "Q"]
-
-
-def packed(stretch: int, row: Row, totals: Row) -> bytes:
-    """Return a sample as a message.
-
-    Args:
-        stretch: Number of the stretch.
-        row: Values in the order of FIELDS.
-        totals: Running totals in the order of TOTALS.
-    """
-    values: list[float] = [stretch, *row, *totals]
-    for place in _WHOLE:
-        values[place] = int(values[place])
-    parts = _PARTS.copy()
-    parts[1::2] = values  # type: ignore[assignment]
-    return _STRUCT.pack(*parts)
-
-
 MessageArray: TypeAlias = "np.ndarray[tuple[int, int], np.dtype[np.uint8]]"
 """Messages of one layout, (N, size) bytes."""
 
@@ -193,20 +163,24 @@ class Layout:
     """
 
     def __init__(self, fields: Sequence[Field | int]) -> None:
-        heads: list[int] = []
-        expected, at = b"", 0
+        template, heads = b"", list[int]()
         self._places: dict[str, int] = {}
         for field in fields:
             if isinstance(field, int):
-                at += field
+                template += bytes(field)
                 continue
-            for value in _values([field]):
-                heads += range(at, at + len(value.head))
-                at, expected = at + len(value.head), expected + value.head
-                self._places.setdefault(field.name, at)
-                at += _NUMBER_SIZE
-        self.size = at
-        self._heads, self._expected = np.array(heads), np.frombuffer(expected, np.uint8)
+            head = _head(field)
+            for number in range(1, len(field.units) + 1):
+                head += bytes([number << 3 | _FIXED64]) if field.six else b""
+                heads += range(len(template), len(template) + len(head))
+                self._places.setdefault(field.name, len(template) + len(head))
+                template, head = template + head + bytes(_NUMBER_SIZE), b""
+        self.size, self._heads, self._template = len(template), np.array(heads), np.frombuffer(template, np.uint8)
+        numbered = [field for field in fields if not isinstance(field, int)]
+        kinds = [_SIX_KIND if field.six else "<f8" if field.unit else "<u8" for field in numbered]
+        starts = [self._places[field.name] - field.six for field in numbered]
+        names = list(self._places)
+        self._kind = np.dtype({"names": names, "formats": kinds, "offsets": starts, "itemsize": self.size})
 
     def check(self, messages: MessageArray) -> None:
         """Check that messages have this layout.
@@ -214,7 +188,7 @@ class Layout:
         Raises:
             ParameterError: If one has another layout.
         """
-        if not (messages[:, self._heads] == self._expected).all():
+        if not (messages[:, self._heads] == self._template[self._heads]).all():
             raise ParameterError("the samples of a file must all have the same fields")
 
     def values(self, messages: MessageArray, field: Field) -> Array:
@@ -222,16 +196,35 @@ class Layout:
 
         The shape is (N,) or (N, 6).
         """
-        at = self._places.get(field.name)
-        count = len(messages)
-        if at is None:
-            return np.full((count, 6) if field.six else count, np.nan)
-        kind = np.dtype("<f8" if field.unit else "<u8")
-        values = messages[:, at : at + _NUMBER_SIZE].view(kind)
-        if field.six:
-            values = as_strided(values, (count, 6), (values.strides[0], _SIX_SIZE // 6))
-        found = values.astype(np.float64)
-        return found if field.six else found[:, 0]
+        if field.name not in self._places:
+            return np.full((len(messages), 6) if field.six else len(messages), np.nan)
+        return self._view(messages, field).astype(np.float64)
+
+    def packed(self, values: Mapping[str, Array | float], count: int) -> list[bytes]:
+        """Return samples as messages, of the values of each field."""
+        messages = self._template[None].repeat(count, axis=0)
+        for field in _ORDERED:
+            self._view(messages, field)[:] = values[field.name]
+        return [message.tobytes() for message in messages]
+
+    def _view(self, messages: MessageArray, field: Field) -> NDArray[Any]:
+        values = messages.view(self._kind)[:, 0][field.name]
+        return values["value"] if field.six else values
+
+
+_WRITTEN = Layout((STRETCH_NUMBER, *FIELDS, *TOTALS))
+
+
+def packed(stretch: int, rows: Rows, totals: Array) -> list[bytes]:
+    """Return N samples as messages.
+
+    Args:
+        stretch: Number of the stretch.
+        rows: Their values, (N,).
+        totals: Running totals in the order of TOTALS, (N, 3).
+    """
+    values = {STRETCH_NUMBER.name: stretch} | {field.name: rows[field.name] for field in FIELDS}
+    return _WRITTEN.packed(values | {field.name: one for field, one in zip(TOTALS, totals.T)}, len(rows))
 
 
 def layout_of(message: bytes) -> Layout:
@@ -260,12 +253,12 @@ def layout_of(message: bytes) -> Layout:
 
 def _number_at(message: bytes, at: int) -> tuple[int, int]:
     """Return a variable-length number and the offset behind it."""
-    found = shift = 0
+    value = shift = 0
     while at < len(message) and shift < 63:
-        found |= (message[at] & 0x7F) << shift
+        value |= (message[at] & 0x7F) << shift
         at, shift = at + 1, shift + 7
         if message[at - 1] < 0x80:
-            return found, at
+            return value, at
     raise ParameterError("a sample must have all its bytes")
 
 
@@ -449,11 +442,9 @@ class McapStretch:
         Raises:
             ParameterError: If a sample is invalid.
         """
-        if self._last:  # with the row before, for checks between rows
-            joined = {name: np.concatenate([self._last[name], part]) for name, part in values.items()}
-            check_rows(joined, self._count - 1)
-        else:
-            check_rows(values)
+        # with the row before, for checks between rows
+        rows = {name: np.concatenate([self._last.get(name, part[:0]), part]) for name, part in values.items()}
+        check_rows(rows, max(self._count - 1, 0))
         self._count += len(values["tick"])
         self._last = {name: part[-1:].copy() for name, part in values.items()}
         kept = {name: _constant_once(part) for name, part in values.items()}
@@ -463,10 +454,11 @@ class McapStretch:
 
     def arrays(self) -> dict[str, Array]:
         """Return the fields of all samples, (N,) or (N, 6) each, not to be changed."""
-        twins = {name: twin for name, twin in _TWINS.items() if {name, twin} <= self._blocks.keys()}
-        copies = [name for name, twin in twins.items() if _identical(self._blocks[name], self._blocks[twin])]
-        found = {name: _joined(self._blocks.pop(name)) for name in list(self._blocks) if name not in copies}
-        return {name: found[twins.get(name, name) if name in copies else name] for name in (*found, *copies)}
+        blocks = self._blocks
+        twins = {name: twin for name, twin in _TWINS.items() if {name, twin} <= blocks.keys()}
+        copies = {name: twin for name, twin in twins.items() if all(map(operator.is_, blocks[name], blocks[twin]))}
+        arrays = {name: _joined(blocks.pop(name)) for name in list(blocks) if name not in copies}
+        return arrays | {name: arrays[twin] for name, twin in copies.items()}
 
 
 def _check_same(message: Any, name: str, number: int) -> None:
@@ -479,10 +471,6 @@ def _check_same(message: Any, name: str, number: int) -> None:
 def _same(one: Array, other: Array) -> bool:
     """Return True if two arrays are bitwise equal."""
     return bool((one.view(np.int64) == other.view(np.int64)).all())
-
-
-def _identical(blocks: Sequence[Array], others: Sequence[Array]) -> bool:
-    return all(one is other for one, other in zip(blocks, others, strict=True))
 
 
 def _constant_once(block: Array) -> Array:
@@ -515,8 +503,6 @@ class McapContent:
     """
 
     def __init__(self, allowance: Allowance, names: frozenset[str] | None) -> None:
-        from mcap import records
-
         self.stretches: list[McapStretch] = []
         self.events: list[str] = []
         self.event_samples: list[int] = []
@@ -531,13 +517,6 @@ class McapContent:
         self._runs: list[bytes] = []
         self._waiting = 0
         self._tick = 0
-        self._takers: Mapping[int, tuple[Any, Callable[[Any], None]]] = {
-            _CHUNK: (records.Chunk, self._chunk),
-            _CHANNEL: (records.Channel, self._channel),
-            _ATTACHMENT: (records.Attachment, self._attachment),
-            _METADATA: (records.Metadata, self._metadata),
-            _STATISTICS: (records.Statistics, self._statistics),
-        }
 
     def take(self, kind: int, data: bytes) -> None:
         """Take one record.
@@ -546,15 +525,15 @@ class McapContent:
             ParameterError: If the record is invalid in a recording.
             Exception: Any error, if the record is damaged.
         """
+        from mcap import records
         from mcap.data_stream import ReadDataStream
 
         if kind == _ATTACHMENT and _COUNT.unpack(data[-4:])[0] not in (0, zlib.crc32(data[:-4])):
             self.damage.append("an attachment is damaged, and left out")
         elif kind == _SAID:
             self._walk(_RECORD.pack(kind, len(data)) + data)
-        elif kind in self._takers:
-            record, taker = self._takers[kind]
-            taker(record.read(ReadDataStream(BytesIO(data))))
+        elif name := _RECORDS.get(kind):
+            getattr(self, f"_{name.lower()}")(getattr(records, name).read(ReadDataStream(BytesIO(data))))
 
     def _chunk(self, chunk: Chunk) -> None:
         self._allowance.part(chunk.uncompressed_size)
@@ -617,10 +596,10 @@ class McapContent:
         head, end, last = data[at : at + _SAME], after, len(data) - size
         while end <= last and data.startswith(head, end):
             end += size
-        (first,), found = _COUNT.unpack_from(data, at + _SAME), (end - at) // size
-        self._count(channel, first, found)
+        (first,), number = _COUNT.unpack_from(data, at + _SAME), (end - at) // size
+        self._count(channel, first, number)
         self._runs.append(data[at:end])
-        self._waiting += found
+        self._waiting += number
         return end
 
     def store_samples(self) -> None:

@@ -160,20 +160,15 @@ class Messages:
         """Log one or more samples, their values in FIELDS order."""
         assert self._totals is not None
         table = as_rows(rows)
-        for row, values, totals in zip(rows, table, self._totals.take(table).tolist()):
-            self._log_sample(row, values, totals)
-
-    def _log_sample(self, row: Row, values: np.void, totals: Row) -> None:
-        tick, time = row[0], row[1]
-        if self._first is None:
-            self._first = time
-        self._tick = int(tick)
-        self._now = max(self._now, self._began + round((time - self._first) * 1e9))
-        self._sample.log(packed(self._stretch, row, totals), self._now)
-        turn = math.floor((time - self._first) * _SHOWN + 1e-6)
-        if turn > self._shown:
-            self._shown = turn
-            self._show(values)
+        for row, values, message in zip(rows, table, packed(self._stretch, table, self._totals.take(table))):
+            time, self._tick = row[1], int(row[0])
+            self._first = time if self._first is None else self._first
+            self._now = max(self._now, self._began + round((time - self._first) * 1e9))
+            self._sample.log(message, self._now)
+            turn = math.floor((time - self._first) * _SHOWN + 1e-6)
+            if turn > self._shown:
+                self._shown = turn
+                self._show(values)
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Log an event.
@@ -185,8 +180,8 @@ class Messages:
         """
         if self._totals is not None:
             self._totals.miss(missed)
-        told = {"stretch": self._stretch, "tick": self._tick, "kind": kind, "text": text, "missed": missed}
-        self._say(self._event_channel, told)
+        message = {"stretch": self._stretch, "tick": self._tick, "kind": kind, "text": text, "missed": missed}
+        self._say(self._event_channel, message)
         self._tell(_LEVELS.get(kind, LogLevel.Info), f"{kind}: {text}")
 
     def _say(self, channel: Channel, message: Mapping[str, Any]) -> None:
@@ -203,7 +198,7 @@ class Messages:
         if self._stick is not None:
             stuck = [seen if math.isnan(held) else held for held, seen in zip(self._stick, position)]
             frames.append(("stator", "stick position", stuck[:3], quaternion(stuck[3:])))
-        made = [
+        transforms = [
             FrameTransform(
                 timestamp=stamp,
                 parent_frame_id=parent,
@@ -213,7 +208,7 @@ class Messages:
             )
             for parent, child, place, turn in frames
         ]
-        self._frames.log(FrameTransforms(transforms=made), log_time=self._now)
+        self._frames.log(FrameTransforms(transforms=transforms), log_time=self._now)
         knob = np.array(position[:3]) + rotation_matrix(np.array(position[3:])) @ GRIP
         forces = ("force of the hand", values["hand"], _HAND), ("force of the device", values["applied"], _DEVICE)
         self._draw([("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces])
@@ -224,13 +219,13 @@ class Messages:
         An entity replaces the former one of its name.
         """
         stamp = _stamp(self._now)
-        made = [
+        drawn = [
             SceneEntity(
                 timestamp=stamp, frame_id=frame, id=name, lifetime=Duration(sec=0), frame_locked=True, **primitives
             )
             for frame, name, primitives in entities
         ]
-        self._scene.log(SceneUpdate(entities=made), log_time=self._now)
+        self._scene.log(SceneUpdate(entities=drawn), log_time=self._now)
 
 
 def _stamp(now: int) -> Timestamp:
@@ -252,27 +247,27 @@ def _color(colour: Sequence[float]) -> Color:
     return Color(r=red, g=green, b=blue, a=opacity)
 
 
-def _device(found: Sequence[Shape]) -> list[tuple[str, str, Mapping[str, Any]]]:
+def _device(parts: Sequence[Shape]) -> list[tuple[str, str, Mapping[str, Any]]]:
     """Return the entities of the device: stator and flotor."""
     return [
-        (frame, frame, _primitives([shape for shape in found if shape.moves == moves]))
+        (frame, frame, _primitives([shape for shape in parts if shape.moves == moves]))
         for frame, moves in (("stator", False), ("flotor", True))
     ]
 
 
-def _primitives(found: Sequence[Shape]) -> dict[str, Any]:
+def _primitives(parts: Sequence[Shape]) -> dict[str, Any]:
     """Return shapes as the primitives of an entity."""
-    made: dict[str, Any] = {"cubes": [], "cylinders": [], "spheres": []}
-    for shape in found:
+    primitives: dict[str, Any] = {"cubes": [], "cylinders": [], "spheres": []}
+    for shape in parts:
         pose = Pose(position=_vector(shape.position), orientation=_quaternion(shape.turn))
         about: dict[str, Any] = {"pose": pose, "size": _vector(2.0 * shape.half), "color": _color(shape.colour)}
         if shape.kind == "box":
-            made["cubes"].append(CubePrimitive(**about))
+            primitives["cubes"].append(CubePrimitive(**about))
         elif shape.kind == "cylinder":
-            made["cylinders"].append(CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, **about))
+            primitives["cylinders"].append(CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, **about))
         else:
-            made["spheres"].append(SpherePrimitive(**about))
-    return made
+            primitives["spheres"].append(SpherePrimitive(**about))
+    return primitives
 
 
 def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list[ArrowPrimitive]:

@@ -1,13 +1,14 @@
-"""Recordings in memory and as files of arrays."""
+"""Recordings in memory, as files of arrays, and as tables for other programs."""
 
 from __future__ import annotations
 
+import base64
+import csv
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from dataclasses import replace as replaced
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any, ClassVar
 from zipfile import ZIP_STORED
@@ -15,7 +16,7 @@ from zipfile import ZIP_STORED
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.errors import MaglevError, ParameterError, check_instance, file_path
+from maglev_mj.errors import MaglevError, ParameterError, check_instance, check_one_of, file_path, require
 from maglev_mj.frames import AXES, Array
 from maglev_mj.parameters import whole
 from maglev_mj.recording.mcap import MAGIC, Allowance, UnpackingError, read_mcap
@@ -91,7 +92,7 @@ class Stretch:
     def __getitem__(self, rows: slice | NDArray[Any]) -> Stretch:
         totals = {one.name for one in TOTALS}
         arrays = {name: values[rows] for name, values in self.arrays.items() if name not in totals}
-        return replaced(self, arrays=arrays, gaps=())
+        return replace(self, arrays=arrays, gaps=())
 
     @property
     def known_hand(self) -> Array:
@@ -101,7 +102,7 @@ class Stretch:
     def replace(self, **values: ArrayLike) -> Stretch:
         """Return a copy with other values of some fields, one for each sample or for all."""
         new = {name: np.array(np.broadcast_to(one, self.arrays[name].shape), float) for name, one in values.items()}
-        return replaced(self, arrays={**self.arrays, **new})
+        return replace(self, arrays={**self.arrays, **new})
 
 
 @dataclass(frozen=True, eq=False)
@@ -369,13 +370,13 @@ class Samples(Result):
 
         `stretch` comes first, then those of `units`. Columns without unit are whole numbers.
         """
-        found: dict[str, NDArray[Any]] = {"stretch": self.stretch}
+        columns: dict[str, NDArray[Any]] = {"stretch": self.stretch}
         for name, values in self.arrays.items():
             field = _FIELDS[name]
             for place, (column, unit) in enumerate(field.units):
                 part = values[:, place] if field.six else values
-                found[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
-        return found
+                columns[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
+        return columns
 
     def to_pandas(self) -> Any:
         """Return a data frame with one row per sample.
@@ -419,3 +420,99 @@ def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Sampl
     if unknown:
         raise ParameterError(f"fields must be of {', '.join(_FIELDS)}, not {unknown[0]!r}")
     return _read(path, frozenset({"tick", *names})).samples(names)
+
+
+_BLOCK = 1 << 14
+
+
+def export(recording: Recording, kind: str, path: Path | str) -> None:
+    """Write a recording as a table, one row per sample.
+
+    All other content goes with it.
+
+    Args:
+        recording: The recording.
+        kind: One of EXPORTS; with csv, content other than the table goes to a .json file of the same name beside it.
+        path: Path of the new file.
+
+    Raises:
+        ParameterError: If the kind is not known.
+        MissingPackageError: If the package for Parquet is needed and not installed.
+        OSError: If it cannot be written; an existing file then stays.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from maglev_mj import export, find_scene, record_run
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     export(record_run(find_scene("drop")(duration=0.1), plant="exact"), "csv", Path(folder, "run.csv"))
+        ...     lines = Path(folder, "run.csv").read_text().splitlines()
+        >>> [line.split(",")[:2] for line in lines if not line.startswith("#")][:2]
+        [['stretch', 'tick'], ['0', '0']]
+    """
+    check_one_of("to", EXPORTS, kind)
+    check_instance("recording", recording, Recording, READ)
+    path = file_path(path)
+    with aside(path) as partial:
+        EXPORTS[kind](recording, partial, path)
+
+
+def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
+    """Return each known column of all samples, (N,)."""
+    stretches = recording.stretches
+    fields = [*FIELDS, *(one for one in TOTALS if stretches and all(one.name in part.arrays for part in stretches))]
+    samples = recording.samples([field.name for field in fields])
+    recorded = {one.name: values for one in fields if is_recorded(one, values := samples.arrays[one.name])}
+    return replace(samples, arrays=recorded).columns()
+
+
+def _about(recording: Recording) -> dict[str, Any]:
+    """Return the content besides samples, ready for JSON.
+
+    Attachments are in base64.
+    """
+    attached = {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()}
+    return {
+        "units": units(),
+        "setups": [stretch.setup for stretch in recording.stretches],
+        "events": list(recording.events),
+        "about": dict(recording.about),
+        "damage": recording.damage,
+        "attachments": attached,
+    }
+
+
+def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
+    columns, unit_of = _columns(recording), units()
+    with aside(path.with_name(f"{path.name}.json")) as beside:
+        beside.write_text(json.dumps(_about(recording), indent=1), encoding="utf-8")
+        with partial.open("w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            table.writerow([f"{name} [{unit_of[name]}]" if unit_of.get(name) else name for name in columns])
+            for first in range(0, recording.ticks, _BLOCK):
+                table.writerows(zip(*(column[first : first + _BLOCK].tolist() for column in columns.values())))
+
+
+def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
+    require(("pyarrow",), "parquet", "Parquet needs pyarrow")
+    import pyarrow
+    from pyarrow import parquet
+
+    columns, unit_of = {name: pyarrow.array(column) for name, column in _columns(recording).items()}, units()
+    fields = [
+        pyarrow.field(name, column.type, metadata={"unit": unit_of[name]} if unit_of.get(name) else None)
+        for name, column in columns.items()
+    ]
+    about = {f"maglev_mj.{name}": json.dumps(part) for name, part in _about(recording).items()}
+    parquet.write_table(pyarrow.table([*columns.values()], schema=pyarrow.schema(fields, metadata=about)), partial)
+
+
+EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {
+    "npz": lambda recording, partial, _: recording.save(partial),
+    "csv": _as_csv,
+    "parquet": _as_parquet,
+}
+"""Export functions by format name.
+
+Each writes a recording to a temporary path; the second path is the final one.
+"""

@@ -148,10 +148,10 @@ ROW = _layout(FIELDS)
 
 
 def _arrays() -> Mapping[str, Sequence[Field]]:
-    found: dict[str, list[Field]] = {}
+    arrays: dict[str, list[Field]] = {}
     for field in FIELDS:
-        found.setdefault(field.array or field.name, []).append(field)
-    return found
+        arrays.setdefault(field.array or field.name, []).append(field)
+    return arrays
 
 
 ARRAYS = _arrays()
@@ -254,11 +254,11 @@ def mechanics(plant: Any) -> dict[str, Array]:
 
     The mass of a hand in a rigid grip moves with the flotor.
     """
-    known = {name: np.array(getattr(plant, name, usual), np.float64) for name, usual in _MECHANICS.items()}
+    parts = {name: np.array(getattr(plant, name, usual), np.float64) for name, usual in _MECHANICS.items()}
     hand = getattr(plant, "hand", None)
     if hand is not None and not hand.soft:
-        known["inertia"][list(hand.indices)] += float(np.asarray(hand.mass))
-    return known
+        parts["inertia"][list(hand.indices)] += float(np.asarray(hand.mass))
+    return parts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -325,8 +325,8 @@ class RunMetadata:
             ParameterError: If the plant has no delay and none is given, a value is not finite, or an inertia is not
                 above 0.
         """
-        known = getattr(plant, "timing", plant)
-        late = getattr(known, "delay", None) if delay is None else delay
+        timing = getattr(plant, "timing", plant)
+        late = getattr(timing, "delay", None) if delay is None else delay
         if late is None:
             raise ParameterError("delay must be given for a plant that has neither timing nor delay, not None")
         faces, hand, least = controller.faces, getattr(plant, "hand", None), {"inertia": 1e-12}
@@ -371,12 +371,12 @@ class RunMetadata:
 
     def as_json(self) -> dict[str, Any]:
         """Return all values, ready for JSON."""
-        known: dict[str, Any] = {}
+        values: dict[str, Any] = {}
         for one in fields(self):
             value = getattr(self, one.name)
-            known[one.name] = dict(zip(AXES, value.tolist(), strict=True)) if isinstance(value, np.ndarray) else value
-        known["faces"] = [{"axis": AXES[axis], "normal": normal, "edge": edge} for axis, normal, edge in self.faces]
-        return known
+            values[one.name] = dict(zip(AXES, value.tolist(), strict=True)) if isinstance(value, np.ndarray) else value
+        values["faces"] = [{"axis": AXES[axis], "normal": normal, "edge": edge} for axis, normal, edge in self.faces]
+        return values
 
 
 def _face(values: Any) -> Face:

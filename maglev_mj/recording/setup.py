@@ -17,13 +17,14 @@ import numpy as np
 from maglev_mj import control as _laws
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.laws.base import FunctionLaw
+from maglev_mj.control.loop import Record
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing, engine_warnings_silenced
 from maglev_mj.plants.hand import GuidedHand, Hand, HandForce, SpringHand, Trajectory
 from maglev_mj.plants.model import model_files, model_names
 from maglev_mj.recording.recording import InvalidRecordingError
-from maglev_mj.recording.sample import RunMetadata, Setup, check_setup, value_in
+from maglev_mj.recording.sample import RecordedPlant, RunMetadata, Setup, check_setup, value_in
 from maglev_mj.versions import file_of, hash_of
 
 Own: TypeAlias = Callable[[str], Any]
@@ -56,6 +57,7 @@ ALLOW = "allow it by --scene {}, or by --scene attached for the source in the re
 _OBJECTS = ("timing", "sensor", "hand", "hand_force", "path")
 _OWN_SLOTS = ("laws", "velocity")
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
+_INVALID = MaglevError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError
 _MOST, _LONGEST_LIST, _MOST_LAWS, _LEAST_STEP = 1e12, 100_000, 100, 1e-5
 
 
@@ -63,7 +65,7 @@ class OwnCodeError(InvalidRecordingError):
     """A recording needs user code that was not allowed."""
 
 
-class _UntoldError(Exception):
+class _NoJsonError(Exception):
     """A value cannot be expressed in JSON."""
 
 
@@ -97,17 +99,17 @@ def setup_of(
     """
     if scene is not None:
         metadata.setdefault("name", scene)
-    told: dict[str, Any] = {
+    setup = {
         "kind": kind,
         "scene": scene,
         "source": source,
         "parameters": dict(parameters or {}),
         "samples": samples,
-        "controller": _told("controller", controller),
-        "plant": _told("plant", plant),
+        "controller": _description("controller", controller),
+        "plant": _description("plant", plant),
         "run": RunMetadata.of(plant, controller, **metadata).as_json(),
     }
-    return dict(check_setup(told))
+    return dict(check_setup(setup))
 
 
 def whole_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setup:
@@ -120,17 +122,53 @@ def whole_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setu
     return setup if "run" in setup else {**setup, "run": RunMetadata.of(plant, controller).as_json()}
 
 
-class Attaching(Protocol):
-    """Interface of a file that takes attachments.
+class RecordingFile(Protocol):
+    """Interface of a file that records a run."""
 
-    See `RecordingFile`.
-    """
+    def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
+        """Begin a stretch; return the loop's recording function.
+
+        Args:
+            plant: The controlled plant.
+            controller: The controller.
+            setup: Setup of both, by default by `setup_of`; its metadata, `run`, are added if they are not
+                there.
+        """
+
+    def event(self, kind: str, text: str, missed: int = 0) -> None:
+        """Record an event for the user.
+
+        `missed` is the number of samples missed with it.
+        """
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Attach a file unless its name exists."""
+        """Attach a file, before the first sample.
+
+        Args:
+            name: Unique name.
+            media_type: Such as "text/xml".
+            data: Content of the file.
+        """
+
+    def check(self) -> None:
+        """Check that the recording is being written.
+
+        Raises:
+            RecordingError: If writing has failed.
+        """
+
+    def close(self) -> Path | None:
+        """Finish writing; return the file, or None without samples.
+
+        A second call does nothing.
+
+        Raises:
+            RecordingError: If the file is incomplete.
+            OSError: If it cannot be written.
+        """
 
 
-def attach_parts(file: Attaching, plant: Any, controller: Controller) -> None:
+def attach_parts(file: RecordingFile, plant: Any, controller: Controller) -> None:
     """Attach the MJCF and user sources of plant and controller."""
     model = getattr(plant, "given", {}).get("model", "drop" if isinstance(plant, MuJoCoPlant) else None)
     if isinstance(model, str | Path):
@@ -139,17 +177,17 @@ def attach_parts(file: Attaching, plant: Any, controller: Controller) -> None:
         attach_source(file, part.function if isinstance(part, FunctionLaw) else type(part))
 
 
-def attach_model(file: Attaching, model: str | Path) -> None:
+def attach_model(file: RecordingFile, model: str | Path) -> None:
     """Attach the MJCF of a model, included files too."""
     for name, text in model_files(model):
         file.attach(f"model/{name}", "application/xml", text.encode())
 
 
-def attach_source(file: Attaching, thing: Any) -> None:
+def attach_source(file: RecordingFile, thing: Any) -> None:
     """Attach the source file of a user's class or function."""
     own = getattr(thing, "__module__", "maglev_mj").partition(".")[0] != "maglev_mj"
-    if own and (found := file_of(thing)) is not None:
-        path, text = found
+    if own and (source := file_of(thing)) is not None:
+        path, text = source
         file.attach(f"source/{hash_of(text)}/{path.name}", "text/x-python", text.encode())
 
 
@@ -173,8 +211,8 @@ def controller_again(setup: Setup, own: Own | None = None) -> Controller:
         OwnCodeError: If it needs user code that was not allowed or is not known.
         InvalidRecordingError: If a value is missing, of another type, or out of range.
     """
-    with _refused():
-        controller = _made("controller", setup["controller"], own)
+    with refused(*_INVALID):
+        controller = _object("controller", setup["controller"], own)
         if not isinstance(controller, Controller):
             raise OwnCodeError(f"nothing tells how {controller} was made, or it had run before the recording began")
         return controller
@@ -192,13 +230,13 @@ def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | N
     Raises:
         InvalidRecordingError: If a value is missing, of another type, or out of range.
     """
-    told = setup.get("plant")
-    if isinstance(told, str):
+    description = setup.get("plant")
+    if isinstance(description, str):
         return None
-    with _refused(), engine_warnings_silenced():
-        if isinstance(told, dict) and (hand is not None or not scripted(setup)):
-            told = {name: value for name, value in told.items() if name != "hand_force"}
-        plant: SampledPlant = _made("plant", told, None, {} if hand is None else {"hand_force": hand})
+    with refused(*_INVALID), engine_warnings_silenced():
+        if isinstance(description, dict) and (hand is not None or not scripted(setup)):
+            description = {name: value for name, value in description.items() if name != "hand_force"}
+        plant: SampledPlant = _object("plant", description, None, {} if hand is None else {"hand_force": hand})
         check_instance("plant", plant, SampledPlant, "an object")
         if plant.batch or np.ndim(plant.timing.delay):
             raise ParameterError("a plant must be one device")
@@ -206,25 +244,25 @@ def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | N
 
 
 @contextmanager
-def _refused() -> Iterator[None]:
-    """Turn any error of an invalid setup into one line."""
+def refused(*errors: type[Exception]) -> Iterator[None]:
+    """Turn errors of an invalid setup into one line."""
     try:
         yield
     except InvalidRecordingError:
         raise
-    except (MaglevError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError) as error:
+    except errors as error:
         raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
 
 
-def _told(slot: str, value: Any) -> Any:
+def _description(slot: str, value: Any) -> Any:
     """Return an object as JSON, or its class name.
 
     The class alone if an argument has no JSON form.
     """
     try:
-        known = _reference(slot, value)
-        return {"class": known, **{name: _value(name, part) for name, part in _given(slot, value).items()}}
-    except _UntoldError:
+        reference = _reference(slot, value)
+        return {"class": reference, **{name: _value(name, part) for name, part in _arguments(slot, value).items()}}
+    except _NoJsonError:
         return f"{type(value).__module__}.{type(value).__qualname__}"
 
 
@@ -236,21 +274,21 @@ def _reference(slot: str, value: Any) -> str:
     if type(value) in _SLOTS[slot]:
         return type(value).__name__
     thing = value.function if isinstance(value, FunctionLaw) else type(value)
-    if slot in _OWN_SLOTS and (found := file_of(thing) if hasattr(thing, "__qualname__") else None):
-        return f"{found[0].name}:{thing.__qualname__}@{hash_of(found[1])}"
-    raise _UntoldError
+    if slot in _OWN_SLOTS and (source := file_of(thing) if hasattr(thing, "__qualname__") else None):
+        return f"{source[0].name}:{thing.__qualname__}@{hash_of(source[1])}"
+    raise _NoJsonError
 
 
-def _given(slot: str, value: Any) -> Mapping[str, Any]:
+def _arguments(slot: str, value: Any) -> Mapping[str, Any]:
     """Return an object's constructor arguments other than defaults."""
     if isinstance(value, Controller | SampledPlant) and value.begun:
-        raise _UntoldError  # its state is not in its arguments
+        raise _NoJsonError  # its state is not in its arguments
     if isinstance(value, Controller):
         return {"laws": value.laws, "period": value.period, "velocity": value.velocity}
     if isinstance(value, SampledPlant):
         return value.given
     if slot == "hand_force" and isinstance(value, SpringHand) and not isinstance(value.target, Trajectory):
-        raise _UntoldError  # its target is moved from outside
+        raise _NoJsonError  # its target is moved from outside
     if is_dataclass(value):
         return {
             one.name: part
@@ -259,13 +297,13 @@ def _given(slot: str, value: Any) -> Mapping[str, Any]:
         }
     if isinstance(value, FunctionLaw) or not vars(value):
         return {}
-    raise _UntoldError
+    raise _NoJsonError
 
 
 def _value(slot: str, value: Any) -> Any:
     """Return an argument as JSON."""
     if slot == "model" and value not in (None, *model_names()):
-        raise _UntoldError
+        raise _NoJsonError
     if value is None or isinstance(value, bool | str):
         return value
     if isinstance(value, np.generic | np.ndarray):
@@ -273,45 +311,45 @@ def _value(slot: str, value: Any) -> Any:
     if isinstance(value, int | float):
         return value if math.isfinite(value) else str(float(value))
     if isinstance(value, list | tuple):
-        return [_told(slot, one) if slot == "laws" else _value(slot, one) for one in value]
+        return [_description(slot, one) if slot == "laws" else _value(slot, one) for one in value]
     if slot not in _SLOTS:
-        raise _UntoldError
-    told = _told(slot, value)
-    if isinstance(told, str) and slot not in ("hand_force", *_OWN_SLOTS):
-        raise _UntoldError
-    return told
+        raise _NoJsonError
+    description = _description(slot, value)
+    if isinstance(description, str) and slot not in ("hand_force", *_OWN_SLOTS):
+        raise _NoJsonError
+    return description
 
 
-def _made(slot: str, told: Any, own: Own | None, more: Mapping[str, Any] | None = None) -> Any:
+def _object(slot: str, description: Any, own: Own | None, more: Mapping[str, Any] | None = None) -> Any:
     """Return the object or number described by JSON.
 
     Args:
         slot: Name of the argument for it.
-        told: The JSON.
+        description: The JSON.
         own: See `controller_again`.
         more: Further constructor arguments.
     """
-    if slot in _OBJECTS and told is not None and not isinstance(told, dict):
-        raise ParameterError(f"{slot} must be an object, not {str(told)[:40]!r}")
-    if isinstance(told, list):
+    if slot in _OBJECTS and description is not None and not isinstance(description, dict):
+        raise ParameterError(f"{slot} must be an object, not {str(description)[:40]!r}")
+    if isinstance(description, list):
         most = _MOST_LAWS if slot == "laws" else _LONGEST_LIST
-        if len(told) > most:
-            raise ParameterError(f"{slot} must be at most {most}, not {len(told)}")
-        return [_made(slot, one, own) for one in told]
-    if isinstance(told, dict):
-        name = value_in(told, "class", str)
+        if len(description) > most:
+            raise ParameterError(f"{slot} must be at most {most}, not {len(description)}")
+        return [_object(slot, one, own) for one in description]
+    if isinstance(description, dict):
+        name = value_in(description, "class", str)
         cls = {one.__name__: one for one in _SLOTS.get(slot, ())}.get(name)
         if cls is None:
             cls = _own(slot, name, own)
-        given = {key: _made(key, part, own) for key, part in told.items() if key != "class"}
-        return cls(**given, **(more or {})) if isinstance(cls, type) else cls
-    if slot in _OWN_SLOTS and isinstance(told, str):
-        raise OwnCodeError(f"{told} is none of this package's, and nothing tells how it was made")
-    if slot == "model" and told not in (None, *model_names()):
-        raise ParameterError(f"model must be one of {', '.join(model_names())}, not {told!r}")
-    if isinstance(told, int | float) and not isinstance(told, bool):
-        number(slot, told, at_least=_LEAST_STEP if slot == "longest_step" else -_MOST, at_most=_MOST)
-    return _INFINITE.get(told, told) if isinstance(told, str) else told
+        arguments = {key: _object(key, part, own) for key, part in description.items() if key != "class"}
+        return cls(**arguments, **(more or {})) if isinstance(cls, type) else cls
+    if slot in _OWN_SLOTS and isinstance(description, str):
+        raise OwnCodeError(f"{description} is none of this package's, and nothing tells how it was made")
+    if slot == "model" and description not in (None, *model_names()):
+        raise ParameterError(f"model must be one of {', '.join(model_names())}, not {description!r}")
+    if isinstance(description, int | float) and not isinstance(description, bool):
+        number(slot, description, at_least=_LEAST_STEP if slot == "longest_step" else -_MOST, at_most=_MOST)
+    return _INFINITE.get(description, description) if isinstance(description, str) else description
 
 
 def _own(slot: str, name: str, own: Own | None) -> Any:
@@ -327,7 +365,7 @@ def _own(slot: str, name: str, own: Own | None) -> Any:
     if own is None:
         file = name.partition(":")[0][:60]
         raise OwnCodeError(f"{name[:80]!r} must be executed to run it again: {ALLOW.format(file)}")
-    found = own(name)
-    if isinstance(found, type) and "__call__" not in dir(found):  # whose arguments would be the recording's
+    thing = own(name)
+    if isinstance(thing, type) and "__call__" not in dir(thing):  # whose arguments would be the recording's
         raise ParameterError(f"{slot} must be of a class with __call__, not {name[:60]!r}")
-    return found
+    return thing

@@ -14,7 +14,6 @@ from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HandForce, RecordedHand
-from maglev_mj.recording.files import row_of
 from maglev_mj.recording.recording import READ, Recording, Stretch
 from maglev_mj.recording.sample import (
     ARRAYS,
@@ -30,6 +29,7 @@ from maglev_mj.recording.sample import (
     compiled,
     is_recorded,
 )
+from maglev_mj.recording.writer import row_of
 from maglev_mj.terminal import wrapped
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
@@ -133,12 +133,12 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
         True
     """
     check_instance("recording", recording, Recording, READ)
-    found: dict[str, FieldVerdict] = {}
+    verdicts: dict[str, FieldVerdict] = {}
     for place, stretch in enumerate(recording.stretches):
         for name, values, again in _fields(stretch, rebuild, expect(stretch.setup) if expect else Expected()):
-            same = None if again is None else _same(values, again)
-            found[name] = _added(found.get(name), same, place, stretch.tick)
-    return Verdict(recording.ticks, found, recording.damage)
+            same = np.ones(0, np.bool_) if again is None else _same(values, again)
+            verdicts[name] = _added(verdicts.get(name, FieldVerdict(0, 0, None)), same, place, stretch.tick)
+    return Verdict(recording.ticks, verdicts, recording.damage)
 
 
 def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tuple[int, int, str] | None:
@@ -165,14 +165,9 @@ def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tup
     return None
 
 
-def _added(before: FieldVerdict | None, same: Mask | None, place: int, ticks: Array) -> FieldVerdict:
-    """Return a verdict extended by one more stretch.
-
-    It has one value per tick, or one value only.
-    """
-    good, compared, first = before or FieldVerdict(0, 0, None)
-    if same is None:
-        return FieldVerdict(good, compared, first)
+def _added(before: FieldVerdict, same: Mask, place: int, ticks: Array) -> FieldVerdict:
+    """Return a verdict extended by one more stretch, of one value per tick, one value, or none."""
+    good, compared, first = before
     if first is None and not same.all():
         first = place, int(ticks[np.argmin(same)])
     return FieldVerdict(good + int(same.sum()), compared + len(same), first)
@@ -217,14 +212,14 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[
 def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controller, expected: Expected) -> list[_Field]:
     """Return the metadata fields, one row each, names excluded."""
     recorded = stretch.metadata
-    known: dict[str, Any] = {name: getattr(controller, name) for name in ("period", "carried", "faces")}
+    values: dict[str, Any] = {name: getattr(controller, name) for name in ("period", "carried", "faces")}
     names = "period", "delay", "carried", "inertia", "load", "before", "faces", "hand_recorded", "hand_acts_on_flotor"
     if plant is not None:
-        made = RunMetadata.of(plant, controller)
-        known |= {name: getattr(made, name) for name in names if name not in (*known, "hand_recorded")}
-        known["hand_recorded"] = plant.held if expected.scripted else None
-    known |= expected.metadata
-    return [(name, *_rows(getattr(recorded, name), known.get(name))) for name in names]
+        metadata = RunMetadata.of(plant, controller)
+        values |= {name: getattr(metadata, name) for name in names if name not in (*values, "hand_recorded")}
+        values["hand_recorded"] = plant.held if expected.scripted else None
+    values |= expected.metadata
+    return [(name, *_rows(getattr(recorded, name), values.get(name))) for name in names]
 
 
 def _rows(recorded: ArrayLike, again: ArrayLike | None) -> tuple[Array, Array | None]:
@@ -276,10 +271,10 @@ def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows
 
 def _totals(stretch: Stretch) -> Array:
     """Return the totals at each sample, (N, 3)."""
-    adding, found, first = Totals(stretch.metadata), list[Array](), 0
+    totals, blocks, first = Totals(stretch.metadata), list[Array](), 0
     for row, missed in (*stretch.gaps, (len(stretch), 0)):
         if row > first:
-            found.append(adding.take(stretch[first:row].arrays))
+            blocks.append(totals.take(stretch[first:row].arrays))
             first = row
-        adding.miss(missed)
-    return np.concatenate(found)
+        totals.miss(missed)
+    return np.concatenate(blocks)

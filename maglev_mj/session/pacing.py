@@ -114,22 +114,22 @@ class Pacer:
             Number of ticks.
         """
         self.owed += elapsed
-        start, made = self._clock(), 0
+        start, ticks = self._clock(), 0
         least = period * (1.0 - _ROUNDING)
         while self.owed >= least:
             tick()
-            made += 1
+            ticks += 1
             self.owed -= period
             if self._clock() - start >= self.budget:
                 break
-        if made:
-            self.cost = (self._clock() - start) / made
+        if ticks:
+            self.cost = (self._clock() - start) / ticks
         beyond = int((self.owed - self.patience) / period + _ROUNDING)
         self.late = beyond > 0
         if self.late:
             self.missed += beyond
             self.owed -= beyond * period
-        return made
+        return ticks
 
     def forgive(self) -> None:
         """Reset the owed time, as after a pause."""

@@ -1,28 +1,370 @@
-"""Scene running in real time, with changeable parameters.
+"""Scene running in real time, with changeable parameters and recordings.
 
-It knows neither window nor keys.
+Its actions have names; it knows neither window nor keys.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import tempfile
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from maglev_mj.control import Bias
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import ControlLoop, Record
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
-from maglev_mj.parameters import number
+from maglev_mj.frames import ZERO, Array, Command, Sample
+from maglev_mj.parameters import Parameter, number
+from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
-from maglev_mj.recording import RecordingFile
-from maglev_mj.scenes import BUILT_IN, find_scene
-from maglev_mj.scenes.find import SceneLike, get_scene
+from maglev_mj.plants.trace import EnergyAccount
+from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording, setup_of, tee
+from maglev_mj.recording.setup import attach_model, attach_source
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, source_of
+from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
-from maglev_mj.session.actions import DEVICES_OWN, EMERGENCY_STOP, Action, actions, settable
-from maglev_mj.session.pacing import TIME_SCALES, Pacer, next_scale
-from maglev_mj.session.recorder import SessionRecorder
+from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
-from maglev_mj.session.stretch import LiveStretch, centred, lifted
+from maglev_mj.spec import Spec
+
+
+class SessionRecorder:
+    """Recordings of a session.
+
+    Args:
+        folder: Folder of the files.
+        beside: Further destination of all samples, left open; None for none.
+
+    Attributes:
+        written: Closed recordings.
+        file: Open recording; None for none.
+    """
+
+    def __init__(self, folder: Path, beside: RecordingFile | None = None) -> None:
+        self.written: list[Path] = []
+        self.file: RecordingFile | None = None
+        self._folder, self._beside, self._failed, self._missed = folder, beside, "", 0
+        self._said = Note()
+        self._closing: list[threading.Thread] = []
+        self._unwritten: dict[RecordingFile, str] = {}
+        self._broken: list[str] = []
+        self._named: set[Path] = set()
+
+    @property
+    def whole(self) -> RecordingFile | None:
+        """File for all samples, None without one."""
+        return tee(self.file, self._beside)
+
+    def start(self, path: Path | None = None) -> None:
+        """Begin a recording.
+
+        Args:
+            path: Path of the file; None for a new name in the folder, or in the temporary folder if that cannot be
+                written.
+
+        Raises:
+            OSError: If the file cannot be written.
+        """
+        if path is not None:
+            self.file = open_recording(path)
+            return
+        try:
+            self.file = open_recording(self._new_path(self._folder))
+        except OSError:
+            self.file = open_recording(self._new_path(Path(tempfile.gettempdir())))
+
+    def stop(self) -> None:
+        """End the recording; its file is closed in another thread."""
+        if self.file is None:
+            return
+        file, self.file = self.file, None
+        self._said.say("writing the recording")
+        self._closing.append(threading.Thread(target=self._keep, args=(file,)))
+        self._closing[-1].start()
+
+    def close(self) -> None:
+        """End the recording and wait for all files.
+
+        Raises:
+            RecordingError: If one is not whole, or cannot be written after another try; all are tried.
+        """
+        self.stop()
+        for thread in self._closing:
+            thread.join()
+        again, self._unwritten = self._unwritten, {}
+        for file in again:
+            self._keep(file)
+        if broken := [*self._broken, *self._unwritten.values()]:
+            raise RecordingError("; ".join(broken))
+
+    def _keep(self, file: RecordingFile) -> None:
+        """Close a file and report the outcome."""
+        try:
+            path = file.close()
+        except RecordingError as error:  # the part before the error is on disk
+            self._broken.append(str(error))
+            self._failed = f"RECORDING: {error}"
+            return
+        except OSError as error:
+            self._unwritten[file] = str(error)
+            self._failed = f"RECORDING: {error}; it is tried again at the end"
+            return
+        self._said.say(f"wrote {path}" if path is not None else "nothing was recorded")
+        if path is not None:
+            self.written.append(path)
+
+    def failed(self, why: str) -> None:
+        """Set the reason of a stopped scene."""
+        if (file := self.whole) is not None:
+            file.event("fault", why)
+
+    def missed(self, count: int) -> None:
+        """Set the number of ticks given up so far."""
+        more, self._missed = count - self._missed, count
+        if more and (file := self.whole) is not None:
+            file.event("missed", f"{more} ticks were given up: too slow", more)
+
+    @property
+    def notes(self) -> list[str]:
+        """Recording status lines for the viewer.
+
+        Success messages disappear after some seconds.
+        """
+        notes = [*filter(None, [self._failed]), *self._said.lines]
+        if self.file is None:
+            return notes
+        try:
+            self.file.check()
+        except RecordingError as error:
+            return [*notes, f"NOT RECORDING: {error}"]
+        return [*notes, "RECORDING"]
+
+    def _new_path(self, folder: Path) -> Path:
+        """Return an unused name for a recording."""
+        stem, suffix = datetime.now().strftime("maglev-%Y%m%d-%H%M%S"), best_suffix()
+        path, count = folder / f"{stem}{suffix}", 1
+        while path in self._named or path.exists():
+            path, count = folder / f"{stem}-{count}{suffix}", count + 1
+        self._named.add(path)
+        return path
+
+
+DEVICES_OWN = "period", "delay"
+"""Parameters that other programs cannot change.
+
+They belong to the device, or to the user at the machine.
+"""
+
+EMERGENCY_STOP = "emergency stop"
+"""Action of the emergency stop key of every window."""
+
+Action: TypeAlias = Callable[[Scene], Scene]
+"""Function that returns the changed scene."""
+
+
+def settable(scene: Scene | type[Scene]) -> tuple[str, ...]:
+    """Return the parameters that other programs may change."""
+    return tuple(one.name for one in scene.parameters() if one.live and one.name not in DEVICES_OWN)
+
+
+def actions(cls: type[Scene]) -> Mapping[str, Action]:
+    """Return a scene's key actions by name.
+
+    A switch has its name; a number has "NAME up" and "NAME down", and its name alone turns it off and on if
+    it may be 0.
+    """
+    changes: dict[str, Action] = {}
+    for one in cls.parameters():
+        if not one.live or not one.live.has_keys or one.kind not in (bool, float, int):
+            continue
+        word = one.live.word or one.name
+        if one.kind is bool:
+            changes[word] = _switched(one.name)
+            continue
+        if one.default and one.bounds.get("at_least") == 0.0 and not one.live.word:
+            changes[word] = _cleared(one.name, one.default)
+        for sense, way in (("up", 1), ("down", -1)):
+            changes[f"{word} {sense}"] = _turned(one, way)
+    return changes
+
+
+def device_actions(cls: type[Scene]) -> tuple[str, ...]:
+    """Return the actions of a scene on a device."""
+    own = {one.live.word or one.name for one in cls.parameters() if one.live and one.name in DEVICES_OWN}
+    names = (name for name in actions(cls) if name.removesuffix(" up").removesuffix(" down") not in own)
+    return *names, EMERGENCY_STOP
+
+
+def _switched(name: str) -> Action:
+    return lambda scene: scene.replace(**{name: not getattr(scene, name)})
+
+
+def _cleared(name: str, default: float) -> Action:
+    return lambda scene: scene.replace(**{name: 0.0 if getattr(scene, name) else default})
+
+
+def _turned(one: Parameter, way: int) -> Action:
+    assert one.live
+    turn, least, most = one.live, one.bounds.get("at_least", -math.inf), one.bounds.get("at_most", math.inf)
+
+    def change(scene: Scene) -> Scene:
+        value = getattr(scene, one.name)
+        if value is None:
+            return scene
+        turned = turn(value, way)
+        if one.kind is int:  # a whole step at least, or a small number would stay
+            turned = value + way if round(turned) == value else round(turned)
+        # a person at a key is stopped at a bound, not told off
+        return scene.replace(**{one.name: min(max(turned, least), most)})
+
+    return change
+
+
+def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **details: Any) -> Record:
+    """Begin a stretch of a recording with a scene's metadata.
+
+    Args:
+        file: The file.
+        scene: The scene.
+        plant: The controlled plant.
+        controller: The controller.
+        details: Further arguments of `setup_of`.
+    """
+    cls = type(scene)
+    attach_model(file, scene.model)
+    attach_source(file, cls)
+    details |= {"scene": reference_of(cls), "source": source_of(cls), "parameters": scene.as_json(), "axis": scene.axis}
+    return file.begin(plant, controller, setup_of(plant, controller, **details))
+
+
+class LiveStretch:
+    """Scene running with constant parameters from a given state.
+
+    Args:
+        scene: The scene.
+        hand: The hand.
+        pose: Initial pose [m, rad].
+        twist: Initial twist [m/s, rad/s].
+        wrench: Coil wrench until the first command takes effect [N, N m].
+        file: Recording of every sample; None for none.
+        began: Session time at the start [s].
+        keep: Called after each tick with a row of history, see `History.add`.
+
+    Attributes:
+        scene: The scene.
+        energy: Energy balance.
+        pulsed: True if the last command had a pulse.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        hand: HandForce,
+        *,
+        pose: Sequence[float],
+        twist: Sequence[float] = ZERO,
+        wrench: Sequence[float],
+        file: RecordingFile | None,
+        began: float,
+        keep: Callable[..., object],
+    ) -> None:
+        self.plant = live_plant(scene, hand, pose=pose, twist=twist, wrench=wrench)
+        self.controller = scene.controller()
+        parts = scene, self.plant, self.controller
+        record = None if file is None else begin_scene(file, *parts, name=f"scene {scene.name}")
+        self._carried = self.controller.carried
+        self.energy = EnergyAccount(np.array(pose), self._carried)
+        self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
+        self.scene, self._keep, self._began = scene, keep, began
+        self.ticks, self._period = 0, scene.period
+        self.pose, self.twist = np.array(pose, dtype=np.float64), np.array(twist, dtype=np.float64)
+        self.force: Sequence[float] = wrench
+        self.pulsed = False
+
+    def tick(self) -> None:
+        """Answer one sample."""
+        self._loop.cycle()
+        self.ticks += 1
+
+    @property
+    def time(self) -> float:
+        """Time of the session [s]."""
+        return self._began + self.ticks * self._period
+
+    @property
+    def rendered(self) -> Array:
+        """Device wrench without weight compensation [N, N m], (6,)."""
+        rendered: Array = np.array(self.force) - self._carried
+        return rendered
+
+    def _observe(self, sample: Sample, applied: Command) -> None:
+        plant = self.plant
+        self.pose, self.twist = plant.state()
+        effort = plant.hand_wrench
+        self.energy.add(self.pose, effort, plant.work)
+        self.force = applied.force
+        self.pulsed = applied.extra is not None and any(applied.extra)
+        self._keep(self.time, self.pose, self.twist, self.rendered, effort)
+
+
+_LIFTED = 0.004
+
+
+def lifted(scene: Scene) -> tuple[Scene, Sequence[float]]:
+    """Return the scene with gravity, and a raised start pose.
+
+    The pose is [m, rad], at a height of 4 mm.
+    """
+    pose = scene.start().pose
+    falling = scene.replace(weightless=False) if "weightless" in settable(scene) else scene
+    return falling, (*pose[:2], _LIFTED, *pose[3:])
+
+
+def centred(scene: Scene) -> Scene:
+    """Return the scene with its default gravity compensation."""
+    if "weightless" not in settable(scene):
+        return scene
+    return scene.replace(weightless=scene.parameter("weightless").default)
+
+
+def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
+    """Return a scene's plant with stops and current limits.
+
+    At most 10 A in each coil unless the scene has another limit.
+
+    Args:
+        scene: The scene.
+        hand: The hand on the flotor; its attribute `hand`, if any, is its impedance.
+        start: Pose, twist and wrench in place of the scene's own.
+    """
+
+    def make(timing: Timing, **options: Any) -> MuJoCoPlant:
+        limits: dict[str, Any] = {"current_limit": Spec.peak_current.value, "stops": True, "metered": True}
+        return MuJoCoPlant(timing, **limits | options | {"hand_force": hand, "hand": getattr(hand, "hand", None)})
+
+    plant = scene.plant(make, **start)  # type: ignore[arg-type]
+    assert isinstance(plant, MuJoCoPlant)
+    return plant
+
+
+def device_controller(scene: Scene) -> Controller:
+    """Return a scene's controller for a device, with gravity compensation.
+
+    Added only if the scene has no gravity.
+    """
+    controller = scene.controller()
+    if scene.start().gravity:
+        return controller
+    return Controller([*controller.laws, Bias(WEIGHT)], period=scene.period, velocity=scene.velocity_estimator())
+
 
 _OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", EMERGENCY_STOP
 _CHOOSES = "scene "
@@ -126,10 +468,10 @@ class Session:
                 self._pacer.advance(elapsed * self._time_scale, self._stretch.scene.period, self._one)
         except MaglevError as error:
             self._stop(str(error))
-        made, self._steps = self._ticks - before, 0
+        ticks, self._steps = self._ticks - before, 0
         self._recorder.missed(self._pacer.missed)
         self._publishers.show(self.snapshot)
-        return made
+        return ticks
 
     @property
     def actions(self) -> Sequence[str]:
@@ -183,16 +525,16 @@ class Session:
         Raises:
             ParameterError: If there is no such live parameter, or the scene refuses a value; nothing changes then.
         """
-        given = dict(parameters)
-        stiffness = number("hand_stiffness", given.pop("hand_stiffness", self.hand.stiffness), at_least=0.0)
+        changes = dict(parameters)
+        stiffness = number("hand_stiffness", changes.pop("hand_stiffness", self.hand.stiffness), at_least=0.0)
         least, most = TIME_SCALES[0], TIME_SCALES[-1]
-        scale = number("time_scale", given.pop("time_scale", self._time_scale), at_least=least, at_most=most)
-        known = (*DEVICES_OWN, *settable(self._scene))
-        if unknown := sorted(set(given) - set(known)):
-            names = ", ".join((*known, "hand_stiffness", "time_scale"))
+        scale = number("time_scale", changes.pop("time_scale", self._time_scale), at_least=least, at_most=most)
+        allowed = (*DEVICES_OWN, *settable(self._scene))
+        if unknown := sorted(set(changes) - set(allowed)):
+            names = ", ".join((*allowed, "hand_stiffness", "time_scale"))
             raise ParameterError(f"parameters must be of {names}, not {', '.join(unknown)}")
-        if given:
-            self._adopt(lambda scene: scene.replace(**given))
+        if changes:
+            self._adopt(lambda scene: scene.replace(**changes))
         self.hand.stiffness, self._time_scale = stiffness, scale
 
     def snapshot(self) -> Snapshot:
@@ -211,8 +553,8 @@ class Session:
             target=None if isinstance(target, Trajectory) else target,
             hand_stiffness=self.hand.stiffness,
             currents=stretch.plant.currents,
-            faces=stretch.faces,
-            anchors=stretch.anchors,
+            faces=stretch.controller.faces,
+            anchors=stretch.controller.stick_positions,
             history=self._history.rows,
             work=stretch.energy.hand,
             taken=stretch.energy.taken,
@@ -249,8 +591,8 @@ class Session:
         self._pulses += self._stretch.pulsed
         self.simulated += self._stretch.scene.period
         if self._stretch.energy.stored < _MADE:
-            made = -self._stretch.energy.stored
-            raise MaglevError(f"the rendered world made {made * 1e3:.0f} mJ more than it took: it is unstable")
+            energy = -self._stretch.energy.stored
+            raise MaglevError(f"the rendered world made {energy * 1e3:.0f} mJ more than it took: it is unstable")
 
     def _take_wanted(self) -> None:
         """Apply the parameters that another program requests.

@@ -54,7 +54,7 @@ class TourLine(NamedTuple):
         Args:
             name: Function that returns the viewer's name of an entry in braces.
         """
-        text, deed = (re.sub(r"\{(.*?)\}", lambda found: name(found[1]), part) for part in (self.text, self.deed))
+        text, deed = (re.sub(r"\{(.*?)\}", lambda match: name(match[1]), part) for part in (self.text, self.deed))
         return text, deed
 
 
@@ -282,9 +282,9 @@ class Publishers:
         """Make and publish a snapshot if one is due."""
         if not self._publishers or not self._due():
             return
-        made = snapshot()
+        present = snapshot()
         for publisher in self._publishers:
-            publisher.show(made)
+            publisher.show(present)
 
     @property
     def notes(self) -> list[str]:

@@ -14,7 +14,8 @@ import numpy as np
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array, Mask
 from maglev_mj.scenes import Scene
-from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot, TourLine
+from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Session, Snapshot, TourLine, settable
 from maglev_mj.theory import stability
 
 _LOOK, _SHOWN = 1.0 / 30.0, 2.0
@@ -103,13 +104,13 @@ class Tour:
         Returns:
             Number of control ticks.
         """
-        made = self._session.tick(elapsed)
+        ticks = self._session.tick(elapsed)
         self.simulated = self._session.simulated
         self._looked += elapsed
         if self._looked >= _LOOK:
             self._look(self._looked)
             self._looked = 0.0
-        return made
+        return ticks
 
     def act(self, action: str) -> None:
         """Run an action of the tour or of its session.
@@ -283,18 +284,7 @@ def _swings(force: Array, least: float) -> int:
     return int(np.count_nonzero(np.diff(side[side != 0.0])))
 
 
-_PLAIN = {
-    "wall": True,
-    "pulse": True,
-    "friction": False,
-    "weightless": True,
-    "walls": None,
-    "stiffness": 6000.0,
-    "damping": 80.0,
-    "period": 0.005,
-    "delay": 0.0015,
-    "breakaway": 2.0,
-}
+_PLAIN = {name: Joystick.parameter(name).default for name in (*settable(Joystick), *DEVICES_OWN)}
 _BARE = {**_PLAIN, "stiffness": 4200.0, "damping": 12.0}
 
 STEPS = (

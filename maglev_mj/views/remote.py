@@ -32,7 +32,7 @@ from maglev_mj.session import (
     real_time,
     settable,
 )
-from maglev_mj.session.actions import actions
+from maglev_mj.session.session import actions
 from maglev_mj.views.glide import SILENCE, Glide
 
 _MOST_ROWS = 400
