@@ -34,9 +34,8 @@ from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, o
 from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import perceived_hardness, summarise_bounce
-from maglev_mj.scenes.interactive import INERTIA, MASS
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.rooms import INERTIA, MASS, Joystick
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import PLANTS, Scene
 from maglev_mj.scenes.stick_slip import StickSlip

@@ -34,7 +34,7 @@ from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import MuJoCoPlant, SpotSensor
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.interactive import INERTIA, WEIGHT
+from maglev_mj.scenes.rooms import INERTIA, WEIGHT
 from tests.recorded import command_row
 
 ZERO = (0.0,) * 6

@@ -34,7 +34,7 @@ from maglev_mj.control.loop import drive
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command, Sample
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.scenes.interactive import WEIGHT
+from maglev_mj.scenes.rooms import WEIGHT
 from tests.sweeps import sweep
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, REACH, TOUR, ZERO, Rig, hover
 

@@ -16,7 +16,7 @@ from maglev_mj.bridge.wire import Fault, State, StateReport
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
 from maglev_mj.frames import Command
-from maglev_mj.scenes.interactive import WEIGHT
+from maglev_mj.scenes.rooms import WEIGHT
 from tests.test_bridge import CENTRE, Rig
 
 

@@ -25,7 +25,7 @@ from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.free import LetGo, SixAxes, Twist
-from maglev_mj.scenes.interactive import WEIGHT, InteractiveScene
+from maglev_mj.scenes.rooms import WEIGHT, InteractiveScene
 from maglev_mj.spec import Spec
 from maglev_mj.studies import levels
 from maglev_mj.studies.fidelity import (

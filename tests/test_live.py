@@ -42,8 +42,7 @@ from maglev_mj.recording import ArrayFile, tee
 from maglev_mj.recording.writer import Ring, RowReader
 from maglev_mj.scenes import Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.interactive import INERTIA, MASS
-from maglev_mj.scenes.rooms import Box, Corner, Joystick, Table
+from maglev_mj.scenes.rooms import INERTIA, MASS, Box, Corner, Joystick, Table
 from maglev_mj.session import Pacer, Session, Snapshot, UnstableLoop, unstable_loop
 from maglev_mj.spec import RANGE
 from maglev_mj.theory import largest_modulus, largest_stable_stiffness

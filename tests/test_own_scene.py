@@ -28,7 +28,7 @@ from maglev_mj.control import AxisLaw, Bias, gain
 from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene, Start, find_scene
-from maglev_mj.scenes.interactive import WEIGHT
+from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import Pacer, Session
 from maglev_mj.theory import stability
 from maglev_mj.versions import hash_of

@@ -55,7 +55,7 @@ from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, ope
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import _module_of_text, find_scene
-from maglev_mj.scenes.interactive import WEIGHT
+from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, expected, rebuild, write_run
 from maglev_mj.versions import MODELS, differences, hash_of, versions

@@ -22,9 +22,8 @@ from maglev_mj.recording import ArrayFile, Recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.interactive import INERTIA, WEIGHT, wall
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.rooms import INERTIA, WEIGHT, Joystick, wall
 from maglev_mj.session import (
     EMERGENCY_STOP,
     Pacer,

@@ -16,8 +16,7 @@ from maglev_mj.parameters import param
 from maglev_mj.plants.model import model_path
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.interactive import INERTIA, MASS, InteractiveScene
-from maglev_mj.scenes.rooms import Joystick, Table
+from maglev_mj.scenes.rooms import INERTIA, MASS, InteractiveScene, Joystick, Table
 from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, unstable_loop
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability

@@ -25,7 +25,7 @@ from gantry.theory import NO_GAINS, Gains, TwoBodies, chosen_gains, stiffest_cou
 from maglev_mj.frames import Array
 from maglev_mj.interop.spacenav.navigation import Navigation, Navigator
 from maglev_mj.plants import Timing
-from maglev_mj.scenes.interactive import MASS
+from maglev_mj.scenes.rooms import MASS
 
 SCRIPT = Path(__file__).resolve().parent.parent / "scripts" / "studies" / "teleoperation.py"
 RATES = (200, 1000)

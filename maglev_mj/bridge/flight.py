@@ -25,7 +25,7 @@ from maglev_mj.recording import RecordingError, RecordingFile
 from maglev_mj.result import Table
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import line_of
-from maglev_mj.scenes.interactive import WEIGHT
+from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import (
     DEVICES_OWN,
     STEP_FORCE,

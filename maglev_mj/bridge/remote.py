@@ -79,7 +79,8 @@ class RemotePlant:
         ParameterError: If a value is outside its bounds, or the host's own limits do not carry the weight.
 
     Example:
-        >>> from maglev_mj.bridge import Twin, TwinParameters, simulated_links
+        >>> from maglev_mj.bridge import Twin, TwinParameters
+        >>> from maglev_mj.bridge.twin import simulated_links
         >>> RemotePlant(simulated_links.VirtualLink(Twin(TwinParameters()))).period
         0.005
     """

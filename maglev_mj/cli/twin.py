@@ -33,7 +33,7 @@ from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import HandForce, SpringHand
 from maglev_mj.recording import setup_of
 from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.interactive import WEIGHT
+from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import EMERGENCY_STOP, Publishers, SampledMotion, Snapshot
 from maglev_mj.session.access import check_host
 from maglev_mj.spec import INERTIA, Spec

@@ -166,7 +166,7 @@ def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tup
 
 
 def _added(before: FieldVerdict, same: Mask, place: int, ticks: Array) -> FieldVerdict:
-    """Return a verdict extended by one more stretch, of one value per tick, one value, or none."""
+    """Return a verdict extended by another stretch: a value per tick, one, or none."""
     good, compared, first = before
     if first is None and not same.all():
         first = place, int(ticks[np.argmin(same)])

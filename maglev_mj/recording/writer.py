@@ -1,4 +1,4 @@
-"""Recording files of runs: arrays written at the end, or MCAP during the run by a separate process.
+"""Recording files of runs: arrays at the end, or MCAP meanwhile by another process.
 
 That process outlives the recording one, even if that is killed. Rows pass through shared memory. Each row stands
 between two copies of its number, from 1. A reader takes a row only if both are right: the first copy is written first

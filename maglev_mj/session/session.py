@@ -29,7 +29,7 @@ from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open
 from maglev_mj.recording.setup import attach_model, attach_source
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, source_of
-from maglev_mj.scenes.interactive import WEIGHT
+from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
 from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot

@@ -36,8 +36,7 @@ from maglev_mj.control.loop import drive
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.sensor import FastBeams, PoseTracker
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.interactive import INERTIA, WEIGHT
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.rooms import INERTIA, WEIGHT, Joystick
 from maglev_mj.spec import Spec
 
 PARTS = "host", "lockstep", "realtime"

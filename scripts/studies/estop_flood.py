@@ -31,7 +31,7 @@ from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import ZERO
-from maglev_mj.scenes.interactive import INERTIA, WEIGHT
+from maglev_mj.scenes.rooms import INERTIA, WEIGHT
 
 CODEC = Codec()
 FLOODS = {

@@ -39,7 +39,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Command, Sample
-from maglev_mj.scenes.interactive import INERTIA, WEIGHT
+from maglev_mj.scenes.rooms import INERTIA, WEIGHT
 
 AT, TIMES = 2.0, 5
 """Time of a fault [s] and number of tries."""

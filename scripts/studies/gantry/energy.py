@@ -11,7 +11,7 @@ import numpy as np
 
 from gantry.run import History
 from maglev_mj.frames import Array
-from maglev_mj.scenes.interactive import MASS
+from maglev_mj.scenes.rooms import MASS
 
 __all__ = ["Ledger", "ledger"]
 

@@ -18,7 +18,7 @@ from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.interop.spacenav.navigation import Mode, Navigation, Navigator
 from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.plants.hand import GuidedHand
-from maglev_mj.scenes.interactive import INERTIA, MASS, WEIGHT
+from maglev_mj.scenes.rooms import INERTIA, MASS, WEIGHT
 from maglev_mj.spec import GRAVITY
 
 __all__ = ["History", "carry_out"]
