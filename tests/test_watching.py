@@ -22,10 +22,12 @@ import pytest
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import Turn, param
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
-from maglev_mj.session import SampledMotion, Session, Snapshot, device_actions
+from maglev_mj.session import EMERGENCY_STOP, Due, SampledMotion, Session, Snapshot, device_actions
+from maglev_mj.views.inbox import Inbox
 from maglev_mj.views.remote import RemoteSession, RemoteViewer
 from maglev_mj.views.window.keys import keys_of
 from maglev_mj.views.window.window import show
@@ -94,6 +96,7 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(multiprocessing, "get_context", lambda method: context)
     motion, blank = SampledMotion(), Snapshot(scene=Joystick())
     viewer, closed = RemoteViewer(blank, show), []
+    viewer._inbox = Inbox(0.0)
     viewer.on_close = lambda: closed.append(1)
     session = RemoteSession(far, ends[0].blank)
     for tick in range(1, 1001):
@@ -232,6 +235,7 @@ class ViewerHere(RemoteViewer):
         front = SimpleNamespace(received=received, ended=False, ready=True, send=self.sent.append)
         with patch("maglev_mj.views.remote.SideProcess", return_value=front):
             super().__init__(Snapshot(scene=scene), show)
+        self._inbox = Inbox(0.0)
 
 
 def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:
@@ -309,3 +313,69 @@ def _place(screen: VirtualScreen, window: int) -> tuple[int, int, int, int]:
     left, top = map(int, re.findall(r"Position: (-?\d+),(-?\d+)", text)[0])
     width, height = map(int, re.findall(r"Geometry: (\d+)x(\d+)", text)[0])
     return left, top, min(width, SIZE[0]), min(height, SIZE[1])
+
+
+def test_a_flood_of_requests_delays_no_tick_and_no_emergency_stop() -> None:
+    # Ten seconds of 4800 slider values a second and half as many actions, the stop amid them.
+    now, inbox = [100.0], Inbox()
+    inbox._due = Due(0.05, lambda: now[0])
+    taken, stops = [], []
+    for turn in range(2000):
+        now[0] = 100.0 + 0.005 * turn
+        for count in range(12):
+            inbox.put("change", {"stiffness": 1000.0 + 12 * turn + count})
+            inbox.put("change", {"damping": float(count)})
+            inbox.put("hand", [1e-6 * count] * 6)
+            inbox.put("act", "wall" if count % 2 else "pulse")
+        if turn == 1000:
+            inbox.put("act", EMERGENCY_STOP)
+        requests = inbox.take()
+        stops += [turn for request in requests if request[1] == EMERGENCY_STOP]
+        assert [request[0] for request in requests].count("hand") == 1 and len(requests) <= 66
+        taken += [turn] if len(requests) > 2 else []
+    assert stops == [1000] and 180 <= len(taken) <= 201 and min(np.diff(taken)) >= 10
+
+
+def test_of_each_parameter_the_newest_value_waits() -> None:
+    inbox = Inbox(0.0)
+    for value in range(1000):
+        inbox.put("change", {"stiffness": value})
+        inbox.put("change", {"damping": 2 * value})
+    inbox.put("act", "wall")
+    inbox.put("change", {"stiffness": 5.0})
+    inbox.put("act", EMERGENCY_STOP)
+    assert inbox.take() == [
+        ("act", EMERGENCY_STOP),
+        ("change", {"stiffness": 999, "damping": 1998}),
+        ("act", "wall"),
+        ("change", {"stiffness": 5.0}),
+    ]
+    assert inbox.take() == []
+
+
+def test_a_page_that_floods_its_session_changes_it_twenty_times_a_second() -> None:
+    viewer = ViewerHere(Joystick())
+    now = [0.0]
+    viewer._inbox._due = Due(0.05, lambda: now[0])
+    changes: list[Any] = []
+    source: Any = SimpleNamespace(
+        change=changes.append, act=changes.append, hand=SpringHand(), snapshot=lambda: Snapshot(scene=Joystick())
+    )
+    for tick in range(200):
+        now[0] = 0.005 * tick
+        for value in range(60):
+            viewer.window.change({"stiffness": 1000.0 + value})
+        if tick == 100:
+            viewer.window.act(EMERGENCY_STOP)
+        viewer.serve(source)
+        if tick == 100:
+            assert changes[-1] == EMERGENCY_STOP or changes[-2] == EMERGENCY_STOP
+    assert 18 <= len([one for one in changes if one != EMERGENCY_STOP]) <= 21
+
+
+def test_a_line_that_never_runs_dry_holds_no_tick() -> None:
+    viewer, messages = ViewerHere(Joystick()), iter([("change", {"stiffness": 1000.0})] * 10_000)
+    viewer._front.received = lambda: messages  # type: ignore[method-assign]
+    source: Any = SimpleNamespace(change=id, hand=SpringHand(), snapshot=lambda: Snapshot(scene=Joystick()))
+    viewer.serve(source)
+    assert len(list(messages)) >= 9900

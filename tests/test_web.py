@@ -40,6 +40,7 @@ from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.session.access import ListenError, listen
 from maglev_mj.views.charts import Chart, Line
 from maglev_mj.views.glide import SILENCE, Glide
+from maglev_mj.views.inbox import Inbox
 from maglev_mj.views.page.controls import Choice, Slider, Switch, control
 from maglev_mj.views.page.grab import Grab
 from maglev_mj.views.page.guard import Door
@@ -388,6 +389,7 @@ def test_nothing_but_an_emergency_stop_is_taken_from_a_page_of_a_real_device(wat
         "_scene": Joystick(),
         "_watch": watch,
         "_glide": Glide(),
+        "_inbox": Inbox(0.0),
         "hand": SpringHand(),
         "on_emergency": lambda: stopped.append(1),
     }
@@ -501,7 +503,7 @@ def test_the_first_browser_has_the_hand_and_one_that_does_not_answer_loses_it() 
         assert source.hand.target[0] == pytest.approx(0.001)  # type: ignore[index]
         end = time.monotonic() + 3.0 * SILENCE
         while time.monotonic() < end:
-            page._obey()
+            page._apply()
             assert source.hand.target is not None  # held still, and held
             time.sleep(0.02)
         os.kill(children[0].pid, signal.SIGSTOP)
@@ -560,7 +562,7 @@ def until(page: Page, done: Any) -> None:
     """Run the page's requests until a condition holds."""
     end = time.monotonic() + 20.0
     while not done():
-        page._obey()
+        page._apply()
         assert time.monotonic() < end
         time.sleep(0.01)
 

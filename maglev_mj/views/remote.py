@@ -6,9 +6,10 @@ Drawing must not delay a control loop with deadlines.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import islice
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, TypeAlias
 
@@ -34,8 +35,9 @@ from maglev_mj.session import (
 )
 from maglev_mj.session.session import actions
 from maglev_mj.views.glide import SILENCE, Glide
+from maglev_mj.views.inbox import Inbox, Request
 
-_MOST_ROWS = 400
+_MOST_ROWS, _MOST_MESSAGES = 400, 64
 _NAP = 0.001
 _LEAVE = 0.5
 
@@ -67,6 +69,7 @@ class RemoteViewer:
         self.on_emergency: Callable[[], object] = _nothing
         self._scene, self._sent, self._open = snapshot.scene, -np.inf, True
         self._note, self._due, self._glide = Note(), Due(), Glide()
+        self._inbox = Inbox()
         self._front = SideProcess(_open, snapshot, front)
 
     def show(self, snapshot: Snapshot) -> None:
@@ -86,7 +89,7 @@ class RemoteViewer:
     def take(self) -> Wish | None:
         """Apply mouse and keys: move the hand, return the scene."""
         wanted = None
-        for kind, value in self._front.received():
+        for kind, value in self._requests():
             if value == EMERGENCY_STOP:
                 self.on_emergency()
             elif self._watch:
@@ -98,6 +101,12 @@ class RemoteViewer:
         self._look()
         self._glide.move(self.hand)
         return None if wanted is None else Wish(wanted)
+
+    def _requests(self) -> Sequence[Request]:
+        """Return the requests that are due; no number of them delays a tick."""
+        for kind, value in islice(self._front.received(), _MOST_MESSAGES):
+            self._inbox.put(kind, value)
+        return self._inbox.take()
 
     def _asked(self, kind: str, value: Any) -> Scene | None:
         """Return the requested scene; a refusal ends no flight."""
@@ -118,7 +127,7 @@ class RemoteViewer:
 
         To be called between its ticks.
         """
-        for kind, value in self._front.received():
+        for kind, value in self._requests():
             try:
                 if kind == "hand":
                     self._glide.aim(value)

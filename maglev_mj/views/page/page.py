@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import logging
 import os
-import queue
 import socket
 import sys
 from collections.abc import Mapping
@@ -21,6 +20,7 @@ from viser._messages import ShareUrlRequest
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import flag
 from maglev_mj.session import Due, SnapshotSource, real_time
+from maglev_mj.views.inbox import Inbox
 from maglev_mj.views.page.grab import Grab
 from maglev_mj.views.page.guard import Door, guarded
 from maglev_mj.views.page.panel import Panel
@@ -68,13 +68,13 @@ class Page:
         flag("drag", drag)
         flag("settings", settings)
         self._server, self._source = server, source
-        self._asked: queue.SimpleQueue[tuple[str, Any]] = queue.SimpleQueue()
+        self._inbox = Inbox()
         snapshot, gui = source.snapshot(), server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         gui.main_panel.dock_right()
         self._stage = Stage(server, snapshot)
-        self._grab = Grab(server, self._stage.knob, partial(self._ask, "hand")) if drag else None
-        self._panel = Panel(server, snapshot, self._ask, settings)
+        self._grab = Grab(server, self._stage.knob, partial(self._inbox.put, "hand")) if drag else None
+        self._panel = Panel(server, snapshot, self._inbox.put, settings)
         panel = gui.add_panel()
         with panel.add_tab("plots"):
             self._plots = Plots(gui, snapshot.scene)
@@ -86,17 +86,12 @@ class Page:
         """Show the source until it ends."""
         for elapsed, _ in real_time(None, _NAP):
             self._source.tick(elapsed)
-            self._obey()
+            self._apply()
             if self._frame():
                 self._show()
 
-    def _ask(self, kind: str, value: Any) -> None:
-        """Forward a person's request; called in viser's thread."""
-        self._asked.put((kind, value))
-
-    def _obey(self) -> None:
-        while not self._asked.empty():
-            kind, value = self._asked.get()
+    def _apply(self) -> None:
+        for kind, value in self._inbox.take():
             if kind == "hand":
                 self._source.hand.target = value
             elif kind == "act":

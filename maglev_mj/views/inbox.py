@@ -1,0 +1,55 @@
+"""Requests of a person to a control loop, which no flood of them delays."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+from maglev_mj.session import EMERGENCY_STOP, Due
+
+Request: TypeAlias = tuple[str, Any]
+"""A kind and its value: "hand" (target), "act" (action), "change" (parameters by name)."""
+
+_PERIOD = 0.05
+_MOST = 64
+
+
+class Inbox:
+    """Bounded queue of a person's requests, filled from any thread.
+
+    The emergency stop and the newest target of the hand go ahead of everything. Of each parameter between two actions
+    the newest value is kept. Beyond 64 actions that wait, further ones are dropped.
+
+    Args:
+        period: Shortest time from one handing over of actions and parameters to the next [s].
+    """
+
+    def __init__(self, period: float = _PERIOD) -> None:
+        self._due, self._lock = Due(period), threading.Lock()
+        self._stop = False
+        self._hand: list[Request] = []
+        self._waiting: list[Request] = []
+
+    def put(self, kind: str, value: Any) -> None:
+        """Add a request."""
+        with self._lock:
+            if kind == "hand":
+                self._hand = [(kind, value)]
+            elif value == EMERGENCY_STOP:
+                self._stop = True
+            elif kind == "change" and self._waiting and self._waiting[-1][0] == "change":
+                self._waiting[-1] = kind, {**self._waiting[-1][1], **value}
+            elif len(self._waiting) < _MOST:
+                self._waiting.append((kind, value))
+
+    def take(self) -> Sequence[Request]:
+        """Return the requests that are due, the most urgent first; each is returned once."""
+        with self._lock:
+            requests: list[Request] = [("act", EMERGENCY_STOP)] if self._stop else []
+            requests += self._hand
+            self._stop, self._hand = False, []
+            if self._waiting and self._due():
+                requests += self._waiting
+                self._waiting = []
+        return requests
