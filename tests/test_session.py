@@ -36,9 +36,9 @@ from maglev_mj.session import (
     replay,
     settable,
 )
+from maglev_mj.session.changes import actions
 from maglev_mj.session.pacing import Due
 from maglev_mj.session.replay import rebuild
-from maglev_mj.session.session import actions
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.window.keys import help_rows, keys_of

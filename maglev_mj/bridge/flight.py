@@ -27,7 +27,6 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import (
-    DEVICES_OWN,
     STEP_FORCE,
     Publisher,
     Publishers,
@@ -35,6 +34,7 @@ from maglev_mj.session import (
     Snapshot,
     Wish,
     begin_scene,
+    changed,
     check_step,
     device_actions,
     device_controller,
@@ -386,7 +386,7 @@ class Flight:
         try:
             if controller is None:  # making one takes half of a period at 1 kHz: it is looked at a sample later
                 with own_code_refused():
-                    scene = wish.scene.replace(**{name: getattr(self._scene, name) for name in DEVICES_OWN})
+                    scene = changed(self._scene, wish.scene)
                     self._staged = Wish(scene, wish.answer), device_controller(scene)
                 return
             check_step(self._controller, controller, sample.position, self._step_force)

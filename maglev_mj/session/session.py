@@ -5,13 +5,12 @@ Its actions have names; it knows neither window nor keys.
 
 from __future__ import annotations
 
-import math
 import tempfile
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,7 +20,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop, Record
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.frames import ZERO, Array, Command, Sample
-from maglev_mj.parameters import Parameter, number
+from maglev_mj.parameters import number
 from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.plants.trace import EnergyAccount
@@ -31,6 +30,7 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, source_of
 from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
+from maglev_mj.session.changes import EMERGENCY_STOP, actions, changed, settable
 from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
 from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
 from maglev_mj.spec import Spec
@@ -155,77 +155,6 @@ class SessionRecorder:
             path, count = folder / f"{stem}-{count}{suffix}", count + 1
         self._named.add(path)
         return path
-
-
-DEVICES_OWN = "period", "delay"
-"""Parameters that other programs cannot change.
-
-They belong to the device, or to the user at the machine.
-"""
-
-EMERGENCY_STOP = "emergency stop"
-"""Action of the emergency stop key of every window."""
-
-Action: TypeAlias = Callable[[Scene], Scene]
-"""Function that returns the changed scene."""
-
-
-def settable(scene: Scene | type[Scene]) -> tuple[str, ...]:
-    """Return the parameters that other programs may change."""
-    return tuple(one.name for one in scene.parameters() if one.live and one.name not in DEVICES_OWN)
-
-
-def actions(cls: type[Scene]) -> Mapping[str, Action]:
-    """Return a scene's key actions by name.
-
-    A switch has its name; a number has "NAME up" and "NAME down", and its name alone turns it off and on if
-    it may be 0.
-    """
-    changes: dict[str, Action] = {}
-    for one in cls.parameters():
-        if not one.live or not one.live.has_keys or one.kind not in (bool, float, int):
-            continue
-        word = one.live.word or one.name
-        if one.kind is bool:
-            changes[word] = _switched(one.name)
-            continue
-        if one.default and one.bounds.get("at_least") == 0.0 and not one.live.word:
-            changes[word] = _cleared(one.name, one.default)
-        for sense, way in (("up", 1), ("down", -1)):
-            changes[f"{word} {sense}"] = _turned(one, way)
-    return changes
-
-
-def device_actions(cls: type[Scene]) -> tuple[str, ...]:
-    """Return the actions of a scene on a device."""
-    own = {one.live.word or one.name for one in cls.parameters() if one.live and one.name in DEVICES_OWN}
-    names = (name for name in actions(cls) if name.removesuffix(" up").removesuffix(" down") not in own)
-    return *names, EMERGENCY_STOP
-
-
-def _switched(name: str) -> Action:
-    return lambda scene: scene.replace(**{name: not getattr(scene, name)})
-
-
-def _cleared(name: str, default: float) -> Action:
-    return lambda scene: scene.replace(**{name: 0.0 if getattr(scene, name) else default})
-
-
-def _turned(one: Parameter, way: int) -> Action:
-    assert one.live
-    turn, least, most = one.live, one.bounds.get("at_least", -math.inf), one.bounds.get("at_most", math.inf)
-
-    def change(scene: Scene) -> Scene:
-        value = getattr(scene, one.name)
-        if value is None:
-            return scene
-        turned = turn(value, way)
-        if one.kind is int:  # a whole step at least, or a small number would stay
-            turned = value + way if round(turned) == value else round(turned)
-        # a person at a key is stopped at a bound, not told off
-        return scene.replace(**{one.name: min(max(turned, least), most)})
-
-    return change
 
 
 def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **details: Any) -> Record:
@@ -485,9 +414,8 @@ class Session:
         Raises:
             ParameterError: If there is no such action.
         """
-        changes = actions(type(self._scene))
-        if action in changes:
-            self._adopt(changes[action])
+        if action in actions(type(self._scene)):
+            self._adopt(action)
         elif action == EMERGENCY_STOP:
             self._stop(EMERGENCY_STOP)
         elif action == "pause":
@@ -529,12 +457,8 @@ class Session:
         stiffness = number("hand_stiffness", changes.pop("hand_stiffness", self.hand.stiffness), at_least=0.0)
         least, most = TIME_SCALES[0], TIME_SCALES[-1]
         scale = number("time_scale", changes.pop("time_scale", self._time_scale), at_least=least, at_most=most)
-        allowed = (*DEVICES_OWN, *settable(self._scene))
-        if unknown := sorted(set(changes) - set(allowed)):
-            names = ", ".join((*allowed, "hand_stiffness", "time_scale"))
-            raise ParameterError(f"parameters must be of {names}, not {', '.join(unknown)}")
         if changes:
-            self._adopt(lambda scene: scene.replace(**changes))
+            self._adopt(changes)
         self.hand.stiffness, self._time_scale = stiffness, scale
 
     def snapshot(self) -> Snapshot:
@@ -609,7 +533,7 @@ class Session:
                 raise ParameterError(f"settings must be those of {scene.name}, not of {wish.scene.name}")
             if self._changed:  # the user's changes come first
                 self._go_on()
-            wanted = wish.scene.replace(**{name: getattr(scene, name) for name in DEVICES_OWN})
+            wanted = changed(scene, wish.scene)
             if not self._stopped:  # otherwise it starts anew
                 stretch = self._stretch
                 check_step(stretch.controller, wanted.controller(), stretch.pose.tolist(), self._step_force)
@@ -638,14 +562,14 @@ class Session:
             keep=self._history.add,
         )
 
-    def _adopt(self, change: Action) -> None:
+    def _adopt(self, change: Mapping[str, Any] | str) -> None:
         """Change parameters from the next tick on.
 
         Raises:
             MaglevError: If its controller or its timing cannot be made.
         """
         with own_code_refused():
-            scene = change(self._scene)
+            scene = changed(self._scene, change, own=True, besides=("hand_stiffness", "time_scale"))
             if scene == self._scene and not self._stopped:
                 return
             scene.timing()

@@ -29,11 +29,11 @@ from maglev_mj.session import (
     Snapshot,
     SnapshotSource,
     Wish,
-    own_code_refused,
+    changed,
     real_time,
     settable,
 )
-from maglev_mj.session.session import actions
+from maglev_mj.session.changes import actions
 from maglev_mj.views.glide import SILENCE, Glide
 from maglev_mj.views.inbox import Inbox, Request
 
@@ -112,12 +112,9 @@ class RemoteViewer:
         """Return the requested scene; a refusal ends no flight."""
         scene = self._scene
         try:
-            with own_code_refused():
-                if kind == "change":
-                    known = settable(scene)
-                    return scene.replace(**{name: value[name] for name in value if name in known})
-                change = actions(type(scene)).get(value)
-                return None if change is None else change(scene)
+            if kind == "change":
+                return changed(scene, {name: value[name] for name in value if name in settable(scene)})
+            return changed(scene, value) if value in actions(type(scene)) else None
         except MaglevError as error:
             self._note.say(str(error))
             return None

@@ -12,9 +12,9 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, TypeAlias
 
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, UnstableLoop, own_code_refused, settable, unstable_loop
+from maglev_mj.session import DEVICES_OWN, UnstableLoop, changed, own_code_refused, settable, unstable_loop
 
 NICE = 5
 """Niceness of processes without deadlines."""
@@ -76,13 +76,9 @@ def checked(state: State, given: Mapping[str, Any]) -> Verdict:
     if scene is None:
         return state.state
     try:
-        if fixed := [name for name in DEVICES_OWN if name in given]:
-            raise ParameterError(f"{fixed[0]} is the device's, or the person's at the machine; a program cannot set it")
-        if unknown := sorted(set(given) - set(known := settable(scene))):
-            raise ParameterError(f"parameters must be of {', '.join(known)}, not {', '.join(unknown)}")
-        absent = {name: None for name in given if given[name] == _NONE and scene.parameter(name).optional}
         with own_code_refused():
-            wanted = scene.replace(**{**given, **absent})
+            absent = [name for name in settable(scene) if given.get(name) == _NONE and scene.parameter(name).optional]
+            wanted = changed(scene, {**given, **dict.fromkeys(absent)})
             return unstable_loop(wanted.replace(delay=state.delay), inertia=state.inertia) or wanted
     except MaglevError as error:
         return str(error)

@@ -10,7 +10,7 @@ from typing import Any
 from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of
 from maglev_mj.parameters import flag
 from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot
-from maglev_mj.session.session import actions
+from maglev_mj.session.changes import actions
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.views.page.controls import Ask, Choice, Control, Slider, control
 from maglev_mj.views.page.handles import put
