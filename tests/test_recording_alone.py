@@ -22,7 +22,6 @@ import pytest
 
 from maglev_mj import control
 from maglev_mj.cli import main
-from maglev_mj.cli import replay as command
 from maglev_mj.control import (
     AdaptiveWindow,
     AxisLaw,
@@ -625,7 +624,7 @@ OTHER = {"sources": "c" * 16}
 def of_other_code(monkeypatch: pytest.MonkeyPatch, path: Path) -> str:
     """Simulate other code; return its differences from that of a recording."""
     now = {**versions(), **OTHER}
-    monkeypatch.setattr(command, "versions", lambda: now)
+    monkeypatch.setattr("maglev_mj.versions.versions", lambda: now)
     return differences(Recording.load(path).stretches[0].setup["versions"], now)
 
 
