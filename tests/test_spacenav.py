@@ -25,9 +25,9 @@ import pytest
 
 from maglev_mj.cli import views
 from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.declare import declare
+from maglev_mj.cli.declare import declare, declared
 from maglev_mj.cli.options import add_parameters, chosen
-from maglev_mj.cli.peripherals import SpacenavOptions, add_spacenav, chosen_spacenav
+from maglev_mj.cli.peripherals import MouseOptions
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import param
@@ -1094,10 +1094,9 @@ def test_libspnav_moves_an_object_where_the_joystick_goes(
 # -- the command line ------------------------------------------------------------------------------------
 
 
-def parsed(*arguments: str) -> SpacenavOptions:
+def parsed(*arguments: str) -> MouseOptions:
     parser = Parser(prog="test")
-    add_spacenav(parser)
-    return chosen_spacenav(parser.parse_args(arguments))
+    return declared(MouseOptions, parser)(parser.parse_args(arguments))
 
 
 def test_without_the_option_there_is_no_server() -> None:
@@ -1149,7 +1148,7 @@ def test_an_option_of_a_scene_may_have_the_name_of_a_setting(tmp_path: Path) -> 
         gain: float = param("its own", default=3.0)
 
     parser = Parser(prog="test")
-    add_spacenav(parser)
+    declared(MouseOptions, parser)
     add_parameters(parser, Gained)
     options = parser.parse_args(["--spacenav", "--gain", "5", "--spacenav-gain", "7"])
     assert chosen(options, Gained).gain == 5.0

@@ -28,10 +28,10 @@ from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.declare import Shared, option
 from maglev_mj.cli.kinds import Address, CalibrationFile, Key, Realtime, Record, Seconds
 from maglev_mj.cli.options import add_parameters, chosen
-from maglev_mj.cli.peripherals import Publishing
+from maglev_mj.cli.peripherals import PublisherOptions
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
-from maglev_mj.cli.web import Page
+from maglev_mj.cli.web import PageOptions
 from maglev_mj.display.remote import Front, RemoteViewer
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.net.links import open_link
@@ -109,7 +109,7 @@ def bridge(
     scene: _FlownScene,
     reset: Annotated[bool, option("show what is latched in the device, clear it, and end")] = False,
     view: Annotated[bool, option("a window on the device; its hand is at the device")] = False,
-    page: Page,
+    page: PageOptions,
     calibration: CalibrationFile,
     key: Key = None,
     seconds: Seconds = None,
@@ -117,7 +117,7 @@ def bridge(
     limits: _Limits,
     record: Record = None,
     out: Annotated[Path, option("folder for the last cycles before a fault", "output", "DIR")] = Path(),
-    publishing: Publishing,
+    publishing: PublisherOptions,
     identify: Annotated[
         Path | None,
         option(f"shake the flotor gently for {_IDENTIFYING:g} s and write its calibration", _IDENTIFICATION),
@@ -131,7 +131,7 @@ def bridge(
         "view": view,
         "web": page.web,
         "seconds": seconds is not None,
-        "spacenav": publishing.mouse.spacenav,
+        "spacenav": publishing.spacenav.spacenav,
         "foxglove": publishing.foxglove is not None,
     }
     _check(reset, identify is not None, mass is not None, [name for name, chosen in flying.items() if chosen])

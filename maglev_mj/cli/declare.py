@@ -1,7 +1,7 @@
 """Commands declared by the signatures of their functions.
 
-A parameter of a command is `Annotated[kind, option(...)]`, or `Annotated[kind, Shared(add, take)]` for options that are
-one value together. Its docstring is the help; what it returns is the note at the end.
+A parameter of a command is `Annotated[kind, option(...)]`, a dataclass of such fields, or `Annotated[kind, Shared(add,
+take)]` for options that depend on others. The docstring is the help; what it returns is the note at the end.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from functools import partial
 from inspect import Parameter, getdoc, signature
 from pathlib import Path
 from types import NoneType
-from typing import Any, Literal, NamedTuple, get_args, get_origin
+from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 from maglev_mj.cli.arguments import Container, Parser, beside_inverse, count, number_option
 
@@ -23,6 +23,7 @@ _KINDS: Mapping[type, tuple[Callable[[str], Any], str | None]] = {
     str: (str, None),
 }
 
+T = TypeVar("T")
 Take = Callable[[argparse.Namespace], Any]
 
 
@@ -36,11 +37,12 @@ class Option(NamedTuple):
     kind: Any
     take: Take | None
     inverse: str
+    const: object
     bounds: Mapping[str, float]
 
 
 class Shared(NamedTuple):
-    """Options that are one value together, or that depend on others.
+    """Options that depend on others.
 
     Attributes:
         add: Function that adds them to a parser; None if another option adds them.
@@ -60,6 +62,7 @@ def option(
     kind: Any = None,
     take: Take | None = None,
     inverse: str = "",
+    const: object = None,
     **bounds: float,
 ) -> Option:
     """Declare an option; an argument if it has no group.
@@ -69,12 +72,13 @@ def option(
         group: Title of its group in the help.
         metavar: Word for its value.
         name: Its name, where that is not the parameter's.
-        kind: Type of its word, where that is not the parameter's.
+        kind: Type of its word, or function that reads it, where that is not the parameter's.
         take: Function that returns the parameter's value.
         inverse: Name of an option that gives its inverse.
+        const: Value of the option without a word; None if it needs one.
         bounds: Bounds of its number, as `number` has them.
     """
-    return Option(help, group, metavar, name, kind, take, inverse, bounds)
+    return Option(help, group, metavar, name, kind, take, inverse, const, bounds)
 
 
 def declare(function: Callable[..., int], parser: Parser) -> None:
@@ -83,15 +87,31 @@ def declare(function: Callable[..., int], parser: Parser) -> None:
     An option that the parser has already is not added again.
     """
     describe(function, parser)
+    arguments = _arguments(function, parser)
+    parser.set_defaults(run=lambda options: function(**arguments(options)))
+
+
+def declared(kind: Callable[..., T], parser: Parser) -> Callable[[argparse.Namespace], T]:
+    """Add the options of a dataclass; return a function that takes one from parsed options."""
+    arguments = _arguments(kind, parser)
+    return lambda options: kind(**arguments(options))
+
+
+def _arguments(owner: Callable[..., object], parser: Parser) -> Callable[[argparse.Namespace], dict[str, Any]]:
+    """Add an option for each argument of a function; return a function that takes their values."""
     takes: dict[str, Take] = {}
-    for name, one in signature(function, eval_str=True).parameters.items():
-        kind, about = get_args(one.annotation)
+    for name, one in signature(owner, eval_str=True).parameters.items():
+        kind, about = get_args(one.annotation) or (one.annotation, None)
         if isinstance(about, Option):
             _add(parser, name, kind, about, one.default)
-        elif about.add is not None:
-            about.add(parser)
-        takes[name] = about.take or partial(_value, name, about)
-    parser.set_defaults(run=lambda options: function(**{name: take(options) for name, take in takes.items()}))
+            takes[name] = about.take or partial(_value, name, about)
+        elif isinstance(about, Shared):
+            if about.add is not None:
+                about.add(parser)
+            takes[name] = about.take
+        else:
+            takes[name] = declared(kind, parser)
+    return lambda options: {name: take(options) for name, take in takes.items()}
 
 
 def describe(function: Callable[..., object], parser: Parser) -> None:
@@ -127,8 +147,10 @@ def _reading(kind: Any, about: Option) -> dict[str, Any]:
     if get_origin(kind) is Literal:
         return {"choices": get_args(kind), "metavar": about.metavar}
     kinds = [about.kind] if about.kind is not None else [*get_args(kind), kind]
-    read, metavar = _KINDS[next(part for part in kinds if part is not NoneType)]
-    return {"type": read, "metavar": about.metavar or metavar}
+    kind = next(part for part in kinds if part is not NoneType)
+    read, metavar = _KINDS.get(kind, (kind, None))
+    optional = {} if about.const is None else {"nargs": "?", "const": about.const}
+    return {"type": read, "metavar": about.metavar or metavar, **optional}
 
 
 def _value(name: str, about: Option, options: argparse.Namespace) -> Any:

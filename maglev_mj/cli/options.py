@@ -8,6 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from maglev_mj.cli.arguments import Container, beside_inverse, count, number_option, offer
+from maglev_mj.cli.declare import Shared
 from maglev_mj.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -126,3 +127,11 @@ def range_of(name: str, words: Sequence[str] | None) -> tuple[float, float] | No
     if not 1 <= len(values) <= 2:
         raise ParameterError(f"{name} must be LOW HIGH, LOW:HIGH, or one value, not {' '.join(words)!r}")
     return values[0], values[-1]
+
+
+def parameters(declared: Parameters | type[Parameters], group: str, prefix: str = "") -> Shared:
+    """Declare the options of parameters as one value; see `add_parameters` and `chosen`."""
+    return Shared(
+        lambda parser: add_parameters(parser.group(group), declared, prefix),
+        lambda options: chosen(options, declared, prefix),
+    )

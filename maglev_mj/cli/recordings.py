@@ -12,7 +12,7 @@ from maglev_mj.cli.declare import option
 from maglev_mj.cli.kinds import Picture, Pictures, Recorded, json_of
 from maglev_mj.cli.output import check_file, write_json
 from maglev_mj.cli.progress import Progress
-from maglev_mj.cli.web import Page
+from maglev_mj.cli.web import PageOptions, show_session
 from maglev_mj.errors import ParameterError
 from maglev_mj.terminal import printable, say, wrapped
 
@@ -46,10 +46,9 @@ def replay(
     ] = False,
     scene: Annotated[str | None, option(_OWN_SCENE, metavar="SCENE")] = None,
     *,
-    page: Page,
+    page: PageOptions,
 ) -> int:
     """Show a recording, or check it bit for bit."""
-    from maglev_mj.cli.web import show_session
     from maglev_mj.recording import InvalidRecordingError, Recording
     from maglev_mj.session.playback import Replay
 

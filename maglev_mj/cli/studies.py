@@ -7,17 +7,17 @@ import sys
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from maglev_mj.cli.arguments import Parser, count, number_option
-from maglev_mj.cli.declare import Option, Shared, declare, option
+from maglev_mj.cli.arguments import Parser, number_option
+from maglev_mj.cli.declare import Option, Shared, declare, declared, option
 from maglev_mj.cli.kinds import Json, json_of, pictures_to
-from maglev_mj.cli.options import add_parameters, chosen, described, given, range_of
+from maglev_mj.cli.options import add_parameters, chosen, described, given, parameters, range_of
 from maglev_mj.cli.output import check_file, write_result, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, scene_class
@@ -53,18 +53,15 @@ _NEEDED = "what the wall must bear"
 _RANGE = "what the answer is to hold for"
 
 
-class WorkerOptions(NamedTuple):
-    """Chosen workers of a study.
+@dataclass(frozen=True, kw_only=True)
+class WorkerOptions:
+    """Chosen workers of a study."""
 
-    Attributes:
-        command: Name of the command.
-        processes: Processes on this machine; None for the usual ones.
-        scheduler: Address of a Dask scheduler; None for none.
-    """
-
-    command: str
-    processes: int | None
-    scheduler: str | None
+    workers: Annotated[int | None, option("processes on this machine; 0 for this one alone", "workers")] = None
+    scheduler: Annotated[
+        str | None, option("run on the Dask cluster of this scheduler instead", "workers", "ADDRESS")
+    ] = None
+    command: Annotated[str, Shared(None, lambda options: options.command)]
 
     def open(self, default: int | None) -> Workers:
         """Return the workers.
@@ -72,27 +69,14 @@ class WorkerOptions(NamedTuple):
         By default `default` processes; None for one per processor.
         """
         if self.scheduler is None:
-            return local_workers(default if self.processes is None else self.processes)
-        if self.processes is not None:
-            raise ParameterError(f"workers must be left to the scheduler where there is one, not {self.processes}")
+            return local_workers(default if self.workers is None else self.workers)
+        if self.workers is not None:
+            raise ParameterError(f"workers must be left to the scheduler where there is one, not {self.workers}")
         with warnings.catch_warnings(record=True) as caught:
             workers = dask_workers(self.scheduler)
         for warning in caught:
             print(f"maglev-mj {self.command}: {warning.message}", file=sys.stderr)
         return workers
-
-
-def _add_workers(parser: Parser) -> None:
-    group = parser.group("workers")
-    group.add_argument("--workers", type=count, metavar="N", help="processes on this machine; 0 for this one alone")
-    group.add_argument("--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler instead")
-
-
-def _chosen_workers(options: argparse.Namespace) -> WorkerOptions:
-    return WorkerOptions(options.command, options.workers, options.scheduler)
-
-
-_Working: TypeAlias = Annotated[WorkerOptions, Shared(_add_workers, _chosen_workers)]
 
 
 def _cells_in(purpose: str) -> Option:
@@ -161,7 +145,7 @@ def sweep(
         Path | None,
         _cells_in("results land here as they come, and what is here is not done again (SCENE-sweep.jsonl)"),
     ] = None,
-    workers: _Working,
+    workers: WorkerOptions,
 ) -> int:
     """Any scene over a grid of its parameters."""
     fixed = {name: [value_of(scene, name, text)] for name, text in _assignments(set).items()}
@@ -210,10 +194,10 @@ def _values(cls: type[Scene], name: str, text: str) -> list[Any]:
     return [float(value) for value in np.linspace(low, high, count)]
 
 
-def _add_ranges(parser: Parser, group: str, parameters: Any, names: Sequence[str]) -> None:
+def _add_ranges(parser: Parser, group: str, cls: Any, names: Sequence[str]) -> None:
     """Add options of one or two values, for parameters that are ranges."""
     for name in names:
-        one = parameters.parameter(name)
+        one = cls.parameter(name)
         default = "what shows the stable region" if one.default is None else f"{one.default[0]:g}"
         shown = f"(default: {default})" if one.default is None else f"(default {default})"
         text = f"{one.help} [{one.unit}]: LOW HIGH, LOW:HIGH, or one value {shown}"
@@ -243,23 +227,23 @@ _Map: TypeAlias = Annotated[StabilityParameters | DropMapParameters, Shared(_add
 
 def stability_map(
     *,
-    parameters: _Map,
+    region: _Map,
     json: Json = None,
     pictures: Annotated[PictureFolder | None, pictures_to("write the picture to this folder")],
     record: Annotated[Path | None, _cells_in("cells done are kept here and not done again")] = None,
-    workers: _Working,
+    workers: WorkerOptions,
 ) -> int:
     """Where a wall is stable, by theory and simulation (figure 2); or whether a scene is."""
     if pictures is not None:
         for name in ("damping", "stiffness"):
-            if (limits := getattr(parameters, name)) is not None and limits[0] == limits[1]:
+            if (limits := getattr(region, name)) is not None and limits[0] == limits[1]:
                 raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
-    drops = isinstance(parameters, DropMapParameters)
+    drops = isinstance(region, DropMapParameters)
     # a map of drops is simulated on every core where it has more than one part
-    running = workers.open(default=None if drops and parameters.grid**2 > PART else 0)
+    running = workers.open(default=None if drops and region.grid**2 > PART else 0)
     run: Any = run_drop_map if drops else run_stability
     with _cells_kept(record, Path("stability-cells.jsonl")), Progress("stability") as progress:
-        result = run(parameters, record=Record(record), workers=running, progress=progress)
+        result = run(region, record=Record(record), workers=running, progress=progress)
     _warn_of_versions("stability", result.other_versions)
     write_result(json, result, pictures, "stability_drops" if drops else "stability")
     return 0
@@ -331,18 +315,7 @@ def _hands(words: Sequence[str], held: bool) -> tuple[str, ...]:
     return tuple(dict.fromkeys(["none", *hands]))
 
 
-def _add_contact(parser: Parser) -> None:
-
-    add_parameters(parser.group("contact that is simulated"), Contact)
-
-
-def _chosen_contact(options: argparse.Namespace) -> Contact:
-
-    return chosen(options, Contact)
-
-
 _Requirements: TypeAlias = Annotated[WallRequirements, Shared(_add_requirements, _chosen_requirements)]
-_Contact: TypeAlias = Annotated[Contact, Shared(_add_contact, _chosen_contact)]
 _OfScene: TypeAlias = Annotated[
     type[Scene] | None, Shared(partial(add_scene, options=False, instead=lambda _: None), scene_class)
 ]
@@ -356,7 +329,7 @@ def design(
         Literal["static", "dynamic"],
         option("make the stiffness against a slow push largest, or the least at any frequency", "the wall"),
     ] = "static",
-    contact: _Contact,
+    contact: Annotated[Contact, parameters(Contact, "contact that is simulated")],
     json: Annotated[str | None, json_of("the design")] = None,
     pictures: Annotated[PictureFolder | None, pictures_to("write a picture of the margin to this folder")],
     scene: _OfScene,
@@ -386,12 +359,48 @@ def _preset_scene(text: str) -> Scene | None:
     return None if text == "all" else preset_of(text).scene
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Validity:
+    """What the answer of a comparison is to hold for."""
+
+    tolerance: Annotated[
+        float | None,
+        option("largest displacement of a coil that does not matter [m] (default: the scene's own)", _RANGE),
+    ] = None
+    boundary_tolerance: Annotated[
+        float,
+        option(
+            "largest shift of the stiffest stable wall by the integrator, as a share of it, at this period, delay, "
+            "mass and hand: 0.01 takes an unstable wall for stable up to 1 %% beyond",
+            _RANGE,
+        ),
+    ] = Range().boundary
+    phases: Annotated[
+        int,
+        option("phases of the samples, evenly spread over a period, each with a jitter seed of its own", _RANGE),
+    ] = Range().phases
+    around: Annotated[
+        float, option("stiffness and damping each also so much smaller and larger, as a share", _RANGE)
+    ] = Range().around
+    share: Annotated[
+        float,
+        option(
+            "share of the cases on the exact plant that must keep the tolerance: where a sample just meets the wall "
+            "or just misses it, a few go far in any model",
+            _RANGE,
+        ),
+    ] = Range().share
+
+    def range(self) -> Range:
+        """Return it as studies take it."""
+        return Range(self.phases, self.around, self.share, self.boundary_tolerance)
+
+
 def _add_range(parser: Parser, cls: type[Scene]) -> None:
     """Add the options of the range of validity."""
-    usual, group = Range(), parser.group(_RANGE)
     parser.set_defaults(phase=0.0)
     if cls.takes_phase:
-        group.add_argument(
+        parser.group(_RANGE).add_argument(
             "--phase",
             type=number_option,
             metavar="X",
@@ -402,43 +411,7 @@ def _add_range(parser: Parser, cls: type[Scene]) -> None:
         f"the exact plant. A model keeps a tolerance if {MARGIN:g} times its figure does, in all cases of the former "
         "and a share of the latter: the margin for cases not looked at."
     )
-    group.add_argument(
-        "--tolerance",
-        type=number_option,
-        metavar="X",
-        help="largest displacement of a coil that does not matter [m] (default: the scene's own)",
-    )
-    group.add_argument(
-        "--boundary-tolerance",
-        type=number_option,
-        default=usual.boundary,
-        metavar="X",
-        help="largest shift of the stiffest stable wall by the integrator, as a share of it, at this period, delay, "
-        f"mass and hand: 0.01 takes an unstable wall for stable up to 1 %% beyond (default {usual.boundary:g})",
-    )
-    group.add_argument(
-        "--phases",
-        type=count,
-        default=usual.phases,
-        metavar="N",
-        help="phases of the samples, evenly spread over a period, each with a jitter seed of its own "
-        f"(default {usual.phases})",
-    )
-    group.add_argument(
-        "--around",
-        type=number_option,
-        default=usual.around,
-        metavar="X",
-        help=f"stiffness and damping each also so much smaller and larger, as a share (default {usual.around:g})",
-    )
-    group.add_argument(
-        "--share",
-        type=number_option,
-        default=usual.share,
-        metavar="X",
-        help="share of the cases on the exact plant that must keep the tolerance: where a sample just meets the wall "
-        f"or just misses it, a few go far in any model (default {usual.share:g})",
-    )
+    parser.set_defaults(validity=declared(_Validity, parser))
 
 
 def _add_preset(parser: Parser) -> None:
@@ -456,8 +429,7 @@ class _Question(NamedTuple):
     """Scene whose models are compared, and what the answer is to hold for."""
 
     scene: Scene
-    tolerance: float | None
-    over: Range
+    validity: _Validity
     phase: float
 
 
@@ -465,8 +437,7 @@ def _chosen_question(options: argparse.Namespace) -> _Question | None:
     """Return the question; None for all scenes."""
     if options.scene_class is None:
         return None
-    over = Range(options.phases, options.around, options.share, options.boundary_tolerance)
-    return _Question(chosen(options, options.scene_class), options.tolerance, over, options.phase or 0.0)
+    return _Question(chosen(options, options.scene_class), options.validity(options), options.phase or 0.0)
 
 
 _Asked: TypeAlias = Annotated[_Question | None, Shared(_add_preset, _chosen_question)]
@@ -478,7 +449,7 @@ def fidelity(*, question: _Asked, name: _SceneName, json: Json = None) -> int:
         if question is not None:
             preset = preset_of(name)._replace(scene=question.scene)
             result = measure_fidelity(
-                preset, question.tolerance, question.over, phase=question.phase, progress=progress
+                preset, question.validity.tolerance, question.validity.range(), phase=question.phase, progress=progress
             )
         else:
             levels = {}

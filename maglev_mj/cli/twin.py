@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from maglev_mj.cli.declare import option
 from maglev_mj.cli.kinds import CalibrationFile, Key, Realtime, Seconds
-from maglev_mj.cli.peripherals import Foxglove, open_foxglove
-from maglev_mj.cli.web import Page
+from maglev_mj.cli.web import Foxglove, PageOptions, open_foxglove
 from maglev_mj.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -67,8 +66,8 @@ def twin(
     realtime: Realtime = "ignore",
     view: Annotated[bool, option("a window, with the mouse as the hand", "window")] = False,
     scene: Annotated[str, option("what the window or page looks like", "window", "SCENE")] = "joystick",
-    page: Page,
-    foxglove: Foxglove,
+    page: PageOptions,
+    foxglove: Foxglove = None,
 ) -> int:
     """A simulated device behind the wire of a real one."""  # noqa: D401
     from maglev_mj.bridge.calibration import Calibration

@@ -14,10 +14,10 @@ from maglev_mj.bridge.realtime import stopping
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.declare import Shared, option
 from maglev_mj.cli.kinds import Folder, Record, Seconds, Shown
-from maglev_mj.cli.peripherals import InputHand, Mouse, Publishing
+from maglev_mj.cli.peripherals import HandOptions, PublisherOptions, ServedMouse
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
-from maglev_mj.cli.web import Page, show_session
+from maglev_mj.cli.web import PageOptions, show_session
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Component
 from maglev_mj.plants import engine_warnings_silenced
@@ -25,7 +25,6 @@ from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Session, real_time
 from maglev_mj.session.tour import Tour
-from maglev_mj.terminal import say
 
 _SCENE = "joystick"
 _LEAST, _MOST = 160, 4000  # pixels of a picture's side
@@ -51,11 +50,11 @@ def view(
     scene: _SeenScene,
     hand_stiffness: Annotated[float, option("of the spring by which the hand pulls [N/m]")] = SpringHand.stiffness,
     seconds: Shown = None,
-    page: Page,
-    input_hand: InputHand,
     record: Record = None,
     out: Folder = Path(),
-    publishing: Publishing,
+    page: PageOptions,
+    input_hand: HandOptions,
+    publishing: PublisherOptions,
 ) -> int:
     """Feel a scene in a window: pull with the mouse."""
     hand = SpringHand(stiffness=hand_stiffness)
@@ -88,7 +87,7 @@ def view(
     return 0
 
 
-def tour(*, input_hand: InputHand, page: Page, seconds: Shown = None, out: Folder = Path()) -> int:
+def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, out: Folder = Path()) -> int:
     """Walls and friction in eight steps, guided."""
     front, hand = page.open(), SpringHand()
     out.mkdir(parents=True, exist_ok=True)
@@ -155,9 +154,9 @@ def _pixels(size: str) -> tuple[int, int]:
     return int(match[1]), int(match[2])
 
 
-def serve_spacenav(*, scene: _Served, mouse: Mouse, seconds: Seconds = None) -> int:
+def serve_spacenav(*, scene: _Served, mouse: ServedMouse, seconds: Seconds = None) -> int:
     """A scene in a scripted hand as the 3D mouse of other programs, without a window."""  # noqa: D401
-    (server,) = mouse.open(say)
+    server = mouse.open()
     ended = threading.Event()
     with closing(server), closing(Session(scene, hand=_hand(scene), publishers=[server])) as session:
         with engine_warnings_silenced(), stopping(ended.set):

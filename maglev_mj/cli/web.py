@@ -1,4 +1,4 @@
-"""Options of the page in a browser, of all commands with a viewer."""
+"""Options of the page in a browser, and of the live server."""
 
 from __future__ import annotations
 
@@ -6,43 +6,53 @@ import argparse
 import os
 import re
 import sys
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, TypeAlias
 
-from maglev_mj.cli.arguments import Parser, count
-from maglev_mj.cli.declare import Shared
+from maglev_mj.cli.arguments import count
+from maglev_mj.cli.declare import Shared, option
 from maglev_mj.errors import ParameterError, require
+from maglev_mj.terminal import say
 
 if TYPE_CHECKING:
     from maglev_mj.display.remote import Front, ShowReport
+    from maglev_mj.live import LiveServer
     from maglev_mj.session import SnapshotSource
 
 PORT = 8123
 """Default port of the page."""
 
+LIVE_PORT = 8765
+"""Default port of the live server: that of `maglev_mj.live`, which loads arrays."""
+
 _TOKEN = re.compile(r"[\w-]{16,}", re.ASCII)
 _OWN = "port", "no_open", "host", "token"
 
 
-class PageOptions(NamedTuple):
-    """Chosen page in a browser.
+_PAGE = "page in a browser"
 
-    Attributes:
-        web: True if there is one.
-        port: Its port; None for `PORT`.
-        no_open: True if no browser is opened.
-        host: Its address; None for this machine.
-        token: Text that its address must have; "" for a new one, None for none.
-        listens: True if the command has an address of its own.
-    """
 
-    web: bool = False
-    port: int | None = None
-    no_open: bool = False
-    host: str | None = None
-    token: str | None = None
-    listens: bool = False
+@dataclass(frozen=True, kw_only=True)
+class PageOptions:
+    """Chosen page in a browser."""
+
+    web: Annotated[bool, option("a page for any browser", _PAGE)] = False
+    port: Annotated[int | None, option(f"port of the page; 0 for any (default {PORT})", _PAGE)] = None
+    no_open: Annotated[bool, option("open no browser", _PAGE)] = False
+    host: Annotated[str | None, option("address of the page, with --token (default 127.0.0.1)", _PAGE, "H")] = None
+    token: Annotated[
+        str | None,
+        option(
+            "text that the page's address must have, at least 16 characters; a new one where none is given",
+            _PAGE,
+            "T",
+            const="",
+        ),
+    ] = None
+    listens: Annotated[bool, Shared(None, lambda options: "listen" in options)] = False
+    """True if the command has an address of its own."""
 
     def open(self, *, drag: bool = True, settings: bool = True) -> Front | None:
         """Start, announce and open the chosen page; None without choice.
@@ -110,28 +120,40 @@ class PageOptions(NamedTuple):
         return partial(show, folder=folder)
 
 
-def _add_page(parser: Parser) -> None:
-    group = parser.group("page in a browser")
-    group.add_argument("--web", action="store_true", help="a page for any browser")
-    group.add_argument("--port", type=count, metavar="N", help=f"port of the page; 0 for any (default {PORT})")
-    group.add_argument("--no-open", action="store_true", help="open no browser")
-    group.add_argument("--host", metavar="H", help="address of the page, with --token (default 127.0.0.1)")
-    group.add_argument(
-        "--token",
-        nargs="?",
-        const="",
-        metavar="T",
-        help="text that the page's address must have, at least 16 characters; a new one where none is given",
-    )
+def _port(text: str) -> int:
+    from maglev_mj.net.addresses import check_port
+
+    try:
+        return check_port(count(text))
+    except ParameterError as error:  # before a window is asked for
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _chosen_page(options: argparse.Namespace) -> PageOptions:
-    return PageOptions(
-        options.web, options.port, options.no_open, options.host, options.token, listens="listen" in options
-    )
+Foxglove: TypeAlias = Annotated[
+    int | None,
+    option(
+        f"serve every sample to programs on this machine that read the Foxglove protocol (default {LIVE_PORT})",
+        "other programs",
+        "PORT",
+        kind=_port,
+        const=LIVE_PORT,
+    ),
+]
 
 
-Page: TypeAlias = Annotated[PageOptions, Shared(_add_page, _chosen_page)]
+def open_foxglove(port: int | None) -> LiveServer | None:
+    """Start and return the live server at a port; None without one.
+
+    Raises:
+        LiveServerError: See `LiveServer`.
+    """
+    if port is None:
+        return None
+    from maglev_mj.live import LiveServer
+
+    live = LiveServer(port)
+    say(f"  live at ws://127.0.0.1:{live.port}, as Foxglove opens it")
+    return live
 
 
 def _open_browser(url: str) -> None:
