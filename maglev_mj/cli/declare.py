@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Mapping
-from functools import partial
-from inspect import Parameter, getdoc, signature
+from functools import cache, partial
+from inspect import Parameter, Signature, getdoc, signature
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, NamedTuple, TypeVar, get_args, get_origin
@@ -97,10 +97,15 @@ def declared(kind: Callable[..., T], parser: Parser) -> Callable[[argparse.Names
     return lambda options: kind(**arguments(options))
 
 
+@cache
+def _signature(owner: Callable[..., object]) -> Signature:
+    return signature(owner, eval_str=True)
+
+
 def _arguments(owner: Callable[..., object], parser: Parser) -> Callable[[argparse.Namespace], dict[str, Any]]:
     """Add an option for each argument of a function; return a function that takes their values."""
     takes: dict[str, Take] = {}
-    for name, one in signature(owner, eval_str=True).parameters.items():
+    for name, one in _signature(owner).parameters.items():
         kind, about = get_args(one.annotation) or (one.annotation, None)
         if isinstance(about, Option):
             _add(parser, name, kind, about, one.default)
