@@ -36,33 +36,32 @@ def check_outputs(options: argparse.Namespace) -> None:
     files = {name: Path(path) for name in _OUTPUTS if (path := getattr(options, name, None)) not in (None, "-")}
     if "out" in files and options.command not in _FILES and (folder := files.pop("out")) != Path():
         check_folder(folder)
-    for name, path in files.items():
-        check_file(name, path, getattr(options, "file", None))
-    if len({path.resolve() for path in files.values()}) < len(files):
-        raise ParameterError(f"{' and '.join(files)} must be two files, not {str([*files.values()][-1])!r} for both")
+    check_files(files, getattr(options, "file", None))
     if "record" in files and "workers" not in options:  # those of studies are of cells
         from maglev_mj.recording import check_name  # only a recording needs that code
 
         check_name(files["record"])
 
 
-def check_file(name: str, path: Path, recording: Path | None = None) -> None:
-    """Check that a file can be written.
+def check_files(files: Mapping[str, Path], recording: Path | None = None) -> None:
+    """Check that files can be written.
 
     Args:
-        name: Name of its option.
-        path: The file.
-        recording: A recording that it must not replace.
+        files: Option and file of each.
+        recording: A recording that they must not replace.
 
     Raises:
-        ParameterError: If it is a folder, has no folder, may not be written, or is the recording.
+        ParameterError: If one is a folder, has no folder, may not be written, is the recording, or is named twice.
     """
-    if path.is_dir() or not path.parent.is_dir():
-        raise ParameterError(f"{name} must be a file in a folder that is there, not {str(path)!r}")
-    if not (os.access(path, os.W_OK) if path.exists() else _takes_files(path.parent)):
-        raise ParameterError(f"{name} must be a file that may be written, not {str(path)!r}")
-    if recording is not None and path.resolve() == recording.resolve():
-        raise ParameterError(f"{name} must be another file than the recording, not {str(path)!r}")
+    for name, path in files.items():
+        if path.is_dir() or not path.parent.is_dir():
+            raise ParameterError(f"{name} must be a file in a folder that is there, not {str(path)!r}")
+        if not (os.access(path, os.W_OK) if path.exists() else _takes_files(path.parent)):
+            raise ParameterError(f"{name} must be a file that may be written, not {str(path)!r}")
+        if recording is not None and path.resolve() == recording.resolve():
+            raise ParameterError(f"{name} must be another file than the recording, not {str(path)!r}")
+    if len({path.resolve() for path in files.values()}) < len(files):
+        raise ParameterError(f"{' and '.join(files)} must be two files, not {str([*files.values()][-1])!r} for both")
 
 
 def check_folder(path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from maglev_mj.cli.declare import option
 from maglev_mj.cli.kinds import Picture, Pictures, Recorded, json_of
-from maglev_mj.cli.output import check_file, write_json
+from maglev_mj.cli.output import check_files, write_json
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.web import PageOptions, show_session
 from maglev_mj.errors import ParameterError
@@ -268,7 +268,7 @@ def export(
     from maglev_mj.recording.export import export
 
     path = out or file.with_suffix(f".{to}")
-    check_file("out", path, file)
+    check_files({"out": path}, file)
     with Progress("export"):
         recording = Recording.load(file)
         export(recording, to, path)

@@ -18,7 +18,7 @@ from maglev_mj.cli.arguments import Parser, number_option
 from maglev_mj.cli.declare import Option, Shared, declare, declared, option
 from maglev_mj.cli.kinds import Json, json_of, pictures_to
 from maglev_mj.cli.options import add_parameters, chosen, described, given, parameters, range_of
-from maglev_mj.cli.output import check_file, write_result, write_results
+from maglev_mj.cli.output import check_files, write_result, write_results
 from maglev_mj.cli.progress import Progress
 from maglev_mj.cli.scenes import add_scene, scene_class
 from maglev_mj.errors import ParameterError
@@ -155,7 +155,7 @@ def sweep(
     if both := sorted(fixed.keys() & varied.keys()):
         raise ParameterError(f"{both[0]} must be either set or varied, not both")
     path = record or Path(f"{scene.name}-sweep.jsonl")
-    check_file("record", path)
+    check_files({"record": path} if json in (None, "-") else {"json": Path(json), "record": path})
     running = workers.open(default=None)
     with _cells_kept(path, path), Progress(f"sweep {scene.name}") as progress:
         result = run_sweep(scene, fixed | varied, workers=running, record=path, progress=progress)
