@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, get_args
 import pytest
 
 from maglev_mj import cli
+from maglev_mj.bridge.fault_injection import INJECTED_FAULTS
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin import TwinParameters
 from maglev_mj.cli import pictures, program, recordings, studies, web
@@ -205,7 +206,7 @@ def test_another_port_and_another_display_are_named(
         assert "--web shows it in a browser" in capsys.readouterr().err
 
 
-QUICK = "info estop commission conform fault replay analyse export".split()
+QUICK = "info twin estop commission conform fault replay analyse export".split()
 
 
 @pytest.mark.parametrize("command", QUICK)
@@ -231,6 +232,8 @@ def test_what_a_help_says_without_its_library_is_what_the_library_has() -> None:
     twin = defaults(cli_twin.twin)
     assert (twin["rate"], twin["delay"]) == (Spec.control_rate.value, Spec.transport_delay.value)
     assert (twin["watchdog"], twin["noise"]) == (Limits.watchdog, TwinParameters.noise)
+    faults = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
+    assert cli_twin._FAULTS_HELP == f"what goes wrong, and when: {faults}"
     assert web.LIVE_PORT == PORT and pictures.FORMATS == FORMATS
     assert allowed(recordings.export, "to") == tuple(EXPORTS)
     assert allowed(studies.design, "law") == LAWS and allowed(studies.design, "goal") == GOALS

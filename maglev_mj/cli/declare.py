@@ -30,7 +30,7 @@ Take = Callable[[argparse.Namespace], Any]
 class Option(NamedTuple):
     """Option of a command; see `option`."""
 
-    help: str | Callable[[], str]
+    help: str
     group: str
     metavar: str | None
     name: str
@@ -54,7 +54,7 @@ class Shared(NamedTuple):
 
 
 def option(
-    help: str | Callable[[], str],
+    help: str,
     group: str = "run",
     metavar: str | None = None,
     *,
@@ -68,7 +68,7 @@ def option(
     """Declare an option; an argument if it has no group.
 
     Args:
-        help: What it is, or a function that returns this. A default is added, except of flags and lists.
+        help: What it is. A default is added, except of flags and lists.
         group: Title of its group in the help.
         metavar: Word for its value.
         name: Its name, where that is not the parameter's.
@@ -131,7 +131,7 @@ def _add(parser: Parser, name: str, kind: Any, about: Option, default: Any) -> N
     if flag in parser._option_string_actions:
         return
     into: Container = parser.group(about.group) if about.group else parser
-    settings: dict[str, Any] = {"help": about.help() if callable(about.help) else about.help}
+    settings: dict[str, Any] = {"help": about.help}
     if about.group:
         settings |= {"dest": name, "default": None if default is Parameter.empty else default}
         settings["required"] = default is Parameter.empty and about.take is None and get_origin(kind) is not list

@@ -27,12 +27,21 @@ if TYPE_CHECKING:
 _DEVICE, _HANDS = "device", "faults and hands"
 
 
-def _faults_help() -> str:
-    from maglev_mj.bridge.fault_injection import INJECTED_FAULTS
-
-    return "what goes wrong, and when: " + "; ".join(
-        f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items()
-    )
+_FAULTS_HELP = (
+    "what goes wrong, and when: dead-coil:K, coil K gives no current; "
+    "stuck-amplifier:K, coil K keeps its current, whatever is asked for; "
+    "stuck-diode:K, diode K repeats its last spot; stuck-diodes:K, all diodes repeat their last spots (K is 0); "
+    "stuck-counter:K, the conversion counter stands (K is 0); "
+    "invalid-diode:K, diode K says that its spot cannot be trusted; "
+    "swapped-diodes:K, the cables of diode K and the next are exchanged; "
+    "nan-spot:K, coordinate K is not a number; nan-current:K, the measured current of coil K is not a number; "
+    "nan-temperature:K, the temperature of coil K is reported as not a number; "
+    "hot-report:K, the temperature of coil K is reported as 5; "
+    "clock-jump:K, the device's clock jumps ahead by K milliseconds; "
+    "silence:K, nothing comes or goes for K milliseconds; "
+    "hung-firmware:K, the firmware hangs, the amplifier board does not (K is 0)"
+)
+"""Help of the injected faults: `INJECTED_FAULTS` has the same words, and loads arrays."""
 
 
 def twin(
@@ -46,7 +55,7 @@ def twin(
     noise: Annotated[float, option("standard deviation of a spot's noise [m]", _DEVICE)] = 4e-7,
     seed: Annotated[int, option("of the noise", _DEVICE)] = 0,
     lockstep: Annotated[bool, option("wait for each answer instead of keeping real time", _DEVICE)] = False,
-    fault: Annotated[list[str], option(_faults_help, _HANDS, "NAME:K@SECONDS")],
+    fault: Annotated[list[str], option(_FAULTS_HELP, _HANDS, "NAME:K@SECONDS")],
     push: Annotated[
         list[str],
         option(
