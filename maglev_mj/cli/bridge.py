@@ -61,13 +61,11 @@ that cuts the amplifiers. Exit status: 0 landed, 1 cut or failed, 2 bad input,
 
 
 def _add_scene(parser: Parser) -> None:
-
     parser.epilog = _ENDS
     add_scene(parser, option="--scene", default="joystick", without=DEVICES_OWN)
 
 
 def _add_limits(parser: Parser) -> None:
-
     group = parser.group(_LIMITS)
     add_parameters(group, HostLimits)
     group.add_argument(
@@ -76,7 +74,6 @@ def _add_limits(parser: Parser) -> None:
 
 
 def _chosen_limits(options: argparse.Namespace) -> HostLimits:
-
     return chosen(options, HostLimits() if options.profile is None else HostLimits.load(options.profile))
 
 
@@ -90,17 +87,6 @@ def _ends_of(options: argparse.Namespace) -> list[str]:
 
 
 _Reconnect: TypeAlias = Annotated[list[str], Shared(None, _ends_of)]
-
-
-class _Device(NamedTuple):
-    """Chosen device: its address and what is known of it."""
-
-    address: str
-    key: bytes | None
-    calibration: Calibration
-    limits: HostLimits
-    folder: Path
-    realtime: Literal["enforce", "ignore"]
 
 
 def bridge(
@@ -135,14 +121,13 @@ def bridge(
         "foxglove": publishing.foxglove is not None,
     }
     _check(reset, identify is not None, mass is not None, [name for name, chosen in flying.items() if chosen])
-    device = _Device(address, key, calibration, limits, out, realtime)
     front = page.front(view, out, watch=True)
     # publishers first: their errors are reported before the device moves
     with (
         _with_remedy(address, reconnect),
         stopping(interrupt, lambda: None),  # closing is not stopped by a second Ctrl-C
         publishing.open() as (publishers, live),
-        _opened(device) as plant,
+        _opened(address, key, calibration, limits, out) as plant,
     ):
         if reset:
             print(_latched(plant), flush=True)
@@ -253,15 +238,12 @@ def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trac
     print(f"  wrote {path}" if path is not None else "  nothing was recorded: it did not come to fly")
 
 
-def _opened(device: _Device) -> RemotePlant:
-
+def _opened(address: str, key: bytes | None, calibration: Calibration, limits: HostLimits, folder: Path) -> RemotePlant:
     try:
-        link = open_link(device.address, device.key)
-        return RemotePlant(
-            link, calibration=device.calibration, key=device.key, limits=device.limits, folder=device.folder
-        )
+        link = open_link(address, key)
+        return RemotePlant(link, calibration=calibration, key=key, limits=limits, folder=folder)
     except HandshakeError as error:
-        raise HandshakeError(f"{device.address}: {error}") from None
+        raise HandshakeError(f"{address}: {error}") from None
 
 
 @contextmanager
@@ -286,7 +268,6 @@ def _punctual(policy: Literal["enforce", "ignore"]) -> Iterator[None]:
 
 
 def _identify(plant: RemotePlant, path: Path, mass: float | None, policy: Literal["enforce", "ignore"]) -> int:
-
     mass = plant.calibration.mass if mass is None else mass
     # before takeoff: the device would take the time that this needs for a host that is gone
     shaker = excitation(plant.calibration, period=plant.period, delay=plant.delay)

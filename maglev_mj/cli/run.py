@@ -9,13 +9,13 @@ from inspect import getdoc
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from maglev_mj.cli.arguments import Parser, count, number_option, offer
+from maglev_mj.cli.arguments import Parser, count, offer
 from maglev_mj.cli.declare import Shared
 from maglev_mj.cli.kinds import Pictures, Record, json_of
 from maglev_mj.cli.options import add_parameters
 from maglev_mj.cli.output import keep_partial, write_results
 from maglev_mj.cli.progress import Progress
-from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
+from maglev_mj.cli.scenes import add_phase, add_scene, chosen_scene, warn_of_instability
 from maglev_mj.errors import DivergenceError
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import Begin, run_variants
@@ -35,13 +35,7 @@ def _add_sampling(parser: Parser, cls: type[Scene]) -> None:
     described = f"{', '.join(plants)} (default {plants[0]})"
     offer(group.add_argument("--plant", default=plants[0], metavar="NAME", help=described), plants)
     if cls.takes_phase:
-        group.add_argument(
-            "--phase",
-            type=number_option,
-            default=0.0,
-            metavar="X",
-            help="the samples are at (k + phase) period, in [0, 1) (default 0)",
-        )
+        add_phase(parser, "run", 0.0)
         group.add_argument("--phases", type=count, metavar="N", help="also sweep N phases, evenly spread over a period")
     else:
         parser.set_defaults(phase=0.0, phases=None)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.arguments import Parser, number_option
 from maglev_mj.cli.declare import Shared
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError
@@ -106,6 +106,12 @@ def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
     made: Scene = found() if isinstance(found, type) else found
     names = {one.name for one in made.parameters()}
     return chosen(options, made.replace(**{name: value for name, value in defaults.items() if name in names}))
+
+
+def add_phase(parser: Parser, group: str, default: float | None) -> None:
+    """Add --phase."""
+    text = "the samples are at (k + phase) period, in [0, 1) (default 0)"
+    parser.group(group).add_argument("--phase", type=number_option, default=default, metavar="X", help=text)
 
 
 def scene_class(options: argparse.Namespace) -> Any:

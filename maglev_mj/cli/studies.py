@@ -14,13 +14,13 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from maglev_mj.cli.arguments import Parser, number_option
+from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.declare import Option, Shared, declare, declared, option
 from maglev_mj.cli.kinds import Json, json_of, pictures_to
 from maglev_mj.cli.options import add_parameters, chosen, described, given, parameters, range_of
 from maglev_mj.cli.output import check_files, write_result, write_results
 from maglev_mj.cli.progress import Progress
-from maglev_mj.cli.scenes import add_scene, scene_class
+from maglev_mj.cli.scenes import add_phase, add_scene, scene_class
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import parsed_number
 from maglev_mj.pictures import PictureFolder
@@ -209,7 +209,6 @@ def _given_ranges(options: argparse.Namespace, names: Sequence[str]) -> dict[str
 
 
 def _add_map(parser: Parser) -> None:
-
     _add_ranges(parser, _WALL, StabilityParameters, ("damping", "stiffness"))
     add_parameters(parser.group(_WALL), StabilityParameters)
     add_parameters(parser.group(_DROP), DropMapParameters)
@@ -270,7 +269,6 @@ def stability(*, scene: _JudgedScene, json: Json = None) -> int:
 
 
 def _add_requirements(parser: Parser) -> None:
-
     _add_ranges(parser, _NEEDED, WallRequirements, ("mass", "delay"))
     group = parser.group(_NEEDED)
     group.add_argument(
@@ -400,12 +398,7 @@ def _add_range(parser: Parser, cls: type[Scene]) -> None:
     """Add the options of the range of validity."""
     parser.set_defaults(phase=0.0)
     if cls.takes_phase:
-        parser.group(_RANGE).add_argument(
-            "--phase",
-            type=number_option,
-            metavar="X",
-            help="the samples are at (k + phase) period, in [0, 1) (default 0)",
-        )
+        add_phase(parser, _RANGE, None)
     parser.epilog = (
         "Figures are the worst over phases, jitter seeds and gains of the whole device, and over 4096 cases more on "
         f"the exact plant. A model keeps a tolerance if {MARGIN:g} times its figure does, in all cases of the former "
