@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from maglev_mj.cli import info, main
+from maglev_mj.cli import main
 from maglev_mj.cli.commands import COMMANDS
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.session.replay import write_run
@@ -123,6 +123,6 @@ def test_another_broken_pipe_is_an_error_like_any(
     def broken() -> None:
         raise BrokenPipeError(32, "Broken pipe")
 
-    monkeypatch.setattr(info, "device_report", broken)
+    monkeypatch.setattr("maglev_mj.plants.shapes.device_report", broken)
     assert main(["info"]) == 1
     assert capsys.readouterr().err == "maglev-mj info: [Errno 32] Broken pipe\n"

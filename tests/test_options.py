@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, get_args
 
 import pytest
 
 from maglev_mj import cli
-from maglev_mj.cli import program
+from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS
+from maglev_mj.bridge.twin.twin import TwinParameters
+from maglev_mj.cli import pictures, program, recordings, studies, web
+from maglev_mj.cli import twin as cli_twin
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.commands import COMMANDS
+from maglev_mj.cli.declare import declare, option
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError
+from maglev_mj.interop.foxglove import PORT
 from maglev_mj.parameters import Parameters, interval, param
+from maglev_mj.pictures import FORMATS
+from maglev_mj.recording import EXPORTS
+from maglev_mj.spec import Spec
+from maglev_mj.theory import GOALS, LAWS
 
 
 class Lever(Parameters):
@@ -189,3 +204,81 @@ def test_another_port_and_another_display_are_named(
     for command in ("view", "tour", "twin --view"):
         assert cli.main(command.split()) == 1
         assert "--web shows it in a browser" in capsys.readouterr().err
+
+
+QUICK = "info twin estop commission conform fault replay analyse export".split()
+
+
+@pytest.mark.parametrize("command", QUICK)
+def test_a_help_without_a_scene_loads_no_library(command: str) -> None:
+    ask = "import atexit, sys; atexit.register(lambda: print(*sys.modules)); from maglev_mj.cli import main; "
+    ask += f"main(['{command}', '--help'])"
+    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    assert set(done.stdout.splitlines()[-1].split()).isdisjoint({"numpy", "mujoco", "maglev_mj.parameters"})
+
+
+def defaults(function: Callable[..., int]) -> dict[str, Any]:
+    """Return the defaults of a command."""
+    return {name: one.default for name, one in signature(function).parameters.items()}
+
+
+def allowed(function: Callable[..., int], name: str) -> tuple[str, ...]:
+    """Return the choices of an option of a command."""
+    kind, _ = get_args(signature(function, eval_str=True).parameters[name].annotation)
+    return get_args(kind)
+
+
+def test_what_a_help_says_without_its_library_is_what_the_library_has() -> None:
+    twin = defaults(cli_twin.twin)
+    assert (twin["rate"], twin["delay"]) == (Spec.control_rate.value, Spec.transport_delay.value)
+    assert (twin["watchdog"], twin["noise"]) == (Limits.watchdog, TwinParameters.noise)
+    faults = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
+    assert cli_twin._FAULTS_HELP == f"what goes wrong, and when: {faults}"
+    assert web.LIVE_PORT == PORT and pictures.FORMATS == FORMATS
+    assert allowed(recordings.export, "to") == tuple(EXPORTS)
+    assert allowed(studies.design, "law") == LAWS and allowed(studies.design, "goal") == GOALS
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lamp:
+    """Options that belong together."""
+
+    bright: Annotated[float, option("how bright", above=0.0)] = 0.5
+    colours: Annotated[list[str], option("its colours", "looks", "NAME", name="colour")]
+    dimmed: Annotated[bool, option("dim it")] = False
+
+
+def shine(
+    *,
+    place: Annotated[Path, option("where", "")],
+    lamp: Lamp,
+    mode: Annotated[Literal["on", "off"], option("its mode")] = "on",
+    times: Annotated[int | None, option("how often", const=3)] = None,
+) -> int:
+    """Light a lamp.
+
+    At a place.
+
+    Returns:
+        Exit status: always 7.
+    """
+    assert (place, lamp, mode, times) == (Path("here"), Lamp(bright=2.0, colours=["red", "blue"]), "off", 3)
+    return 7
+
+
+def test_a_signature_is_the_options_of_its_command(capsys: pytest.CaptureFixture[str]) -> None:
+    made = Parser(prog="shine")
+    declare(shine, made)
+    words = "here --bright 2 --colour red --colour blue --mode off --times"
+    options = made.parse_args(words.split())
+    assert options.run(options) == 7
+    text = " ".join(made.format_help().split())
+    for part in ("how bright (default 0.5)", "{on,off}", "(default on)", "--dimmed", "looks:", "a lamp. At a place."):
+        assert part in text
+    assert text.endswith("Exit status: always 7.")
+    with pytest.raises(ParameterError, match="bright must be a finite number above 0, not -2"):
+        options = made.parse_args("here --bright=-2".split())
+        options.run(options)
+    with pytest.raises(SystemExit, match="2"):
+        made.parse_args(["--mode", "on"])
+    assert capsys.readouterr().err == "shine: the following arguments are required: FILE\n"

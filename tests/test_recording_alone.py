@@ -21,8 +21,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import control
-from maglev_mj.cli import main
-from maglev_mj.cli import replay as command
+from maglev_mj.cli import main, program
 from maglev_mj.control import (
     AdaptiveWindow,
     AxisLaw,
@@ -567,6 +566,8 @@ def test_a_hostile_file_executes_nothing_and_is_one_line(
 ) -> None:
     # Whatever it names, and even where a person lets the program execute what it holds.
     header, arrays = arrays_in(kept())
+    for command in ("replay", "analyse"):  # the program's own code is loaded
+        program.parser().parse_args([command, "run.npz"])
     capsys.readouterr()
     HOSTILE[what](header["setups"][0])
     (folder / "run.npz").write_bytes(npz_of(header, arrays))
@@ -624,7 +625,7 @@ OTHER = {"sources": "c" * 16}
 def of_other_code(monkeypatch: pytest.MonkeyPatch, path: Path) -> str:
     """Simulate other code; return its differences from that of a recording."""
     now = {**versions(), **OTHER}
-    monkeypatch.setattr(command, "versions", lambda: now)
+    monkeypatch.setattr("maglev_mj.versions.versions", lambda: now)
     return differences(Recording.load(path).stretches[0].setup["versions"], now)
 
 

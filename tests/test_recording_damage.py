@@ -9,7 +9,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from maglev_mj.cli import main, view
+from maglev_mj.cli import main, views
 from maglev_mj.control import Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
@@ -211,7 +211,7 @@ def test_a_disk_that_is_full_ends_a_session_with_one_line(
     (spare / f"run{suffix}").write_text("of another run")
     monkeypatch.setattr("tempfile.tempdir", str(spare))
     monkeypatch.setattr("maglev_mj.session.session.best_suffix", lambda: suffix)
-    monkeypatch.setattr(view, "chosen_page", lambda _: Mock())
+    monkeypatch.setattr("maglev_mj.cli.web.PageOptions.open", lambda _: Mock())
 
     def full(recording: Recording, path: Path) -> None:
         if spare not in Path(path).parents:
@@ -234,7 +234,7 @@ def test_a_disk_that_is_full_ends_a_session_with_one_line(
         return ShowReport(0, 0.0, 0.0, 0.0, 0, 0)
 
     monkeypatch.setattr(Recording, "save", full)
-    monkeypatch.setattr(view, "show_session", shown)
+    monkeypatch.setattr(views, "show_session", shown)
     option = [] if by_key else ["--record", str(tmp_path / f"run{suffix}")]
     assert main(["view", "--out", str(tmp_path), *option]) == 1
     said = capfd.readouterr()

@@ -5,7 +5,6 @@ Good, slow, closed and faulty ones.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
 import os
@@ -24,10 +23,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.cli import serve_spacenav
+from maglev_mj.cli import views
 from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.declare import declare, declared
 from maglev_mj.cli.options import add_parameters, chosen
-from maglev_mj.cli.spacenav import add_spacenav, chosen_spacenav
+from maglev_mj.cli.peripherals import MouseOptions
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.interop.spacenav import (
@@ -1094,19 +1094,18 @@ def test_libspnav_moves_an_object_where_the_joystick_goes(
 # -- the command line ------------------------------------------------------------------------------------
 
 
-def parsed(*arguments: str) -> argparse.Namespace:
+def parsed(*arguments: str) -> MouseOptions:
     parser = Parser(prog="test")
-    add_spacenav(parser)
-    return parser.parse_args(arguments)
+    return declared(MouseOptions, parser)(parser.parse_args(arguments))
 
 
 def test_without_the_option_there_is_no_server() -> None:
-    assert chosen_spacenav(parsed(), pytest.fail) == []
+    assert parsed().open(pytest.fail) == []
 
 
 def test_the_option_opens_a_server_and_says_how_programs_find_it(path: Path) -> None:
     said: list[str] = []
-    (server,) = chosen_spacenav(parsed("--spacenav", "--socket", str(path), "--axes", "rate"), said.append)
+    (server,) = parsed("--spacenav", "--socket", str(path), "--axes", "rate").open(said.append)
     assert server.path == path and path.is_socket()
     assert said[1].endswith(f"export SPNAV_SOCKET={path}")
     server.close()
@@ -1127,14 +1126,14 @@ def test_the_option_opens_a_server_and_says_how_programs_find_it(path: Path) -> 
 )
 def test_options_that_do_not_fit_are_refused(arguments: list[str], complaint: str, path: Path) -> None:
     with pytest.raises(ParameterError, match=f"^{complaint}$"):
-        chosen_spacenav(parsed(*arguments), pytest.fail)
+        parsed(*arguments).open(pytest.fail)
 
 
 def test_each_setting_is_an_option(path: Path) -> None:
     words = "--spacenav-gain 2 --spacenav-turning-gain 0.5 --spacenav-dead-zone 0.1 --spacenav-order x,y,z,0,0,0"
     more = "--spacenav-invert x,z --spacenav-dominant --spacenav-press 4"
     options = parsed("--spacenav", "--socket", str(path), *words.split(), *more.split())
-    (server,) = chosen_spacenav(options, len)
+    (server,) = options.open(len)
     with Program(server.path) as program:
         program.open(server)
         server.show(snapshot(posed([300, 100, -400, 0, 0, 500])))
@@ -1149,7 +1148,7 @@ def test_an_option_of_a_scene_may_have_the_name_of_a_setting(tmp_path: Path) -> 
         gain: float = param("its own", default=3.0)
 
     parser = Parser(prog="test")
-    add_spacenav(parser)
+    declared(MouseOptions, parser)
     add_parameters(parser, Gained)
     options = parser.parse_args(["--spacenav", "--gain", "5", "--spacenav-gain", "7"])
     assert chosen(options, Gained).gain == 5.0
@@ -1159,7 +1158,7 @@ def test_an_option_of_a_scene_may_have_the_name_of_a_setting(tmp_path: Path) -> 
 def served(*arguments: str) -> int:
     """Run the command by itself."""
     parser = Parser(prog="maglev-mj serve-spacenav")
-    serve_spacenav.add_options(parser)
+    declare(views.serve_spacenav, parser)
     options = parser.parse_args(arguments)
     status: int = options.run(options)
     return status
@@ -1206,7 +1205,7 @@ def test_a_mouse_comes_back_to_its_centre_and_a_stick_of_rates_has_friction(
         scenes.append(scene)
         return Session(scene, **keywords)
 
-    monkeypatch.setattr(serve_spacenav, "Session", session)
+    monkeypatch.setattr(views, "Session", session)
     assert served("--socket", str(path), "--axes", axes, "--seconds", "0.01") == 0
     assert served("--socket", str(path), "--axes", axes, "--seconds", "0.01", "--friction") == 0
     assert [scene.friction for scene in scenes] == [axes == "rate", True]
@@ -1216,7 +1215,7 @@ def test_the_scripted_hand_does_it_again() -> None:
     scene = Joystick()
     hand = scene.scripted_hand()
     assert hand is not None
-    again = serve_spacenav._Again(hand, scene.end)
+    again = views._Again(hand, scene.end)
 
     def state() -> tuple[Array, Array]:
         return np.zeros(6), np.zeros(6)
@@ -1238,7 +1237,7 @@ def test_the_scripted_hand_does_it_again() -> None:
 def test_the_scripted_hand_of_the_joystick_comes_back_on_every_axis(axes: str, drift: float, late: float) -> None:
     # Numbers taken for speeds add up to next to nothing over a cycle, and never to much.
     scene, told = Joystick(friction=axes == "rate"), {"pose": PoseAxes, "rate": RateAxes}[axes]()
-    session, end = Session(scene, hand=serve_spacenav._hand(scene)), serve_spacenav.tour().end
+    session, end = Session(scene, hand=views._hand(scene)), views.deflections().end
     sums, most = np.zeros(6), np.zeros(6)
     cycles: list[Array] = []
     for shown in frames(session, 3.01 * end, late):

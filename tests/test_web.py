@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import contextlib
 import http.client
@@ -29,7 +28,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from maglev_mj.cli import main
-from maglev_mj.cli.web import PORT, chosen_page
+from maglev_mj.cli.web import PORT, PageOptions
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import Turn, param
 from maglev_mj.plants.hand import SpringHand
@@ -231,8 +230,7 @@ def test_a_token_is_made_where_the_option_has_none(capsys: pytest.CaptureFixture
     """One that is typed is in the list of processes."""
     tokens = []
     for _ in range(2):
-        options = argparse.Namespace(web=True, port=0, no_open=True, host=None, token="")
-        front: Any = chosen_page(options)
+        front: Any = PageOptions(web=True, port=0, no_open=True, token="").open()
         door, listener, _ = front.args
         listener.close()
         tokens.append(door.token)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from maglev_mj import cli
-from maglev_mj.cli import program, writable
+from maglev_mj.cli import output, program
 from maglev_mj.cli.commands import COMMANDS
 from tests.test_options import NEEDED
 
@@ -85,8 +85,8 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(
 
 
 def test_every_output_is_known() -> None:
-    assert {option.removeprefix("--") for _, option, _ in OUTPUTS} == {*writable._OUTPUTS}
-    assert {command for command, option, kind in OUTPUTS if (option, kind) == ("--out", "FILE")} == {*writable._FILES}
+    assert {option.removeprefix("--") for _, option, _ in OUTPUTS} == {*output._OUTPUTS}
+    assert {command for command, option, kind in OUTPUTS if (option, kind) == ("--out", "FILE")} == {*output._FILES}
     assert len(OUTPUTS) >= 30
 
 
@@ -121,11 +121,11 @@ def test_two_outputs_are_two_files(tmp_path: Path, capsys: pytest.CaptureFixture
 
 def test_a_check_leaves_nothing_behind(tmp_path: Path) -> None:
     options: Any = argparse.Namespace(command="run", json=str(tmp_path / "a.json"), out=tmp_path / "b" / "c")
-    writable.check_outputs(options)
+    output.check_outputs(options)
     assert not [*tmp_path.iterdir()]
     kept = tmp_path / "a.json"
     kept.write_text("kept")
-    writable.check_outputs(options)
+    output.check_outputs(options)
     assert kept.read_text() == "kept"
 
 
@@ -138,4 +138,4 @@ def test_the_kind_of_a_recording_is_checked_before_a_device_is_asked(
 
 def test_a_session_starts_in_a_folder_that_takes_no_files(closed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(closed)
-    writable.check_outputs(program.parser().parse_args(["view"]))  # its recordings have a second place
+    output.check_outputs(program.parser().parse_args(["view"]))  # its recordings have a second place

@@ -6,6 +6,7 @@ All within 80 columns.
 from __future__ import annotations
 
 import argparse
+import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from shutil import get_terminal_size
@@ -130,3 +131,41 @@ def joined(arguments: Sequence[str]) -> list[str]:
         else:
             result.append(argument)
     return result
+
+
+def number_option(text: str) -> float:
+    """Return an option's number."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a number, not {text!r}") from None
+
+
+def count(text: str) -> int:
+    """Return an option's whole number."""
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from None
+
+
+def beside_inverse(parser: Container, option: str, dest: str) -> Container:
+    """Add an unlisted option that gives another's inverse, and return where to add the other.
+
+    A rate [Hz] is understood wherever a period [s] is, and a period wherever a rate is; not both at once.
+
+    Args:
+        parser: Parser of the command.
+        option: Name of the option.
+        dest: Attribute of the other option.
+    """
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument(option, type=_inverse, dest=dest, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+    return either
+
+
+def _inverse(text: str) -> float:
+    value = number_option(text)
+    if not (value > 0.0 and math.isfinite(value)):
+        raise argparse.ArgumentTypeError(f"must be a finite number above 0, not {text!r}")
+    return 1.0 / value

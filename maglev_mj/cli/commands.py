@@ -7,17 +7,17 @@ from typing import NamedTuple
 
 
 class Command(NamedTuple):
-    """Command with a module that has `add_options(parser)`.
+    """Command, which is a function; see `declare`.
 
     Attributes:
         summary: Purpose in a few words.
         example: Arguments of an example.
-        module: Module of this package; empty if it is named as the command.
+        function: Name of the function; empty if it is that of the command.
     """
 
     summary: str
     example: str
-    module: str = ""
+    function: str = ""
 
 
 GROUPS: Mapping[str, Mapping[str, Command]] = {
@@ -55,3 +55,18 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
 """Commands in the order of the help."""
 
 COMMANDS: Mapping[str, Command] = {name: command for group in GROUPS.values() for name, command in group.items()}
+
+MODULES: Mapping[str, str] = {
+    name: module
+    for module, names in {
+        "views": "view tour render serve-spacenav",
+        "run": "drop press stick-slip run",
+        "studies": "stability design sweep fidelity",
+        "twin": "twin",
+        "bridge": "bridge",
+        "device": "info estop commission conform",
+        "recordings": "fault replay analyse export",
+    }.items()
+    for name in names.split()
+}
+"""Module of this package that has the function of each command."""

@@ -1,21 +1,20 @@
-"""Options shared by the commands, with one-line errors."""
+"""Options that declared parameters give."""
 
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from maglev_mj.cli.arguments import Container, Parser, offer
-from maglev_mj.cli.pictures import add_pictures
+from maglev_mj.cli.arguments import Container, beside_inverse, count, number_option, offer
+from maglev_mj.cli.declare import Shared
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import unit_of
-from maglev_mj.parameters import Parameter, Parameters
 
-P = TypeVar("P", bound=Parameters)
+if TYPE_CHECKING:
+    from maglev_mj.parameters import Parameter, Parameters
+
+P = TypeVar("P", bound="Parameters")
 
 _APART = "parameter "
 _DECLARED = "parameter"
@@ -48,28 +47,6 @@ def add_parameters(
             _add_parameter(into, option, one, getattr(made, one.name), prefix)
 
 
-def beside_inverse(parser: Container, option: str, dest: str) -> Container:
-    """Add an unlisted option that gives another's inverse, and return where to add the other.
-
-    A rate [Hz] is understood wherever a period [s] is, and a period wherever a rate is; not both at once.
-
-    Args:
-        parser: Parser of the command.
-        option: Name of the option.
-        dest: Attribute of the other option.
-    """
-    either = parser.add_mutually_exclusive_group()
-    either.add_argument(option, type=_inverse, dest=dest, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
-    return either
-
-
-def _inverse(text: str) -> float:
-    value = number_option(text)
-    if not (value > 0.0 and math.isfinite(value)):
-        raise argparse.ArgumentTypeError(f"must be a finite number above 0, not {text!r}")
-    return 1.0 / value
-
-
 def _add_parameter(parser: Container, option: str, one: Parameter, default: Any, prefix: str) -> None:
     said = described(one, default).replace("%", "%%")
     kept: dict[str, Any] = {"dest": _APART + prefix + one.name, "default": argparse.SUPPRESS, "help": said}
@@ -92,6 +69,8 @@ def _add_parameter(parser: Container, option: str, one: Parameter, default: Any,
 
 def described(one: Parameter, default: Any) -> str:
     """Return a parameter's description with unit, choices and default."""
+    from maglev_mj.frames import unit_of  # with arrays, which a help of other options does not need
+
     text, more, rest = one.help.partition(";")
     unit = " or ".join(dict.fromkeys(unit_of(one.unit, axis, one.along) for axis in ("x", "rx")))
     said = f"{text} [{unit}]{more}{rest}" if unit else text + more + rest
@@ -132,51 +111,6 @@ def given(options: argparse.Namespace, parameters: type[Parameters]) -> set[str]
     return {one.name for one in parameters.parameters() if hasattr(options, _APART + one.name)}
 
 
-def add_json(parser: Parser, what: str = "the figures") -> None:
-    """Add --json."""
-    told = f"write {what} as JSON; - for standard output"
-    parser.group("output").add_argument("--json", metavar="FILE", help=told)
-
-
-def add_outputs(
-    parser: Parser,
-    json: str = "parameters, motion and figures",
-    out: str = "write pictures to this folder",
-) -> None:
-    """Add --json, --out and --format.
-
-    Args:
-        parser: Parser of the command.
-        json: Contents of the JSON, for its help.
-        out: Help of --out.
-    """
-    add_json(parser, json)
-    add_pictures(parser, out)
-
-
-def add_recording(parser: Parser) -> None:
-    """Add --record, for a recording."""
-    parser.group("output").add_argument(
-        "--record", metavar="FILE", type=Path, help="write a recording, .mcap or .npz, for `maglev-mj replay`"
-    )
-
-
-def number_option(text: str) -> float:
-    """Return an option's number."""
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a number, not {text!r}") from None
-
-
-def count(text: str) -> int:
-    """Return an option's whole number."""
-    try:
-        return int(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"must be a whole number, not {text!r}") from None
-
-
 def range_of(name: str, words: Sequence[str] | None) -> tuple[float, float] | None:
     """Return a range from one or two words; None without.
 
@@ -195,51 +129,9 @@ def range_of(name: str, words: Sequence[str] | None) -> tuple[float, float] | No
     return values[0], values[-1]
 
 
-def add_calibration(parser: Parser) -> None:
-    """Add --calibration."""
-    told = "what is known of the device (default: the model)"
-    parser.group("device").add_argument("--calibration", metavar="FILE", type=Path, help=told)
-
-
-def add_key(parser: Parser) -> None:
-    """Add --key."""
-    told = "secret of 16 to 32 bytes as hexadecimal digits, for more than this machine"
-    parser.group("device").add_argument("--key", metavar="FILE", type=Path, help=told)
-
-
-def add_bridge(parser: Parser) -> None:
-    """Add the options of both ends of a link."""
-    add_calibration(parser)
-    add_key(parser)
-    group = parser.group("run")
-    group.add_argument("--seconds", type=number_option, metavar="X", help="end after so long [s]")
-    group.add_argument(
-        "--realtime",
-        default="ignore",
-        choices=("enforce", "ignore"),
-        help="what to do where the system refuses real-time scheduling (default ignore)",
+def parameters(declared: Parameters | type[Parameters], group: str, prefix: str = "") -> Shared:
+    """Declare the options of parameters as one value; see `add_parameters` and `chosen`."""
+    return Shared(
+        lambda parser: add_parameters(parser.group(group), declared, prefix),
+        lambda options: chosen(options, declared, prefix),
     )
-
-
-def chosen_key(path: Path | None, name: str = "key") -> bytes | None:
-    """Return the key in a file; None without one.
-
-    Args:
-        path: The file.
-        name: Name of the option.
-
-    Raises:
-        ParameterError: If the file holds no valid key.
-    """
-    if path is None:
-        return None
-    try:
-        key = bytes.fromhex(path.read_text(encoding="ascii"))
-    except (OSError, ValueError):
-        key = b""
-    from maglev_mj.bridge.wire import LEAST_KEY, MOST_KEY
-
-    if not LEAST_KEY <= len(key) <= MOST_KEY:
-        digits = f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits"
-        raise ParameterError(f"{name} must be a file of {digits}, not {str(path)!r}")
-    return key

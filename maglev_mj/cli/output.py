@@ -1,24 +1,97 @@
-"""Output of results as JSON and pictures."""
+"""Outputs of commands: checked before the work, then written as JSON, pictures and tables."""
 
 from __future__ import annotations
 
 import argparse
-import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from maglev_mj.cli.pictures import chosen_pictures
-from maglev_mj.errors import DivergenceError
-from maglev_mj.pictures import PictureFolder
-from maglev_mj.result import Result
-from maglev_mj.versions import versions
+from maglev_mj.errors import ParameterError
+
+if TYPE_CHECKING:
+    from maglev_mj.errors import DivergenceError
+    from maglev_mj.pictures import PictureFolder
+    from maglev_mj.result import Result
+
+_OUTPUTS = "json", "record", "write", "identify", "out"
+_FILES = "render", "export"
+"""Commands whose `out` is a file."""
 
 
-def keep_partial(error: DivergenceError, options: argparse.Namespace) -> None:
+def check_outputs(options: argparse.Namespace) -> None:
+    """Check that all outputs chosen by options can be written.
+
+    The present folder as `out` is left out: files of a session have a second place.
+
+    Args:
+        options: Parsed options of any command.
+
+    Raises:
+        ParameterError: If a file is a folder, has no folder, may not be written, or is named twice, or if a recording
+            has an unknown suffix.
+        MissingPackageError: If the package for a recording is not installed.
+    """
+    files = {name: Path(path) for name in _OUTPUTS if (path := getattr(options, name, None)) not in (None, "-")}
+    if "out" in files and options.command not in _FILES and (folder := files.pop("out")) != Path():
+        check_folder(folder)
+    check_files(files, getattr(options, "file", None))
+    if "record" in files and "workers" not in options:  # those of studies are of cells
+        from maglev_mj.recording import check_name  # only a recording needs that code
+
+        check_name(files["record"])
+
+
+def check_files(files: Mapping[str, Path], recording: Path | None = None) -> None:
+    """Check that files can be written.
+
+    Args:
+        files: Option and file of each.
+        recording: A recording that they must not replace.
+
+    Raises:
+        ParameterError: If one is a folder, has no folder, may not be written, is the recording, or is named twice.
+    """
+    for name, path in files.items():
+        if path.is_dir() or not path.parent.is_dir():
+            raise ParameterError(f"{name} must be a file in a folder that is there, not {str(path)!r}")
+        if not (os.access(path, os.W_OK) if path.exists() else _takes_files(path.parent)):
+            raise ParameterError(f"{name} must be a file that may be written, not {str(path)!r}")
+        if recording is not None and path.resolve() == recording.resolve():
+            raise ParameterError(f"{name} must be another file than the recording, not {str(path)!r}")
+    if len({path.resolve() for path in files.values()}) < len(files):
+        raise ParameterError(f"{' and '.join(files)} must be two files, not {str([*files.values()][-1])!r} for both")
+
+
+def check_folder(path: Path) -> None:
+    """Check that a folder takes files, or can be made.
+
+    Raises:
+        ParameterError: If it is a file, or may not be written.
+    """
+    there = next(one for one in (path, *path.parents) if one.exists())
+    if not there.is_dir():
+        raise ParameterError(f"out must be a folder, not {str(path)!r}")
+    if not _takes_files(there):
+        raise ParameterError(f"out must be a folder that may be written, not {str(path)!r}")
+
+
+def _takes_files(folder: Path) -> bool:
+    """Return True if a file can be made in a folder, by making one."""
+    import tempfile  # a help needs none
+
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except OSError:
+        return False
+
+
+def keep_partial(error: DivergenceError, json: str | None) -> None:
     """Write the results of a run until it diverged."""
-    if error.partial is not None and options.json is not None:
-        write_json(options.json, {**error.partial.as_json(), "diverged": str(error)})
+    if error.partial is not None and json is not None:
+        write_json(json, {**error.partial.as_json(), "diverged": str(error)})
 
 
 def write_json(target: str, data: Mapping[str, Any]) -> None:
@@ -26,6 +99,10 @@ def write_json(target: str, data: Mapping[str, Any]) -> None:
 
     To standard output if the target is "-".
     """
+    import json
+
+    from maglev_mj.versions import versions
+
     text = json.dumps({**data, "versions": versions()}, allow_nan=False)
     if target == "-":
         print(text)
@@ -34,44 +111,43 @@ def write_json(target: str, data: Mapping[str, Any]) -> None:
 
 
 def write_results(
-    options: argparse.Namespace,
+    json: str | None,
     data: Callable[[], Mapping[str, Any]],
     text: Callable[[], str],
-    draw: Callable[[PictureFolder], Sequence[Path]] = lambda pictures: (),
+    draw: Callable[[], Sequence[Path]] = tuple,
     written: Sequence[Path] = (),
 ) -> None:
-    """Write JSON and pictures if chosen, and print the text.
+    """Write JSON if chosen, draw pictures, and print the text.
 
     The text is left out if standard output has the JSON.
 
     Args:
-        options: Parsed options.
+        json: File of the JSON, or "-"; None for none.
         data: Function that returns the JSON data.
         text: Function that returns the table.
-        draw: Function that draws into a folder and returns the files.
+        draw: Function that draws and returns the files.
         written: Files written before, listed as well.
     """
-    if options.json is not None:
-        write_json(options.json, data())
-    files = list(written)
-    if (pictures := chosen_pictures(options)) is not None:
-        files += draw(pictures)
-    if options.json != "-":
+    if json is not None:
+        write_json(json, data())
+    files = [*written, *draw()]
+    if json != "-":
         print(text())
         for path in files:
             print(f"  wrote {path}")
 
 
-def write_result(options: argparse.Namespace, result: Result, picture: str = "") -> None:
+def write_result(json: str | None, result: Result, pictures: PictureFolder | None = None, picture: str = "") -> None:
     """Write a result as JSON and picture if chosen, and print its table.
 
     Args:
-        options: Parsed options.
+        json: File of the JSON, or "-"; None for none.
         result: The result.
+        pictures: Folder of the picture; None for none.
         picture: Name of the picture's file, without an ending.
     """
 
-    def draw(pictures: PictureFolder) -> Sequence[Path]:
-        return [result.plot(pictures.path(picture))]
+    def draw() -> Sequence[Path]:
+        return () if pictures is None else [result.plot(pictures.path(picture))]
 
-    write_results(options, result.as_json, lambda: str(result.table()), draw)
+    write_results(json, result.as_json, lambda: str(result.table()), draw)

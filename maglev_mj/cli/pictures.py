@@ -5,11 +5,17 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.writable import check_folder
+from maglev_mj.cli.output import check_folder
 from maglev_mj.errors import ParameterError
-from maglev_mj.pictures import FORMATS, PictureFolder, require
+
+if TYPE_CHECKING:
+    from maglev_mj.pictures import PictureFolder
+
+FORMATS = "png", "pdf", "svg"
+"""Formats of pictures: those of `maglev_mj.pictures`, which loads arrays."""
 
 
 def add_pictures(parser: Parser, told: str = "write pictures to this folder", default: Path | None = None) -> None:
@@ -34,11 +40,13 @@ def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
         ParameterError: If a format is given without a folder, or the folder is a file.
         MissingPackageError: If matplotlib is not installed.
     """
-    folder = getattr(options, "out", None)
+    folder = options.out
     if folder is None:
-        if getattr(options, "format", None) is not None:
+        if options.format is not None:
             raise ParameterError(f"format must be given with out, the folder of pictures, not {options.format!r} alone")
         return None
+    from maglev_mj.pictures import PictureFolder, require  # with arrays, which a help does not need
+
     require()
     check_folder(folder)
     return PictureFolder(folder, options.format or FORMATS[0])

@@ -15,7 +15,7 @@ from typing import TextIO
 
 import maglev_mj
 from maglev_mj.cli.arguments import Parser, joined
-from maglev_mj.cli.commands import GROUPS, Command
+from maglev_mj.cli.commands import GROUPS, MODULES, Command
 from maglev_mj.cli.completion import complete
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.terminal import say
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> int:
-    from maglev_mj.cli.writable import check_outputs  # a help needs neither
+    from maglev_mj.cli.output import check_outputs  # a help needs neither
     from maglev_mj.process import Interrupts
 
     interrupts = Interrupts()
@@ -128,7 +128,7 @@ def parser() -> Parser:
         made.add_argument_group(title, "\n".join(f"  {name:<16}{one.summary}" for name, one in group.items()))
         for name, one in group.items():
             own = commands.add_parser(name, example=f"maglev-mj {name} {one.example}")
-            own.before = partial(_add_options, own, one)
+            own.before = partial(_add_options, own, name, one)
     made.before = partial(_prepare, commands.choices)
     return made
 
@@ -144,8 +144,8 @@ def _prepare(commands: Mapping[str, Parser], words: Sequence[str]) -> None:
         commands[words[0]].prepare(words[1:])
 
 
-def _add_options(parser: Parser, command: Command, _: Sequence[str]) -> None:
-    parser.description = f"{command.summary[0].upper()}{command.summary[1:]}."
-    # a command loads its own libraries only
-    module = command.module or parser.prog.split()[-1].replace("-", "_")
-    import_module(f"maglev_mj.cli.{module}").add_options(parser)
+def _add_options(parser: Parser, name: str, command: Command, _: Sequence[str]) -> None:
+    from maglev_mj.cli.declare import declare  # which the help of all commands does not need
+
+    module = import_module(f"maglev_mj.cli.{MODULES[name]}")  # a command loads its own libraries only
+    declare(getattr(module, command.function or name.replace("-", "_")), parser)

@@ -5,21 +5,21 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.arguments import Parser, number_option
+from maglev_mj.cli.declare import Shared
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import flag
-from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.names import scene_names
-from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.terminal import say
+
+if TYPE_CHECKING:
+    from maglev_mj.scenes.scene import Scene
 
 _MORE = "SCENE is a name, FILE.py or FILE.py:CLASS; SCENE --help lists its own options."
 
-More = Callable[[Parser, type[Scene]], object]
+More = Callable[[Parser, "type[Scene]"], object]
 Find = Callable[[str], "Scene | type[Scene] | None"]
 
 
@@ -32,7 +32,7 @@ def add_scene(
     without: Sequence[str] = (),
     options: bool = True,
     instead: Callable[[Parser], object] | None = None,
-    find: Find = find_scene,
+    find: Find | None = None,
     names: Sequence[str] = (),
 ) -> None:
     """Add the scene argument and options of the scene's parameters.
@@ -47,9 +47,13 @@ def add_scene(
         without: Names of parameters without option.
         options: False if parameters are given in another way.
         instead: Called with the parser if no scene is given, for a command with an optional scene.
-        find: Function that finds the scene, or one with the default values of the options; None for no options.
+        find: Function that finds the scene, or one with the default values of the options, where it is not
+            `find_scene`; it returns None for no options.
         names: Further names that `find` knows.
     """
+    from maglev_mj.scenes.find import find_scene
+    from maglev_mj.scenes.names import scene_names
+
     known = [*scene_names(), *names]
     told = f"{', '.join(known)}, or a file" + (f" (default {default})" if default else "")
     group = parser.group("scene")
@@ -61,7 +65,6 @@ def add_scene(
         )
     parser.epilog = f"{parser.epilog}\n{_MORE}" if parser.epilog else _MORE
     parser.set_defaults(scene_class=None)
-    flag("options", options)
 
     def before(arguments: Sequence[str]) -> None:
         text = _given(parser, arguments, option, known) or default
@@ -70,7 +73,7 @@ def add_scene(
                 instead(parser)
             return
         try:
-            found = find(text)
+            found = (find or find_scene)(text)
         except ParameterError as error:
             parser.error(str(error))
         if found is None:
@@ -105,6 +108,22 @@ def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
     return chosen(options, made.replace(**{name: value for name, value in defaults.items() if name in names}))
 
 
+def add_phase(parser: Parser, group: str, default: float | None) -> None:
+    """Add --phase."""
+    text = "the samples are at (k + phase) period, in [0, 1) (default 0)"
+    parser.group(group).add_argument("--phase", type=number_option, default=default, metavar="X", help=text)
+
+
+def scene_class(options: argparse.Namespace) -> Any:
+    """Return what was found by the given name; None without one."""
+    return options.scene_class
+
+
+def scene_option(**settings: Any) -> Shared:
+    """Declare a scene and the options of its parameters; see `add_scene`."""
+    return Shared(partial(add_scene, **settings), chosen_scene)
+
+
 def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None, delay: float | None = None) -> None:
     """Warn on standard error if a scene may be unstable.
 
@@ -113,6 +132,8 @@ def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None, de
         inertia: See `stability_warning`.
         delay: See `stability_warning`.
     """
+    from maglev_mj.scenes.stability_check import stability_warning
+
     if (warning := stability_warning(scene, inertia=inertia, delay=delay)) is not None:
         say(f"  warning: {warning}", sys.stderr)
 

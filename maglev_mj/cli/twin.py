@@ -1,130 +1,123 @@
-"""`maglev-mj twin`: a simulated device behind a real device's protocol."""
+"""Command `twin`: a simulated device behind a real device's protocol."""
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-
-from maglev_mj.bridge.bench.calibration import Calibration
-from maglev_mj.bridge.links import Server, UdpServer, parse_url
-from maglev_mj.bridge.realtime import realtime, stopping
-from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, InjectedFault
-from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
-from maglev_mj.bridge.wire import Fault, State, fault_names
-from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.options import add_bridge, beside_inverse, chosen_key, count, number_option
-from maglev_mj.cli.publishers import add_foxglove, chosen_foxglove
-from maglev_mj.cli.web import add_web, chosen_front
-from maglev_mj.control.controller import Controller
+from maglev_mj.cli.declare import option
+from maglev_mj.cli.kinds import CalibrationFile, Key, Realtime, Seconds
+from maglev_mj.cli.web import Foxglove, PageOptions, open_foxglove
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, ZERO, Command, Sample
-from maglev_mj.interop.foxglove import LiveServer
-from maglev_mj.parameters import number
-from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.plants.hand import HandForce, SpringHand
-from maglev_mj.recording import setup_of
-from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.rooms import WEIGHT
-from maglev_mj.session import EMERGENCY_STOP, Publishers, SampledMotion, Snapshot
-from maglev_mj.session.access import check_host
-from maglev_mj.spec import INERTIA, Spec
-from maglev_mj.views.remote import RemoteViewer
 
-_LISTEN = "udp://127.0.0.1:5678"
+if TYPE_CHECKING:
+    from maglev_mj.bridge.links import Server
+    from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
+    from maglev_mj.interop.foxglove import LiveServer
+    from maglev_mj.plants.hand import HandForce, SpringHand
+    from maglev_mj.scenes import Scene
+    from maglev_mj.session import Snapshot
+    from maglev_mj.views.remote import RemoteViewer
+
+_DEVICE, _HANDS = "device", "faults and hands"
 
 
-def add_options(parser: Parser) -> None:
-    """Add the options of the command."""
-    device, hand = parser.group("device"), parser.group("faults and hands")
-    device.add_argument(
-        "--listen", default=_LISTEN, metavar="ADDRESS", help=f"udp://HOST:PORT, or pty (default {_LISTEN})"
-    )
-    numbers = {
-        "rate": ("sample rate [Hz]", Spec.control_rate.value),
-        "delay": ("from a command's arrival to its taking effect [s]", Spec.transport_delay.value),
-        "watchdog": ("how long it waits for a command [s]", Limits.watchdog),
-        "noise": ("standard deviation of a spot's noise [m]", TwinParameters.noise),
-    }
-    for name, (text, default) in numbers.items():
-        into = beside_inverse(device, "--period", "rate") if name == "rate" else device
-        into.add_argument(
-            f"--{name}", type=number_option, default=default, metavar="X", help=f"{text} (default {default:g})"
-        )
-    device.add_argument("--seed", type=count, default=0, metavar="N", help="of the noise (default 0)")
-    device.add_argument("--lockstep", action="store_true", help="wait for each answer instead of keeping real time")
-    faults = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
-    hand.add_argument(
-        "--fault", action="append", default=[], metavar="NAME:K@SECONDS", help=f"what goes wrong, and when: {faults}"
-    )
-    hand.add_argument(
-        "--push",
-        action="append",
-        default=[],
-        metavar="AXIS:NEWTONS@START-END",
-        help="a hand that pushes along x, y, z (N) or about rx, ry, rz (N m) from START to END [s], such as z:-5@2-3",
-    )
-    hand.add_argument(
-        "--block", type=number_option, metavar="X", help="foam around the centre, so stiff [N/m], as for `commission`"
-    )
-    device.add_argument("--truth", metavar="FILE", type=Path, help="what the device is, where a host knows it wrongly")
-    add_bridge(parser)
-    window = parser.group("window")
-    window.add_argument("--view", action="store_true", help="a window, with the mouse as the hand")
-    window.add_argument(
-        "--scene", default="joystick", metavar="SCENE", help="what the window or page looks like (default joystick)"
-    )
-    add_web(parser)
-    add_foxglove(parser)
-    parser.set_defaults(run=_twin)
+_FAULTS_HELP = (
+    "what goes wrong, and when: dead-coil:K, coil K gives no current; "
+    "stuck-amplifier:K, coil K keeps its current, whatever is asked for; "
+    "stuck-diode:K, diode K repeats its last spot; stuck-diodes:K, all diodes repeat their last spots (K is 0); "
+    "stuck-counter:K, the conversion counter stands (K is 0); "
+    "invalid-diode:K, diode K says that its spot cannot be trusted; "
+    "swapped-diodes:K, the cables of diode K and the next are exchanged; "
+    "nan-spot:K, coordinate K is not a number; nan-current:K, the measured current of coil K is not a number; "
+    "nan-temperature:K, the temperature of coil K is reported as not a number; "
+    "hot-report:K, the temperature of coil K is reported as 5; "
+    "clock-jump:K, the device's clock jumps ahead by K milliseconds; "
+    "silence:K, nothing comes or goes for K milliseconds; "
+    "hung-firmware:K, the firmware hangs, the amplifier board does not (K is 0)"
+)
+"""Help of the injected faults: `INJECTED_FAULTS` has the same words, and loads arrays."""
 
 
-def _twin(options: argparse.Namespace) -> int:
-    key = chosen_key(options.key)
-    look = find_scene(options.scene or "joystick")
-    seconds = None if options.seconds is None else number("seconds", options.seconds, above=0.0)
-    calibration = Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
+def twin(
+    *,
+    listen: Annotated[str, option("udp://HOST:PORT, or pty", _DEVICE, "ADDRESS")] = "udp://127.0.0.1:5678",
+    rate: Annotated[
+        float, option("sample rate [Hz]", _DEVICE, inverse="period", at_least=10.0, at_most=20_000.0)
+    ] = 200.0,
+    delay: Annotated[float, option("from a command's arrival to its taking effect [s]", _DEVICE)] = 0.0015,
+    watchdog: Annotated[float, option("how long it waits for a command [s]", _DEVICE)] = 0.05,
+    noise: Annotated[float, option("standard deviation of a spot's noise [m]", _DEVICE)] = 4e-7,
+    seed: Annotated[int, option("of the noise", _DEVICE)] = 0,
+    lockstep: Annotated[bool, option("wait for each answer instead of keeping real time", _DEVICE)] = False,
+    fault: Annotated[list[str], option(_FAULTS_HELP, _HANDS, "NAME:K@SECONDS")],
+    push: Annotated[
+        list[str],
+        option(
+            "a hand that pushes along x, y, z (N) or about rx, ry, rz (N m) from START to END [s], such as z:-5@2-3",
+            _HANDS,
+            "AXIS:NEWTONS@START-END",
+        ),
+    ],
+    block: Annotated[
+        float | None,
+        option("foam around the centre, so stiff [N/m], as for `commission`", _HANDS, above=0.0, at_most=20_000.0),
+    ] = None,
+    truth: Annotated[Path | None, option("what the device is, where a host knows it wrongly", _DEVICE)] = None,
+    calibration: CalibrationFile,
+    key: Key = None,
+    seconds: Seconds = None,
+    realtime: Realtime = "ignore",
+    view: Annotated[bool, option("a window, with the mouse as the hand", "window")] = False,
+    scene: Annotated[str, option("what the window or page looks like", "window", "SCENE")] = "joystick",
+    page: PageOptions,
+    foxglove: Foxglove = None,
+) -> int:
+    """A simulated device behind the wire of a real one."""  # noqa: D401
+    from maglev_mj.bridge.bench.calibration import Calibration
+    from maglev_mj.bridge.realtime import realtime as realtime_policy
+    from maglev_mj.bridge.realtime import stopping
+    from maglev_mj.bridge.safety import Limits
+    from maglev_mj.bridge.twin.fault_injection import InjectedFault
+    from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
+    from maglev_mj.plants import engine_warnings_silenced
+    from maglev_mj.scenes import find_scene
+    from maglev_mj.views.remote import RemoteViewer
+
+    look = find_scene(scene or "joystick")
     parameters = TwinParameters(
-        period=1.0 / number("rate", options.rate, at_least=10.0, at_most=20_000.0),
-        delay=options.delay,
-        lockstep=options.lockstep,
+        period=1.0 / rate,
+        delay=delay,
+        lockstep=lockstep,
         calibration=calibration,
-        truth=None if options.truth is None else Calibration.load(options.truth),
-        noise=options.noise,
-        seed=options.seed,
-        limits=Limits(watchdog=options.watchdog),
-        faults=[InjectedFault.parse(text) for text in options.fault],
+        truth=None if truth is None else Calibration.load(truth),
+        noise=noise,
+        seed=seed,
+        limits=Limits(watchdog=watchdog),
+        faults=[InjectedFault.parse(text) for text in fault],
     )
-    block = None if options.block is None else foam(number("block", options.block, above=0.0, at_most=20_000.0))
-    _hand(options.push, None)  # a push that is none is said before a window opens
+    support = None if block is None else foam(block)
+    _hand(push, None)  # a push that is none is said before a window opens
     with ExitStack() as last:
-        viewer, front = None, chosen_front(options)
-        if front is not None:
-            # the rendered scene is the host's choice
-            off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
-            blank = Snapshot(
-                scene=look(**off, period=parameters.period, delay=parameters.delay), actions=(EMERGENCY_STOP,)
-            )
+        viewer, blank = None, _blank(look, parameters)
+        if (front := page.front(view)) is not None:
             viewer = RemoteViewer(blank, front)
             last.callback(viewer.close)
-        if (live := chosen_foxglove(options)) is not None:
+        if (live := open_foxglove(foxglove)) is not None:
             last.callback(live.close)
-        twin = Twin(parameters, key=key, hand_force=_hand(options.push, block if viewer is None else viewer.hand))
-        server = TwinServer(twin, _server(options.listen, key))
+        twin = Twin(parameters, key=key, hand_force=_hand(push, support if viewer is None else viewer.hand))
+        server = TwinServer(twin, _server(listen, key))
         last.callback(server.close)
-        print(_greeting(options, server), flush=True)
+        print(_greeting(listen, server), flush=True)
         shown = [] if viewer is None else [_shown(viewer, blank, server)]
         shown += [] if live is None else [_logged(live, twin)]
         last.enter_context(engine_warnings_silenced())
-        for complaint in last.enter_context(realtime(options.realtime)):
+        for complaint in last.enter_context(realtime_policy(realtime)):
             print(f"  not in real time: {complaint}", flush=True)
         with stopping(server.stop):
             served = server.run(seconds, (lambda: [show() for show in shown]) if shown else None)
@@ -132,11 +125,25 @@ def _twin(options: argparse.Namespace) -> int:
     return 0
 
 
+def _blank(look: type[Scene], parameters: TwinParameters) -> Snapshot:
+    """Return a view of a twin before its first sample."""
+    from maglev_mj.session import EMERGENCY_STOP, Snapshot
+
+    # the rendered scene is the host's choice
+    off = {one.name: False for one in look.parameters() if one.kind is bool and one.live}
+    scene = look(**off, period=parameters.period, delay=parameters.delay)
+    return Snapshot(scene=scene, actions=(EMERGENCY_STOP,))
+
+
 def foam(stiffness: float) -> SpringHand:
     """Return an elastic support of the flotor at the centre.
 
     Its translations are critically damped.
     """
+    from maglev_mj.frames import ZERO
+    from maglev_mj.plants.hand import SpringHand
+    from maglev_mj.spec import INERTIA
+
     mass, lever = INERTIA[0], 0.02  # [m]
     damping = 2.0 * math.sqrt(stiffness * mass)
     return SpringHand(
@@ -152,15 +159,17 @@ def foam(stiffness: float) -> SpringHand:
 
 def _hand(pushes: Sequence[str], mouse: HandForce | None) -> HandForce | None:
     """Return a hand with timed pushes beside the mouse's hand."""
+    from maglev_mj.frames import AXES
+
     parts: list[tuple[int, float, float, float]] = []
     for text in pushes:
-        found = re.fullmatch(r"(r?[xyz]):([+-]?\d+\.?\d*)@(\d+\.?\d*)-(\d+\.?\d*)", text)
-        if not found or float(found[3]) >= float(found[4]):
+        match = re.fullmatch(r"(r?[xyz]):([+-]?\d+\.?\d*)@(\d+\.?\d*)-(\d+\.?\d*)", text)
+        if not match or float(match[3]) >= float(match[4]):
             axes = ", ".join(AXES)
             raise ParameterError(
                 f"push must be AXIS:NEWTONS@START-END with an axis of {axes} and START before END, not {text!r}"
             )
-        parts.append((AXES.index(found[1]), float(found[2]), float(found[3]), float(found[4])))
+        parts.append((AXES.index(match[1]), float(match[2]), float(match[3]), float(match[4])))
 
     def pushing(tick: int, time: Any, state: Any) -> Sequence[Any]:
         wrench = [0.0] * 6 if mouse is None else list(mouse(tick, time, state))
@@ -172,9 +181,10 @@ def _hand(pushes: Sequence[str], mouse: HandForce | None) -> HandForce | None:
 
 
 def _server(listen: str, key: bytes | None) -> Server:
-    if listen == "pty":
-        from maglev_mj.bridge.links import PtyServer
+    from maglev_mj.bridge.links import PtyServer, UdpServer, parse_url
+    from maglev_mj.session.access import check_host
 
+    if listen == "pty":
         return PtyServer()
     if not listen.startswith("udp:"):
         raise ParameterError(f"listen must be udp://HOST:PORT or pty, not {listen!r}")
@@ -182,11 +192,11 @@ def _server(listen: str, key: bytes | None) -> Server:
     return UdpServer(check_host(url.place, key), url.number)
 
 
-def _greeting(options: argparse.Namespace, server: TwinServer) -> str:
-    place, number = server.address
-    address = f"serial://{place}" if options.listen == "pty" else f"udp://{place}:{number}"
-    pace = "in lockstep" if options.lockstep else "in real time"
-    return f"  a twin at {address}, {options.rate:g} Hz, {pace}; Ctrl-C ends it"
+def _greeting(listen: str, server: TwinServer) -> str:
+    (place, number), parameters = server.address, server.twin.parameters
+    address = f"serial://{place}" if listen == "pty" else f"udp://{place}:{number}"
+    pace = "in lockstep" if parameters.lockstep else "in real time"
+    return f"  a twin at {address}, {1.0 / parameters.period:g} Hz, {pace}; Ctrl-C ends it"
 
 
 def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callable[[], None]:
@@ -194,6 +204,12 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
 
     It is shown in the window; closing that stops the twin.
     """
+    import numpy as np
+
+    from maglev_mj.bridge.wire import State, fault_names
+    from maglev_mj.scenes.rooms import WEIGHT
+    from maglev_mj.session import Publishers, SampledMotion
+
     twin, plant = server.twin, server.twin.plant
     coils, carried = plant.device.coils, np.array(WEIGHT)
     assert coils is not None  # it is driven through them
@@ -232,22 +248,29 @@ def _logged(live: LiveServer, twin: Twin) -> Callable[[], None]:
 
     True pose, wrench of the currents, faults.
     """
+    from maglev_mj.bridge.wire import Fault, fault_names
+    from maglev_mj.control.controller import Controller
+    from maglev_mj.frames import Command, Sample
+    from maglev_mj.recording import setup_of
+
     plant, period, coils = twin.plant, twin.parameters.period, twin.plant.device.coils
     assert coils is not None  # it is driven through them
-    controller, told = Controller([], period=period), Fault(0)
+    controller, reported = Controller([], period=period), Fault(0)
     record = live.begin(plant, controller, setup_of(plant, controller, name="twin"))
 
     def each() -> None:
-        nonlocal told
+        nonlocal reported
         sample = Sample(twin.tick, twin.tick * period, twin.pose.tolist())
         wrench = Command(coils.wrench(plant.currents).tolist())
         record(sample, wrench, wrench)
-        if (faults := twin.firmware.faults) and faults != told:
+        if (faults := twin.firmware.faults) and faults != reported:
             live.event("fault", fault_names(faults))
-        told = faults
+        reported = faults
 
     return each
 
 
 def _faults(twin: Twin) -> str:
+    from maglev_mj.bridge.wire import fault_names
+
     return f", {fault_names(twin.firmware.faults)}" if twin.firmware.faults else ""

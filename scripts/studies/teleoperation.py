@@ -29,8 +29,7 @@ from gantry.pictures import balance, limits, motion, scenes
 from gantry.run import History, carry_out
 from gantry.task import DELAY_SHARE, Task
 from gantry.theory import NO_GAINS, Gains, stiffest_coupling
-from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.options import number_option
+from maglev_mj.cli.arguments import Parser, number_option
 from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array

@@ -1,0 +1,223 @@
+"""Commands that show a scene: view, tour, render, serve-spacenav."""
+
+from __future__ import annotations
+
+import math
+import re
+import threading
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated, Any, TypeAlias
+
+from maglev_mj.bridge.realtime import stopping
+from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.declare import Shared, option
+from maglev_mj.cli.kinds import Folder, Record, Seconds, Shown
+from maglev_mj.cli.peripherals import HandOptions, PublisherOptions, ServedMouse
+from maglev_mj.cli.progress import Progress
+from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
+from maglev_mj.cli.web import PageOptions, show_session
+from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.frames import AXES, Component
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
+from maglev_mj.scenes import Scene
+from maglev_mj.session import Session, real_time
+from maglev_mj.session.tour import Tour
+
+_SCENE = "joystick"
+_LEAST, _MOST = 160, 4000  # pixels of a picture's side
+_STEP = 1.0 / 240.0
+_STANDSTILL = 1.0
+_OUT, _TURNED = 0.003, math.radians(3.5)
+_QUARTER = 0.5
+
+
+def _add_joystick(parser: Parser) -> None:
+    add_scene(parser, default=_SCENE)
+
+
+_SeenScene: TypeAlias = Annotated[Scene, Shared(_add_joystick, chosen_scene)]
+# a 3D mouse returns to the centre by itself; a slave is moved without that
+_Served: TypeAlias = Annotated[
+    Scene, Shared(_add_joystick, lambda options: chosen_scene(options, friction=options.axes == "rate"))
+]
+
+
+def view(
+    *,
+    scene: _SeenScene,
+    hand_stiffness: Annotated[float, option("of the spring by which the hand pulls [N/m]")] = SpringHand.stiffness,
+    seconds: Shown = None,
+    record: Record = None,
+    out: Folder = Path(),
+    page: PageOptions,
+    input_hand: HandOptions,
+    publishing: PublisherOptions,
+) -> int:
+    """Feel a scene in a window: pull with the mouse."""
+    hand = SpringHand(stiffness=hand_stiffness)
+    warn_of_instability(scene)  # and errors of a user's scene, before a page is opened
+    front = page.open()
+    if front is None:
+        # imported here: it loads the library that opens windows
+        from maglev_mj.views.window.window import require_display
+
+        require_display()
+    out.mkdir(parents=True, exist_ok=True)
+    # the device first: a 3D mouse of our own is none for this hand
+    with input_hand.open(hand) as devices, publishing.open() as (publishers, live):
+        session = Session(
+            scene,
+            hand=hand,
+            folder=out,
+            record=record,
+            file=live,
+            publishers=[*publishers, *devices],
+            step_force=publishing.step_force,
+        )
+        for device in devices:
+            device.act = session.act
+        try:
+            print(show_session(session, front, out, seconds))
+        finally:
+            for path in session.recordings:  # after any error the user needs their paths
+                print(f"  wrote {path}")
+    return 0
+
+
+def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, out: Folder = Path()) -> int:
+    """Walls and friction in eight steps, guided."""
+    front, hand = page.open(), SpringHand()
+    out.mkdir(parents=True, exist_ok=True)
+    with input_hand.open(hand) as devices:
+        session = Session(hand=hand, folder=out, publishers=devices)
+        for device in devices:
+            device.act = session.act
+        try:
+            print(show_session(Tour(session), front, out, seconds))
+        finally:
+            for path in session.recordings:
+                print(f"  wrote {path}")
+    return 0
+
+
+def render(
+    *,
+    scene: _SeenScene,
+    out: Annotated[Path, option("a .png, .gif or .mp4", "output")],
+    seconds: Annotated[
+        float | None,
+        option(
+            "length of a clip, or when a picture is taken [s] (default: as long as the scene lasts, or half)",
+            "output",
+            at_least=0.0,
+            at_most=600.0,
+        ),
+    ] = None,
+    size: Annotated[str, option("pixels", "output", "WxH")] = "1200x750",
+    fps: Annotated[int, option("pictures a second", "output", at_least=1, at_most=50)] = 20,
+    plain: Annotated[bool, option("leave plots and words out", "output")] = False,
+) -> int:
+    """A picture or a clip of a scene, without a window."""  # noqa: D401
+    # imported here: it loads the libraries that draw
+    from maglev_mj.views.window.clip import checked_name
+    from maglev_mj.views.window.render import render
+
+    width, height = _pixels(size)
+    checked_name(out)
+    with Progress(f"render {scene.name}") as progress:
+        frames = render(
+            scene,
+            out,
+            seconds=seconds,
+            width=width,
+            height=height,
+            rate=fps,
+            plots=not plain,
+            progress=progress,
+        )
+    print(f"wrote {out}" + (f", {frames} pictures" if frames > 1 else ""))
+    return 0
+
+
+def _pixels(size: str) -> tuple[int, int]:
+    """Return width and height of a text such as 1200x750.
+
+    Raises:
+        ParameterError: If the text has another form, or a size is outside its bounds.
+    """
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)
+    if match is None or not all(_LEAST <= int(part) <= _MOST for part in match.groups()):
+        raise ParameterError(f"size must be WxH, such as 1200x750, of {_LEAST} to {_MOST} pixels each, not {size!r}")
+    return int(match[1]), int(match[2])
+
+
+def serve_spacenav(*, scene: _Served, mouse: ServedMouse, seconds: Seconds = None) -> int:
+    """A scene in a scripted hand as the 3D mouse of other programs, without a window."""  # noqa: D401
+    server = mouse.open()
+    ended = threading.Event()
+    with closing(server), closing(Session(scene, hand=_hand(scene), publishers=[server])) as session:
+        with engine_warnings_silenced(), stopping(ended.set):
+            _run(session, ended, seconds)
+    print(
+        f"  {server.sent} events, {server.missed} missed, {server.dropped} programs dropped, {server.refused} refused"
+    )
+    return 0
+
+
+def deflections() -> Trajectory:
+    """Return a path along each axis in turn, both ways.
+
+    The deflections add up to zero on every axis, so a program that takes them for speeds ends at its start.
+    """
+    turns = [(axis, sign) for axis in range(len(AXES)) for sign in (1.0, -1.0, 0.0)]
+    gaps = {1.0: _QUARTER, -1.0: 2.0 * _QUARTER, 0.0: _QUARTER}
+    times, poses = [0.0], [[0.0] * len(AXES)]
+    for axis, sign in turns:
+        pose = [0.0] * len(AXES)
+        pose[axis] = sign * (_OUT if axis < 3 else _TURNED)
+        times.append(times[-1] + gaps[sign])
+        poses.append(pose)
+    return Trajectory(times, poses)
+
+
+class _Again:
+    """Hand that starts again at the end of the scene.
+
+    Args:
+        hand: The hand.
+        end: End of the scene [s].
+    """
+
+    def __init__(self, hand: HandForce, end: float) -> None:
+        self._hand, self._end, self.hand = hand, end, getattr(hand, "hand", None)
+
+    def __call__(self, tick: int, time: Component, state: Any) -> Sequence[Component]:
+        """See `HandForce`."""
+        return self._hand(tick, time % self._end, state)
+
+
+def _hand(scene: Scene) -> HandForce:
+    """Return the scene's own hand, repeated.
+
+    The joystick gets a hand that returns a view to its start.
+    """
+    if scene.name == _SCENE:
+        path = deflections()
+        return _Again(SpringHand(stiffness=1000.0, turning_stiffness=3.0, target=path), path.end)
+    script = scene.scripted_hand()
+    return SpringHand() if script is None else _Again(script, scene.end)
+
+
+def _run(session: Session, ended: threading.Event, seconds: float | None) -> None:
+    """Run in real time until the end."""
+    moved = 0.0
+    for elapsed, now in real_time(seconds, _STEP):
+        if session.tick(elapsed):
+            moved = now
+        if now - moved > _STANDSTILL:
+            raise MaglevError("; ".join(session.snapshot().notes))
+        if ended.is_set():
+            return
