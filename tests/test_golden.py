@@ -61,11 +61,12 @@ def changed(said: Any, where: str, new: Any) -> Any:
 @pytest.mark.parametrize(
     ("where", "new", "near"),
     [
-        ("files.out_json.z.70", lambda z: math.nextafter(z, 1.0), True),
-        ("files.out_json.z.70", lambda z: z * (1.0 + 1e-8), False),
+        ("files.out_json.z.some.3", lambda z: math.nextafter(z, 1.0), True),
+        ("files.out_json.z.some.3", lambda z: z * (1.0 + 1e-8), False),
+        ("files.out_json.z.sum", lambda total: total * (1.0 + 1e-8), False),
         ("files.out_json.parameters.force_limit", 60.0, False),
         ("files.out_json.summary.peak_force", 95, False),
-        ("files.out_json.force", lambda force: force[:-1], False),
+        ("files.out_json.force.length", lambda count: count - 1, False),
         ("stdout.6", lambda line: line.replace("2.54", "2.55"), True),
         ("stdout.6", lambda line: line.replace("mm", "m"), False),
         ("stdout", lambda lines: [*lines, ""], False),
