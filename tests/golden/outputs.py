@@ -250,7 +250,7 @@ def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _lasting(value: Any) -> Any:
-    """Return a value without what varies; of a long list its length, some parts and the sum of all numbers."""
+    """Return a value without what varies; of a long list length, parts and sum."""
     if isinstance(value, list):
         parts = [_lasting(part) for part in value]
         if len(parts) <= _LONG:
