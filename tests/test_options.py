@@ -15,7 +15,6 @@ import pytest
 
 from maglev_mj import cli
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS
 from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.cli import pictures, program, recordings, studies, web
 from maglev_mj.cli import twin as cli_twin
@@ -28,7 +27,6 @@ from maglev_mj.interop.foxglove import PORT
 from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.pictures import FORMATS
 from maglev_mj.recording import EXPORTS
-from maglev_mj.spec import Spec
 from maglev_mj.theory import GOALS, LAWS
 
 
@@ -230,10 +228,7 @@ def allowed(function: Callable[..., int], name: str) -> tuple[str, ...]:
 
 def test_what_a_help_says_without_its_library_is_what_the_library_has() -> None:
     twin = defaults(cli_twin.twin)
-    assert (twin["rate"], twin["delay"]) == (Spec.control_rate.value, Spec.transport_delay.value)
     assert (twin["watchdog"], twin["noise"]) == (Limits.watchdog, TwinParameters.noise)
-    faults = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
-    assert cli_twin._FAULTS_HELP == f"what goes wrong, and when: {faults}"
     assert web.LIVE_PORT == PORT and pictures.FORMATS == FORMATS
     assert allowed(recordings.export, "to") == tuple(EXPORTS)
     assert allowed(studies.design, "law") == LAWS and allowed(studies.design, "goal") == GOALS

@@ -49,12 +49,13 @@ class Parser(argparse.ArgumentParser):
 
     Attributes:
         example: Example command line at the end of the help; empty for none.
+        declared: Flags of the options of a command's function.
     """
 
     def __init__(self, *, example: str = "", **keywords: Any) -> None:
         # the options of a scene are its own: a shorter word must not become one that is added later
         super().__init__(**{"allow_abbrev": False, "formatter_class": _Formatter, **keywords})
-        self.example = example
+        self.example, self.declared = example, set[str]()
 
     before: Callable[[Sequence[str]], None] | None = None
     """Hook called once with the arguments before parsing.

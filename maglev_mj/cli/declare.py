@@ -128,8 +128,9 @@ def describe(function: Callable[..., object], parser: Parser) -> None:
 
 def _add(parser: Parser, name: str, kind: Any, about: Option, default: Any) -> None:
     flag = f"--{(about.name or name).replace('_', '-')}"
-    if flag in parser._option_string_actions:
+    if flag in parser.declared:
         return
+    parser.declared.add(flag)
     into: Container = parser.group(about.group) if about.group else parser
     settings: dict[str, Any] = {"help": about.help}
     if about.group:

@@ -10,10 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS
 from maglev_mj.cli.declare import option
 from maglev_mj.cli.kinds import CalibrationFile, Key, Realtime, Seconds
 from maglev_mj.cli.web import Foxglove, PageOptions, open_foxglove
 from maglev_mj.errors import ParameterError
+from maglev_mj.spec import Spec
 
 if TYPE_CHECKING:
     from maglev_mj.bridge.links import Server
@@ -27,21 +29,7 @@ if TYPE_CHECKING:
 _DEVICE, _HANDS = "device", "faults and hands"
 
 
-_FAULTS_HELP = (
-    "what goes wrong, and when: dead-coil:K, coil K gives no current; "
-    "stuck-amplifier:K, coil K keeps its current, whatever is asked for; "
-    "stuck-diode:K, diode K repeats its last spot; stuck-diodes:K, all diodes repeat their last spots (K is 0); "
-    "stuck-counter:K, the conversion counter stands (K is 0); "
-    "invalid-diode:K, diode K says that its spot cannot be trusted; "
-    "swapped-diodes:K, the cables of diode K and the next are exchanged; "
-    "nan-spot:K, coordinate K is not a number; nan-current:K, the measured current of coil K is not a number; "
-    "nan-temperature:K, the temperature of coil K is reported as not a number; "
-    "hot-report:K, the temperature of coil K is reported as 5; "
-    "clock-jump:K, the device's clock jumps ahead by K milliseconds; "
-    "silence:K, nothing comes or goes for K milliseconds; "
-    "hung-firmware:K, the firmware hangs, the amplifier board does not (K is 0)"
-)
-"""Help of the injected faults: `INJECTED_FAULTS` has the same words, and loads arrays."""
+_FAULTS = "; ".join(f"{name}:K, {effect.words}" for name, effect in INJECTED_FAULTS.items())
 
 
 def twin(
@@ -49,13 +37,15 @@ def twin(
     listen: Annotated[str, option("udp://HOST:PORT, or pty", _DEVICE, "ADDRESS")] = "udp://127.0.0.1:5678",
     rate: Annotated[
         float, option("sample rate [Hz]", _DEVICE, inverse="period", at_least=10.0, at_most=20_000.0)
-    ] = 200.0,
-    delay: Annotated[float, option("from a command's arrival to its taking effect [s]", _DEVICE)] = 0.0015,
+    ] = Spec.control_rate.value,
+    delay: Annotated[
+        float, option("from a command's arrival to its taking effect [s]", _DEVICE)
+    ] = Spec.transport_delay.value,
     watchdog: Annotated[float, option("how long it waits for a command [s]", _DEVICE)] = 0.05,
     noise: Annotated[float, option("standard deviation of a spot's noise [m]", _DEVICE)] = 4e-7,
     seed: Annotated[int, option("of the noise", _DEVICE)] = 0,
     lockstep: Annotated[bool, option("wait for each answer instead of keeping real time", _DEVICE)] = False,
-    fault: Annotated[list[str], option(_FAULTS_HELP, _HANDS, "NAME:K@SECONDS")],
+    fault: Annotated[list[str], option(f"what goes wrong, and when: {_FAULTS}", _HANDS, "NAME:K@SECONDS")],
     push: Annotated[
         list[str],
         option(

@@ -6,12 +6,13 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
-from maglev_mj.bridge.twin.firmware import Reading
-from maglev_mj.bridge.wire import StateReport
 from maglev_mj.errors import ParameterError, check_one_of
-from maglev_mj.parameters import number
+
+if TYPE_CHECKING:
+    from maglev_mj.bridge.twin.firmware import Reading
+    from maglev_mj.bridge.wire import StateReport
 
 _MS = 1_000_000
 
@@ -111,6 +112,8 @@ class InjectedFault:
         most = INJECTED_FAULTS[self.kind].largest
         if not 0 <= self.which <= most:
             raise ParameterError(f"{self.kind} must be of 0 to {most}, not {self.which}")
+        from maglev_mj.parameters import number  # with arrays, which the help of the table does not need
+
         number("fault time", self.at, at_least=0.0)
 
     @classmethod
