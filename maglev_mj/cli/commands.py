@@ -61,7 +61,8 @@ MODULES: Mapping[str, str] = {
     for module, names in {
         "views": "view tour render serve-spacenav",
         "run": "drop press stick-slip run",
-        "studies": "stability design sweep fidelity",
+        "sweep": "sweep",
+        "studies": "stability design fidelity",
         "twin": "twin",
         "bridge": "bridge",
         "device": "info estop commission conform",
