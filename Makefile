@@ -72,6 +72,7 @@ pictures: $(READY)  ## draw the pictures of the scenes anew
 	$(BIN)/maglev-mj render joystick --plain --out docs/images/joystick.gif --size 640x400 --fps 12 --seconds 4.2
 
 docs: $(DOCS)  ## build the documentation, docs/_build/html/index.html: notebooks run, a warning is an error
+	rm -rf docs/reference/api  # of a room that is gone
 	$(BIN)/python -m sphinx -q -j auto --write-all --fail-on-warning --keep-going docs docs/_build/html
 
 linkcheck: $(DOCS)  ## ask for each external address of the documentation: needs a network
