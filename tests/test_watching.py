@@ -322,13 +322,13 @@ def test_a_flood_of_requests_delays_no_tick_and_no_emergency_stop() -> None:
     taken, stops = [], []
     for turn in range(2000):
         now[0] = 100.0 + 0.005 * turn
+        if turn == 1000:
+            inbox.put("act", EMERGENCY_STOP)
         for count in range(12):
             inbox.put("change", {"stiffness": 1000.0 + 12 * turn + count})
             inbox.put("change", {"damping": float(count)})
             inbox.put("hand", [1e-6 * count] * 6)
             inbox.put("act", "wall" if count % 2 else "pulse")
-        if turn == 1000:
-            inbox.put("act", EMERGENCY_STOP)
         requests = inbox.take()
         stops += [turn for request in requests if request[1] == EMERGENCY_STOP]
         assert [request[0] for request in requests].count("hand") == 1 and len(requests) <= 66
@@ -343,14 +343,22 @@ def test_of_each_parameter_the_newest_value_waits() -> None:
         inbox.put("change", {"damping": 2 * value})
     inbox.put("act", "wall")
     inbox.put("change", {"stiffness": 5.0})
-    inbox.put("act", EMERGENCY_STOP)
     assert inbox.take() == [
-        ("act", EMERGENCY_STOP),
         ("change", {"stiffness": 999, "damping": 1998}),
         ("act", "wall"),
         ("change", {"stiffness": 5.0}),
     ]
     assert inbox.take() == []
+
+
+def test_what_was_asked_for_before_an_emergency_stop_does_not_start_the_scene_again() -> None:
+    inbox = Inbox(0.0)
+    inbox.put("act", "centre")
+    inbox.put("change", {"stiffness": 5.0})
+    inbox.put("act", EMERGENCY_STOP)
+    assert inbox.take() == [("act", EMERGENCY_STOP)]
+    inbox.put("act", "centre")
+    assert inbox.take() == [("act", "centre")]
 
 
 def test_a_page_that_floods_its_session_changes_it_twenty_times_a_second() -> None:

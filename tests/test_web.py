@@ -394,9 +394,9 @@ def test_nothing_but_an_emergency_stop_is_taken_from_a_page_of_a_real_device(wat
     page = RemoteSession(far, Snapshot(scene=Joystick()))
     page.hand.target = [1e-3] * 6
     page.tick(0.0)
+    page.act(EMERGENCY_STOP)
     page.change({"stiffness": 3000.0})
     page.act("wall")
-    page.act(EMERGENCY_STOP)
     wish = viewer.take()
     assert stopped == [1]
     assert (wish is None) == watch and (viewer.hand.target is None) == watch

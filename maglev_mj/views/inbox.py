@@ -18,8 +18,9 @@ _MOST = 64
 class Inbox:
     """Bounded queue of a person's requests, filled from any thread.
 
-    The emergency stop and the newest target of the hand go ahead of everything. Of each parameter between two actions
-    the newest value is kept. Beyond 64 actions that wait, further ones are dropped.
+    The emergency stop goes ahead of everything, and what waits before it is dropped. The newest target of the hand
+    goes ahead of the rest. Of each parameter between two actions the newest value is kept; beyond 64 requests that
+    wait, further ones are dropped.
 
     Args:
         period: Shortest time from one handing over of actions and parameters to the next [s].
@@ -37,7 +38,7 @@ class Inbox:
             if kind == "hand":
                 self._hand = [(kind, value)]
             elif value == EMERGENCY_STOP:
-                self._stop = True
+                self._stop, self._waiting = True, []  # what was asked for before does not start it again
             elif kind == "change" and self._waiting and self._waiting[-1][0] == "change":
                 self._waiting[-1] = kind, {**self._waiting[-1][1], **value}
             elif len(self._waiting) < _MOST:
