@@ -16,7 +16,9 @@ from maglev_mj.frames import AXES, unit_of
 from maglev_mj.scenes.pictures import series, spread, stick_slip
 from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.session import Snapshot
 from maglev_mj.theory.verdict import stability
+from maglev_mj.views.charts import Charts
 from maglev_mj.views.page import plots as page_plots
 from maglev_mj.views.page.controls import control
 from maglev_mj.views.window import plots as window_plots
@@ -162,3 +164,18 @@ def test_what_is_not_along_the_axis_keeps_its_unit(axis: str) -> None:
 def test_a_larger_unit_is_as_much_larger_along_a_rotation() -> None:
     larger = {"N/mm": "N m/mrad", "kN/m": "kN m/rad", "mm": "mrad", "µm": "µrad", "mN": "mN m"}
     assert {unit: unit_of(unit, "rz") for unit in larger} == larger  # one factor serves both
+
+
+def test_an_axis_that_a_browser_makes_up_is_the_scenes_own() -> None:
+    gui, snapshot = PlotGui(), Snapshot(scene=StickSlip(axis="y"))
+    shown = page_plots.Plots(gui, snapshot.scene)
+    shown._axis.value = "q"
+    shown.show(snapshot)
+    assert "y [mm]" in gui.plots[0].content
+
+
+def test_a_thinned_chart_ends_with_the_newest_sample() -> None:
+    rows = np.zeros((401, 25))
+    rows[:, 0] = rows[:, 1] = np.arange(401) * 0.005
+    line = Charts(200).of(Snapshot(scene=StickSlip(axis="x"), history=rows), 0)[0].lines[-1]
+    assert np.asarray(line.x)[-1] == 0.0 and np.asarray(line.y)[-1] == 1e3 * rows[-1, 1] and np.size(line.x) <= 200

@@ -222,7 +222,7 @@ def _run(path: Path, written: int) -> ModuleType:
 
 def _made(name: str, text: str | bytes, file: str) -> ModuleType:
     """Run a file's text as a module."""
-    module = ModuleType(name)
+    module, before = ModuleType(name), sys.modules.get(name)
     module.__file__ = file
     sys.modules[name] = module
     try:
@@ -233,6 +233,8 @@ def _made(name: str, text: str | bytes, file: str) -> ModuleType:
             copyreg.pickle(cls, _reduced)  # no other process has this module
     except Exception as error:
         del sys.modules[name]
+        if before is not None:  # whose scenes go on
+            sys.modules[name] = before
         raise ParameterError(f"scene {Path(file).name} cannot be read: {_said(error)}") from error
     return module
 

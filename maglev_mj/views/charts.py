@@ -77,7 +77,7 @@ class Charts:
             self._axis, self._places, self._speeds = axis, SteadyRange(2.0), SteadyRange(20.0)
             self._forces = SteadyRange(0.02 if axis > 2 else 2.0)
         rows = snapshot.history
-        rows = rows[:: max(-(-len(rows) // self._most), 1)]
+        rows = rows[:: -max(-(-len(rows) // self._most), 1)][::-1]  # the newest is among them
         time = rows[:, 0] - (rows[-1, 0] if len(rows) else 0.0)
         position, speed = 1e3 * rows[:, 1 + axis], 1e3 * rows[:, 7 + axis]
         device, hand = rows[:, 13 + axis], rows[:, 19 + axis]

@@ -96,6 +96,7 @@ class Plots:
         """Show a snapshot."""
         if type(snapshot.scene) is not self._type:
             self._type, self._axis.value = type(snapshot.scene), snapshot.scene.axis
-        charts = self._charts.of(snapshot, AXES.index(self._axis.value))
+        axis = self._axis.value if self._axis.value in AXES else snapshot.scene.axis  # a browser may say anything
+        charts = self._charts.of(snapshot, AXES.index(axis))
         for plot, chart in zip(self._plots, charts, strict=True):
             put(plot, content=drawn(chart))
