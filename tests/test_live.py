@@ -438,9 +438,9 @@ def test_a_request_wakes_the_server_once(monkeypatch: pytest.MonkeyPatch) -> Non
             one._requests.put({"wall": True})
             one._turn()
         assert woken == [[one._requests.arrived], []]
-        one._judge("no")
+        one._conclude("no")
         one._turn()
-        one._judge("no")
+        one._conclude("no")
         one._checker.ended, one._next_checker = True, math.inf
         one._requests.put({"wall": True})
         one._turn()
@@ -454,7 +454,7 @@ def test_a_server_ends_with_its_line_alone(monkeypatch: pytest.MonkeyPatch) -> N
         one._turn()
         assert not one._over and "FileNotFoundError" in one._state.state
         near.close()
-        one._judge(Joystick())
+        one._conclude(Joystick())
         one.run()
         assert one._over and one._checker.ended
 
@@ -612,8 +612,8 @@ def test_what_is_refused_changes_nothing_and_is_said_to_all(live: LiveServer) ->
             ({"pitch": "x" * 5000}, r"parameters must be of .*, not pitch"),
             ({"stiffness": "x" * 5000}, r"stiffness must be .*, not 'x*"),
         ]
-        for wish, pattern in wishes:
-            said = client.set(**wish)
+        for request, pattern in wishes:
+            said = client.set(**request)
             assert said["since"] is None and re.fullmatch(pattern, said["reason"]) and len(said["reason"]) <= 300
             status = other.heard(lambda said: said["op"] == "status")
             assert status["message"] == said["reason"]
@@ -813,7 +813,7 @@ def test_a_check_that_dies_or_does_not_end_is_given_up(
         assert near.recv() == ""
         near.send((0, "show", state(scene), None))
         with LiveClient(f"ws://127.0.0.1:{public.getsockname()[1]}") as client:
-            for wish, said in (
+            for request, said in (
                 ({"stiffness": 1e5}, "must be below 1"),
                 ({"ends": True}, "it is not known whether .* stable: the process that checks them ended"),
                 ({"stiffness": 1e5}, "must be below 1"),
@@ -821,8 +821,8 @@ def test_a_check_that_dies_or_does_not_end_is_given_up(
                 ({"stiffness": 1e5}, "must be below 1"),
             ):
                 # a process that takes the place of another has to load first
-                monkeypatch.setattr(service, "LONGEST_CHECK", 0.5 if "sleeps" in wish else 60.0)
-                assert re.search(said, client.set(**wish)["reason"])
+                monkeypatch.setattr(service, "LONGEST_CHECK", 0.5 if "sleeps" in request else 60.0)
+                assert re.search(said, client.set(**request)["reason"])
             assert not near.poll()
             answers: list[dict[str, Any]] = []
             waits = threading.Thread(target=lambda: answers.append(client.set(stiffness=500.0)))

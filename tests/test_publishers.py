@@ -31,7 +31,7 @@ from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Box, Joystick
-from maglev_mj.session import Publishers, Session, Snapshot, Wish, unstable_loop
+from maglev_mj.session import ChangeRequest, Publishers, Session, Snapshot, unstable_loop
 from tests.test_bridge_processes import COMMAND, ended, said_by, twin
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -202,8 +202,8 @@ def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
         publishers.show(snapshot)
         now += 1e-4
     assert made <= 63
-    told[1].waiting = Wish(scene)
-    assert publishers.wanted() == Wish(scene) and publishers.wanted() is None
+    told[1].waiting = ChangeRequest(scene)
+    assert publishers.wanted() == ChangeRequest(scene) and publishers.wanted() is None
     publishers.close()
     assert told[0].closed and told[1].closed
 
@@ -216,9 +216,9 @@ class Asks:
         self.answers: list[int | str] = []
         self.snapshots: list[Snapshot] = []
 
-    def take(self) -> Wish | None:
+    def take(self) -> ChangeRequest | None:
         asked, self._asked = self._asked, False
-        return Wish(self._waiting.pop(0), self.answers.append) if asked else None
+        return ChangeRequest(self._waiting.pop(0), self.answers.append) if asked else None
 
     def show(self, snapshot: Snapshot) -> None:
         self.snapshots.append(snapshot)

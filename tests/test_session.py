@@ -26,10 +26,10 @@ from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.rooms import INERTIA, WEIGHT, Joystick, wall
 from maglev_mj.session import (
     EMERGENCY_STOP,
+    ChangeRequest,
     Pacer,
     Session,
     Snapshot,
-    Wish,
     device_controller,
     live_plant,
     real_time,
@@ -550,9 +550,9 @@ class Program:
     def __init__(self) -> None:
         self.answers: list[int | str] = []
 
-    def take(self) -> Wish | None:
+    def take(self) -> ChangeRequest | None:
         taken, self.wanted = self.wanted, None
-        return None if taken is None else Wish(taken, self.answers.append)
+        return None if taken is None else ChangeRequest(taken, self.answers.append)
 
     def show(self, snapshot: Snapshot) -> None: ...
 

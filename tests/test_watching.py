@@ -115,14 +115,14 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     session.tick(0.0)
     for action in ("stiffness up", "pause", "stiffness up", "wall"):
         session.act(action)
-    wish = viewer.take()
-    assert wish is not None and wish.scene == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
-    wish.answer("not heard")
+    request = viewer.take()
+    assert request is not None and request.scene == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
+    request.reply("not heard")
     assert viewer.hand.target == [1e-3] * 6
     viewer.show(replace(blank, scene=Joystick(stiffness=3000.0)))  # the person is not the only one who changes it
     session.act("wall")
-    wish = viewer.take()
-    assert wish is not None and wish.scene == Joystick(stiffness=3000.0, wall=False)
+    request = viewer.take()
+    assert request is not None and request.scene == Joystick(stiffness=3000.0, wall=False)
     far.close()
     for _ in range(3):
         viewer.take()
@@ -269,8 +269,8 @@ def test_what_a_scene_refuses_ends_no_flight_and_is_told(key: str, said: str) ->
     viewer.show(Snapshot(scene=Steep(), notes=["a device"]))
     assert viewer.sent[0].notes[0] == "a device" and said in viewer.sent[0].notes[1]
     viewer.window.act("level up")
-    wish = viewer.take()
-    assert wish is not None and wish.scene == Steep(level=2.0)
+    request = viewer.take()
+    assert request is not None and request.scene == Steep(level=2.0)
 
 
 def test_a_scene_that_has_started_again_is_shown_from_its_beginning() -> None:

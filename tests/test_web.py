@@ -397,9 +397,9 @@ def test_nothing_but_an_emergency_stop_is_taken_from_a_page_of_a_real_device(wat
     page.act(EMERGENCY_STOP)
     page.change({"stiffness": 3000.0})
     page.act("wall")
-    wish = viewer.take()
+    request = viewer.take()
     assert stopped == [1]
-    assert (wish is None) == watch and (viewer.hand.target is None) == watch
+    assert (request is None) == watch and (viewer.hand.target is None) == watch
 
 
 def test_a_target_glides_and_a_silent_line_lets_go() -> None:

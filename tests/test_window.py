@@ -34,8 +34,7 @@ from maglev_mj.views.window.overlay import status_rows
 from maglev_mj.views.window.plots import shown_colour
 from maglev_mj.views.window.scenery import Scenery
 from maglev_mj.views.window.screen import Screen
-from maglev_mj.views.window.shadows import SlowFrames
-from maglev_mj.views.window.window import _Window
+from maglev_mj.views.window.window import SlowFrames, _Window
 from maglev_mj.views.words import banner, met_stops
 
 SIZES = (

@@ -28,11 +28,11 @@ from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import (
     STEP_FORCE,
+    ChangeRequest,
     Publisher,
     Publishers,
     SampledMotion,
     Snapshot,
-    Wish,
     begin_scene,
     changed,
     check_step,
@@ -254,9 +254,9 @@ class Flight:
         self._motion, self._note = SampledMotion(), _NOTE
         self.switch, self.timing, self.warning = switch or StopSwitch(), LoopTiming(), ""
         self._lost = self._skipped = 0
-        self._staged: tuple[Wish, Controller] | None = None
-        self._wanted: tuple[Wish, Controller] | None = None
-        self._begun: Wish | None = Wish(scene)
+        self._staged: tuple[ChangeRequest, Controller] | None = None
+        self._wanted: tuple[ChangeRequest, Controller] | None = None
+        self._begun: ChangeRequest | None = ChangeRequest(scene)
         self._controller = device_controller(scene)
         self._step_force = number("step_force", step_force, above=0.0)
         self._actions = device_actions(type(scene))
@@ -308,8 +308,8 @@ class Flight:
 
     def _watch(self) -> bool:
         """Refuse new settings in takeoff and landing; return landing request."""
-        if (wish := self._publishers.wanted()) is not None:
-            wish.answer("settings are taken in flight, not while it takes off or lands")
+        if (request := self._publishers.wanted()) is not None:
+            request.reply("settings are taken in flight, not while it takes off or lands")
         return self.switch.landing
 
     def _compare(self) -> None:
@@ -352,7 +352,7 @@ class Flight:
                 return
             if self._begun is not None:
                 self._since = sample.tick
-                self._begun.answer(sample.tick)
+                self._begun.reply(sample.tick)
                 self._begun = None
             plant, force, pose = self._plant, np.array(applied.force) - carried, np.array(sample.position)
             self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
@@ -379,22 +379,22 @@ class Flight:
         """
         if not math.isnan(self._plant.last_delay):
             self._delays.append(self._plant.last_delay)
-        wish, controller = self._staged or (self._publishers.wanted(), None)
-        if wish is None:
+        request, controller = self._staged or (self._publishers.wanted(), None)
+        if request is None:
             return
         self._staged = None
         try:
             if controller is None:  # making one takes half of a period at 1 kHz: it is looked at a sample later
                 with own_code_refused():
-                    scene = changed(self._scene, wish.scene)
-                    self._staged = Wish(scene, wish.answer), device_controller(scene)
+                    scene = changed(self._scene, request.scene)
+                    self._staged = ChangeRequest(scene, request.reply), device_controller(scene)
                 return
             check_step(self._controller, controller, sample.position, self._step_force)
         except MaglevError as error:
             self._note = str(error)
-            wish.answer(self._note)
+            request.reply(self._note)
         else:
-            self._wanted, self._note = (wish, controller), _NOTE
+            self._wanted, self._note = (request, controller), _NOTE
 
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None

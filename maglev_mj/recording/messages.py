@@ -146,7 +146,7 @@ class Messages:
         Nothing before the first stretch.
         """
         if self._begun:
-            self._say(self._stretch_channel, self._begun)
+            self._send(self._stretch_channel, self._begun)
             self._draw(self._drawn)
 
     def stick(self, position: Sequence[float] | None) -> None:
@@ -181,10 +181,10 @@ class Messages:
         if self._totals is not None:
             self._totals.miss(missed)
         message = {"stretch": self._stretch, "tick": self._tick, "kind": kind, "text": text, "missed": missed}
-        self._say(self._event_channel, message)
+        self._send(self._event_channel, message)
         self._tell(_LEVELS.get(kind, LogLevel.Info), f"{kind}: {text}")
 
-    def _say(self, channel: Channel, message: Mapping[str, Any]) -> None:
+    def _send(self, channel: Channel, message: Mapping[str, Any]) -> None:
         channel.log(json.dumps(message, allow_nan=False, separators=(",", ":")).encode(), log_time=self._now)
 
     def _tell(self, level: LogLevel, text: str) -> None:

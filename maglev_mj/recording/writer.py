@@ -199,7 +199,7 @@ class LiveFile:
         """Begin a stretch; return the loop's recording function."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
         attach_parts(self, plant, controller)
-        self._say("begin", whole, time.time_ns())
+        self._send("begin", whole, time.time_ns())
         self._controller, self._stuck = controller, repr(None)
         return self._ring.record(plant, first=self._tell_stick_position if self._waits else None)
 
@@ -208,14 +208,14 @@ class LiveFile:
 
         `missed` is the number of samples missed with it.
         """
-        self._say("event", kind, text, missed)
+        self._send("event", kind, text, missed)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file; see `RecordingFile.attach`."""
         if name in self._attached:
             return
         self._attached.add(name)
-        self._say("attach", name, media_type, base64.b64encode(data).decode())
+        self._send("attach", name, media_type, base64.b64encode(data).decode())
 
     def check(self) -> None:
         """Check that the recording is being written.
@@ -238,7 +238,7 @@ class LiveFile:
         position = None if stuck is None else stuck.tolist()
         if repr(position) != self._stuck:  # which NaN does not differ from itself in
             self._stuck = repr(position)
-            self._say("stick", position)
+            self._send("stick", position)
 
     def close(self) -> Path | None:
         """Finish writing; return the file, or None without samples.
@@ -283,7 +283,7 @@ class LiveFile:
                 env={**os.environ, "PYTHONPATH": path},
             )
 
-    def _say(self, method: str, *arguments: Any) -> None:
+    def _send(self, method: str, *arguments: Any) -> None:
         """Send a message to the writer before the next row."""
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):  # it is gone: `check` and `close` say so

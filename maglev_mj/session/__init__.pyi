@@ -19,6 +19,7 @@ from maglev_mj.session.session import begin_scene as begin_scene
 from maglev_mj.session.session import device_controller as device_controller
 from maglev_mj.session.session import live_plant as live_plant
 from maglev_mj.session.snapshot import SHOWN as SHOWN
+from maglev_mj.session.snapshot import ChangeRequest as ChangeRequest
 from maglev_mj.session.snapshot import History as History
 from maglev_mj.session.snapshot import Publisher as Publisher
 from maglev_mj.session.snapshot import Publishers as Publishers
@@ -26,4 +27,3 @@ from maglev_mj.session.snapshot import SampledMotion as SampledMotion
 from maglev_mj.session.snapshot import Snapshot as Snapshot
 from maglev_mj.session.snapshot import SnapshotSource as SnapshotSource
 from maglev_mj.session.snapshot import TourLine as TourLine
-from maglev_mj.session.snapshot import Wish as Wish

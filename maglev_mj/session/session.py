@@ -523,26 +523,26 @@ class Session:
 
         Sample rate and delay stay the user's.
         """
-        if (wish := self._publishers.wanted()) is None:
+        if (request := self._publishers.wanted()) is None:
             return
         try:
             scene = self._scene
             if self._stopped == EMERGENCY_STOP:  # the person goes on, no program
                 raise ParameterError("settings must wait until the scene is started again: emergency stop")
-            if type(wish.scene) is not type(scene):
-                raise ParameterError(f"settings must be those of {scene.name}, not of {wish.scene.name}")
+            if type(request.scene) is not type(scene):
+                raise ParameterError(f"settings must be those of {scene.name}, not of {request.scene.name}")
             if self._changed:  # the user's changes come first
                 self._go_on()
-            wanted = changed(scene, wish.scene)
+            wanted = changed(scene, request.scene)
             if not self._stopped:  # otherwise it starts anew
                 stretch = self._stretch
                 check_step(stretch.controller, wanted.controller(), stretch.pose.tolist(), self._step_force)
         except MaglevError as error:
-            wish.answer(str(error))
+            request.reply(str(error))
             return
         self._scene = wanted
         self._go_on()
-        wish.answer(self._since)
+        request.reply(self._since)
 
     def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveStretch:
         """Return a new stretch, at rest or continuing the last."""

@@ -234,16 +234,16 @@ class SampledMotion:
 def _unheard(_: int | str) -> None: ...
 
 
-class Wish(NamedTuple):
+class ChangeRequest(NamedTuple):
     """Scene requested by another program.
 
     Attributes:
         scene: The scene.
-        answer: Called once by the loop, with the first sample under it or the reason of its refusal.
+        reply: Called once by the loop, with the first sample under it or the reason of its refusal.
     """
 
     scene: Scene
-    answer: Callable[[int | str], object] = _unheard
+    reply: Callable[[int | str], object] = _unheard
 
 
 class Publisher(Protocol):
@@ -254,7 +254,7 @@ class Publisher(Protocol):
     Its `note`, if any, is shown to the user.
     """
 
-    def take(self) -> Wish | None:
+    def take(self) -> ChangeRequest | None:
         """Return a program's request once, else None."""
 
     def show(self, snapshot: Snapshot) -> None:
@@ -291,11 +291,11 @@ class Publishers:
         """Messages for the user."""
         return [note for publisher in self._publishers if (note := getattr(publisher, "note", ""))]
 
-    def wanted(self) -> Wish | None:
+    def wanted(self) -> ChangeRequest | None:
         """Return a program's request once, else None."""
         for publisher in self._publishers:
-            if (wish := publisher.take()) is not None:
-                return wish
+            if (request := publisher.take()) is not None:
+                return request
         return None
 
     def close(self) -> None:

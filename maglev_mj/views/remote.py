@@ -23,12 +23,12 @@ from maglev_mj.process import SideProcess
 from maglev_mj.scenes import Scene
 from maglev_mj.session import (
     EMERGENCY_STOP,
+    ChangeRequest,
     Due,
     History,
     Note,
     Snapshot,
     SnapshotSource,
-    Wish,
     changed,
     real_time,
     settable,
@@ -86,7 +86,7 @@ class RemoteViewer:
         self._front.send(replace(snapshot, history=rows[::-every][::-1], notes=[*snapshot.notes, *self._note.lines]))
         self.frames += 1
 
-    def take(self) -> Wish | None:
+    def take(self) -> ChangeRequest | None:
         """Apply mouse and keys: move the hand, return the scene."""
         wanted = None
         for kind, value in self._requests():
@@ -100,7 +100,7 @@ class RemoteViewer:
                 self._scene = wanted = asked
         self._look()
         self._glide.move(self.hand)
-        return None if wanted is None else Wish(wanted)
+        return None if wanted is None else ChangeRequest(wanted)
 
     def _requests(self) -> Sequence[Request]:
         """Return the requests that are due; no number of them delays a tick."""

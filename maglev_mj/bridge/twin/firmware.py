@@ -98,11 +98,11 @@ class Firmware:
         self._watchdog = round(profile.limits.watchdog * 1e9)
         self._first, self._fault_time, self._sampled_at = Fault(0), 0, 0
         self._measured: Sequence[float] = ZERO
-        self._watch_anew()
+        self._reset_guards()
         # how many samples an answer may be behind
         self._stale = 0 if profile.lockstep else self._watchdog // profile.period
 
-    def _watch_anew(self) -> None:
+    def _reset_guards(self) -> None:
         """Reset the guards."""
         self._coils, self._off, self._disabled = CoilGuard(), CoilGuard(), 0
         self._spots = SpotGuard(self.profile.limits, self.profile.period * 1e-9)
@@ -117,7 +117,7 @@ class Firmware:
         frame = codec.decode(data)
         if frame is None:
             if codec.version_met is not None and data[3] == _HELLO:
-                return self._greet(now, 0, HelloStatus.VERSION)
+                return self._answer_hello(now, 0, HelloStatus.VERSION)
             return None
         body = frame.body
         if isinstance(body, wire.Hello):
@@ -138,7 +138,7 @@ class Firmware:
             self.counts["old"] += 1
             return None
         self._sequence, self._heard = frame.sequence, now
-        self._obey(body, now)
+        self._apply(body, now)
         return None
 
     def sample(self, tick: int, now: int, reading: Reading) -> bytes | None:
@@ -158,7 +158,7 @@ class Firmware:
             self._disabled = 0 if enabled else self._disabled + 1
             if self._disabled > 1:
                 faults |= Fault.WATCHDOG
-            faults |= self._waited(now, faults)
+            faults |= self._hold_or_trip(now, faults)
         elif self._off.check(ZERO, measured):
             faults |= Fault.COIL_NOT_OFF
         if faults:
@@ -187,7 +187,7 @@ class Firmware:
             self.trip(Fault.WATCHDOG, now)
         self.session, self.peer = 0, None
 
-    def _waited(self, now: int, faults: Fault) -> Fault:
+    def _hold_or_trip(self, now: int, faults: Fault) -> Fault:
         """Apply hover currents on missing commands; return the watchdog's fault."""
         gap = 0 if self.profile.lockstep else now - self._commanded_at
         if gap > self._watchdog:
@@ -200,18 +200,18 @@ class Firmware:
     def _hello(self, hello: wire.Hello, now: int, peer: Any) -> bytes:
         if self.session and hello.nonce == self._nonce and peer == self.peer:
             self._heard = now
-            return self._greet(now, hello.nonce, HelloStatus.WELCOME)  # the answer before was lost
+            return self._answer_hello(now, hello.nonce, HelloStatus.WELCOME)  # the answer before was lost
         if self.session and (self.state == State.ACTIVE or now - self._heard < _SILENCE):
             self.counts["busy"] += 1
-            return self._greet(now, hello.nonce, HelloStatus.BUSY)
+            return self._answer_hello(now, hello.nonce, HelloStatus.BUSY)
         if hello.calibration != self.profile.calibration:
-            return self._greet(now, hello.nonce, HelloStatus.CALIBRATION)
+            return self._answer_hello(now, hello.nonce, HelloStatus.CALIBRATION)
         self.session, self._nonce, self.peer, self._heard = self._draw(), hello.nonce, peer, now
         self._sequence, self._acknowledgement = 0, None
         self._answers, self.answered = _NEVER, None
-        return self._greet(now, hello.nonce, HelloStatus.WELCOME)
+        return self._answer_hello(now, hello.nonce, HelloStatus.WELCOME)
 
-    def _greet(self, now: int, nonce: int, status: HelloStatus) -> bytes:
+    def _answer_hello(self, now: int, nonce: int, status: HelloStatus) -> bytes:
         profile, limits = self.profile, self.profile.limits
         body = wire.HelloAck(
             *(nonce, status, int(profile.lockstep), wire.VERSION, self.state, profile.number, profile.calibration),
@@ -223,7 +223,7 @@ class Firmware:
         session = self.session if status == HelloStatus.WELCOME else 0
         return self._codec.encode(session, 0, now, body)
 
-    def _obey(self, command: Command, now: int) -> None:
+    def _apply(self, command: Command, now: int) -> None:
         if (self._sampled - command.answers) & 0xFFFFFFFF > self._stale:
             self.counts["old"] += 1  # delayed in a queue, ahead of its sample, or sent twice
             return
@@ -272,7 +272,7 @@ class Firmware:
         if self.state != State.INACTIVE or not all(abs(one) <= self.profile.limits.hover for one in hover):
             return False
         self._hover, self._commanded_at, self._answers, self._holding = hover, now, _NEVER, False
-        self._watch_anew()
+        self._reset_guards()
         self.state = State.ACTIVE
         self._amplifiers.toggle(now)
         return True

@@ -16,7 +16,7 @@ from maglev_mj.recording import Setup
 from maglev_mj.recording.sample import RecordedPlant
 from maglev_mj.recording.setup import whole_setup
 from maglev_mj.recording.writer import Ring, RowReader
-from maglev_mj.session import Snapshot, Wish
+from maglev_mj.session import ChangeRequest, Snapshot
 from maglev_mj.session.access import ListenError, check_port, listen
 from maglev_mj.versions import versions
 
@@ -84,7 +84,7 @@ class LiveServer:
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
         """Begin a stretch; return the loop's recording function."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
-        self._say("begin", whole, time.time_ns())
+        self._queue("begin", whole, time.time_ns())
         self._stuck = repr(None)
         return self._ring.record(plant)
 
@@ -93,15 +93,15 @@ class LiveServer:
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Send an event to all clients."""
-        self._say("event", kind, text, missed)
+        self._queue("event", kind, text, missed)
 
     def check(self) -> None:
         """Do nothing: the scene runs on without the server's process."""
 
-    def take(self) -> Wish | None:
+    def take(self) -> ChangeRequest | None:
         """Return an accepted scene requested by a program, once."""
         for scene in self._process.received():
-            return Wish(scene, self._note)
+            return ChangeRequest(scene, self._note)
         return None
 
     def show(self, snapshot: Snapshot) -> None:
@@ -112,12 +112,12 @@ class LiveServer:
         stuck = None if snapshot.anchors is None else snapshot.anchors.tolist()
         if repr(stuck) != self._stuck:  # NaN does not differ from itself in it
             self._stuck = repr(stuck)
-            self._say("stick", stuck)
+            self._queue("stick", stuck)
         state = f"{snapshot.state}: {snapshot.reason}" if snapshot.reason else snapshot.state
         now, told = State(snapshot.scene, snapshot.delay, snapshot.inertia, state), self._told
         same = now.scene is told.scene and now.state == told.state and abs(now.delay - told.delay) < _SAME
         if self._answer is not None or not same:
-            self._say("show", now, self._answer)
+            self._queue("show", now, self._answer)
             self._told, self._answer = now, None
         else:
             self._send()
@@ -131,7 +131,7 @@ class LiveServer:
         # one scene at a time is handed over: none is written over
         self._answer = Answer(reason=answer) if isinstance(answer, str) else Answer(answer)
 
-    def _say(self, *order: Any) -> None:
+    def _queue(self, *order: Any) -> None:
         """Send a message to the server, before the next row."""
         self._unsent.append((self._ring.count, *order))
         if len(self._unsent) > _UNSENT:  # all can be dropped but the beginning of rows, and answers to requests

@@ -62,7 +62,7 @@ class _Service(ServerListener):
         self._line, self._rows, self._requests, self._greet = line, rows, Requests(), False
         self._orders: deque[Sequence[Any]] = deque()
         self._place = 0
-        self._know(State())
+        self._set_state(State())
         self._checker, self._until, self._next_checker = SideProcess(check_requests), math.inf, 0.0
         self._over = False
         self._context = foxglove.Context()  # the server does not keep it
@@ -95,14 +95,14 @@ class _Service(ServerListener):
         wait([self._line, *checking], _LOOK)
         rows = list(self._rows.rows())  # rows first: a message about a row arrives before the row
         while not self._over and self._line.poll():
-            self._hear()
+            self._receive()
         if self._greet:
             self._greet = False
             self._messages.greet()
         self._place = log_in_order(self._messages, rows, self._orders, self._place)
         self._check()
 
-    def _hear(self) -> None:
+    def _receive(self) -> None:
         try:
             message = self._line.recv_bytes()
         except (EOFError, OSError):
@@ -111,7 +111,7 @@ class _Service(ServerListener):
         try:
             place, what, *arguments = pickle.loads(message)
         except Exception as error:  # a class of the user's own that this process does not find
-            self._know(State(state=f"the scene is not known here: {type(error).__name__}: {error}"))
+            self._set_state(State(state=f"the scene is not known here: {type(error).__name__}: {error}"))
             return
         if what == "show":
             self._show(*arguments)
@@ -120,12 +120,12 @@ class _Service(ServerListener):
 
     def _show(self, state: State, answer: Answer | None) -> None:
         """Publish the present scene and the control loop's answer."""
-        self._know(state)
+        self._set_state(state)
         if answer is not None:
-            self._settle(answer)
+            self._answer(answer)
         self._server.publish_parameter_values(self._parameters)
 
-    def _know(self, state: State) -> None:
+    def _set_state(self, state: State) -> None:
         self._state = state
         self._parameters = [Parameter(name, value=value) for name, value in values_of(state).items()]
 
@@ -133,12 +133,12 @@ class _Service(ServerListener):
         """Handle checked requests and start the next check."""
         for verdict in self._checker.received():
             if verdict is not None:
-                self._judge(verdict)
+                self._conclude(verdict)
         if self._checker.ended or time.monotonic() > self._until:
             why = "the process that checks them ended" if self._checker.ended else f"it takes over {LONGEST_CHECK:g} s"
             self._checker.close(0.0)
             if math.isfinite(self._until):  # otherwise nothing was being checked
-                self._doubt(why)
+                self._refuse_unchecked(why)
             self._replace_checker()
         if not self._checker.ended and (given := self._requests.next()) is not None:
             self._checker.send((self._state, given))
@@ -153,12 +153,12 @@ class _Service(ServerListener):
             self._checker = SideProcess(check_requests)
         except OSError as error:  # too many processes, or open files
             if self._requests.next() is not None:
-                self._doubt(f"the process that checks them does not start: {error}")
+                self._refuse_unchecked(f"the process that checks them does not start: {error}")
 
-    def _doubt(self, why: str) -> None:
-        self._judge(f"it is not known whether the parameters would be stable: {why}")
+    def _refuse_unchecked(self, why: str) -> None:
+        self._conclude(f"it is not known whether the parameters would be stable: {why}")
 
-    def _judge(self, verdict: Verdict) -> None:
+    def _conclude(self, verdict: Verdict) -> None:
         """Send a checked scene to the loop, or refuse it."""
         self._until = math.inf
         if isinstance(verdict, Scene):
@@ -166,9 +166,9 @@ class _Service(ServerListener):
                 self._line.send(verdict)
         else:
             figures = verdict._asdict() if isinstance(verdict, UnstableLoop) else None
-            self._settle(Answer(None, str(verdict)[:_MOST_REASON], figures))
+            self._answer(Answer(None, str(verdict)[:_MOST_REASON], figures))
 
-    def _settle(self, answer: Answer) -> None:
+    def _answer(self, answer: Answer) -> None:
         """Answer a request; report a refusal to all clients."""
         self._requests.settle(answer)
         if answer.reason:

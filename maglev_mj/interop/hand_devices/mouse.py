@@ -57,7 +57,7 @@ class SpacenavMouse:
         if not data:
             self.close()
             return GONE
-        pressed = self._hear(data)
+        pressed = self._receive(data)
         return Reading(self._shares, pressed)
 
     def close(self) -> None:
@@ -79,7 +79,7 @@ class SpacenavMouse:
         except OSError:  # no driver, or too many clients wait
             self.close()
 
-    def _hear(self, data: bytes) -> list[int]:
+    def _receive(self, data: bytes) -> list[int]:
         """Store the last received motion; return pressed buttons.
 
         Data may arrive in pieces.

@@ -143,7 +143,7 @@ class SpacenavServer:
         """Publish a snapshot; see `Publisher`."""
         now = self._clock()
         self._admit(now)
-        self._hear()
+        self._receive()
         self._tell(self._axes(snapshot), self._buttons(snapshot), now)
 
     def close(self) -> None:
@@ -182,7 +182,7 @@ class SpacenavServer:
                 self.sent += had_room
                 self.missed += not had_room
 
-    def _hear(self) -> None:
+    def _receive(self) -> None:
         """Hear each client; drop those gone or invalid."""
         kept = []
         for client in self._clients:

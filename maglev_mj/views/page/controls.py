@@ -7,11 +7,12 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
+
 from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 from maglev_mj.views.charts import round_up
-from maglev_mj.views.page.handles import put
 
 Ask = Callable[[str, Any], object]
 """Takes "act" and an action, or "change" and parameters."""
@@ -25,6 +26,16 @@ A control shows the value in force only then, since that comes back with a delay
 _SHARES, _ROOM = 200.0, 2.5
 _INSIDE = 1e-3
 """Distance from an excluded bound, a share of the default."""
+
+
+def update(handle: Any, **properties: Any) -> None:
+    """Set the properties of viser's element that differ.
+
+    viser would send the others to every browser again.
+    """
+    for name, value in properties.items():
+        if not np.array_equal(getattr(handle, name), value):
+            setattr(handle, name, value)
 
 
 class Control:
@@ -52,7 +63,7 @@ class Control:
         Not while a person is changing it.
         """
         if time.monotonic() - self._moved > SETTLED:
-            put(self.handle, value=self.shown(value))
+            update(self.handle, value=self.shown(value))
 
     def value(self, shown: Any) -> Any:
         """Convert an input's number into a parameter's value."""
@@ -142,9 +153,9 @@ class Slider(Control):
         """See `Control`."""
         shown = float(f"{value * self._scale:.12g}")
         if shown >= self.handle.max and value < self._most:
-            put(self.handle, max=self._top(value) * self._scale)
+            update(self.handle, max=self._top(value) * self._scale)
         if shown < self.handle.min:
-            put(self.handle, min=shown)
+            update(self.handle, min=shown)
         return shown
 
     def _top(self, value: float) -> float:

@@ -12,8 +12,7 @@ from maglev_mj.parameters import flag
 from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot
 from maglev_mj.session.changes import actions
 from maglev_mj.session.snapshot import TourLine
-from maglev_mj.views.page.controls import Ask, Choice, Control, Slider, control
-from maglev_mj.views.page.handles import put
+from maglev_mj.views.page.controls import Ask, Choice, Control, Slider, control, update
 from maglev_mj.views.page.stage import VIEWS, look
 from maglev_mj.views.words import FORCES, Banner, Reading, banner, readings
 
@@ -70,8 +69,8 @@ class Panel:
         if type(snapshot.scene) is not self._scene:
             self._scene = type(snapshot.scene)
             self._make_controls(snapshot)
-        put(self._banner, content=_banner(banner(snapshot), snapshot))
-        put(self._words, content=_tour(snapshot.tour) + _words(snapshot, self._settings))
+        update(self._banner, content=_banner(banner(snapshot), snapshot))
+        update(self._words, content=_tour(snapshot.tour) + _words(snapshot, self._settings))
         for each, value in self._followed:
             each.show(value(snapshot))
         if self._time is not None:

@@ -14,7 +14,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.views.charts import Chart, Charts, Range
-from maglev_mj.views.page.handles import put
+from maglev_mj.views.page.controls import update
 
 _WIDTH, _HEIGHT = 320, 156
 _LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 22
@@ -99,4 +99,4 @@ class Plots:
         axis = self._axis.value if self._axis.value in AXES else snapshot.scene.axis  # a browser may say anything
         charts = self._charts.of(snapshot, AXES.index(axis))
         for plot, chart in zip(self._plots, charts, strict=True):
-            put(plot, content=drawn(chart))
+            update(plot, content=drawn(chart))

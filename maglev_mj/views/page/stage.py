@@ -11,7 +11,7 @@ from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, arrow_start, shapes, wall_plate
 from maglev_mj.session import Snapshot
-from maglev_mj.views.page.handles import put
+from maglev_mj.views.page.controls import update
 from maglev_mj.views.page.meshes import glb
 from maglev_mj.views.words import banner
 
@@ -120,7 +120,7 @@ class Stage:
         if snapshot.scene.model != self._model:
             self._load(snapshot)
         pose, turn = snapshot.pose, rotation_matrix(snapshot.pose[3:])
-        put(self._flotor, position=np.round(pose[:3], 6), wxyz=np.round(quaternion(pose[3:]), 6))
+        update(self._flotor, position=np.round(pose[:3], 6), wxyz=np.round(quaternion(pose[3:]), 6))
         knob = pose[:3] + turn @ GRIP
         for arrow, wrench in zip(self._arrows, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
             arrow.show(knob, wrench[:3])
@@ -130,10 +130,10 @@ class Stage:
         if stuck:
             place = np.where(np.isnan(anchors), pose, anchors)
             at = place[:3] + rotation_matrix(place[3:]) @ GRIP
-            put(self._ghost, position=np.round(at, 6), wxyz=np.round(quaternion(place[3:]), 6))
-        put(self._ghost, visible=stuck)
+            update(self._ghost, position=np.round(at, 6), wxyz=np.round(quaternion(place[3:]), 6))
+        update(self._ghost, visible=stuck)
         said = banner(snapshot)
-        put(self._word, visible=said is not None, text="" if said is None else said.text.split(":")[0])
+        update(self._word, visible=said is not None, text="" if said is None else said.text.split(":")[0])
 
     def _load(self, snapshot: Snapshot) -> None:
         """Show another device."""
@@ -156,11 +156,11 @@ class Stage:
                     **_PLAIN,
                 )
         met = {face for face in faces | self._walls.keys() if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
-        put(self._rim, visible=any(axis > 2 for axis, _, _ in faces & met))
+        update(self._rim, visible=any(axis > 2 for axis, _, _ in faces & met))
         for face, plate in self._walls.items():
             touched = face in met
             colour, opacity = (TOUCHED, _LIT) if touched else (WALL, _FAINT)
-            put(plate, visible=face in faces, color=_bytes(colour), opacity=opacity)
+            update(plate, visible=face in faces, color=_bytes(colour), opacity=opacity)
 
 
 class _Arrow:
@@ -175,11 +175,11 @@ class _Arrow:
     def show(self, knob: Array, force: Array) -> None:
         """Show a force [N], (3,), at a position [m], (3,)."""
         size = float(np.linalg.norm(force))
-        put(self._arrow, visible=size >= LEAST_FORCE)
+        update(self._arrow, visible=size >= LEAST_FORCE)
         if size >= LEAST_FORCE:
             start = arrow_start(knob, force)
             end = start + force * min(ARROW, _LONGEST / size)
-            put(self._arrow, points=np.round([[start, end]], 5).astype(np.float32))
+            update(self._arrow, points=np.round([[start, end]], 5).astype(np.float32))
 
 
 _FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from statistics import median
@@ -35,13 +36,40 @@ from maglev_mj.views.window.layout import Area
 from maglev_mj.views.window.offscreen import OffscreenPainter
 from maglev_mj.views.window.scenery import Scenery
 from maglev_mj.views.window.screen import Screen
-from maglev_mj.views.window.shadows import SlowFrames
 
 _FRAME = 1.0 / 60.0
 _NAP = 0.001
 _PATIENCE = 10.0
+_SLOW, _LONG = 0.05, 1.0
 _SHADOWS, _SAMPLES = 2048, 4
 _PICTURE = 1600, 1000
+
+
+class SlowFrames:
+    """Detector of a second of slow frames.
+
+    It reports once, when every frame of a second has taken more than 50 ms.
+
+    Args:
+        clock: Function that returns real time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock, self._since, self._told = clock, -1.0, False
+
+    def add(self, cost: float) -> bool:
+        """Return True once to switch shadows off.
+
+        `cost` is the time of the last frame [s].
+        """
+        now = self._clock()
+        if self._told or cost <= _SLOW:
+            self._since = -1.0
+            return False
+        if self._since < 0.0:
+            self._since = now
+        self._told = now - self._since >= _LONG
+        return self._told
 
 
 class _Mouse(NamedTuple):
