@@ -162,7 +162,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
             screen.xdotool("key", "F10")
             waited(lambda: list(folder.glob("*.mcap")), PATIENCE)
             screen.xdotool("keydown", "ctrl", "mousemove", *middle, "mousedown", 3)
-            time.sleep(0.4)
+            time.sleep(1.5)  # a slow frame that sees the press with the first move takes the drag for shorter
             for step in range(1, 5):
                 screen.xdotool("mousemove", middle[0] + DRAG * step // 4, middle[1])
                 time.sleep(0.2)

@@ -242,6 +242,7 @@ def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, ta
     button("slower").click()
     run.until(lambda shown: shown.time_scale == 0.5)
     button("faster").click()
+    run.until(lambda shown: shown.time_scale == 1.0)  # the stop drops what still waits
     button("emergency stop").click()
     run.until(lambda shown: shown.state == "stopped")
     tab.wait_for_selector("[role=alert]:has-text('press centre')")

@@ -5,11 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from maglev_mj.cli.arguments import Parser, number_option
-from maglev_mj.cli.declare import Shared
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.errors import ParameterError
 from maglev_mj.terminal import say
@@ -117,11 +115,6 @@ def add_phase(parser: Parser, group: str, default: float | None) -> None:
 def scene_class(options: argparse.Namespace) -> Any:
     """Return what was found by the given name; None without one."""
     return options.scene_class
-
-
-def scene_option(**settings: Any) -> Shared:
-    """Declare a scene and the options of its parameters; see `add_scene`."""
-    return Shared(partial(add_scene, **settings), chosen_scene)
 
 
 def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None, delay: float | None = None) -> None:
