@@ -25,8 +25,6 @@ from maglev_mj.theory import WallRequirements, design_wall, is_stable, largest_m
 from maglev_mj.theory.closed_loop import LoopKeywords
 from maglev_mj.views.margin import margin
 
-__all__ = ["loops", "measure"]
-
 HANDS = "none", "arm", "stylus", "fingertip", "0.1,5,300,20,5000"
 ESTIMATES: Sequence[VelocityEstimator] = (FiniteDifference(), LowPass(), Window(samples=8))
 DELAYS = 0.0, 0.3, 1.0, 1.5, 3.0, 5.0, 10.0
@@ -68,10 +66,7 @@ def loops(count: int) -> list[LoopKeywords]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return seconds of each answer, and its errors.
-
-    Over many loops the median and the worst.
-    """
+    """Return seconds of each answer, and its errors, over many loops the median and the worst."""
     chosen = loops(_FEW if quick else _COUNT)
     repeats = 1 if quick else _REPEATS
     stiffest, single, curve, wrong = [], [], [], 0
@@ -118,10 +113,7 @@ def _settings(repeats: int) -> dict[str, Any]:
 
 
 def _timed(answer: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """Return the least time of several calls [s].
-
-    And the last result.
-    """
+    """Return the least time of several calls [s], and the last result."""
     least = float("inf")
     for _ in range(repeats):
         start = time.perf_counter()

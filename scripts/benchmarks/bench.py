@@ -1,6 +1,4 @@
-"""Run the benchmarks: a revision and this checkout in turn.
-
-Every section runs in fresh processes.
+"""Run the benchmarks: a revision and this checkout in turn; every section runs in fresh processes.
 
     python scripts/benchmarks/bench.py [--before REV] [--only SECTION ...] [--repeats N] [--quick] [--out DIR]
     python scripts/benchmarks/bench.py --tables figures/bench.json        the tables of docs/explanation/speed.md
@@ -34,8 +32,6 @@ from maglev_mj.cli.pictures import script_options
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
 from maglev_mj.versions import versions
-
-__all__ = ["SECTIONS", "Section", "flat", "main", "measured", "summary"]
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
@@ -105,10 +101,7 @@ def run_section(name: str, package: Path, quick: bool) -> dict[str, Any]:
 
 
 def flat(figures: dict[str, Any], head: str = "") -> dict[str, float]:
-    """Return nested figures as one level, names joined.
-
-    By ": ".
-    """
+    """Return nested figures as one level, names joined by ": "."""
     found: dict[str, float] = {}
     for key, value in figures.items():
         name = f"{head}: {key}" if head else str(key)
@@ -120,10 +113,7 @@ def flat(figures: dict[str, Any], head: str = "") -> dict[str, float]:
 
 
 def spread(values: Sequence[float]) -> dict[str, Any]:
-    """Return median, least and greatest of several runs.
-
-    And the runs themselves.
-    """
+    """Return median, least and greatest of several runs, and the runs themselves."""
     return {"median": statistics.median(values), "least": min(values), "greatest": max(values), "runs": list(values)}
 
 

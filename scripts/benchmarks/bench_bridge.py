@@ -180,10 +180,7 @@ def timed_cycles(cycles: int, over_udp: bool) -> tuple[list[float], list[float]]
 
 
 def parts(cycles: int) -> dict[str, Callable[[], object]]:
-    """Return the parts of as many cycles, as separate jobs.
-
-    On the same numbers.
-    """
+    """Return the parts of as many cycles, as separate jobs, on the same numbers."""
     known, codec, controller = Calibration.nominal(), Codec(), Joystick(friction=True).controller()
     frames = prepared(cycles, 5_000_000)
     reports: list[Any] = [frame.body for data in frames if (frame := codec.decode(data))]
@@ -243,10 +240,7 @@ class Answered(Twin):
 
 
 def serve(pipe: Connection, parameters: dict[str, Any], spin: float, cpu: int | None, on_time: bool) -> None:
-    """Serve a twin until SIGTERM.
-
-    Its first line tells the port, its last one the figures.
-    """
+    """Serve a twin until SIGTERM; its first line tells the port, its last one the figures."""
     pin(cpu)
     twin = Answered(TwinParameters(**parameters))
     with closing(TwinServer(twin, UdpServer(HOME, 0), spin=spin)) as server, engine_warnings_silenced():

@@ -1,6 +1,4 @@
-"""Frame rate of the window with and without shadows.
-
-In turns; under Xvfb the processor draws.
+"""Frame rate of the window with and without shadows, in turns; under Xvfb the processor draws.
 
 xvfb-run -a python scripts/benchmarks/bench_window.py [--seconds X] [--turns N]
 """

@@ -12,8 +12,6 @@ import numpy as np
 
 from maglev_mj.frames import Array
 
-__all__ = ["FLAGS", "MISSING", "chromium", "on_screen"]
-
 _CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 MISSING = [name for name in ("viser", "playwright") if find_spec(name) is None] + ["chromium"] * (_CHROMIUM is None)

@@ -25,8 +25,6 @@ from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.studies.cells import Workers, dask_workers, local_workers
 from maglev_mj.studies.sweep import sweep
 
-__all__ = ["ASSUMED", "draw", "estimate", "measure"]
-
 MANY = 100
 CELLS = 100_000
 JOBS_EACH = 32  # jobs a worker of a cluster gets in a sweep, each of at most `MOST_TOGETHER` cells; see studies.sweep
@@ -73,10 +71,7 @@ def tick_cost(make: Callable[..., SampledPlant], devices: int) -> float:
 
 
 def against_devices(quick: bool) -> dict[str, dict[int, float]]:
-    """Return the cost of a tick and device [µs].
-
-    By plant and number of devices.
-    """
+    """Return the cost of a tick and device [µs], by plant and number of devices."""
     counts = [1, 10, 100, 1000, 5000, 10_000, 20_000, 50_000, 100_000, 1_000_000]
     counts = counts[:3] if quick else counts
     return {
@@ -86,10 +81,7 @@ def against_devices(quick: bool) -> dict[str, dict[int, float]]:
 
 
 def slow_from(costs: Mapping[int, float], factor: float = 1.25) -> int | None:
-    """Return the batch size that first costs `factor` times more.
-
-    Beyond the cheapest; None for none.
-    """
+    """Return the batch size that first costs `factor` times more, beyond the cheapest; None for none."""
     cheapest = min(costs, key=lambda count: costs[count])
     return next(
         (count for count in sorted(costs) if count > cheapest and costs[count] > factor * costs[cheapest]), None
@@ -127,10 +119,7 @@ def _rate_run(make: Callable[..., SampledPlant], period: float, ticks: int) -> f
 
 
 def sweep_time(workers: Workers, cells: int) -> float:
-    """Return the time of a sweep of drops [s].
-
-    In the engine, the workers' start included.
-    """
+    """Return the time of a sweep of drops [s], in the engine, the workers' start included."""
     vary = {"stiffness": np.linspace(1000.0, 6000.0, cells // 4).tolist(), "damping": [60.0, 70.0, 80.0, 90.0]}
     return timed(lambda: sweep(find_scene("drop"), vary, plant="mujoco", workers=workers))
 
@@ -153,10 +142,7 @@ def cluster(count: int) -> Iterator[Workers]:
 
 
 def against_cells(workers: Workers, few: int, many: int) -> dict[str, float]:
-    """Return start [s] and rate [cells/s] of workers.
-
-    From sweeps of few and of many cells.
-    """
+    """Return start [s] and rate [cells/s] of workers, from sweeps of few and of many cells."""
     short, long = min(sweep_time(workers, few) for _ in range(2)), sweep_time(workers, many)
     rate = (many - few) / max(long - short, 1e-9)
     return {"cells a second": rate, "start (s)": max(short - few / rate, 0.0)}

@@ -20,8 +20,6 @@ from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory import largest_modulus
 from peers import Task, mujoco_peer
 
-__all__ = ["measure", "timed"]
-
 REPEATS = 12
 TICKS = 400
 BATCH = 1000

@@ -13,8 +13,6 @@ import numpy as np
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.theory import is_stable
 
-__all__ = ["measure"]
-
 _GRID, _QUICK, _HELD = 24, 6, 4
 
 

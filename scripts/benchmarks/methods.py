@@ -23,17 +23,6 @@ from maglev_mj.theory.closed_loop import SampledLoop
 from peers import Task, available
 from work_precision import WorkPoint, pareto
 
-__all__ = [
-    "GROUPS",
-    "SEMI_IMPLICIT",
-    "Method",
-    "as_json",
-    "boundary_shift",
-    "our_methods",
-    "peer_methods",
-    "take_times",
-]
-
 CLOSED_FORM = ("drop", "drop-no-pulse", "press", "stick-slip")
 _LOOP = SampledLoop()
 SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
@@ -89,10 +78,7 @@ def energy_error(motion: Motion, truth: Motion) -> float:
 
 
 def single_methods(quick: bool) -> Iterator[tuple[str, str, str, float | None]]:
-    """Yield the methods for one device.
-
-    Level, group, integrator and longest step.
-    """
+    """Yield the methods for one device: level, group, integrator and longest step."""
     steps = (1e-3, 1e-4) if quick else (2.5e-3, 1e-3, 5e-4, 1e-4, 1e-5)
     for integrator in ("corrected", "rk4", *SEMI_IMPLICIT):
         yield "body", GROUPS[integrator], integrator, None
@@ -183,10 +169,7 @@ def take_times(methods: list[Method], repeats: int) -> None:
 
 @cache
 def boundary_shift(integrator: str, step: float, aligned: bool = True) -> float:
-    """Return an integrator's relative shift of the stiffest wall.
-
-    At a step [s] and usual timing.
-    """
+    """Return an integrator's relative shift of the stiffest wall, at a step [s] and usual timing."""
     return levels.boundary_shift(integrator, step, _LOOP, aligned=aligned)
 
 

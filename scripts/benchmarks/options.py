@@ -21,8 +21,6 @@ from maglev_mj.plants.hand import Hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import Spec
 
-__all__ = ["measure"]
-
 PLAIN = "plain"
 START = np.array([0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0])
 JITTER = 1e-4
@@ -90,10 +88,7 @@ LOOPS = {
 
 
 def run(loop: Loop, name: str, ticks: int) -> tuple[float, SampledPlant]:
-    """Return the time of a drop with an option [s].
-
-    And its plant.
-    """
+    """Return the time of a drop with an option [s], and its plant."""
     plant, controller = loop.make(**{"timing": Timing(), "pose": loop.pose, **loop.options[name]}), Drop().controller()
     start = perf_counter()
     drive(plant, controller, ticks)

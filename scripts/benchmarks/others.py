@@ -20,8 +20,6 @@ from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.studies.levels import apart
 from peers import Task, available
 
-__all__ = ["OURS", "THEIRS", "measure"]
-
 OURS: dict[str, Callable[..., Any]] = {
     "this package, corrected": partial(MuJoCoPlant, integrator="corrected", coils=False),
     "this package, RK4": partial(MuJoCoPlant, coils=False),
@@ -85,9 +83,7 @@ def _itself(simulate: Callable[[], Any]) -> Callable[[], Any]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return costs, ratios to the first of OURS, errors [m].
-
-    Costs in µs a simulated ms.
+    """Return costs, ratios to the first of OURS, errors [m]: costs in µs a simulated ms.
 
     Args:
         quick: Few turns, for a test.

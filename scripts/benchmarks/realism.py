@@ -24,8 +24,6 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import RESOLUTION, Spec
 from maglev_mj.studies.levels import apart, motion_of
 
-__all__ = ["PIECES", "draw", "measure"]
-
 EXACT, ENGINE = "exact plant", "engine, RK4"
 _TURNS, _RUNS, _DEAR = 9, 3, 0.05
 _NOTHING = 1e-3  # a smaller change is drawn here [µm]
@@ -75,10 +73,7 @@ def parts(piece: Piece) -> tuple[SampledPlant, Controller, int]:
 
 
 def cost(piece: Piece, runs: int) -> float:
-    """Return the least time of several drops [s].
-
-    Of one if it takes long.
-    """
+    """Return the least time of several drops [s], of one if it takes long."""
     first = timed(partial(drive, *parts(piece)))
     return first if first > _DEAR else min(first, *(timed(partial(drive, *parts(piece))) for _ in range(runs - 1)))
 
@@ -108,10 +103,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def draw(pictures: PictureFolder, found: Mapping[str, Any]) -> list[Path]:
-    """Draw cost beside change, the cheapest on top.
-
-    Return the file.
-    """
+    """Draw cost beside change, the cheapest on top; return the file."""
     costs, changes = found["cost over plain"], found["change (µm)"]
     names = sorted(costs, key=lambda name: -costs[name])
     figure, axes = new_figure(1, 2, 0.24 * len(names) + 1.0, sharey=True)

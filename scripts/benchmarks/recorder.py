@@ -43,10 +43,7 @@ TOGETHER = 1 << 10
 
 
 class Nothing:
-    """Plant without cost, pressed against the wall.
-
-    It hits the wall once in 100 samples.
-    """
+    """Plant without cost, pressed against the wall; it hits the wall once in 100 samples."""
 
     period = PERIOD
 
@@ -92,10 +89,7 @@ def tick_times(makers: Sequence[Callable[[Nothing], Record] | None], turns: int)
 
 
 def tick_costs(turns: int, runs: int) -> dict[str, float]:
-    """Return a tick's time and each recording's cost [s].
-
-    Medians of runs, each of its turns.
-    """
+    """Return a tick's time and each recording's cost [s]: medians of runs, each of its turns."""
     found: dict[str, list[float]] = {"bare": [], "mcap": [], "npz": [], "tee": []}
     for _ in range(runs):
         ring = Ring()
@@ -127,10 +121,7 @@ def _begun(file: RecordingFile, plant: Nothing) -> Record:
 
 
 def writer_costs(count: int, runs: int) -> dict[str, dict[str, float]]:
-    """Return the writer's cost a sample, by rate.
-
-    Time of the processor [s], and bytes.
-    """
+    """Return the writer's cost a sample, by rate: time of the processor [s], and bytes."""
     plant, controller = Nothing(), Joystick().controller()
     rows: list[list[float]] = []
 
@@ -181,10 +172,7 @@ def kept_up(rate: float, seconds: float) -> dict[str, float]:
 
 
 def throughput(samples: int) -> float:
-    """Return samples a second of a running writer.
-
-    To the last one in the file.
-    """
+    """Return samples a second of a running writer, to the last one in the file."""
     plant, controller = Nothing(), Joystick().controller()
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
@@ -254,19 +242,13 @@ print(json.dumps([*found, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1
 
 
 def read_cost(path: Path, fields: str = "") -> dict[str, float]:
-    """Return time, processor time [s] and memory [bytes] of reading.
-
-    In a process of its own.
-    """
+    """Return time, processor time [s] and memory [bytes] of reading, in a process of its own."""
     done = subprocess.run([sys.executable, "-c", READ, str(path), *fields.split()], check=True, capture_output=True)
     return dict(zip(("samples", "seconds", "processor", "memory"), json.loads(done.stdout), strict=True))
 
 
 def read_hour(minutes: float, runs: int) -> dict[str, float]:
-    """Return the extrapolated time to read an hour [s].
-
-    At 1 kHz, from a few minutes.
-    """
+    """Return the extrapolated time to read an hour [s], at 1 kHz, from a few minutes."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "minutes.mcap"
         make_file(path, round(minutes * 60_000))

@@ -49,10 +49,7 @@ TITLES = {
     "six-axes": "drawn back to the centre",
 }
 BENCHED = "drop", "drop-no-pulse", "press", "six-axes"
-"""Scenes of `make bench`.
-
-The others repeat the results of the drop, or of six-axes.
-"""
+"""Scenes of `make bench`: the others repeat the results of the drop, or of six-axes."""
 
 STEPPED = {
     "mujoco": "Euler, steps of {} ms",
@@ -61,10 +58,7 @@ STEPPED = {
     "pinocchio": "free flyer, steps of {} ms",
     "scipy": "solve_ivp a period, RK45, max_step {} ms",
 }
-"""Names of a peer's fixed-step methods, without the step.
-
-The first choice of its user.
-"""
+"""Names of a peer's fixed-step methods, without the step: the first choice of its user."""
 
 PERIOD, DELAY = Timing().period, Timing().delay
 

@@ -11,8 +11,6 @@ import realism
 import speed_accuracy
 from maglev_mj.pictures import PictureFolder
 
-__all__ = ["draw"]
-
 _DRAWN = {"speed_accuracy": speed_accuracy.draw, "realism": realism.draw, "growth": growth.draw}
 
 

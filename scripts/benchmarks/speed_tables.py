@@ -1,7 +1,4 @@
-"""Tables of bench.py's figures for terminal and documentation.
-
-80 columns of text, or Markdown.
-"""
+"""Tables of bench.py's figures for terminal and documentation: 80 columns of text, or Markdown."""
 
 from __future__ import annotations
 
@@ -9,8 +6,6 @@ import os
 import platform
 from collections.abc import Mapping
 from typing import Any
-
-__all__ = ["heading", "machine", "markdown", "terminal", "times"]
 
 _NAME = 28
 
@@ -51,10 +46,7 @@ def median(spread: Mapping[str, float] | None) -> str:
 
 
 def ends(spread: Mapping[str, float] | None, between: str = " to ") -> str:
-    """Return least and greatest of a spread.
-
-    Empty for none, or if both are equal.
-    """
+    """Return least and greatest of a spread: empty for none, or if both are equal."""
     low, high = ("", "") if spread is None else (short(spread["least"]), short(spread["greatest"]))
     return "" if low == high else f"{low}{between}{high}"
 
@@ -133,10 +125,7 @@ def options_table(figures: Mapping[str, Any]) -> list[str]:
 
 
 def side_by_side(figures: Mapping[str, Any]) -> list[str]:
-    """Return a row each name, a column each group.
-
-    One column if groups share no name.
-    """
+    """Return a row each name, a column each group: one column if groups share no name."""
     groups = grouped(figures)
     names = dict.fromkeys(label for some in groups.values() for label in some)
     if len(names) == len(figures):

@@ -1,6 +1,4 @@
-"""Start time of commands, completion and imports.
-
-Beside the libraries that they need.
+"""Start time of commands, completion and imports, beside the libraries that they need.
 
     python scripts/benchmarks/start.py [--quick]
 

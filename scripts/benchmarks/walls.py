@@ -28,10 +28,7 @@ AROUND: dict[str, Any] = {"period": 0.005, "delay": 0.0015, "mass": 0.7}
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return costs [s, µs] and differences between equal computations.
-
-    All on one core.
-    """
+    """Return costs [s, µs] and differences between equal computations; all on one core."""
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     try:
@@ -140,10 +137,7 @@ def timed(function: Callable[[], Any]) -> tuple[float, Any]:
 
 
 def apart(one: dict[str, Any], other: dict[str, Any]) -> float:
-    """Return the largest relative difference of two runs' figures.
-
-    Over the figure's size and a micro-unit.
-    """
+    """Return the largest relative difference of two runs' figures, over the figure's size and a micro-unit."""
     pairs = [(np.array(one.get(name), dtype=float), np.array(value, dtype=float)) for name, value in other.items()]
     missing = [(np.isnan(a) != np.isnan(b)).any() for a, b in pairs]
     shares = [np.nan_to_num(np.abs(a - b) / (np.abs(b) + 1e-6)).max(initial=0.0) for a, b in pairs]

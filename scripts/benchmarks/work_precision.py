@@ -15,8 +15,6 @@ from maglev_mj.colours import GRID, REFERENCE, SERIES
 from maglev_mj.parameters import flag
 from maglev_mj.pictures import TITLE, new_figure, save
 
-__all__ = ["EXACT_ENOUGH", "WorkPoint", "pareto", "work_precision"]
-
 EXACT_ENOUGH = 1e-9
 """Error below which methods differ only in cost [m]."""
 
@@ -137,10 +135,7 @@ def _words(right: float, up: float) -> dict[str, Any]:
 
 
 def _name(figure: Any, axis: Any, points: Sequence[WorkPoint], chains: Sequence[Sequence[WorkPoint]]) -> None:
-    """Label each point at the nearest free place.
-
-    Or farther away with a line to it.
-    """
+    """Label each point at the nearest free place, or farther away with a line to it."""
     from matplotlib.text import Text
     from matplotlib.transforms import Bbox
 

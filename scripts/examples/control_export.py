@@ -1,6 +1,4 @@
-"""Export to python-control: poles and step response.
-
-Both stand beside this package's own answers.
+"""Export to python-control: poles and step response; both stand beside this package's own answers.
 
 pip install control
 """

@@ -1,6 +1,4 @@
-"""Own sensor: the mean of the last samples.
-
-Its delay makes a stiff wall bounce.
+"""Own sensor: the mean of the last samples; its delay makes a stiff wall bounce.
 
 A sensor has `start()`, which returns a function from the six true components to the six measured ones. It is called at
 each sample, with floats for one device and with arrays for N.

@@ -31,10 +31,7 @@ def columns(stream: Any, entity: str, name: str) -> list[Any]:
 
 
 def main() -> None:
-    """Print the flotor's position.
-
-    It stands in the transform, and in a field of the samples.
-    """
+    """Print the flotor's position; it stands in the transform, and in a field of the samples."""
     path, field = sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else "position.z"
     reader = McapReader(path)
     names = columns(reader.stream(), "/tf", "Transform3D:child_frame")

@@ -1,6 +1,4 @@
-"""Print tables of the braking pulse's effect on drops.
-
-They have both readings of its size.
+"""Print tables of the braking pulse's effect on drops, with both readings of its size.
 
 The paper prints 220 N s/m for the pulse. Its equation (9) adds the pulse to the damping of 80: 300 in all. Read as
 both together, 220 is nearly the m/T_pulse = 233 N s/m that stops the flotor. The device gives 60 N at most.
@@ -54,19 +52,13 @@ def figures(**options: Any) -> dict[str, Array]:
 
 
 def spread(values: Array, digits: int) -> str:
-    """Return median and 5 to 95 % as text.
-
-    One number if they are the same.
-    """
+    """Return median and 5 to 95 % as text: one number if they are the same."""
     middle, low, high = (f"{value:.{digits}f}" for value in np.percentile(values, [50, 5, 95]))
     return middle if low == high else f"{middle} ({low}\u2013{high})"
 
 
 def print_table(height: float, columns: Mapping[str, dict[str, Any]]) -> None:
-    """Print a Markdown table with a column for each drop.
-
-    The first drop has no pulse.
-    """
+    """Print a Markdown table with a column for each drop, the first without pulse."""
     drops = [figures(height=height, **options) for options in columns.values()]
     plain = drops[0]
     rows = {name: [spread(drop[name], 2 if "mm" in name else 0) for drop in drops] for name in plain}

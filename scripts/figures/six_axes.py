@@ -1,7 +1,4 @@
-"""Stick-slip on all six axes, moved by a hand.
-
-Figure 9 of Salcudean and Vlaar (1997).
-"""
+"""Stick-slip on all six axes, moved by a hand: figure 9 of Salcudean and Vlaar (1997)."""
 
 from __future__ import annotations
 
@@ -21,13 +18,8 @@ from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
 from maglev_mj.scenes.scene import PLANTS
 from maglev_mj.spec import INERTIA, Spec
 
-__all__ = ["SixAxesResult", "run_six_axes"]
-
 _RADIUS = np.sqrt(np.array(INERTIA) / INERTIA[0])
-"""Radius of gyration of rotations, 1 for translations.
-
-It scales figure 8's values to every axis.
-"""
+"""Radius of gyration of rotations, 1 for translations; it scales figure 8's values to every axis."""
 
 
 class _Hand:
@@ -116,9 +108,7 @@ def run_six_axes(
     phase: float = 0.0,
     hand_stiffness: float = 1500.0,
 ) -> SixAxesResult:
-    """Move the flotor by a smooth seeded hand.
-
-    Figure 8's stick-slip acts on every axis.
+    """Move the flotor by a smooth seeded hand: figure 8's stick-slip acts on every axis.
 
     On rotation axes figure 8's values are taken at the radius of gyration. Gravity is compensated.
 

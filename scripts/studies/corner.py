@@ -16,8 +16,6 @@ from maglev_mj.frames import Array
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing, engine_warnings_silenced
 from maglev_mj.spec import INERTIA
 
-__all__ = ["corner"]
-
 _MASS = INERTIA[0]
 
 

@@ -1,6 +1,4 @@
-"""Stop a flying twin under a flood of frames.
-
-The cut is timed.
+"""Stop a flying twin under a flood of frames, and time the cut.
 
     python scripts/studies/estop_flood.py [20]
 

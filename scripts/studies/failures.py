@@ -15,8 +15,6 @@ from maglev_mj.scenes.bench import along, wall_controller
 from maglev_mj.spec import Spec
 from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
 
-__all__ = ["Chatter", "press_at_edge", "random_delay_rate"]
-
 _MASS = Spec.moving_mass.value
 _PERIOD = 1.0 / Spec.control_rate.value
 _DELAY = Spec.transport_delay.value
@@ -91,9 +89,7 @@ def press_at_edge(
 
 
 def random_delay_rate(stiffness: float, damping: float, delays: ArrayLike, loop: LoopKeywords | None = None) -> float:
-    """Return the mean growth a sample under random delays.
-
-    By the product of the matrices.
+    """Return the mean growth a sample under random delays, by the product of the matrices.
 
     Args:
         stiffness: Wall stiffness [N/m].

@@ -152,10 +152,7 @@ def device(options: Sequence[str]) -> None:
 
 
 def flown(case: Case, k: int, line: str) -> tuple[Fault, float]:
-    """Fly once; return latched faults and cut times [ms].
-
-    At both ends.
-    """
+    """Fly once; return latched faults and cut times [ms], at both ends."""
     listen = "pty" if line == "serial" else "udp://127.0.0.1:0"
     options = case.options.format(k=k % (case.largest + 1), at=AT).split()
     command = [sys.executable, __file__, "--device", "--listen", listen, "--seed", str(k), *options]

@@ -39,10 +39,7 @@ def fixed(value: float) -> str:
 
 
 def microseconds(name: str, period: float) -> float:
-    """Return the law's cost a controller tick [µs].
-
-    The least of five runs.
-    """
+    """Return the law's cost a controller tick [µs]: the least of five runs."""
     samples = [Sample(k, k * period, [1e-3 * (k % 7), 0.0, 0.0, 0.0, 0.0, 0.0]) for k in range(200 if QUICK else 2000)]
     costs = []
     for _ in range(5):
@@ -120,9 +117,7 @@ def hard_rows() -> list[dict[str, Any]]:
 
 
 def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
-    """Draw each law's error over the rate.
-
-    For an ideal and a quantized sensor.
+    """Draw each law's error over the rate, for an ideal and a quantized sensor.
 
     Args:
         rows: Each with law, rate [Hz], quantize [m], velocity (an estimator's name) and error [m].

@@ -1,7 +1,4 @@
-"""Hard tests of friction laws.
-
-Small load cycles, creeping loads, speed, closed cycles.
-"""
+"""Hard tests of friction laws: small load cycles, creeping loads, speed, closed cycles."""
 
 from __future__ import annotations
 
@@ -18,18 +15,6 @@ from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES, StickSlip
 
-__all__ = [
-    "LoadOutcome",
-    "SpringOutcome",
-    "against_exact",
-    "chatter",
-    "creep",
-    "cycle_work",
-    "friction_law",
-    "mean_friction",
-    "under_load",
-]
-
 STIFFNESS, DAMPING, BREAKAWAY, V_MIN = 6000.0, 80.0, 2.0, 0.005
 """Defaults from figure 8 [N/m, N s/m, N, m/s]."""
 
@@ -43,10 +28,7 @@ def friction_law(name: str, period: float, *, damping: float = DAMPING, stiffnes
 
 
 class LoadOutcome(NamedTuple):
-    """Motion under a load, sample by sample.
-
-    Position [m], stick position [m], and True if stuck.
-    """
+    """Motion under a load, sample by sample: position [m], stick position [m], and True if stuck."""
 
     position: Array
     anchor: Array
@@ -161,10 +143,7 @@ def chatter(
 
 
 def mean_friction(name: str, speed: float, *, period: float, travel: float = 0.02) -> float:
-    """Return the mean friction against a steady motion [N].
-
-    Viscous damping apart, after breakaway.
-    """
+    """Return the mean friction against a steady motion [N]: viscous damping apart, after breakaway."""
     positions = np.arange(0.0, travel, speed * period)
     forces = _driven(friction_law(name, period, damping=0.0), positions, period)
     return float(-np.mean(forces[len(forces) // 4 :]))
@@ -181,9 +160,7 @@ def cycle_work(
     quantize: float = 0.0,
     damping: float = 0.0,
 ) -> float:
-    """Return a law's work on a hand a cycle [J].
-
-    Above 0 it makes energy.
+    """Return a law's work on a hand a cycle [J]; above 0 it makes energy.
 
     Each force takes effect after the delay and is held for one period, while the hand moves on. The first quarter of
     the cycles is not counted.
@@ -224,10 +201,7 @@ class SpringOutcome(NamedTuple):
     """Figure 8's case with one law: error and restlessness."""
 
     error: float
-    """Greatest distance from the exact motion [m].
-
-    That of the friction that the law stands for.
-    """
+    """Greatest distance from the exact motion [m]; that of the friction that the law stands for."""
     final_error: float
     """The same at the end [m]."""
     transitions: int

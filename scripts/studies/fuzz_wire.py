@@ -63,10 +63,7 @@ WEIGHT = [0.0, 0.0, 7.0, 0.0, 0.0, 0.0]
 
 
 class Amplifiers:
-    """Amplifiers that check state and currents.
-
-    With currents that it allows.
-    """
+    """Amplifiers that check state, and currents against those that it allows."""
 
     firmware: Firmware
     on = False
@@ -144,10 +141,7 @@ class Damage:
         return bytes(data)
 
     def frame(self, data: bytes, other: bytes, again: float = 0.8) -> bytes:
-        """Return a damaged frame.
-
-        Or one with a piece of another; sealed again with a probability.
-        """
+        """Return a damaged frame, or one with a piece of another; sealed again with a probability."""
         draw, new = self.draw, bytearray(data)
         kind, place = draw.randrange(6), draw.randrange(len(data) + 1)
         if kind == 0 and new:
@@ -169,10 +163,7 @@ class Damage:
         return bytes(new[:MOST_BYTES])
 
     def repeated(self, data: bytes) -> bytes:
-        """Return a repeated frame with a newer number.
-
-        And perhaps not quite the same.
-        """
+        """Return a repeated frame with a newer number, and perhaps not quite the same."""
         draw, new = self.draw, bytearray(data)
         if len(new) >= 32:
             new[8:12] = struct.pack("<I", draw.randrange(1, 100))
@@ -276,10 +267,7 @@ def sane(device: Firmware, amplifiers: Amplifiers) -> None:
 
 
 def fuzz_device(damage: Damage, enough: Callable[[int, int], bool]) -> bool:
-    """Fuzz a device; return True if nothing raised.
-
-    The outcome is printed.
-    """
+    """Fuzz a device; return True if nothing raised, and print the outcome."""
     coverage, seen, begun = Coverage(), Counter[str](), time.monotonic()
     first = seeds(damage.codec)
     corpus = list(first)
@@ -308,9 +296,7 @@ def fuzz_device(damage: Damage, enough: Callable[[int, int], bool]) -> bool:
 
 
 class DamagedLine:
-    """A line to a twin that damages most answers.
-
-    Three in four.
+    """A line to a twin that damages three answers in four.
 
     The host's frames are checked.
 
@@ -377,10 +363,7 @@ def fly(twin: Twin, line: DamagedLine, damage: Damage, folder: Path) -> None:
 
 
 def fuzz_host(damage: Damage, count: int) -> bool:
-    """Fuzz a host; return True without unexpected errors.
-
-    The outcome is printed.
-    """
+    """Fuzz a host; return True without unexpected errors, and print the outcome."""
     ends, raised, begun = Counter[str](), 0, time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         twin = Twin(TwinParameters(seed=1), key=damage.key)

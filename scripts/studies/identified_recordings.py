@@ -34,10 +34,7 @@ from maglev_mj.versions import versions
 
 MASS = INERTIA[0]
 ARM = (HANDS["arm"][0], HANDS["arm"][1], 400.0)
-"""Published mass, damping and stiffness of an arm.
-
-The stiffness is that of one that presses.
-"""
+"""Published mass, damping and stiffness of an arm: the stiffness is that of one that presses."""
 _PULL, _TIME = 400.0, 1.0
 
 
@@ -101,10 +98,7 @@ def draw(seed: int) -> Case:
 
 @dataclass(frozen=True)
 class Draws:
-    """A hand that moves along x, an arm along z.
-
-    Held between samples.
-    """
+    """A hand that moves along x, an arm along z: held between samples."""
 
     pull: float
     path: Trajectory
@@ -196,10 +190,7 @@ def estimates(found: Identification) -> dict[str, Estimate]:
 
 
 def holds(one: Estimate, value: float) -> bool:
-    """Return True if an interval holds the truth.
-
-    One that is exact, to rounding.
-    """
+    """Return True if an interval holds the truth: one that is exact, to rounding."""
     near = 1e-9 * abs(value) + 1e-10
     return one.low - near <= value <= one.high + near
 

@@ -19,8 +19,6 @@ from maglev_mj.plants import ExactPlant, SampledPlant, Timing
 from maglev_mj.scenes.bench import along, wall_controller
 from maglev_mj.spec import Spec
 
-__all__ = ["RATTLE", "LimitedDrop", "Rattle", "limited_drop", "rattle", "watched"]
-
 _MASS = Spec.moving_mass.value
 _PERIOD = 1.0 / Spec.control_rate.value
 _DELAY = Spec.transport_delay.value
@@ -33,10 +31,7 @@ They let an unstable run go on to its end.
 
 
 class Watch:
-    """Observer of positions along z and of pulses.
-
-    Positions are (ticks, N), pulse counts (N,).
-    """
+    """Observer of positions along z and of pulses: positions are (ticks, N), pulse counts (N,)."""
 
     def __init__(self, ticks: int, devices: int) -> None:
         self.places = np.zeros((ticks, devices))

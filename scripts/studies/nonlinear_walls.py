@@ -1,7 +1,4 @@
-"""Stability boundary with pulse, force limit and quantized sensor.
-
-A million drops for each picture.
-"""
+"""Stability boundary with pulse, force limit and quantized sensor: a million drops for each picture."""
 
 import json
 import time

@@ -58,10 +58,7 @@ LOOPS = {delay: SampledLoop(period=PERIOD, delay=delay) for delay in (0.0, DELAY
 
 
 def shift(kind: str, delay: float, aligned: bool) -> Array:
-    """Return a simulation's shift of the stiffest wall [%].
-
-    It is printed too.
-    """
+    """Return a simulation's shift of the stiffest wall [%]; it is printed too."""
     loop = LOOPS[delay]
     found = [boundary_shift(kind, step, loop, aligned=aligned) for step in steps]
     percent = np.round(np.array(found) * 100.0, 6) + 0.0

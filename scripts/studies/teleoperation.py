@@ -36,8 +36,6 @@ from maglev_mj.frames import Array
 from maglev_mj.parameters import number
 from maglev_mj.pictures import PictureFolder
 
-__all__ = ["main"]
-
 _LIGHTEST = 1.0  # what the slave moves along z [kg]
 _APPROACHES = ((0.01, 1.0), (0.02, 3.0), (0.05, 5.0))
 _UNDERWAY = {"position": (0.5, "drawn aside"), "rate": (1.7, "in rate mode along x")}
@@ -134,10 +132,7 @@ def _heading(history: History) -> str:
 
 
 def _margins(task: Task, history: History) -> str:
-    """Return the coupling's stability in each hand.
-
-    With the slave free and on the block.
-    """
+    """Return the coupling's stability in each hand, with the slave free and on the block."""
     coupling = history.coupling
     gains = Gains(coupling.stiffness, coupling.damping)
     friction = task.friction if task.mode == "rate" else NO_GAINS

@@ -1,7 +1,4 @@
-"""Two walls close together: rattling starts.
-
-By gap, delay and braking pulse.
-"""
+"""Two walls close together: rattling starts, by gap, delay and braking pulse."""
 
 import json
 from collections.abc import Sequence
@@ -32,10 +29,7 @@ DURATION = 4.0 if quick else 16.0
 
 
 def shares(pulse: float, delay: float) -> tuple[Array, Mask]:
-    """Return the share of rattling starts in each gap.
-
-    And whether one leaves the device's range.
-    """
+    """Return the share of rattling starts in each gap, and whether one leaves the device's range."""
     gaps = GAPS[:, None, None] * 1e-3
     found = rattle(gaps, SPEEDS[:, None], PHASES, pulse=pulse, delay=delay * 1e-3, duration=DURATION)
     return (found.speed > RATTLE).mean(axis=(1, 2)), np.any(found.furthest > RANGE[2], axis=(1, 2))

@@ -18,8 +18,6 @@ from bdsim.components import SampledBlock
 
 from peers.task import Array, Task, Variant
 
-__all__ = ["variants"]
-
 
 def variants() -> list[Variant]:
     """Return the methods to simulate the task with bdsim."""

@@ -1,6 +1,4 @@
-"""The task with python-control.
-
-Six double integrators, or the rigid body as a nonlinear system.
+"""The task with python-control: six double integrators, or the rigid body as a nonlinear system.
 
 The linear models take the rotation vector's second derivative to be torque over moment of inertia: exact about one
 axis, second order in the angle about several.
@@ -16,8 +14,6 @@ import control
 import numpy as np
 
 from peers.task import Array, Task, Variant
-
-__all__ = ["variants"]
 
 _Advance = Callable[[Array, float, list[float]], Array]
 

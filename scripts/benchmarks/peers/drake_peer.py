@@ -22,8 +22,6 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 
 from peers.task import Array, Task, Variant, quaternion, rotation_vector
 
-__all__ = ["variants"]
-
 # An update of a discrete plant belongs after the switch at the same time; rounding must not decide which comes first.
 _JUST_BEFORE = 1e-9
 
@@ -85,10 +83,7 @@ def variants() -> list[Variant]:
 
 
 def _vector(*numbers: float) -> Any:
-    """Return an array typed loosely enough for Drake's stubs.
-
-    They take a shape for a number.
-    """
+    """Return an array typed loosely enough for Drake's stubs; they take a shape for a number."""
     return np.array(numbers)
 
 
@@ -255,10 +250,7 @@ def _input(plant: Any, context: Any, choice: _Choice) -> Callable[[list[float]],
 
 
 def _scripted(task: Task, choice: _Choice) -> Callable[[], Array]:
-    """Advance a lone plant from switch to switch.
-
-    The wrench is a fixed input between them.
-    """
+    """Advance a lone plant from switch to switch: the wrench is a fixed input between them."""
     plant = _plant(task, choice)
     simulator = _simulator(plant, choice)
     context = simulator.get_mutable_context()

@@ -10,14 +10,9 @@ import mujoco
 
 from peers.task import Task, quaternion, rotation_vector
 
-__all__ = ["INTEGRATORS", "JOINTS", "SEMI_IMPLICIT", "Flotor", "turned_back"]
-
 SEMI_IMPLICIT = ("Euler", "implicit", "implicitfast", "discrete")
 INTEGRATORS = (*SEMI_IMPLICIT, "RK4")
-"""The engine's integrators.
-
-The semi-implicit ones agree if nothing damps, touches or tumbles.
-"""
+"""The engine's integrators: the semi-implicit ones agree if nothing damps, touches or tumbles."""
 
 _SLIDE = '<joint type="slide" axis="{}"/>'
 JOINTS = {

@@ -21,8 +21,6 @@ import numpy as np
 from peers.mujoco_flotor import INTEGRATORS, SEMI_IMPLICIT, Flotor, turned_back
 from peers.task import Array, Task, Variant, rotation_vector
 
-__all__ = ["variants"]
-
 _STEPS = (5e-3, 1e-3, 5e-4, 1e-4, 1e-5)
 _NOTES = {
     5e-3: "a whole period: a command waits for the next sample, a pulse is over before it is seen",
@@ -78,10 +76,7 @@ def _timed_by_engine() -> list[Variant]:
 
 
 def _steps_in(duration: float, step: float) -> int:
-    """Return the number of steps begun before a time.
-
-    Rounding aside.
-    """
+    """Return the number of steps begun before a time, rounding aside."""
     return math.ceil(duration / step - 1e-9)
 
 
@@ -203,10 +198,7 @@ def _half_kicked(task: Task, joints: str = "free") -> Callable[[], Array]:
 
 
 def _settled(flotor: Flotor, h: float, a: list[float], k: float, b: list[float]) -> list[float]:
-    """Correct a free body's pose.
-
-    By h a + k b.
-    """
+    """Correct a free body's pose, by h a + k b."""
     x, y, z, qw, qx, qy, qz = flotor.position()
     ax, ay, az, ap, aq, ar = a
     bx, by, bz, bp, bq, br = b
@@ -231,10 +223,7 @@ def _simulated(poses: list[list[float]], joints: str) -> Array:
 
 
 def _called_back(task: Task, integrator: str, step: float) -> Callable[[], Array]:
-    """Run the controller in the engine's control callback.
-
-    It looks at the clock.
-    """
+    """Run the controller in the engine's control callback; it looks at the clock."""
     flotor = Flotor(task, integrator, step, actuation=True)
     pose, push = flotor.pose, flotor.push
     steps = round(task.duration / step)

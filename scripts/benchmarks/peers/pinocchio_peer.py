@@ -17,8 +17,6 @@ import pinocchio
 
 from peers.task import Array, Task, Variant, quaternion, rotation_vector
 
-__all__ = ["variants"]
-
 _Steps: TypeAlias = Callable[[list[float], list[float], list[float] | None], list[tuple[float, list[float]]]]
 """Function from wrenches to step lengths and wrenches; see `Task`.
 

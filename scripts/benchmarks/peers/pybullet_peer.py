@@ -16,8 +16,6 @@ import pybullet
 
 from peers.task import Array, Task, Variant, quaternion, rotation_vector
 
-__all__ = ["variants"]
-
 
 def variants() -> list[Variant]:
     """Return the methods to simulate the task in PyBullet."""
@@ -68,20 +66,14 @@ class _Flotor:
         return pybullet.getBasePositionAndOrientation(self.body, physicsClientId=self.client)[0]
 
     def push(self, wrench: list[float], position: Any) -> None:
-        """Apply a wrench for the next step, at the flotor.
-
-        Bullet forgets it after each.
-        """
+        """Apply a wrench for the next step, at the flotor: Bullet forgets it after each."""
         pybullet.applyExternalForce(
             self.body, -1, wrench[:3], position, pybullet.WORLD_FRAME, physicsClientId=self.client
         )
         self.turn(wrench)
 
     def lift(self, wrench: list[float]) -> None:
-        """Apply a force as gravity.
-
-        It lasts, and needs no point of attack.
-        """
+        """Apply a force as gravity; it lasts, and needs no point of attack."""
         mass = self._task.mass
         x, y, z = wrench[:3]
         pybullet.setGravity(x / mass, y / mass, z / mass - self._task.gravity, physicsClientId=self.client)

@@ -15,8 +15,6 @@ from scipy.integrate import RK23, RK45, ode, odeint, solve_ivp
 
 from peers.task import Array, Task, Variant, quaternion, rotation_vector
 
-__all__ = ["variants"]
-
 _Rates: TypeAlias = Callable[[Array, list[float]], list[float]]
 _Advance: TypeAlias = Callable[[Array, float, list[float]], Array]
 _Segments: TypeAlias = list[tuple[float, list[float]]]
@@ -57,10 +55,7 @@ def _grid(step: float) -> dict[str, Any]:
 
 
 def _rates(task: Task) -> _Rates:
-    """Return the state's rate function under a world wrench.
-
-    [N, N m].
-    """
+    """Return the state's rate function under a world wrench [N, N m]."""
     mass, gravity = task.mass, task.gravity
     ix, iy, iz = task.inertia
 
@@ -177,10 +172,7 @@ def _odeint(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
 
 
 def _ode(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
-    """Solve each segment by ode, set up once.
-
-    Its loop is compiled.
-    """
+    """Solve each segment by ode, set up once; its loop is compiled."""
     rates = _rates(task)
     wrench_now = [0.0] * 6
     # a first step given need not be guessed, which costs evaluations

@@ -14,8 +14,6 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Array", "Law", "Task", "Variant", "quaternion", "rotation_vector"]
-
 Array: TypeAlias = NDArray[np.float64]
 
 Law: TypeAlias = Callable[[Sequence[float]], tuple[list[float], list[float] | None]]
@@ -147,10 +145,7 @@ class Variant:
 
 
 def rotation_vector(w: float, x: float, y: float, z: float) -> list[float]:
-    """Convert a unit quaternion into a rotation vector [rad].
-
-    Of an angle below pi.
-    """
+    """Convert a unit quaternion into a rotation vector [rad] of an angle below pi."""
     sine = math.sqrt(x * x + y * y + z * z)
     if sine == 0.0:
         return [0.0, 0.0, 0.0]
@@ -159,10 +154,7 @@ def rotation_vector(w: float, x: float, y: float, z: float) -> list[float]:
 
 
 def quaternion(vector: Sequence[float]) -> list[float]:
-    """Convert a rotation vector [rad] into a unit quaternion.
-
-    w first.
-    """
+    """Convert a rotation vector [rad] into a unit quaternion: w first."""
     x, y, z = vector
     angle = math.sqrt(x * x + y * y + z * z)
     scale = math.sin(0.5 * angle) / angle if angle else 0.5

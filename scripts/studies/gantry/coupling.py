@@ -20,8 +20,6 @@ from maglev_mj.frames import Array
 from maglev_mj.interop.spacenav.navigation import Mode, Navigator
 from maglev_mj.parameters import number
 
-__all__ = ["Coupling", "CouplingLaw"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class Coupling:
@@ -55,10 +53,7 @@ class Coupling:
 
     @property
     def felt(self) -> float:
-        """Factor from the slave's impedance to the joystick's [1].
-
-        For masses, stiffnesses and dampings.
-        """
+        """Factor from the slave's impedance to the joystick's [1], for masses, stiffnesses and dampings."""
         return self.scale * self.reflection
 
     @property
@@ -68,9 +63,7 @@ class Coupling:
 
 
 class CouplingLaw(Law):
-    """Stick-slip, if any, and the coupling's force.
-
-    The force is also kept for the slave.
+    """Stick-slip, if any, and the coupling's force, which is also kept for the slave.
 
     The slave is asked where it is when the joystick is. Where it is drawn to, the target, moves by the navigator's
     increments. In rate mode the target stays where the spring would pull harder than the coupling may: else it would
@@ -136,10 +129,7 @@ class CouplingLaw(Law):
         return np.clip(pull, -coupling.bound, coupling.bound)
 
     def _allowed(self, moved: Array, ahead: Array) -> Array:
-        """Return the target's allowed movement [m].
-
-        The slave's, given its wish and its lead.
-        """
+        """Return the target's allowed movement [m]: the slave's, given its wish and its lead."""
         rates = [mode is Mode.RATE for mode in self.modes]
         most = self.coupling.bound / self.coupling.stiffness * self.coupling.scale
         cut = np.clip(moved, np.minimum(-most - ahead, 0.0), np.maximum(most - ahead, 0.0))

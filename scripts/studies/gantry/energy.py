@@ -13,8 +13,6 @@ from gantry.run import History
 from maglev_mj.frames import Array
 from maglev_mj.scenes.rooms import MASS
 
-__all__ = ["Ledger", "ledger"]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Ledger:
@@ -113,10 +111,7 @@ def ledger(history: History) -> Ledger:
 
 
 def _offset(history: History) -> Array:
-    """Return the target's lead over the joystick [m], (N, 3).
-
-    Straight from sample to sample.
-    """
+    """Return the target's lead over the joystick [m], (N, 3): straight from sample to sample."""
     period, time = history.task.period, history.time
     ticks = np.arange(len(history.target)) * period
     places = np.stack([np.interp(ticks, time, history.joystick[0][:, axis]) for axis in range(3)], axis=1)
@@ -133,10 +128,7 @@ def _at_steps(history: History, values: Array) -> Array:
 
 
 def _sum(parts: Array) -> Array:
-    """Return a running sum over steps and axes, (N,).
-
-    Of (N - 1, 3), from 0.
-    """
+    """Return a running sum over steps and axes, (N,), of (N - 1, 3), from 0."""
     return np.concatenate([[0.0], np.cumsum(parts.sum(axis=1))])
 
 

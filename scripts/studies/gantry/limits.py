@@ -19,8 +19,6 @@ from gantry.task import FIRM, Task
 from gantry.theory import Gains, TwoBodies
 from maglev_mj.plants.hand import HANDS, get_hand
 
-__all__ = ["GRIPS", "Contact", "Growth", "bodies", "contacts", "growth", "measured_boundary"]
-
 GRIPS = {"firm": FIRM, **{name: hand for name in HANDS if (hand := get_hand(name)) is not None}}
 """Hands on the joystick, by name."""
 
@@ -92,9 +90,7 @@ def growth(task: Task) -> Growth:
 
 
 def measured_boundary(shares: Sequence[float], found: Sequence[Growth]) -> float:
-    """Return the share without growth or decay.
-
-    Interpolated between those measured.
+    """Return the share without growth or decay: interpolated between those measured.
 
     Args:
         shares: Of the stiffness that the eigenvalues foresee, increasing.

@@ -18,8 +18,6 @@ from maglev_mj.frames import Array
 from maglev_mj.pictures import BESIDE, FIRST, SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.views.window.backend import DisplayError
 
-__all__ = ["balance", "limits", "motion", "scenes"]
-
 _PARTS = {
     "springs": ("springs of coupling\nand arm", SERIES[0]),
     "arm": ("the arm's damper", SERIES[1]),

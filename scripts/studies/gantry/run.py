@@ -1,7 +1,4 @@
-"""One run of a task, recorded sample by sample.
-
-Joystick and slave side by side.
-"""
+"""One run of a task, recorded sample by sample: joystick and slave side by side."""
 
 from __future__ import annotations
 
@@ -20,8 +17,6 @@ from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.plants.hand import GuidedHand
 from maglev_mj.scenes.rooms import INERTIA, MASS, WEIGHT
 from maglev_mj.spec import GRAVITY
-
-__all__ = ["History", "carry_out"]
 
 _STEP = 2e-4
 _BREAKAWAY, _V_MIN = 2.0, 0.005
@@ -76,18 +71,12 @@ class History:
 
     @property
     def press(self) -> float:
-        """Mean force on the block in the hold [N].
-
-        Over its last half second; the slave's.
-        """
+        """Mean force on the block in the hold [N], over its last half second; the slave's."""
         return float(self.contact[self.held(), 2].mean())
 
     @property
     def ripple(self) -> float:
-        """Ripple of the force on the block, RMS [N].
-
-        In that time; the slave's.
-        """
+        """Ripple of the force on the block, RMS [N], in that time; the slave's."""
         return float(self.contact[self.held(), 2].std())
 
     @property

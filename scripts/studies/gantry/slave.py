@@ -16,8 +16,6 @@ from maglev_mj.errors import PlantError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number, numbers
 
-__all__ = ["BLOCK_DAMPING", "BLOCK_STIFFNESS", "Slave"]
-
 MODEL = Path(__file__).with_name("slave.xml")
 
 BLOCK_STIFFNESS = 1e5
@@ -28,9 +26,7 @@ BLOCK_DAMPING = 190.0
 
 
 class Slave:
-    """Gantry driven by delayed and held forces.
-
-    As those on the joystick are.
+    """Gantry driven by delayed and held forces, as those on the joystick are.
 
     Args:
         timing: Sample period and delay, as the joystick's.
@@ -120,10 +116,7 @@ class Slave:
             self._touched = touches
 
     def note(self, offset: float = 0.0) -> None:
-        """Record position and forces at a time [s].
-
-        After the last sample.
-        """
+        """Record position and forces at a time [s], after the last sample."""
         data = self.data
         mujoco.mj_forward(self.model, data)
         time = self._tick * self._timing.period + offset

@@ -22,8 +22,6 @@ from maglev_mj.parameters import number
 from maglev_mj.plants.hand import Hand, Trajectory
 from maglev_mj.spec import Spec
 
-__all__ = ["DELAY_SHARE", "FIRM", "Task"]
-
 DELAY_SHARE = 0.3
 """Transport delay in parts of the period.
 
@@ -114,10 +112,7 @@ class Task:
 
     @property
     def block_top(self) -> Array:
-        """Middle of the block's top [m], (3,).
-
-        From the start of the pin's tip, the slave's.
-        """
+        """Middle of the block's top [m], (3,), from the start of the pin's tip, the slave's."""
         return np.array(_BLOCK[self.mode])
 
     def path(self, coupling: Coupling) -> tuple[Trajectory, float]:

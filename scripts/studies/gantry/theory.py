@@ -17,8 +17,6 @@ from maglev_mj.plants.hand import Hand, motion, transition
 from maglev_mj.spec import Spec
 from maglev_mj.theory import stiffest_wall
 
-__all__ = ["NO_GAINS", "Gains", "TwoBodies", "chosen_gains", "stiffest_coupling"]
-
 _STIFFNESS_SHARE, _DAMPING_SHARE = 0.25, 0.5
 _MASS = Spec.moving_mass.value
 
@@ -31,9 +29,7 @@ class Gains(NamedTuple):
 
 
 def stiffest_coupling(timing: Timing, slave_mass: float, mass: float = _MASS) -> Gains:
-    """Return the stiffest stable coupling, and its damping.
-
-    Between two free bodies.
+    """Return the stiffest stable coupling, and its damping, between two free bodies.
 
     The force comes at the same instants on both, one way and the other. So their distance moves as one body of the
     reduced mass would before a wall, and the coupling has that wall's bound.
@@ -72,9 +68,7 @@ NO_GAINS = Gains(0.0, 0.0)
 
 @dataclass(frozen=True, kw_only=True)
 class TwoBodies:
-    """Bodies that the coupling joins, along one axis.
-
-    All as felt at the joystick.
+    """Bodies that the coupling joins, along one axis; all as felt at the joystick.
 
     Args:
         timing: Sample period and delay.
@@ -120,17 +114,11 @@ class TwoBodies:
         return m
 
     def modulus(self, coupling: Gains) -> float:
-        """Return the largest modulus of the eigenvalues.
-
-        At least 1 if both bodies are free.
-        """
+        """Return the largest modulus of the eigenvalues, at least 1 if both bodies are free."""
         return float(np.abs(np.linalg.eigvals(self.matrix(coupling))).max())
 
     def boundary(self, damping: float) -> float:
-        """Return the largest stable coupling stiffness [N/m].
-
-        At some damping [N s/m].
-        """
+        """Return the largest stable coupling stiffness [N/m], at some damping [N s/m]."""
         low, high = 1.0, 1e7
         for stiffness in np.geomspace(low, high, 200).tolist():
             if self.modulus(Gains(stiffness, damping)) > 1.0:
