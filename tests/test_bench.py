@@ -14,7 +14,6 @@ import others
 import realism
 import speed_tables
 from maglev_mj.pictures import PictureFolder
-from peers import available
 from tests.test_charts import complaints
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -82,14 +81,6 @@ def test_a_section_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
     (tmp_path / "empty_section.py").write_text("def measure(quick):\n    return {}\n")
     with pytest.raises(bench.SectionFailedError, match="not the package in"):  # what is measured is what was asked for
         bench.run_section("empty_section", tmp_path, quick=True)
-
-
-def test_every_peer_of_the_table_is_a_variant_of_the_chart() -> None:
-    variants, missing = available()
-    known = {(variant.peer, variant.name) for variant in variants}
-    installed = {peer for peer, _ in known}
-    assert {way for way in others.THEIRS.values() if way[0] in installed} <= known
-    assert len(installed) + len(missing) == len({peer for peer, _ in others.THEIRS.values()})
 
 
 @pytest.mark.filterwarnings("default")

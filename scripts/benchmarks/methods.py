@@ -148,11 +148,8 @@ def peer_methods(scene: Scene, task: Task, quick: bool) -> tuple[list[Method], l
         poses = simulate()
         if quick and time.perf_counter() - start > 0.05:
             continue
-        error = float(apart(np.where(np.isnan(poses), truth, poses), truth))
-        group = PEERS[variant.peer]
-        if np.isnan(poses).any():  # one slide: it leaves the five other axes out
-            group += ", z alone"
-        methods.append(Method(variant.name, group, partial(_same, simulate), error, task.duration))
+        error = float(apart(poses, truth))
+        methods.append(Method(variant.name, PEERS[variant.peer], partial(_same, simulate), error, task.duration))
     return methods, missing
 
 

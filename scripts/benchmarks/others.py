@@ -18,7 +18,7 @@ from loop import timed
 from maglev_mj import ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.studies.levels import apart
-from peers import Task, available
+from peers import Simulate, Task, available
 
 OURS: dict[str, Callable[..., Any]] = {
     "this package, corrected": partial(MuJoCoPlant, integrator="corrected", coils=False),
@@ -26,21 +26,6 @@ OURS: dict[str, Callable[..., Any]] = {
     "this package, exact plant": ExactPlant,
 }
 """This package's plants by table name, the reference first."""
-
-THEIRS = {
-    "MuJoCo by hand, half-kick": ("mujoco", "split, Euler, half-kick, slides and ball"),
-    "MuJoCo by hand, RK4": ("mujoco", "split, RK4, slides and ball"),
-    "python-control, sampled matrices": ("control", "ss, sampled for each length, A x + B u"),
-    "PyBullet, force as gravity": ("pybullet", "step a segment, corrected, force as gravity"),
-    "Pinocchio, mean velocity": ("pinocchio", "slides and ball, step a segment, mean velocity"),
-    "Drake, scripted": ("drake", "scripted, RK2"),
-    "SciPy, ode dopri5": ("scipy", "ode a segment, dopri5, one step"),
-    "Drake, LeafSystem": ("drake", "LeafSystem, RK2"),
-    "SciPy, solve_ivp": ("scipy", "solve_ivp a segment, RK45, default tolerances"),
-    "python-control, response": ("control", "nlsys a segment, RK23, one step"),
-    "bdsim": ("bdsim", "block diagram, RK23, coarse"),
-}
-"""Peer and variant by table name."""
 
 _TURNS, _DEAR_TURNS, _RUNS, _DEAR = 15, 3, 4, 0.01
 
@@ -68,16 +53,13 @@ def prepared(task: Task) -> tuple[dict[str, Callable[[], Callable[[], Any]]], li
         name: partial(our_run, make, task) for name, make in OURS.items()
     }
     variants, missing = available()
-    built = {(variant.peer, variant.name): variant.build for variant in variants}
-    installed = {peer for peer, _ in built}
-    for name, (peer, variant) in THEIRS.items():
-        if peer in installed:
-            simulate = built[peer, variant](task)
-            methods[name] = partial(_itself, simulate)
+    for variant in variants:
+        if variant.title:
+            methods[variant.title] = partial(_itself, variant.build(task))
     return methods, missing
 
 
-def _itself(simulate: Callable[[], Any]) -> Callable[[], Any]:
+def _itself(simulate: Simulate) -> Simulate:
     """Return a peer's run: it begins anew by itself."""
     return simulate
 

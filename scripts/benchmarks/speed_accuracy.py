@@ -55,7 +55,7 @@ STEPPED = {
     "mujoco": "Euler, steps of {} ms",
     "drake": "scripted, discrete {} ms",
     "pybullet": "steps of {} ms",
-    "pinocchio": "free flyer, steps of {} ms",
+    "pinocchio": "semi-implicit Euler, steps of {} ms",
     "scipy": "solve_ivp a period, RK45, max_step {} ms",
 }
 """Names of a peer's fixed-step methods, without the step: the first choice of its user."""

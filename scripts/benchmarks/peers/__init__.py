@@ -8,9 +8,9 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterable
 
-from peers.task import Task, Variant
+from peers.task import Simulate, Task, Variant
 
-__all__ = ["PEERS", "Task", "Variant", "available"]
+__all__ = ["PEERS", "Simulate", "Task", "Variant", "available"]
 
 PEERS = ("mujoco", "drake", "pybullet", "scipy", "pinocchio", "control", "bdsim")
 

@@ -5,12 +5,12 @@ wrench, which is then constant within a step; or the engine itself sees to the t
 delay of its actuators.
 
 Under a constant force RK4 is exact. The other integrators are semi-implicit, and each of their steps goes h/2 dv too
-far: who knows takes it off, where a pose is read or after each step.
+far: who knows takes it off after each.
 """
 
 from __future__ import annotations
 
-import math
+import struct
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -18,86 +18,135 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from peers.mujoco_flotor import INTEGRATORS, SEMI_IMPLICIT, Flotor, turned_back
-from peers.task import Array, Task, Variant, rotation_vector
+from peers.task import Array, Simulate, Task, Variant, quaternion, rotation_vector, steps_in
 
 _STEPS = (5e-3, 1e-3, 5e-4, 1e-4, 1e-5)
-_NOTES = {
-    5e-3: "a whole period: a command waits for the next sample, a pulse is over before it is seen",
-    1e-3: "switches at 1.5 ms fall between steps",
-}
+
+_MODEL = """
+<mujoco>
+  <option integrator="{integrator}" timestep="{step!r}" gravity="0 0 {gravity!r}">
+    <flag contact="disable" constraint="disable" autoreset="disable" sensor="disable" spring="disable"
+      damper="disable" island="disable" midphase="disable" warmstart="disable" actuation="{actuation}"/>
+  </option>
+  <worldbody>
+    <body>
+      <inertial pos="0 0 0" mass="{mass!r}" diaginertia="{inertia}"/>
+      <joint name="x" type="slide" axis="1 0 0"/>
+      <joint name="y" type="slide" axis="0 1 0"/>
+      <joint name="z" type="slide" axis="0 0 1"/>
+      <joint name="ball" type="ball"/>
+    </body>
+  </worldbody>
+  <actuator>{actuators}</actuator>
+</mujoco>
+"""
 
 
 def variants() -> list[Variant]:
     """Return the methods to simulate the task in MuJoCo."""
-    return [*_on_a_grid(), *_at_switches(), *_timed_by_engine()]
+    grid = [("Euler", step) for step in _STEPS] + [("RK4", 5e-4)]
+    table: list[tuple[str, Callable[[Task], Simulate], str]] = [
+        (f"{integrator}, steps of {step * 1e3:g} ms", partial(_stepped, integrator=integrator, step=step), "")
+        for integrator, step in grid
+    ]
+    table += [
+        ("split, RK4", _split, "MuJoCo by hand, RK4"),
+        ("split, Euler, half-kick", _half_kicked, "MuJoCo by hand, half-kick"),
+        # the last substage sees what is due at the end of the step, and belongs to the next
+        ("callback, RK4, steps of 0.5 ms", partial(_called_back, integrator="RK4", step=5e-4), ""),
+        ("native delay, RK4, steps of 0.5 ms", partial(_delayed, integrator="RK4", step=5e-4), ""),
+    ]
+    return [Variant("mujoco", *row) for row in table]
 
 
-def _variant(name: str, build: Callable[[Task], Callable[[], Array]], note: str = "") -> Variant:
-    return Variant("mujoco", name, build, note)
+class _Flotor:
+    """The flotor, a body with nothing to collide with, and cheap access to its numbers.
 
-
-def _grid(integrator: str, step: float, corrected: bool = False) -> Variant:
-    name = f"{integrator}, steps of {step * 1e3:g} ms" + ", corrected" * corrected
-    note = "pose - h/2 v" if corrected else _NOTES.get(step, "")
-    return _variant(name, partial(_stepped, integrator=integrator, step=step, corrected=corrected), note)
-
-
-def _on_a_grid() -> list[Variant]:
-    raw = [_grid(integrator, step) for integrator in INTEGRATORS for step in _STEPS]
-    return raw + [_grid(integrator, step, corrected=True) for integrator in SEMI_IMPLICIT for step in (5e-4, 1e-4)]
-
-
-def _at_switches() -> list[Variant]:
-    kicked = "less h/2 dv a step"
-    table = [_variant(f"split, {name}", partial(_split, integrator=name), "raw positions") for name in SEMI_IMPLICIT]
-    table.append(_variant("split, RK4", partial(_split, integrator="RK4")))
-    table.append(_variant("split, Euler, half-kick", _half_kicked, kicked))
-    for joints in ("slides and ball", "z alone"):
-        note = "one degree of freedom" if joints == "z alone" else ""
-        table.append(_variant(f"split, RK4, {joints}", partial(_split, integrator="RK4", joints=joints), note))
-        table.append(_variant(f"split, Euler, half-kick, {joints}", partial(_half_kicked, joints=joints), kicked))
-    return table
-
-
-def _timed_by_engine() -> list[Variant]:
-    # the last substage is at the end of the step, where a sample or a command may be due that belongs to the next step
-    ahead = "the last substage sees what is due at the end of the step"
-    table = []
-    for integrator, step in (("Euler", 5e-4), ("Euler", 1e-4), ("RK4", 5e-4)):
-        name = f"callback, {integrator}, steps of {step * 1e3:g} ms"
-        build = partial(_called_back, integrator=integrator, step=step)
-        table.append(_variant(name, build, ahead * (integrator == "RK4")))
-    for integrator in ("Euler", "RK4"):
-        name = f"native delay, {integrator}, steps of 0.5 ms"
-        build = partial(_delayed, integrator=integrator, step=5e-4)
-        table.append(_variant(name, build, ahead * (integrator == "RK4")))
-    return table
-
-
-def _steps_in(duration: float, step: float) -> int:
-    """Return the number of steps begun before a time, rounding aside."""
-    return math.ceil(duration / step - 1e-9)
-
-
-def _stepped(task: Task, integrator: str, step: float, corrected: bool = False) -> Callable[[], Array]:
-    """Step on a fixed grid, counting steps.
-
-    A command is first seen by the step that begins as it takes effect, or next.
+    Attributes:
+        options: Options of the model.
+        step: Takes a step, or as many as it is told.
+        push: Sets the wrench on the flotor, in world axes, six numbers.
+        control: Sets the controls of the actuators.
+        position: Reads the generalised position.
+        acceleration: Reads the generalised acceleration in the last step: of a turning body in its own axes.
+        put: Sets the generalised position.
 
     Args:
         task: The task.
-        integrator: Name of the integrator.
-        step: Time step [s].
-        corrected: Whether poses are read half a step's motion back, where they lie from rest.
+        integrator: Of the engine.
+        step: Time step at the start [s].
+        actuation: Whether actuators and the control callback work.
+        actuators: MJCF elements.
     """
-    flotor = Flotor(task, integrator, step)
-    step_on, push = flotor.step, flotor.push
-    pose = partial(_half_step_back, flotor, 0.5 * step) if corrected else flotor.pose
-    delay = _steps_in(task.delay, step)
-    pulsed = _steps_in(task.delay + task.pulse_width, step) - delay
-    steps = round(task.period / step)
-    left, rest = steps - delay, steps - delay - pulsed
+
+    def __init__(
+        self, task: Task, integrator: str, step: float = 1e-3, *, actuation: bool = False, actuators: str = ""
+    ) -> None:
+        text = _MODEL.format(
+            integrator=integrator,
+            step=step,
+            gravity=-task.gravity,
+            actuation="enable" if actuation else "disable",
+            mass=task.mass,
+            inertia=" ".join(map(repr, task.inertia)),
+            actuators=actuators,
+        )
+        self._model = model = mujoco.MjModel.from_xml_string(text)
+        self._data = data = mujoco.MjData(model)
+        self.options = model.opt
+        self.step = partial(mujoco.mj_step, model, data)
+        # live views of the engine's memory: a slice through `data` at each step costs several times as much
+        self.push = partial(struct.Struct("6d").pack_into, data.xfrc_applied[1].data, 0)
+        self.control = partial(struct.Struct(f"{model.nu}d").pack_into, data.ctrl.data, 0)
+        self.put = partial(struct.Struct("7d").pack_into, data.qpos.data, 0)
+        self.position: Callable[[], list[float]] = data.qpos.tolist
+        self.acceleration: Callable[[], list[float]] = data.qacc.tolist
+        self._start = task.pose[:3] + quaternion(task.pose[3:])
+
+    def reset(self) -> None:
+        """Return the flotor to its start, at rest, without wrench."""
+        mujoco.mj_resetData(self._model, self._data)
+        self.put(*self._start)
+
+    def pose(self) -> list[float]:
+        """Return the pose [m, rad]."""
+        x, y, z, qw, qx, qy, qz = self.position()
+        return [x, y, z, *rotation_vector(qw, qx, qy, qz)]
+
+    def settle(self, h: float, a: list[float], k: float, b: list[float]) -> list[float]:
+        """Correct the pose by h a + k b of two accelerations, and return it."""
+        x, y, z, qw, qx, qy, qz = self.position()
+        ax, ay, az, ap, aq, ar = a
+        bx, by, bz, bp, bq, br = b
+        x, y, z = x - h * ax - k * bx, y - h * ay - k * by, z - h * az - k * bz
+        turned = _turned_back(qw, qx, qy, qz, h * ap + k * bp, h * aq + k * bq, h * ar + k * br)
+        self.put(x, y, z, *turned)
+        return [x, y, z, *rotation_vector(*turned)]
+
+
+def _turned_back(
+    qw: float, qx: float, qy: float, qz: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """Return a quaternion turned back by a small rotation vector [rad], in the axes of the body."""
+    square = x * x + y * y + z * z
+    w = 1.0 - 0.125 * square  # to the fourth order of the angle, far below rounding here
+    scale = square / 48.0 - 0.5
+    x, y, z = scale * x, scale * y, scale * z
+    return (
+        qw * w - qx * x - qy * y - qz * z,
+        qw * x + qx * w + qy * z - qz * y,
+        qw * y - qx * z + qy * w + qz * x,
+        qw * z + qx * y - qy * x + qz * w,
+    )
+
+
+def _stepped(task: Task, integrator: str, step: float) -> Simulate:
+    """Step on a fixed grid; a command is first seen by the step that begins as it takes effect, or next."""
+    flotor = _Flotor(task, integrator, step)
+    step_on, push, pose = flotor.step, flotor.push, flotor.pose
+    delay = steps_in(task.delay, step)
+    pulsed = steps_in(task.delay + task.pulse_width, step) - delay
+    left = round(task.period / step) - delay
 
     def run() -> Array:
         flotor.reset()
@@ -111,26 +160,16 @@ def _stepped(task: Task, integrator: str, step: float, corrected: bool = False) 
                 push(*pulse)
                 step_on(pulsed)
             push(*force)
-            step_on(rest if pulse else left)
+            step_on(left - pulsed if pulse else left)
         poses.append(pose())
         return np.array(poses)
 
     return run
 
 
-def _half_step_back(flotor: Flotor, half: float) -> list[float]:
-    x, y, z, qw, qx, qy, qz = flotor.position()
-    u, v, w, p, q, r = flotor.velocity()
-    turned = turned_back(qw, qx, qy, qz, half * p, half * q, half * r)
-    return [x - half * u, y - half * v, z - half * w, *rotation_vector(*turned)]
-
-
-def _split(task: Task, integrator: str, joints: str = "free") -> Callable[[], Array]:
-    """Take one step from switch to switch of the wrench.
-
-    The positions are taken as they come.
-    """
-    flotor = Flotor(task, integrator, joints=joints)
+def _split(task: Task) -> Simulate:
+    """Take one step of RK4 from switch to switch of the wrench."""
+    flotor = _Flotor(task, "RK4")
     step, push, pose, options = flotor.step, flotor.push, flotor.pose, flotor.options
     delay, width, left = task.delay, task.pulse_width, task.period - task.delay
     rest = left - width
@@ -152,20 +191,19 @@ def _split(task: Task, integrator: str, joints: str = "free") -> Callable[[], Ar
             options.timestep = rest if pulse else left
             step()
         poses.append(pose())
-        return _simulated(poses, joints)
+        return np.array(poses)
 
     return run
 
 
-def _half_kicked(task: Task, joints: str = "free") -> Callable[[], Array]:
+def _half_kicked(task: Task) -> Simulate:
     """Step as `_split` by Euler, corrected at the end.
 
     Each step's error is taken off, since nothing reads the state before the period is over.
     """
-    flotor = Flotor(task, "Euler", joints=joints)
+    flotor = _Flotor(task, "Euler")
     step, push, options, acceleration = flotor.step, flotor.push, flotor.options, flotor.acceleration
-    settle = partial(_slide_settled if joints == "z alone" else _settled, flotor)
-    delay, width, left = task.delay, task.pulse_width, task.period - task.delay
+    settle, delay, width, left = flotor.settle, task.delay, task.pulse_width, task.period - task.delay
     rest = left - width
     # half a step times what the velocity changed by, which is the step times the acceleration
     in_delay, in_width, in_left, in_rest = (0.5 * length**2 for length in (delay, width, left, rest))
@@ -192,39 +230,14 @@ def _half_kicked(task: Task, joints: str = "free") -> Callable[[], Array]:
             else:
                 seen = settle(in_delay, before, in_left, acceleration())
             poses.append(seen)
-        return _simulated(poses, joints)
+        return np.array(poses)
 
     return run
 
 
-def _settled(flotor: Flotor, h: float, a: list[float], k: float, b: list[float]) -> list[float]:
-    """Correct a free body's pose, by h a + k b."""
-    x, y, z, qw, qx, qy, qz = flotor.position()
-    ax, ay, az, ap, aq, ar = a
-    bx, by, bz, bp, bq, br = b
-    x, y, z = x - h * ax - k * bx, y - h * ay - k * by, z - h * az - k * bz
-    turned = turned_back(qw, qx, qy, qz, h * ap + k * bp, h * aq + k * bq, h * ar + k * br)
-    flotor.put(x, y, z, *turned)
-    return [x, y, z, *rotation_vector(*turned)]
-
-
-def _slide_settled(flotor: Flotor, h: float, a: list[float], k: float, b: list[float]) -> list[float]:
-    """Correct a slide's pose by h a + k b."""
-    flotor.put(flotor.position()[0] - h * a[0] - k * b[0])
-    return flotor.pose()
-
-
-def _simulated(poses: list[list[float]], joints: str) -> Array:
-    """Return poses, NaN for axes that a model lacks."""
-    table = np.array(poses)
-    if joints == "z alone":
-        table[:, [0, 1, 3, 4, 5]] = math.nan
-    return table
-
-
-def _called_back(task: Task, integrator: str, step: float) -> Callable[[], Array]:
+def _called_back(task: Task, integrator: str, step: float) -> Simulate:
     """Run the controller in the engine's control callback; it looks at the clock."""
-    flotor = Flotor(task, integrator, step, actuation=True)
+    flotor = _Flotor(task, integrator, step, actuation=True)
     pose, push = flotor.pose, flotor.push
     steps = round(task.duration / step)
 
@@ -261,15 +274,15 @@ def _called_back(task: Task, integrator: str, step: float) -> Callable[[], Array
     return run
 
 
-def _delayed(task: Task, integrator: str, step: float) -> Callable[[], Array]:
+def _delayed(task: Task, integrator: str, step: float) -> Simulate:
     """Set controls when sampled; six delayed motors apply them."""
-    delay = f'delay="{task.delay!r}" nsample="{_steps_in(task.delay, step)}"'
-    gears = [" ".join("1" if axis == other else "0" for other in range(6)) for axis in range(6)]
-    # in the parent: force and torque in world axes
-    motors = "".join(f'<motor jointinparent="free" gear="{gear}" {delay}/>' for gear in gears)
-    flotor = Flotor(task, integrator, step, actuation=True, actuators=motors)
+    delay = f'delay="{task.delay!r}" nsample="{steps_in(task.delay, step)}"'
+    motors = "".join(f'<motor joint="{axis}" {delay}/>' for axis in "xyz")
+    # in the parent: torque in world axes
+    motors += "".join(f'<motor jointinparent="ball" gear="{gear}" {delay}/>' for gear in ("1 0 0", "0 1 0", "0 0 1"))
+    flotor = _Flotor(task, integrator, step, actuation=True, actuators=motors)
     pose, step_on, control = flotor.pose, flotor.step, flotor.control
-    pulsed, steps = _steps_in(task.pulse_width, step), round(task.period / step)
+    pulsed, steps = steps_in(task.pulse_width, step), round(task.period / step)
 
     def run() -> Array:
         flotor.reset()

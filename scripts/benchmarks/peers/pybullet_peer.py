@@ -6,28 +6,20 @@ step. That offset adds up in closed form, so a user who knows it takes one long 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from functools import partial
-from typing import Any
 
-import numpy as np
 import pybullet
 
-from peers.task import Array, Task, Variant, quaternion, rotation_vector
+from peers.task import Simulate, Task, Variant, closed_loop, quaternion, rotation_vector
 
 
 def variants() -> list[Variant]:
     """Return the methods to simulate the task in PyBullet."""
-    table: list[tuple[str, Callable[[Task], Callable[[], Array]], str]] = [
-        ("steps of 1 ms", partial(_stepped, step=1e-3), "switches at 1.5 ms fall between steps"),
-        ("steps of 0.5 ms", partial(_stepped, step=5e-4), "all switches on the grid"),
-        ("steps of 0.1 ms", partial(_stepped, step=1e-4), ""),
-        ("step a segment", partial(_segmented, corrected=False), "raw positions"),
-        ("step a segment, corrected", partial(_segmented, corrected=True), "less h/2 dv a segment"),
-        ("step a segment, corrected, force as gravity", partial(_segmented, corrected=True, as_gravity=True), ""),
+    grid = [
+        Variant("pybullet", f"steps of {step * 1e3:g} ms", partial(_stepped, step=step)) for step in (1e-3, 5e-4, 1e-4)
     ]
-    return [Variant("pybullet", name, build, note) for name, build, note in table]
+    name, title = "step a segment, corrected, force as gravity", "PyBullet, force as gravity"
+    return [*grid, Variant("pybullet", name, _segmented, title)]
 
 
 class _Flotor:
@@ -61,90 +53,54 @@ class _Flotor:
         position, (x, y, z, w) = pybullet.getBasePositionAndOrientation(self.body, physicsClientId=self.client)
         return [*position, *rotation_vector(w, x, y, z)]
 
-    def position(self) -> Any:
-        """Return the position [m]."""
-        return pybullet.getBasePositionAndOrientation(self.body, physicsClientId=self.client)[0]
-
-    def push(self, wrench: list[float], position: Any) -> None:
-        """Apply a wrench for the next step, at the flotor: Bullet forgets it after each."""
-        pybullet.applyExternalForce(
-            self.body, -1, wrench[:3], position, pybullet.WORLD_FRAME, physicsClientId=self.client
-        )
-        self.turn(wrench)
-
-    def lift(self, wrench: list[float]) -> None:
-        """Apply a force as gravity; it lasts, and needs no point of attack."""
-        mass = self._task.mass
-        x, y, z = wrench[:3]
-        pybullet.setGravity(x / mass, y / mass, z / mass - self._task.gravity, physicsClientId=self.client)
-
     def turn(self, wrench: list[float]) -> None:
-        """Apply the torque of a wrench for the next step."""
+        """Apply the torque of a wrench for the next step; Bullet forgets it after each."""
         pybullet.applyExternalTorque(self.body, -1, wrench[3:], pybullet.WORLD_FRAME, physicsClientId=self.client)
 
 
-def _stepped(task: Task, step: float) -> Callable[[], Array]:
+def _stepped(task: Task, step: float) -> Simulate:
     """Step on a fixed grid with the wrench in effect."""
     flotor = _Flotor(task)
-    client = flotor.client
-    steps = round(task.period / step)
-    begins = math.ceil(task.delay / step - 1e-9)
-    ends = math.ceil((task.delay + task.pulse_width) / step - 1e-9)
+    client, body = flotor.client, flotor.body
 
-    def run() -> Array:
+    def restart() -> None:
         flotor.reset()
         pybullet.setTimeStep(step, physicsClientId=client)
-        law, held, poses = task.law(), [0.0] * 6, []
-        for _ in range(task.ticks):
-            pose = flotor.pose()
-            poses.append(pose)
-            force, pulse = law(pose)
-            for index in range(steps):
-                wrench = held if index < begins else force if pulse is None or index >= ends else pulse
-                flotor.push(wrench, flotor.position() if index else pose[:3])
-                pybullet.stepSimulation(physicsClientId=client)
-            held = force
-        poses.append(flotor.pose())
-        return np.array(poses)
 
-    return run
+    def advance(_: float, wrench: list[float]) -> None:
+        at = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0]
+        pybullet.applyExternalForce(body, -1, wrench[:3], at, pybullet.WORLD_FRAME, physicsClientId=client)
+        flotor.turn(wrench)
+        pybullet.stepSimulation(physicsClientId=client)
+
+    return closed_loop(task, restart, flotor.pose, advance, task.grid(step))
 
 
-def _segmented(task: Task, corrected: bool, as_gravity: bool = False) -> Callable[[], Array]:
+def _segmented(task: Task) -> Simulate:
     """Take one step from switch to switch of the wrench.
 
-    Args:
-        task: The task.
-        corrected: Whether what semi-implicit Euler is off by is taken off the pose.
-        as_gravity: Whether the force is given as gravity.
+    The force is given as gravity, which lasts and needs no point of attack; what semi-implicit Euler is off by is taken
+    off the pose.
     """
     flotor = _Flotor(task)
-    client, body = flotor.client, task.body
+    client, mass = flotor.client, task.mass
     free_fall = [0.0, 0.0, -task.gravity, 0.0, 0.0, 0.0]
+    ahead = [0.0] * 6
 
-    def run() -> Array:
+    def restart() -> None:
         flotor.reset()
-        law, held, poses, ahead = task.law(), [0.0] * 6, [], [0.0] * 6
-        for _ in range(task.ticks):
-            raw = flotor.pose()
-            pose = [part - extra for part, extra in zip(raw, ahead)]
-            poses.append(pose)
-            force, pulse = law(pose)
-            at: Any = raw[:3]
-            for length, wrench in task.segments(held, force, pulse):
-                pybullet.setTimeStep(length, physicsClientId=client)
-                if as_gravity:
-                    flotor.lift(wrench)
-                    flotor.turn(wrench)
-                else:
-                    flotor.push(wrench, at or flotor.position())
-                pybullet.stepSimulation(physicsClientId=client)
-                at = None
-                if corrected:
-                    half = 0.5 * length * length
-                    ahead = [a + half * (w / m + g) for a, w, m, g in zip(ahead, wrench, body, free_fall)]
-            held = force
-        poses.append([part - extra for part, extra in zip(flotor.pose(), ahead)])
-        return np.array(poses)
+        ahead[:] = [0.0] * 6
 
-    return run
+    def pose() -> list[float]:
+        return [part - extra for part, extra in zip(flotor.pose(), ahead)]
+
+    def advance(length: float, wrench: list[float]) -> None:
+        x, y, z = wrench[:3]
+        pybullet.setTimeStep(length, physicsClientId=client)
+        pybullet.setGravity(x / mass, y / mass, z / mass - task.gravity, physicsClientId=client)
+        flotor.turn(wrench)
+        pybullet.stepSimulation(physicsClientId=client)
+        half = 0.5 * length * length
+        ahead[:] = [a + half * (w / m + g) for a, w, m, g in zip(ahead, wrench, task.body, free_fall)]
+
+    return closed_loop(task, restart, pose, advance)

@@ -11,47 +11,27 @@ from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
-from scipy.integrate import RK23, RK45, ode, odeint, solve_ivp
+from scipy.integrate import ode, solve_ivp
 
-from peers.task import Array, Task, Variant, quaternion, rotation_vector
+from peers.task import Array, Segments, Simulate, Task, Variant, closed_loop, quaternion, rotation_vector
 
 _Rates: TypeAlias = Callable[[Array, list[float]], list[float]]
-_Advance: TypeAlias = Callable[[Array, float, list[float]], Array]
-_Segments: TypeAlias = list[tuple[float, list[float]]]
 
 _ONE_STEP: dict[str, Any] = {"rtol": 1.0, "atol": 1.0}
-_LOOSE: dict[str, Any] = {"rtol": 1e-3, "atol": 1e-6}
-_TIGHT: dict[str, Any] = {"rtol": 1e-9, "atol": 1e-12}
+_DEFAULT: dict[str, Any] = {"rtol": 1e-3, "atol": 1e-6}
 
 
 def variants() -> list[Variant]:
     """Return the methods to simulate the task with SciPy."""
-    table: list[tuple[str, Callable[[Task], Callable[[], Array]], str]] = []
-    for method in ("RK23", "RK45", "DOP853", "LSODA"):
-        for label, options in (("default tolerances", _LOOSE), ("1e-9", _TIGHT)):
-            name = f"solve_ivp a segment, {method}, {label}"
-            table.append((name, partial(_segmented, method=method, options=options), ""))
-    for method in ("RK23", "RK45", "DOP853"):
-        name = f"solve_ivp a segment, {method}, one step"
-        table.append((name, partial(_segmented, method=method, options=_ONE_STEP, whole=True), "tolerance of 1"))
-    table += [
-        ("RK23 stepper a segment, one step", partial(_stepper, method=RK23), "the class behind solve_ivp"),
-        ("RK45 stepper a segment, one step", partial(_stepper, method=RK45), "the class behind solve_ivp"),
-        ("odeint a segment, 1e-9", partial(_odeint, options=_TIGHT), "LSODA in one call"),
-        ("ode a segment, dopri5, one step", partial(_ode, options=_ONE_STEP), "loop in compiled code"),
-        ("ode a segment, dopri5, 1e-9", partial(_ode, options=_TIGHT), "loop in compiled code"),
-        ("solve_ivp a period, RK45, 1e-3", partial(_periodic, options=_LOOSE), "switches inside the right-hand side"),
-        ("solve_ivp a period, RK45, 1e-9", partial(_periodic, options=_TIGHT), "switches inside the right-hand side"),
-        ("solve_ivp a period, RK45, max_step 0.5 ms", partial(_periodic, options=_grid(5e-4)), "switches on the grid"),
-        ("solve_ivp a period, RK45, max_step 0.1 ms", partial(_periodic, options=_grid(1e-4)), "switches on the grid"),
-        ("solve_ivp with events, RK45, 1e-9", partial(_eventful, options=_TIGHT), "each switch a terminal event"),
-        ("solve_ivp with events, RK23, one step", partial(_eventful, options=_ONE_STEP, method="RK23"), ""),
+    table: list[tuple[str, Callable[[Task], Simulate], str]] = [
+        ("solve_ivp a segment, RK45, default tolerances", _segmented, "SciPy, solve_ivp"),
+        ("ode a segment, dopri5, one step", _ode, "SciPy, ode dopri5"),
+        ("solve_ivp a period, RK45, default tolerances", partial(_periodic, options=_DEFAULT), ""),
     ]
-    return [Variant("scipy", name, build, note) for name, build, note in table]
-
-
-def _grid(step: float) -> dict[str, Any]:
-    return {**_LOOSE, "max_step": step, "first_step": step}
+    for step in (5e-4, 1e-4):
+        options = {**_DEFAULT, "max_step": step, "first_step": step}
+        table.append((f"solve_ivp a period, RK45, max_step {step * 1e3:g} ms", partial(_periodic, options=options), ""))
+    return [Variant("scipy", *row) for row in table]
 
 
 def _rates(task: Task) -> _Rates:
@@ -88,22 +68,8 @@ def _rates(task: Task) -> _Rates:
     return rates
 
 
-def _closed_loop(task: Task, period: Callable[[Array, _Segments], Array]) -> Callable[[], Array]:
-    """Return a closed-loop run with a given period integrator."""
-
-    def run() -> Array:
-        state = np.array([*task.offset, *quaternion(task.pose[3:]), *[0.0] * 6])
-        law, held, poses = task.law(), [0.0] * 6, []
-        for _ in range(task.ticks):
-            pose = _pose(state)
-            poses.append(pose)
-            force, pulse = law(pose)
-            state = period(state, task.segments(held, force, pulse))
-            held = force
-        poses.append(_pose(state))
-        return np.array(poses)
-
-    return run
+def _start(task: Task) -> Array:
+    return np.array([*task.offset, *quaternion(task.pose[3:]), *[0.0] * 6])
 
 
 def _pose(state: Array) -> list[float]:
@@ -111,112 +77,55 @@ def _pose(state: Array) -> list[float]:
     return [x, y, z, *rotation_vector(*turned)]
 
 
-def _each(advance: _Advance) -> Callable[[Array, _Segments], Array]:
-    """Return a period integrator from a segment integrator."""
+def _segmented(task: Task) -> Simulate:
+    """Solve each segment on its own, under a constant wrench: there is no switch to step over."""
+    rates, start, state = _rates(task), _start(task), _start(task)
 
-    def period(state: Array, segments: _Segments) -> Array:
-        for length, wrench in segments:
-            state = advance(state, length, wrench)
-        return state
+    def restart() -> None:
+        state[:] = start
 
-    return period
+    def advance(length: float, wrench: list[float]) -> None:
+        solution = solve_ivp(lambda _, y: rates(y, wrench), (0.0, length), state, "RK45", t_eval=(length,), **_DEFAULT)
+        state[:] = solution.y[:, -1]
 
-
-def _segmented(task: Task, method: str, options: dict[str, Any], whole: bool = False) -> Callable[[], Array]:
-    """Solve each segment on its own, with a constant wrench.
-
-    There is no switch to step over.
-
-    Args:
-        task: The task.
-        method: Of solve_ivp.
-        options: Further arguments of solve_ivp.
-        whole: Whether the first step tried is the segment.
-    """
-    rates = _rates(task)
-
-    def advance(state: Array, length: float, wrench: list[float]) -> Array:
-        first = length if whole else None
-        solution = solve_ivp(
-            lambda _, y: rates(y, wrench), (0.0, length), state, method, t_eval=(length,), first_step=first, **options
-        )
-        states: Array = solution.y
-        return states[:, -1]
-
-    return _closed_loop(task, _each(advance))
+    return closed_loop(task, restart, lambda: _pose(state), advance)
 
 
-def _stepper(task: Task, method: Any) -> Callable[[], Array]:
-    """Step a solver class by segment, without solve_ivp's overhead."""
-    rates = _rates(task)
-
-    def advance(state: Array, length: float, wrench: list[float]) -> Array:
-        solver = method(lambda _, y: rates(y, wrench), 0.0, state, length, first_step=length, **_ONE_STEP)
-        while solver.status == "running":
-            solver.step()
-        state = solver.y
-        return state
-
-    return _closed_loop(task, _each(advance))
-
-
-def _odeint(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
-    """Solve each segment by odeint, whose loop is compiled."""
-    rates = _rates(task)
-
-    def advance(state: Array, length: float, wrench: list[float]) -> Array:
-        states: Array = odeint(lambda y, _: rates(y, wrench), state, (0.0, length), **options)
-        return states[-1]  # type: ignore[no-any-return]
-
-    return _closed_loop(task, _each(advance))
-
-
-def _ode(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
+def _ode(task: Task) -> Simulate:
     """Solve each segment by ode, set up once; its loop is compiled."""
-    rates = _rates(task)
-    wrench_now = [0.0] * 6
+    rates, start, state, wrench_now = _rates(task), _start(task), _start(task), [0.0] * 6
     # a first step given need not be guessed, which costs evaluations
-    solver = ode(lambda _, y: rates(y, wrench_now)).set_integrator("dopri5", first_step=task.period, **options)
+    solver = ode(lambda _, y: rates(y, wrench_now)).set_integrator("dopri5", first_step=task.period, **_ONE_STEP)
 
-    def advance(state: Array, length: float, wrench: list[float]) -> Array:
+    def restart() -> None:
+        state[:] = start
+
+    def advance(length: float, wrench: list[float]) -> None:
         wrench_now[:] = wrench
         solver.set_initial_value(state, 0.0)
-        state = solver.integrate(length)
-        return state
+        state[:] = solver.integrate(length)
 
-    return _closed_loop(task, _each(advance))
+    return closed_loop(task, restart, lambda: _pose(state), advance)
 
 
-def _periodic(task: Task, options: dict[str, Any]) -> Callable[[], Array]:
+def _periodic(task: Task, options: dict[str, Any]) -> Simulate:
     """Solve each period; the right-hand side selects the wrench."""
-    rates = _rates(task)
-    delay, pulse_end, length = task.delay, task.delay + task.pulse_width, task.period
+    rates, start, state = _rates(task), _start(task), _start(task)
+    delay, pulse_end = task.delay, task.delay + task.pulse_width
+    switches: list[list[float]] = []
 
-    def period(state: Array, segments: _Segments) -> Array:
-        held, first, last = segments[0][1], segments[1][1], segments[-1][1]
+    def restart() -> None:
+        state[:] = start
 
-        def switched(time: float, y: Array) -> list[float]:
-            return rates(y, held if time < delay else first if time < pulse_end else last)
+    def switched(time: float, y: Array) -> list[float]:
+        held, first, last = switches
+        return rates(y, held if time < delay else first if time < pulse_end else last)
 
-        states: Array = solve_ivp(switched, (0.0, length), state, t_eval=(length,), **options).y
-        return states[:, -1]
+    def whole(held: list[float], force: list[float], pulse: list[float] | None) -> Segments:
+        switches[:] = held, pulse or force, force
+        return [(task.period, force)]
 
-    return _closed_loop(task, period)
+    def advance(length: float, _: list[float]) -> None:
+        state[:] = solve_ivp(switched, (0.0, length), state, t_eval=(length,), **options).y[:, -1]
 
-
-def _eventful(task: Task, options: dict[str, Any], method: str = "RK45") -> Callable[[], Array]:
-    """Solve to the end, stopped by an event each switch."""
-    rates = _rates(task)
-
-    def advance(state: Array, length: float, wrench: list[float]) -> Array:
-        def switch(time: float, _: Array) -> float:
-            return time - length
-
-        switch.terminal = True  # type: ignore[attr-defined]
-        solution = solve_ivp(
-            lambda _, y: rates(y, wrench), (0.0, task.duration), state, method, events=switch, **options
-        )
-        state = solution.y_events[0][0]
-        return state
-
-    return _closed_loop(task, _each(advance))
+    return closed_loop(task, restart, lambda: _pose(state), advance, whole)

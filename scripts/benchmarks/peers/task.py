@@ -16,6 +16,11 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 
+Segments: TypeAlias = list[tuple[float, list[float]]]
+"""Duration [s] and wrench [N, N m] of a period's parts."""
+
+Simulate: TypeAlias = Callable[[], Array]
+
 Law: TypeAlias = Callable[[Sequence[float]], tuple[list[float], list[float] | None]]
 """Function from a pose to held and pulsed wrench.
 
@@ -110,9 +115,7 @@ class Task:
 
         return answer
 
-    def segments(
-        self, held: list[float], force: list[float], pulse: list[float] | None
-    ) -> list[tuple[float, list[float]]]:
+    def segments(self, held: list[float], force: list[float], pulse: list[float] | None) -> Segments:
         """Return a period's segments: duration [s], wrench [N, N m].
 
         Args:
@@ -125,6 +128,17 @@ class Task:
         rest = self.period - self.delay - self.pulse_width
         return [(self.delay, held), (self.pulse_width, pulse), (rest, force)]
 
+    def grid(self, step: float) -> Callable[[list[float], list[float], list[float] | None], Segments]:
+        """Return a function as `segments`, for steps on a fixed grid [s]; a command waits for the next."""
+        steps = round(self.period / step)
+        begins, ends = steps_in(self.delay, step), steps_in(self.delay + self.pulse_width, step)
+
+        def on_grid(held: list[float], force: list[float], pulse: list[float] | None) -> Segments:
+            pulsed = [(step, pulse or force)] * (ends - begins)
+            return [(step, held)] * begins + pulsed + [(step, force)] * (steps - ends)
+
+        return on_grid
+
 
 @dataclass(frozen=True)
 class Variant:
@@ -135,13 +149,52 @@ class Variant:
         name: Name of the variant.
         build: Does what is done once, and returns a function that simulates from the start and returns the poses at
             the samples [m, rad], (ticks + 1, 6).
-        note: What a reader should know about it.
+        title: Name in the table of the best methods; empty for none of them.
     """
 
     peer: str
     name: str
-    build: Callable[[Task], Callable[[], Array]]
-    note: str = ""
+    build: Callable[[Task], Simulate]
+    title: str = ""
+
+
+def closed_loop(
+    task: Task,
+    restart: Callable[[], object],
+    pose: Callable[[], list[float]],
+    advance: Callable[[float, list[float]], object],
+    segments: Callable[[list[float], list[float], list[float] | None], Segments] | None = None,
+) -> Simulate:
+    """Return a run from sample to sample, answered by the law.
+
+    Args:
+        task: The task.
+        restart: Puts the flotor back to the start, at rest.
+        pose: Reads its pose [m, rad].
+        advance: Moves it on for a time [s] under a constant wrench [N, N m].
+        segments: Divides a period; None for `Task.segments`.
+    """
+    divided = segments or task.segments
+
+    def run() -> Array:
+        restart()
+        law, held, poses = task.law(), [0.0] * 6, []
+        for _ in range(task.ticks):
+            seen = pose()
+            poses.append(seen)
+            force, pulse = law(seen)
+            for length, wrench in divided(held, force, pulse):
+                advance(length, wrench)
+            held = force
+        poses.append(pose())
+        return np.array(poses)
+
+    return run
+
+
+def steps_in(duration: float, step: float) -> int:
+    """Return the number of steps begun before a time, rounding aside."""
+    return math.ceil(duration / step - 1e-9)
 
 
 def rotation_vector(w: float, x: float, y: float, z: float) -> list[float]:
