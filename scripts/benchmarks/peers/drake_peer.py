@@ -40,7 +40,7 @@ def _vector(*numbers: float) -> Any:
 
 
 def _plant(task: Task, time_step: float = 0.0) -> Any:
-    """Return the flotor as a plant in world-axis velocities; a step of 0 s for a continuous one."""
+    """Return the flotor as a plant in world-axis velocities, continuous for a step of 0 s."""
     plant = MultibodyPlant(time_step)
     unit = UnitInertia(*(moment / task.mass for moment in task.inertia))
     body = plant.AddRigidBody("flotor", SpatialInertia(task.mass, _vector(0.0, 0.0, 0.0), unit))

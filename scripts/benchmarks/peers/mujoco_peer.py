@@ -127,7 +127,7 @@ class _Flotor:
 def _turned_back(
     qw: float, qx: float, qy: float, qz: float, x: float, y: float, z: float
 ) -> tuple[float, float, float, float]:
-    """Return a quaternion turned back by a small rotation vector [rad], in the axes of the body."""
+    """Return a quaternion turned back by a small rotation vector [rad] in body axes."""
     square = x * x + y * y + z * z
     w = 1.0 - 0.125 * square  # to the fourth order of the angle, far below rounding here
     scale = square / 48.0 - 0.5
@@ -141,7 +141,7 @@ def _turned_back(
 
 
 def _stepped(task: Task, integrator: str, step: float) -> Simulate:
-    """Step on a fixed grid; a command is first seen by the step that begins as it takes effect, or next."""
+    """Step on a fixed grid; a command waits for the next step."""
     flotor = _Flotor(task, integrator, step)
     step_on, push, pose = flotor.step, flotor.push, flotor.pose
     delay = steps_in(task.delay, step)

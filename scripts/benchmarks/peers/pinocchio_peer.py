@@ -75,6 +75,6 @@ def _simulated(task: Task, share: float, step: float | None = None) -> Simulate:
 def _in_body_axes(
     qw: float, qx: float, qy: float, qz: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Return a world vector in body axes, in plain floats: at this size cheaper than a product."""
+    """Return a world vector in body axes, cheaper in plain floats than by a product."""
     a, b, c = 2.0 * (qy * z - qz * y), 2.0 * (qz * x - qx * z), 2.0 * (qx * y - qy * x)
     return x - qw * a + qy * c - qz * b, y - qw * b + qz * a - qx * c, z - qw * c + qx * b - qy * a

@@ -78,7 +78,7 @@ def _pose(state: Array) -> list[float]:
 
 
 def _segmented(task: Task) -> Simulate:
-    """Solve each segment on its own, under a constant wrench: there is no switch to step over."""
+    """Solve each segment under its constant wrench: no switch to step over."""
     rates, start, state = _rates(task), _start(task), _start(task)
 
     def restart() -> None:

@@ -129,7 +129,7 @@ class Task:
         return [(self.delay, held), (self.pulse_width, pulse), (rest, force)]
 
     def grid(self, step: float) -> Callable[[list[float], list[float], list[float] | None], Segments]:
-        """Return a function as `segments`, for steps on a fixed grid [s]; a command waits for the next."""
+        """Return a `segments` for steps on a fixed grid [s]; a command waits for the next."""
         steps = round(self.period / step)
         begins, ends = steps_in(self.delay, step), steps_in(self.delay + self.pulse_width, step)
 
