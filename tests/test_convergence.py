@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any
 
@@ -12,15 +11,13 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, Command, Sample, quaternions, rotation_matrix, rotation_vector
+from maglev_mj.frames import Array, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.plants import INTEGRATORS, MuJoCoBatchPlant
 from maglev_mj.plants.hand import Hand
 from maglev_mj.scenes.bench import wall_controller
-from maglev_mj.scenes.free import SixAxes, Twist
+from maglev_mj.scenes.free import Twist
 from maglev_mj.spec import INERTIA
-from maglev_mj.studies.levels import SteppedLoop, apart, level_parts, motion_of
-from maglev_mj.theory import stiffest_wall
-from maglev_mj.theory.boundary import stiffest_of
+from maglev_mj.studies.levels import level_parts, motion_of
 
 SEMI_IMPLICIT = [name for name in INTEGRATORS if name not in ("rk4", "corrected")]
 CORRECTED: Any = partial(MuJoCoPlant, integrator="corrected")
@@ -155,30 +152,6 @@ def test_a_batch_without_coils_moves_as_its_devices_do() -> None:
         MuJoCoBatchPlant(pose=pose, coils=False, driver_lag=True)
 
 
-def test_corrected_steps_do_not_shift_the_boundary() -> None:
-    theory = stiffest_wall(period=0.005, delay=0.0015)
-    for step in (5e-3, 1e-3, 3e-4):
-        found = stiffest_of(SteppedLoop(period=0.005, delay=0.0015, integrator="corrected", step=step))
-        assert math.isclose(float(found.stiffness), float(theory.stiffness), rel_tol=1e-9)
-
-
-def test_a_sweep_of_drops_ends_alike_on_the_corrected_batch_and_on_the_exact_one() -> None:
-    stiffness, damping = (grid.ravel() for grid in np.meshgrid(np.linspace(500, 16000, 10), np.linspace(20, 180, 10)))
-    pose = np.tile([0.0, 0.0, 4.5e-3, 0.0, 0.0, 0.0], (100, 1))
-    heights = []
-    for kind in (ExactPlant, CORRECTED_BATCH, partial(CORRECTED_BATCH, coils=False)):
-        seen: list[Array] = []
-
-        def keep(sample: Sample, _: Command, seen: list[Array] = seen) -> None:
-            seen.append(sample.position[2])
-
-        plant: Any = kind(Timing(), pose=pose, escape=(1e6, 1.0))
-        drive(plant, drop_controller(stiffness=stiffness, damping=damping), 80, observe=keep)
-        heights.append(np.array(seen))
-    for other in heights[1:]:
-        np.testing.assert_allclose(other, heights[0], atol=1e-11)
-
-
 def test_rotation_matrices_are_the_engine_s() -> None:
     import mujoco
 
@@ -193,10 +166,3 @@ def test_rotation_matrices_are_the_engine_s() -> None:
         mujoco.mju_quat2Mat(wanted, known)
         np.testing.assert_allclose(turn, known, atol=1e-15)
         np.testing.assert_allclose(matrix.ravel(), wanted, atol=1e-15)
-
-
-def test_the_answer_of_the_six_axes_is_converged() -> None:
-    scene = SixAxes()
-    motions = [motion_of(*level_parts(scene, "body", longest_step=step)).pose for step in (2.5e-3, 1.25e-3, 6.25e-4)]
-    coarse, fine = apart(motions[0], motions[1]), apart(motions[1], motions[2])
-    assert fine < 1e-13 and fine < coarse / 4.0

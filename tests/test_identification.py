@@ -174,11 +174,6 @@ def test_an_ideal_sensor_tells_all(timing: tuple[float, float], torques: float, 
     assert np.abs(motion.poses.mean(axis=0)).max() < 1e-4
 
 
-def test_the_torques_that_are_left_out_fall_with_the_square_of_the_angle() -> None:
-    off = [errors(study(1, SLOW, False, 10.0, amplitude)[2], study(1, SLOW, False)[0]).torques for amplitude in (1, 4)]
-    assert off[1] / off[0] == pytest.approx(16.0, rel=0.2)
-
-
 @pytest.mark.parametrize(("timing", "seeds"), [(SLOW, 3), (FAST, 1), pytest.param(FAST, 3, marks=pytest.mark.study)])
 def test_ten_seconds_with_the_devices_sensor_are_within_a_thousandth(timing: tuple[float, float], seeds: int) -> None:
     seen = [(errors(found, twin), found) for twin, _, found in (study(seed, timing, True) for seed in range(seeds))]
@@ -307,14 +302,6 @@ def test_a_wrong_delay_is_seen_and_found() -> None:
             assert find_delay(*motion[:2], period=period, near=delay + off) == pytest.approx(delay, abs=close)
     with pytest.raises(IdentificationError, match="no delay within"):
         find_delay(*motion[:2], period=period, near=0.006)
-
-
-@pytest.mark.parametrize("duration", [2.5, pytest.param(5.0, marks=pytest.mark.study)])
-def test_what_a_drivers_lag_does_is_that_of_a_longer_delay(duration: float) -> None:
-    twin = Twin(1, SLOW, driver_lag=True)
-    motion, lag = shaken(twin, SLOW, duration), 1.0 / (2.0 * math.pi * 2000.0)
-    assert errors(identify(*motion[:2], period=SLOW[0], delay=SLOW[1]), twin).forces > 1e-3
-    assert errors(identify(*motion[:2], period=SLOW[0], delay=SLOW[1] + lag), twin).forces < 1e-4
 
 
 def test_a_device_at_the_other_end_of_a_wire_is_found_too(tmp_path: Path) -> None:

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Scene, Start, Timing, drive, run
+from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Scene, Start, Timing, drive
 from maglev_mj.cli import main
 from maglev_mj.control import AxisLaw, Bias, Hold, Law, Wall, gain
 from maglev_mj.errors import ParameterError
@@ -23,8 +21,7 @@ from maglev_mj.parameters import param
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.free import LetGo, SixAxes, Twist
+from maglev_mj.scenes.free import SixAxes, Twist
 from maglev_mj.scenes.rooms import WEIGHT, InteractiveScene
 from maglev_mj.spec import Spec
 from maglev_mj.studies import levels
@@ -196,32 +193,6 @@ def small(name: str, **values: float) -> Preset:
     return preset._replace(scene=preset.scene.replace(duration=0.1, **values))
 
 
-@pytest.mark.study
-def test_a_level_is_judged_by_the_worst_case() -> None:
-    preset, over = small("drop-no-pulse"), Range(phases=2)
-    result = measure_fidelity(preset, 2e-4, over)
-    assert len(result.cases) == 10 and result.screened == 4096
-    motions = run_levels(preset.scene, result.cases)
-    for index, row in enumerate(result.levels):
-        found = [
-            max((distance(motion, above[number]) for above in motions[index + 1 :] if number in above), default=0.0)
-            for number, motion in motions[index].items()
-        ]
-        assert row.worst >= row.missing >= max(found)
-    assert result.level is not None and result.cheapest is not None and result.cheapest.missing is not None
-    assert MARGIN * result.level.missing <= 2e-4 and MARGIN * result.cheapest.missing <= 2e-4
-    assert (unseen_distances(result, 4) <= 2e-4).all()
-
-
-def test_an_own_scene_of_several_walls_is_screened_and_holds_in_unseen_cases() -> None:
-    result = measure_fidelity(Pocket(), over=Range(phases=1))
-    assert result.screened == 32 and not result.unscreened and result.furthest is not None
-    found = unseen_distances(result, 4)
-    assert (found <= result.furthest).all() and (found <= Pocket.tolerance).all()
-    said = " ".join(str(result.table()).split())
-    assert "and 32 on the exact plant" in said and "in 0.99 of the cases, the margin" in said
-
-
 @pytest.mark.parametrize("name", ["drop", "press", "stick-slip", "six-axes", *INTERACTIVE])
 def test_cases_run_together_as_they_do_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(InteractiveScene, "end", 1.1)
@@ -380,27 +351,6 @@ def test_a_coil_loses_force_with_the_square_of_its_stroke(height: float, left: f
     assert steady(plant, 7.0) == pytest.approx(10.0 * left, rel=1e-5)
 
 
-def test_a_trace_holds_the_force_that_is_left() -> None:
-    plant = MuJoCoPlant(
-        pose=[0, 0, 4.5e-3, 0, 0, 0], wrench=[0, 0, 7, 0, 0, 0], gravity=0.0, force_falloff=0.1, record=True
-    )
-    plant.read()
-    assert plant.trace().wrench[0][2] == pytest.approx(6.3)
-
-
-def test_falloff_converges_with_the_second_power_of_the_step() -> None:
-    def last(step: float) -> float:
-        timing = Timing(delay=0.0)
-        start = [0.0, 0.0, 4e-3, 0.0, 0.0, 0.0]
-        plant = MuJoCoPlant(timing, pose=start, gravity=0.0, force_falloff=0.5, longest_step=step)
-        hold = Hold(axes="z", stiffness=2000.0, damping=20.0)
-        return float(drive(plant, Controller([hold], period=0.005), 10).pose[2])
-
-    places = [last(step) for step in (1.25e-3, 6.25e-4, 3.125e-4, 1e-5)]
-    errors = [abs(place - places[-1]) for place in places[:-1]]
-    assert np.polyfit(np.log([4.0, 2.0, 1.0]), np.log(errors), 1)[0] == pytest.approx(2.0, abs=0.15)
-
-
 def test_the_stops_hold_a_flotor_without_currents() -> None:
     plant = MuJoCoPlant(Timing(), stops=True)
     last = drive(plant, Controller([], period=0.005), 60).pose
@@ -434,14 +384,6 @@ def test_currents_are_limited_without_coils_as_with_upright_ones() -> None:
     assert not np.allclose(applied[0], wrench.wrench)
     small = Command([1.0, 0.0, 6.87, 0.0, 0.0, 0.0])
     assert plant.write(small).force is small.force
-
-
-def test_options_need_coils_and_sense() -> None:
-    for options in ({"driver_lag": True}, {"force_falloff": 0.1}):
-        with pytest.raises(ParameterError, match="driver_lag and force_falloff need coils=True"):
-            MuJoCoPlant(coils=False, **options)
-    with pytest.raises(ParameterError, match="force_falloff must be a finite number at least 0 and at most 1, not 2"):
-        MuJoCoPlant(force_falloff=2.0)
 
 
 def test_a_looser_tolerance_takes_a_lower_level() -> None:
@@ -517,13 +459,6 @@ def test_a_share_of_cases_is_rounded_up_to_a_whole_case(share: float, worst: flo
     assert worst_of([2.0, 4.0, 1.0, 3.0], share) == worst
 
 
-def test_a_step_is_as_far_off_as_its_level_is_on_the_exact_plant(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.studies.fidelity.screen_levels", lambda *_: np.full((len(LEVELS), 4), 3e-5))
-    result = measure_fidelity(LetGo(duration=0.005), 1e-3, Range(phases=1))
-    assert result.level is not None and result.cheapest is not None
-    assert result.cheapest.missing == 3e-5 and result.furthest == MARGIN * 3e-5
-
-
 @pytest.mark.parametrize("shift", [-0.3, 0.3])
 def test_a_boundary_that_moves_either_way_forbids_a_step(shift: float, monkeypatch: pytest.MonkeyPatch) -> None:
     shifts = {"euler": shift, "rk4": 0.5 * shift}
@@ -564,17 +499,6 @@ def test_every_level_can_be_built_for_every_scene() -> None:
     # a delay that leaves no room for jitter has less of it
     for delay in (0.0, 0.005):
         assert math.isfinite(measure_levels(small("drop", delay=delay), repeats=1)[-1].changes)
-
-
-def test_the_command_prints_and_writes_the_levels(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out = tmp_path / "fidelity.json"
-    assert main(["fidelity", "twist", "--tolerance", "1e-5", "--phases", "1", "--json", str(out)]) == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert re.search(r" body [-. \d]+ chosen ", said) and "take body with" in said
-    assert "the margin of 1.25 included; none expected beyond" in said
-    data = json.loads(out.read_text())
-    assert data["level"]["level"] == "body" and data["cheapest"]["error"] < 1e-5 and data["margin"] == MARGIN
-    assert [row["level"] for row in data["levels"]] == [level.name for level in LEVELS]
 
 
 def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
@@ -675,11 +599,6 @@ def test_where_the_level_below_jumps_its_share_of_the_screen_is_told(monkeypatch
     assert "in 0.99 of 4 cases of the whole device alone" in " ".join(str(result.table()).split())
 
 
-def test_laws_of_two_kinds_do_not_run_together() -> None:
-    with pytest.raises(ParameterError, match="law Hold must be an AxisLaw"):
-        run_together([(SixAxes(), 0.0), (OneAlone(), 0.0)], "axes", 0)
-
-
 class Release(Scene):
     """Let the flotor go beside the centre, held by a function without gains to vary."""
 
@@ -710,12 +629,3 @@ def test_a_distance_beyond_the_range_is_no_promise() -> None:
         lost = replace(result, jump=far)
         assert lost.furthest is None and lost.as_json()["furthest"] is None
         assert "how far others go is not known" in " ".join(str(lost.table()).split())
-
-
-def test_an_interactive_scene_runs_at_many_phases_as_at_each(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(InteractiveScene, "end", 0.9)
-    scene = find_scene("box")()
-    together = run(scene, plant="exact", phase=[0.0, 0.6])
-    for place, phase in enumerate((0.0, 0.6)):
-        alone = run(scene, plant="exact", phase=phase).trace
-        np.testing.assert_allclose(together[place].trace.until(0.9).pose[-1], alone.pose[-1], atol=1e-12)

@@ -43,12 +43,6 @@ def test_pd_wall_is_equation_3() -> None:
         assert [command.force[i] for i in (0, 1, 3, 4, 5)] == [0.0] * 5
 
 
-def test_velocity_is_zero_at_the_first_sample_and_a_start_inside_is_no_entry() -> None:
-    (command,) = answer(Controller([wall(pulse=PULSE, pulse_width=WIDTH)], period=T), "z", [-1e-3])
-    assert command.force[2] == K * 1e-3
-    assert command.extra is None
-
-
 def test_the_edge_itself_is_inside() -> None:
     # The paper's rule is x[k-2] > 0 >= x[k-1]: a quantized sensor reads exactly 0 often.
     commands = answer(Controller([wall(pulse=PULSE, pulse_width=WIDTH)], period=T), "z", [1e-3, 0.0, 0.0, 1e-3])
@@ -134,14 +128,6 @@ def test_carried_braking_stops_when_the_flotor_turns_back() -> None:
     assert given == [0.0, 30.0, 0.0, 0.0]
 
 
-def test_carried_braking_leaves_room_for_the_pd_force() -> None:
-    law = wall(pulse=PULSE, pulse_width=WIDTH, force_limit=60.0)
-    commands = answer(Controller([law], period=T), "z", [1e-3, -1.0e-3, -2.0e-3, -2.2e-3])
-    for command in commands[1:3]:
-        assert command.extra is not None
-        assert command.force[2] + command.extra[2] == pytest.approx(60.0)
-
-
 @pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.study)])
 @pytest.mark.parametrize("limit", [math.inf, 60.0])
 def test_batch_of_1000_equals_single_devices_bit_for_bit(limit: float, every: int) -> None:
@@ -175,15 +161,6 @@ def test_batch_of_1000_equals_single_devices_bit_for_bit(limit: float, every: in
             command = alone.step(Sample(tick, tick * T, pose[device].tolist()))
             assert command.wrench.tobytes() == wrench[tick, device].tobytes()
             assert np.array_equal(command.pulse, pulse[tick, device])
-
-
-def test_any_leading_shape() -> None:
-    poses = np.random.default_rng(8).normal(scale=1e-3, size=(4, 2, 3, 6))
-    shaped, flat = (Controller([Wall(lower=0.0, stiffness=K, damping=B)], period=T) for _ in range(2))
-    for tick, pose in enumerate(poses):
-        one = shaped.step(Sample(tick, tick * T, components(pose))).wrench
-        other = flat.step(Sample(tick, tick * T, components(pose.reshape(6, 6)))).wrench
-        assert np.array_equal(one.reshape(6, 6), other)
 
 
 def test_reset_forgets() -> None:

@@ -1,10 +1,5 @@
 """Drops on walls with pulse, force limit and quantized sensor."""
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +7,6 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import main
-from maglev_mj.errors import ParameterError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.studies.cells import Record, local_workers
 from maglev_mj.studies.drop_map import SAMPLES, DropMapParameters, Ending, _Quarters, judge_drops, run_drop_map
@@ -137,25 +131,6 @@ def test_bad_options_of_drops_are_one_line(here: Path, capsys: Any, arguments: l
     assert main(["stability", "--grid", "3", *arguments]) == 2
     said = capsys.readouterr().err
     assert words in said and len(said.splitlines()) == 1
-
-
-def test_bad_pulse_width_is_refused() -> None:
-    with pytest.raises(ParameterError, match="pulse_width must be a finite number above 0"):
-        DropMapParameters(pulse=220.0, pulse_width=0.0)
-
-
-def test_ctrl_c_keeps_the_parts_that_are_done(here: Path) -> None:
-    record = here / "parts.jsonl"
-    command = [sys.executable, "-m", "maglev_mj", "stability", "--grid", "600", "--quantize", "5e-6", "--workers", "0"]
-    process = subprocess.Popen([*command, "--record", str(record)], stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + 60.0
-    while not (record.exists() and record.stat().st_size) and time.monotonic() < deadline:
-        time.sleep(0.01)
-    os.kill(process.pid, signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 130, said
-    assert "maglev-mj stability: stopped; " in said and "Traceback" not in said
-    assert 1 <= len(record.read_text().splitlines()) < 36
 
 
 def test_an_ending_is_that_of_the_last_quarter() -> None:

@@ -55,12 +55,6 @@ def test_steps_are_whole_ones_to_the_last_bit_for_one_device_and_for_many(quantu
     assert all(part.__class__ is float for row in alone for part in row)
 
 
-def test_a_step_far_below_rounding_changes_no_more_than_rounding() -> None:
-    pose = [1e-3, -2e-3, 4.5e-3, 0.1, -0.2, 0.3]
-    measured = Sensor(quantum=1e-22).start()(pose)
-    np.testing.assert_allclose(measured, pose, rtol=1e-15)
-
-
 def test_what_all_devices_share_stays_a_number_behind_steps() -> None:
     plant = ExactPlant(pose=np.broadcast_to([1e-3, 0, 2e-3, 0, 0, 0], (5, 6)), sensor=Sensor(quantum=5e-6))
     assert [np.shape(part) for part in plant.read().position] == [(), (), (5,), (), (), ()]
@@ -130,27 +124,6 @@ def test_a_command_within_the_limits_is_passed_on_as_it_is() -> None:
             beyond[axis] *= 1.0 + 1e-15
             plant.read()
             assert plant.write(Command(beyond)).force == [edge * most for most in limit]
-
-
-@pytest.mark.parametrize("coils", [True, False])
-def test_currents_within_their_limit_leave_a_command_as_it_is(coils: bool) -> None:
-    plant = MuJoCoPlant(current_limit=10.0, coils=coils, gravity=0.0)
-    plant.read()
-    command = Command([0.5, 0.0, 59.0, 0.0, 0.0, 0.0])
-    assert plant.write(command) is command
-    plant.read()
-    for push in (61.0, -61.0):
-        assert plant.write(Command([0.0, 0.0, push, 0.0, 0.0, 0.0])).force[2] == pytest.approx(np.copysign(60.0, push))
-
-
-@pytest.mark.parametrize("coils", [True, False])
-def test_a_list_that_is_used_again_has_its_own_currents(coils: bool) -> None:
-    plant, force, applied = MuJoCoPlant(current_limit=10.0, coils=coils, gravity=0.0), [0.0] * 6, []
-    for push in (10.0, 70.0, 20.0):
-        plant.read()
-        force[2] = push
-        applied.append(plant.write(Command(force)).force[2])
-    assert applied == pytest.approx([10.0, 60.0, 20.0])
 
 
 # --- axes of the exact plant
@@ -307,17 +280,6 @@ def test_a_trace_is_what_each_state_was(name: str, monkeypatch: pytest.MonkeyPat
     for knot, state in enumerate(seen):
         for kept, part in zip((trace.pose, trace.twist, trace.wrench), state, strict=True):
             assert np.array_equal(kept[knot], part)
-
-
-def test_work_is_that_of_the_command_whatever_a_caller_does_to_it_later() -> None:
-    work = []
-    for again in (False, True):
-        plant, force = ExactPlant(metered=True), [0.0] * 6
-        for sample in islice(plant, 10):
-            force[2] = 0.1 * sample.tick
-            plant.write(Command(force if again else list(force)))
-        work.append(plant.work)
-    assert work[0] == work[1] != 0.0
 
 
 @pytest.mark.parametrize(("name", "record"), sweep([*RECORDED, "exact, nothing"], [True, False], every=2))

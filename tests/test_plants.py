@@ -22,7 +22,6 @@ from maglev_mj.plants.coils import limited_wrench
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.sensor import Measure
 from maglev_mj.plants.trace import Trace
-from maglev_mj.spec import INERTIA
 
 PLANTS: list[type[Any]] = [ExactPlant, MuJoCoPlant]
 both = pytest.mark.parametrize("plant_type", PLANTS)
@@ -125,16 +124,6 @@ def test_write_returns_what_was_applied(plant_type: Callable[..., SampledPlant])
     assert forces(plant, [0.0, 0.001, 0.0025]) == [60.0, 60.0, 50.0]
     plant.write(Command([100.0, 0.0, -70.0, -2.0, 0.5, 0.0]))
     assert plant.write(Command([100.0, 0.0, -70.0, -2.0, 0.5, 0.0])).wrench.tolist() == [100, 0, -60, -1, 0.5, 0]
-
-
-@both
-def test_quantized_sensor_reads_whole_steps(plant_type: Callable[..., SampledPlant]) -> None:
-    quantum = [5e-6, 0.0, 5e-6, 10e-6, 10e-6, 0.0]
-    pose = [1.2345e-4, 1.2345e-4, 2e-3, 1.2345e-3, 0.0, 0.0]
-    sample = plant_type(Timing(period=T), pose=pose, sensor=Sensor(quantum=quantum), gravity=0.0).read()
-    expected = [np.rint(x / q) * q if q else x for x, q in zip(pose, quantum, strict=True)]
-    np.testing.assert_allclose(sample.position, expected, rtol=1e-12)
-    assert sample.position[0] == pytest.approx(25 * 5e-6, rel=1e-12)
 
 
 @both
@@ -291,18 +280,6 @@ def bounce(plant: SampledPlant) -> Trace:
     return plant.trace()
 
 
-def test_exact_batch_equals_single_devices() -> None:
-    # The same commands bit for bit; the motion to rounding, because a pulse of one splits the step of all.
-    phases, heights = np.linspace(0.0, 0.95, 20), np.linspace(1e-3, 4e-3, 20)
-    pose = np.zeros((20, 6))
-    pose[:, 2] = heights
-    together = bounce(ExactPlant(Timing(phase=phases), pose=pose, record=True))
-    for device in range(20):
-        alone = bounce(ExactPlant(Timing(phase=phases[device]), pose=pose[device], record=True))
-        times = np.linspace(0.0, 0.29, 300)
-        np.testing.assert_allclose(together.at(times)[0][:, device], alone.at(times)[0], atol=1e-15)
-
-
 @pytest.mark.parametrize("shares", [(1.0, 0.5), pytest.param((1.0, 0.5, 0.25), marks=pytest.mark.study)])
 def test_driver_lag_in_closed_form_is_what_small_steps_converge_to(shares: tuple[float, ...]) -> None:
     # The engine's error under lag falls with the fourth power of its step, towards the exact plant.
@@ -319,18 +296,6 @@ def test_driver_lag_in_closed_form_is_what_small_steps_converge_to(shares: tuple
     assert (slopes > 3.5).all(), (errors, slopes)
 
 
-def test_driver_lag_delays_the_force_by_its_time_constant() -> None:
-    for plant in (
-        ExactPlant(Timing(delay=0.0), gravity=0.0, driver_lag=True, record=True),
-        MuJoCoPlant(Timing(delay=0.0), gravity=0.0, driver_lag=True, record=True),
-    ):
-        plant.read()
-        plant.write(push(1.0))
-        plant.read()
-        # momentum after a step of force: F (t - lag), once the transient is over
-        assert M * plant.trace().at(T)[1][0, 2] == pytest.approx(T - LAG, rel=1e-6)
-
-
 def test_current_limit_caps_each_coil() -> None:
     plant = MuJoCoPlant(current_limit=10.0)
     plant.read()
@@ -340,15 +305,6 @@ def test_current_limit_caps_each_coil() -> None:
     assert plant.device.coils is not None
     assert np.abs(plant.device.coils.currents(tilted.wrench)).max() <= 10.0 + 1e-12
     assert tilted.force[2] < 50.0
-
-
-@pytest.mark.parametrize("coils", [True, False])
-def test_hold_brings_all_six_axes_to_their_target(coils: bool) -> None:
-    target = np.array([1e-3, -5e-4, 8e-4, 0.02, -0.01, 0.015])
-    plant = MuJoCoPlant(coils=coils, gravity=0.0)
-    hold = Hold.critically_damped(inertia=INERTIA, period=T, delay=0.0015, target=target)
-    sample = drive(plant, Controller([hold], period=T), 400)
-    np.testing.assert_allclose(sample.position, target, atol=1e-9)
 
 
 @pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
@@ -410,10 +366,6 @@ def test_a_constant_command_is_one_step_a_period() -> None:
         plant.read()
         steps.append(len(count))
     assert steps == [7, 12]  # the first command is new in both
-
-
-def test_an_empty_batch_is_a_batch() -> None:
-    assert ExactPlant(pose=np.zeros((0, 6))).read().pose.shape == (0, 6)
 
 
 @pytest.mark.parametrize("grip", [{}, {"grip_damping": 0.8, "grip_stiffness": 700.0}])

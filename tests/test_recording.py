@@ -16,9 +16,8 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import main
-from maglev_mj.control.loop import drive
 from maglev_mj.errors import DivergenceError
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, best_suffix, open_recording
+from maglev_mj.recording import ArrayFile, Recording, RecordingError, best_suffix, open_recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
@@ -59,47 +58,6 @@ def test_a_fault_of_another_run_is_no_event_of_a_recording() -> None:
     with pytest.raises(DivergenceError):
         run_variants({"diverges": runs["diverges"]}, plant="exact", recording=recorded(file))
     assert len(file.recording.events) == 1 and file.recording.events[0].startswith("fault: ")
-
-
-def changed(stretch: Stretch, name: str, row: int) -> Stretch:
-    """Return a stretch with one bit changed.
-
-    The last of one number.
-    """
-    values = getattr(stretch, name).copy()
-    values[row, 2] = np.nextafter(values[row, 2], 1.0)
-    return stretch.replace(**{name: values})
-
-
-@pytest.mark.parametrize("name", ["position", "command"])
-def test_a_single_bit_that_differs_is_found(name: str, tmp_path: Path, capsys: Any) -> None:
-    (stretch,) = record_run(Drop(), plant="exact").stretches
-    verdict = verify(Recording([changed(stretch, name, 20)]), rebuild)
-    assert not verdict.same
-    assert verdict.first == (0, 20)
-    path = tmp_path / "run.npz"
-    Recording([changed(stretch, name, 20)]).save(path)
-    assert main(["replay", str(path), "--check"]) == 1
-    assert f"80 of 81 the same: {name}, which first differs at tick 20 of stretch 1" in capsys.readouterr().out
-
-
-def test_a_number_that_is_none_is_not_the_finite_one_that_comes_out_again() -> None:
-    (stretch,) = record_run(Drop(), plant="exact").stretches
-    values = stretch.command.copy()
-    values[20, 2] = np.nan
-    verdict = verify(Recording([stretch.replace(command=values)]), rebuild)
-    assert not verdict.same
-    assert verdict.first == (0, 20)
-
-
-def test_a_hand_that_differs_moves_the_flotor_elsewhere() -> None:
-    (stretch,) = record_run(Drop(), plant="exact").stretches
-    hand = stretch.hand.copy()
-    hand[10, 2] = 0.1
-    verdict = verify(Recording([stretch.replace(hand=hand)]), rebuild)
-    assert verdict.first == (0, 11)
-    assert verdict.fields["position"] == (11, 81, (0, 11))
-    assert verdict.fields["command"] == (81, 81, None)
 
 
 def cut(path: Path) -> None:
@@ -234,18 +192,6 @@ def test_what_is_wrong_with_a_file_goes_into_arrays_of_it(tmp_path: Path, capsys
     assert Recording.load(tmp_path / "cut.npz").damage == "its end is missing"
     assert main(["replay", str(tmp_path / "cut.npz"), "--check"]) == 1
     assert "its end is missing" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
-def test_missed_samples_are_kept_with_their_place(suffix: str, tmp_path: Path) -> None:
-    file, scene = open_recording(tmp_path / f"run{suffix}", wait=True), Drop()
-    with scene.plant("exact") as plant:
-        controller = scene.controller()
-        drive(plant, controller, 40, record=file.begin(plant, controller))
-        file.event("missed", "too slow", 5)
-    file.close()
-    (stretch,) = Recording.load(tmp_path / f"run{suffix}").stretches
-    assert list(stretch.gaps) == [(40, 5)]
 
 
 def test_each_gap_of_a_slow_session_is_its_own_ticks() -> None:

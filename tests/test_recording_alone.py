@@ -393,17 +393,6 @@ def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder:
     assert not list(folder.glob("*executed"))
 
 
-def test_own_code_is_no_plant(folder: Path, say: Any) -> None:
-    # Even where a person lets it be executed.
-    run_script(folder, "run.npz")
-    recording = Recording.load(folder / "run.npz")
-    setup: Any = recording.stretches[0].setup
-    setup["plant"]["class"] = setup["controller"]["laws"][0]["class"]
-    recording.save(folder / "run.npz")
-    status, _, wrong = say("replay", "run.npz", "--check", "--scene", "attached")
-    assert (status, wrong.count("\n")) == (2, 1) and "plant must be of class ExactPlant, MuJoCoPlant, not" in wrong
-
-
 def test_a_hand_that_somebody_moves_is_taken_from_the_samples(folder: Path, say: Any) -> None:
     hand = SpringHand(target=[1e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
 
@@ -629,11 +618,6 @@ def of_other_code(monkeypatch: pytest.MonkeyPatch, path: Path) -> str:
     return differences(Recording.load(path).stretches[0].setup["versions"], now)
 
 
-def test_a_recording_of_this_code_is_shown_without_a_word(folder: Path, say: Any, shown: list[Any]) -> None:
-    write_run(Path("run.npz"), Drop(), plant="exact")
-    assert say("replay", "run.npz") == (0, "", "") and len(shown) == 1
-
-
 @pytest.mark.parametrize("kind", ["script", "scene", "session", "device"])
 def test_other_code_with_the_same_answers_is_shown_with_a_note(
     kind: str, folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
@@ -726,17 +710,6 @@ RECORDED = {"script": of_script, "scene": of_scene, "session": of_session, "devi
 
 
 # what is in a file
-
-
-def test_the_script_on_the_page_is_checked_analysed_and_shown(folder: Path, say: Any) -> None:
-    page = (Path(__file__).parent.parent / "docs" / "reference" / "recording.md").read_text()
-    (script,) = (block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "open_recording" in block)
-    subprocess.run([sys.executable, "-c", script], cwd=folder, check=True, stdout=subprocess.DEVNULL)
-    status, said, wrong = say("replay", "mine.mcap", "--check")
-    assert (status, wrong) == (0, "") and "400 of 400 the same: tick, time, position, command," in said
-    assert "the same to the last bit" in say("analyse", "mine.mcap")[1]
-    replay = Replay(Recording.load(Path("mine.mcap")))
-    assert replay.tick(0.01) == 10 and replay.snapshot().faces == ((2, 1.0, 0.0),)
 
 
 @pytest.mark.parametrize("kind", ["script", "scene", "session"])

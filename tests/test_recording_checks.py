@@ -230,32 +230,6 @@ UNKNOWN = {"device": (), "scene": ("hand",)}
 """Values known to a recording alone."""
 
 
-@ALL_OF_THEM
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_bit_that_differs_in_any_number_of_a_sample_is_found_and_named(
-    kind: str, every: bool, tmp_path: Path
-) -> None:
-    """In a sample of protobuf, in each of its columns."""
-    data, random = made(kind, ".mcap"), np.random.default_rng(2)
-    whole, messages = check(data, tmp_path, ".mcap"), messages_in(data)
-    samples = [message for topic, message in messages if topic == SAMPLE]
-    for name, field in FIELD.items():
-        if field.optional:
-            continue  # not known of any of them
-        places = [*enumerate(field.units)]
-        for place, (column, _) in places if every else some_of(places, lambda _: "", len(name)):
-            row = int(random.integers(1, len(samples)))
-            value = samples[row][name]
-            new = bits([*value.values()][place] if field.six else value)
-            try:
-                verdict = check(with_value(data, row, column, new), tmp_path, ".mcap")
-            except InvalidRecordingError:
-                assert name in ("stretch", "tick")
-                continue
-            if whole.fields[name].compared:
-                assert verdict.fields[name].first is not None and not verdict.same, (row, column)
-
-
 @pytest.mark.parametrize(
     ("column", "bad", "words"),
     [
@@ -523,23 +497,6 @@ def test_a_command_that_is_no_number_is_the_last_and_applied_as_zero(tmp_path: P
         else:
             with pytest.raises(InvalidRecordingError):
                 load(data, tmp_path, ".npz")
-
-
-def test_the_two_widths_of_a_pulse_are_not_taken_for_one_another(tmp_path: Path) -> None:
-    messages = messages_in(made("drop", ".mcap"))
-    pulsed = [row for row, (topic, message) in enumerate(messages) if topic == SAMPLE and message["pulse_width"]]
-    assert pulsed
-    for name, other in (("pulse_width", "applied_pulse_width"), ("applied_pulse_width", "pulse_width")):
-        row = pulsed[0]
-        new = list(messages)
-        new[row] = SAMPLE, {**messages[row][1], name: 0.002}
-        (stretch,) = load(mcap_of(new), tmp_path, ".mcap").stretches
-        place = row - 1
-        assert (stretch.pulse_width[place], stretch.applied_pulse_width[place]) == (
-            (0.002, 0.003) if name == "pulse_width" else (0.003, 0.002)
-        )
-        verdict = check(mcap_of(new), tmp_path, ".mcap")
-        assert verdict.fields[name].first == (0, int(stretch.tick[place])) and verdict.fields[other].first is None
 
 
 @pytest.mark.parametrize("step", [3989, pytest.param(997, marks=pytest.mark.study)])

@@ -115,26 +115,6 @@ def test_energy_taken_is_what_the_actuators_took_from_a_fall(phase: float, delay
     assert fallen > 0.01
 
 
-@pytest.mark.parametrize(
-    ("scene", "phase"),
-    [
-        pytest.param(Drop(mass=0.75), 0.2, marks=pytest.mark.study),
-        (Drop(mass=0.75, pulse=0.0, delay=0.006), 0.0),
-        (Drop(force_limit=60.0), 0.0),
-        pytest.param(StickSlip(), 0.0, marks=pytest.mark.study),
-        (StickSlip(axis="ry", delay=0.003), 0.0),
-    ],
-)
-def test_energy_taken_is_that_of_the_analysis(scene: Scene, phase: float, tmp_path: Path) -> None:
-    # Which puts parabolas between the samples: another way to the same figure, whatever weighs and moves.
-    path = tmp_path / "run.mcap"
-    write_run(path, scene, plant="exact", phase=phase)
-    (stretch,) = Recording.load(path).stretches
-    found = analyse(stretch, rebuild, simulated=False).recorded.figures.energy
-    assert messages(path)[-1][1]["taken"] == pytest.approx(sum(found.taken), rel=1e-6)
-    assert abs(sum(found.taken)) > 1e-9
-
-
 def test_energy_of_a_session_goes_on_with_what_acted_before(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     session = Session(Drop(), record=path, pacer=Pacer(budget=60.0, patience=3600.0))
@@ -267,43 +247,6 @@ def killed(after: int, writer_too: bool, tmp_path: Path) -> int:
     assert verify(recording, rebuild).first is None
     assert main(["replay", str(path), "--check"]) == int(writer_too)
     return made - recording.ticks
-
-
-def test_a_file_that_ends_anywhere_opens_up_to_its_last_chunk(tmp_path: Path) -> None:
-    path, cut = tmp_path / "run.mcap", tmp_path / "cut.mcap"
-    write_run(path, Drop(period=0.0002), plant="exact")
-    data, whole = path.read_bytes(), Recording.load(path)
-    seen = set()
-    for length in range(0, len(data), 1997):
-        cut.write_bytes(data[:length])
-        try:
-            part = Recording.load(cut)
-        except RecordingError:
-            seen.add(-1)
-            continue
-        seen.add(part.ticks)
-        for stretch in part.stretches:
-            for name, values in stretch.arrays.items():
-                assert values.tobytes() == whole.stretches[0].arrays[name][: part.ticks].tobytes()
-    assert min(seen) == -1 and max(seen) == whole.ticks and len(seen) > 10
-
-
-def test_of_a_damaged_file_all_before_the_damage_is_there(tmp_path: Path, capsys: Any) -> None:
-    path, other = tmp_path / "run.mcap", tmp_path / "other.mcap"
-    write_run(path, Drop(period=0.0002), plant="exact")
-    data, whole = path.read_bytes(), Recording.load(path)
-    found = []
-    for place in range(len(data) // 4, len(data) // 2, 1997):
-        other.write_bytes(data[:place] + bytes([data[place] ^ 0xFF]) + data[place + 1 :])
-        part = Recording.load(other)
-        (stretch,) = part.stretches
-        assert (stretch.position == whole.stretches[0].position[: part.ticks]).all()
-        assert part.damage or part.ticks == whole.ticks
-        found.append(part.ticks)
-    assert min(found) < 0.3 * whole.ticks
-    assert main(["replay", str(other), "--check"]) == 1
-    said = capsys.readouterr().out
-    assert "it is damaged" in said and f"{found[-1]} of {found[-1]} the same: tick, time, position" in said
 
 
 def test_rows_that_come_faster_than_they_are_written_are_counted_or_waited_for() -> None:
@@ -468,26 +411,6 @@ def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, mon
         load_samples(tmp_path / "none.mcap")
 
 
-def test_what_is_constant_or_equal_to_another_is_kept_once(tmp_path: Path) -> None:
-    # Over many blocks: until they differ, and with the right bits behind that.
-    path, count = tmp_path / "run.mcap", 20_000
-    file = open_recording(path, wait=True)
-    record = file.begin(Still(), Controller([], period=0.001), {"kind": "test"})
-    for tick in range(count):
-        force = [float(tick), 0.0, -0.0, 0.0, 0.0, 0.0]
-        applied = force if tick != 15_000 else [1.0, *force[1:]]
-        pulse = [0.0] * 5 + [float(tick > 16_000)]
-        record(Sample(tick, tick * 0.001, list(ZERO)), Command(force, pulse, 0.001), Command(applied, pulse, 0.001))
-    file.close()
-    samples = load_samples(path)
-    assert samples.position.strides[0] == samples.pulse_width.strides[0] == 0
-    assert samples.applied_pulse is samples.pulse and samples.applied_pulse_width.strides[0] == 0
-    assert samples.applied is not samples.command
-    assert samples.command[:, 0].tolist() == list(range(count)) and np.signbit(samples.command[:, 2]).all()
-    assert np.flatnonzero((samples.applied != samples.command).any(axis=1)).tolist() == [15_000]
-    assert samples.applied[15_000, 0] == 1.0 and (samples.pulse[:, 5] == (samples.tick > 16_000)).all()
-
-
 def test_a_recording_is_not_exported_over_itself(tmp_path: Path, capsys: Any) -> None:
     path = tmp_path / "run.npz"
     write_run(path, Drop(), plant="exact")
@@ -554,35 +477,6 @@ def test_the_writer_takes_no_modules_from_the_folder_that_it_is_in(tmp_path: Pat
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and not done.stderr, done.stderr
     assert Recording.load(tmp_path / "run.mcap").ticks == 81
-
-
-def test_messages_that_are_missing_are_noticed(tmp_path: Path) -> None:
-    """A count at the end says how many there were."""
-    from mcap.writer import Writer
-
-    path, other = tmp_path / "run.mcap", tmp_path / "other.mcap"
-    write_run(path, Drop(period=0.001), plant="exact")
-    data = path.read_bytes()
-    found = []
-    for place in range(200, len(data) - 200, 397):
-        other.write_bytes(data[:place] + bytes([data[place] ^ 0x10]) + data[place + 1 :])
-        try:
-            part = Recording.load(other)
-        except RecordingError:
-            continue  # what it was made from is gone
-        assert part.ticks == 401 or part.damage
-        for stretch in part.stretches:
-            assert stretch.tick.tolist() == list(range(part.ticks))
-        found.append(part.ticks)
-    assert min(found) < 200 < max(found)
-    with other.open("wb") as file:  # one of another program
-        writer = Writer(file)
-        writer.start()
-        channel = writer.register_channel(topic="/camera", message_encoding="cdr", schema_id=0)
-        writer.add_message(channel, log_time=0, publish_time=0, data=b"\x00\x01")
-        writer.finish()
-    with pytest.raises(RecordingError, match="is not a whole recording"):
-        Recording.load(other)
 
 
 def test_many_samples_take_little_memory_to_read(tmp_path: Path) -> None:

@@ -11,11 +11,10 @@ import pytest
 
 from maglev_mj import Range, find_scene, linearise, measure_fidelity, run, run_phases, stability, sweep
 from maglev_mj.errors import MissingPackageError, ParameterError
-from maglev_mj.result import Result, Table, number_text, plain
+from maglev_mj.result import Result, Table, number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Figure
-from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session.replay import record_run
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.drop_map import DropMapParameters, run_drop_map
@@ -118,13 +117,6 @@ def test_the_series_of_a_run_are_those_of_its_trace() -> None:
         one.plot(picture="drop_phases")
 
 
-@pytest.mark.parametrize("duration", [0.35, 0.57])
-def test_the_last_row_of_a_series_is_the_end_of_its_run(duration: float) -> None:
-    assert duration / 1e-3 % 1.0 > 0.5  # so that a rounded quotient would lose it
-    time = run(Drop(duration=duration), plant="exact").to_pandas()["time"]
-    assert len(time) == round(duration * 1000) + 1 and time.iloc[-1] == pytest.approx(duration)
-
-
 def test_a_choice_of_model_draws_the_distance_of_each_level() -> None:
     found: Any = results()["fidelity"]
     missing = 1e6 * found.to_pandas()["missing"].to_numpy()
@@ -140,14 +132,6 @@ def test_a_choice_of_model_draws_the_distance_of_each_level() -> None:
     assert table.head[2] == "worst [µm]" and table.head[5] == "cost [µs]"
     worst = [1e6 * row.worst for row in found.levels]
     assert [row[2] for row in table.rows] == pytest.approx(worst, abs=5e-4) and found.level.level in table.note
-
-
-def test_a_run_that_turns_has_units_of_rotations() -> None:
-    turned = run(StickSlip(axis="rz", spring=1.0, stiffness=1.5, damping=0.02, breakaway=5e-4), plant="exact")
-    frame = turned.to_pandas()
-    units = frame.attrs["units"]
-    assert (units["position"], units["velocity"], units["force"]) == ("rad", "rad/s", "N m")
-    assert set(frame["state"]) == {"stuck", "sliding"}
 
 
 def test_a_batch_says_that_a_series_needs_one_phase() -> None:
@@ -222,12 +206,6 @@ def test_a_verdict_and_its_closed_loop_have_the_same_worst_eigenvalue() -> None:
     assert len(outside.get_xdata()) == 2 and (np.hypot(*outside.get_data()) > 1.0).all()
     stable = stability(Drop())
     assert not any(line.get_label().startswith("outside") for line in lines(stable.plot()))
-
-
-def test_a_verdict_without_stated_gains_has_eigenvalues_too() -> None:
-    scene = find_scene("scripts/examples/detents.py")()
-    verdict = stability(scene)
-    assert not verdict.stated and np.abs(verdict.eigenvalues).max() == verdict.modulus
 
 
 def test_a_linearised_wall_answers_now_and_one_sample_later() -> None:
@@ -340,9 +318,3 @@ def test_a_long_text_at_the_end_of_a_row_is_wrapped() -> None:
 )
 def test_numbers_have_one_form(value: float, digits: int, decimals: int | None, text: str) -> None:
     assert number_text(value, digits, decimals) == text
-
-
-def test_json_is_made_of_plain_values() -> None:
-    found = {"a": np.array([1.0, np.nan]), "b": np.bool_(True), "c": np.int64(3), "d": (1, None), "e": math.inf}
-    assert plain(found) == {"a": [1.0, None], "b": True, "c": 3, "d": [1, None], "e": None}
-    assert plain(Drop) == "drop" and plain(Drop())["stiffness"] == 6000.0

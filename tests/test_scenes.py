@@ -9,12 +9,12 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from maglev_mj.control import Bias, Hold, Law
+from maglev_mj.control import Law
 from maglev_mj.errors import DivergenceError, ParameterError
-from maglev_mj.frames import AXES, Command, Component, Sample
+from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Timing
-from maglev_mj.plants.hand import GuidedHand, Hand, HandForce, Trajectory
+from maglev_mj.plants.hand import HandForce
 from maglev_mj.result import plain
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import STOCK, figures_named
@@ -130,21 +130,6 @@ def test_the_start_is_where_how_fast_and_under_what_it_is_let_go(plant: str) -> 
     np.testing.assert_allclose(force, [WEIGHT[2], WEIGHT[2], 0.0], rtol=0.0, atol=1e-9)
 
 
-class Held(Fall):
-    """Fall in a hand."""
-
-    figures: ClassVar[Any] = ("final_position",)
-
-    def scripted_hand(self, phase: float = 0.0) -> GuidedHand:
-        return GuidedHand(hand=Hand(mass=0.5, damping=20.0, stiffness=500.0), path=Trajectory([0.0], [[0.0] * 6]))
-
-
-def test_the_impedance_of_a_scripted_hand_is_on_the_flotor() -> None:
-    held, free = (run(scene, plant="exact").figures["final_position"] for scene in (Held(), Fall()))
-    assert held == pytest.approx(run(Held(), plant="mujoco").figures["final_position"], abs=1e-9)
-    assert held - free > 0.5e-3
-
-
 def test_keywords_hands_and_timings_go_before_the_scene_s() -> None:
     asked: list[str] = []
 
@@ -225,12 +210,6 @@ def test_whoever_observes_sees_every_sample_and_the_command_as_applied(plant: st
     )
     pulses = [applied.force[2] + applied.extra[2] for _, applied in seen if applied.extra is not None]
     assert pulses[0] == pytest.approx(60.0) and max(applied.force[2] for _, applied in seen) <= 60.0
-
-
-def test_in_a_batch_whoever_observes_sees_all_devices() -> None:
-    seen: list[Component] = []
-    run(Drop(), plant="exact", phase=PHASES, observe=lambda sample, _: seen.append(sample.position[2]))
-    assert len(seen) == 80 and np.shape(seen[40]) == PHASES.shape
 
 
 def test_what_laws_tell_is_kept_with_each_sample() -> None:
@@ -321,24 +300,8 @@ def test_a_run_has_at_most_a_million_periods(cls: Any) -> None:
         cls(**longest).replace(period=5e-6)
 
 
-def test_a_scene_that_says_itself_when_it_ends_has_the_same_limit() -> None:
-    class Endless(Fall):
-        @property
-        def end(self) -> float:
-            return 5001.0
-
-    with pytest.raises(ParameterError, match="duration must be at most 1000000 periods, not 5001 s"):
-        Endless()
-
-
 # -- many phases -----------------------------------------------------------------------------------------
 
-WALLS: Mapping[str, Any] = {
-    "no switch between samples": {"delay": 0.0, "pulse": 0.0},
-    "soft": {"delay": 0.0, "pulse": 0.0, "stiffness": 3000.0, "damping": 55.0},
-    "coarse": {"delay": 0.0, "pulse": 0.0, "quantize": 5e-6},
-    "limited": {"delay": 0.0, "pulse": 0.0, "force_limit": 30.0},
-}
 SWITCHED: Mapping[str, Any] = {
     "as it comes": {},
     "soft": {"stiffness": 3000.0, "damping": 55.0},
@@ -347,24 +310,6 @@ SWITCHED: Mapping[str, Any] = {
     "limited": {"force_limit": 60.0},
     "fast": {"period": 0.001, "delay": 0.0005, "pulse_width": 0.0009},
 }
-
-
-def equal(one: RunResult, other: RunResult) -> bool:
-    """Return whether two runs have the same bits."""
-    parts = ("time", "pose", "twist", "wrench")
-    return all(np.array_equal(getattr(one.trace, name), getattr(other.trace, name)) for name in parts) and all(
-        np.array_equal(value, other.figures[name], equal_nan=True) for name, value in one.figures.items()
-    )
-
-
-@pytest.mark.parametrize("gains", WALLS.values(), ids=WALLS)
-@pytest.mark.parametrize("scene", [Drop(duration=0.2), SHORT], ids=["drop", "press"])
-def test_a_batch_has_the_bits_of_its_runs_where_all_forces_change_together(scene: Scene, gains: Any) -> None:
-    """Then every device passes through the same knots."""
-    changed = scene.replace(**gains)
-    batch = run(changed, plant="exact", phase=PHASES)
-    for device, phase in enumerate(PHASES.tolist()):
-        assert equal(batch[device], run(changed, plant="exact", phase=phase))
 
 
 @pytest.mark.parametrize("gains", SWITCHED.values(), ids=SWITCHED)
@@ -458,15 +403,6 @@ def test_phases_are_run_in_parts_and_told_of() -> None:
     assert done == [(1, 2), (2, 2)]
 
 
-def test_a_scene_without_figures_can_be_swept() -> None:
-    class Silent(Fall):
-        figures: ClassVar[Any] = ()
-
-    for plant in ("exact", "mujoco"):
-        swept = run_phases(Silent(), 2, plant=plant)
-        assert not swept.figures and swept.as_json()["phases"] == [{"phase": 0.0}, {"phase": 0.5}]
-
-
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_every_scene_runs_on_both_plants(name: str, plant: str) -> None:
@@ -478,22 +414,6 @@ def test_every_scene_runs_on_both_plants(name: str, plant: str) -> None:
     assert AXES[AXES.index(scene.axis)] == scene.axis and scene.describe()
     assert next(iter(scene.variants().values())) == scene
     assert figures_of(scene, plant, 0.4).keys() >= result.figures.keys()
-
-
-@pytest.mark.parametrize("plant", ["exact", "mujoco"])
-def test_laws_add_up(plant: str) -> None:
-    # One carries the weight, the other draws down: together they hold it where the spring is stretched by nothing.
-    class Hover(Scene):
-        duration: float = param("simulated time", "s", default=0.2)
-
-        def start(self) -> Start:
-            return Start(wrench=WEIGHT)
-
-        def laws(self) -> list[Law]:
-            up = [2.0 * part for part in WEIGHT]
-            return [Bias(up), Hold(axes="z", stiffness=100.0, damping=5.0, target=-WEIGHT[2] / 100.0)]
-
-    assert run(Hover(), plant=plant).trace.furthest().max() < 1e-12
 
 
 def test_an_option_that_a_plant_lacks_is_named() -> None:

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 
-from maglev_mj import MuJoCoPlant
 from maglev_mj.errors import ModelError, ParameterError, SensingError
 from maglev_mj.frames import components, rotation_matrix
 from maglev_mj.plants import SpotSensor
@@ -72,16 +71,6 @@ def test_a_geometry_that_cannot_tell_is_refused() -> None:
         Beams(good.leds[:2], good.directions, good.diodes, good.across)
     with pytest.raises(ParameterError, match="quantum must be"):
         SpotSensor(beams=good, quantum=-1.0)
-
-
-def test_a_plant_measures_by_its_spots() -> None:
-    pose = [1e-3, -5e-4, 2e-3, 0.02, -0.01, 0.03]
-    ideal, stepped = (
-        MuJoCoPlant(pose=pose, sensor=SpotSensor(beams=beams(), quantum=quantum)).read().pose for quantum in (0.0, 8e-7)
-    )
-    np.testing.assert_allclose(ideal, pose, atol=1e-13)
-    off = np.abs(stepped - pose)
-    assert 0.0 < off[:3].max() < 5e-6 and 0.0 < off[3:].max() < 1e-5
 
 
 def test_a_batch_is_measured_at_once() -> None:

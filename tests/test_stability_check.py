@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES
-from maglev_mj.control import AxisLaw, Hold, Law, StickSlip, gain
+from maglev_mj.control import AxisLaw, Hold, Law, gain
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Sample
 from maglev_mj.parameters import param
@@ -135,12 +135,6 @@ def test_walls_of_the_settings_take_the_place_of_the_scenes_own(name: str) -> No
     assert scene.replace(wall=False).controller().faces == ()
     assert scene.replace(walls=[]).controller().faces == ()
     assert cls.from_json(json.loads(json.dumps(scene.as_json()))) == scene
-
-
-def test_breakaway_is_where_friction_lets_go() -> None:
-    for breakaway in (1.0, 4.0):
-        (law,) = (law for law in Table(breakaway=breakaway).laws() if isinstance(law, StickSlip))
-        assert np.max(law.breakaway) == breakaway
 
 
 @pytest.mark.parametrize("period", [0.005, 0.001])
@@ -301,16 +295,6 @@ def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia:
     assert stability(scene).modulus == stability(scene, inertia=body).modulus
     warned = stability_warning(scene, inertia=[10.0] * 3 + [1.0] * 3)
     assert warned is None and (stability_warning(scene) is None) == (body[0] > 1.0)
-
-
-def test_the_bound_is_that_of_the_scenes_own_mass() -> None:
-    scene = Drop(mass=0.4, pulse=0.0, stiffness=6000.0)
-    refused, bound = unstable_loop(scene), largest_stable_stiffness(80.0, period=0.005, delay=0.0015, mass=0.4)
-    assert refused is not None and refused.largest_stable == pytest.approx(float(bound), rel=1e-9)
-    assert (
-        unstable_loop(scene.replace(mass=MASS)) is None
-        and unstable_loop(scene.replace(stiffness=0.99 * float(bound))) is None
-    )
 
 
 def test_the_stability_plot_shows_gains_only_where_all_laws_state_them() -> None:

@@ -75,11 +75,6 @@ def test_the_newest_line_of_a_cell_names_its_code(tmp_path: Path, newest: str, c
     assert sum(other["cells"] for other in kept.others([{"x": 1}])) == count
 
 
-def test_cells_given_twice_run_once_and_come_back_in_order() -> None:
-    cells: list[Cell] = [{"x": 3}, {"x": 1}, {"x": 3}]
-    assert run_cells(squares, cells) == [{"square": 9}, {"square": 1}, {"square": 9}]
-
-
 @pytest.mark.parametrize("torn", ['{"cell": {"x": 1}, "resu', '{"cell": {"x": 1}, "result": {"square": 1}}'])
 def test_a_line_torn_by_a_dying_process_is_no_obstacle(tmp_path: Path, torn: str) -> None:
     path = tmp_path / "record.jsonl"
@@ -148,24 +143,6 @@ def test_a_cell_that_always_kills_is_named_and_tried_again_by_a_rerun(tmp_path: 
     assert results[3] == {"error": "its worker died 2 times"}
     assert [results[place] for place in range(8) if place != 3] == [{"square": x**2} for x in range(8) if x != 3]
     assert cells[3] not in Record(path)
-
-
-def test_an_error_in_the_function_is_raised_with_what_had_landed_kept(tmp_path: Path) -> None:
-    def broken(cells: list[Cell]) -> list[Any]:
-        if cells[0]["x"] == 2:
-            raise RuntimeError("a bug")
-        return squares(cells)
-
-    record = Record(tmp_path / "record.jsonl")
-    with pytest.raises(RuntimeError, match="a bug"):
-        run_cells(broken, [{"x": x} for x in range(5)], record=record)
-    assert {"x": 1} in Record(tmp_path / "record.jsonl")
-
-
-def test_a_run_that_diverges_is_a_result(tmp_path: Path) -> None:
-    unstable = swept_cells(Drop(stiffness=50000.0, damping=0.0, duration=2.0), {}, plant="exact")
-    (result,) = run_cells(run_scene_cells, unstable)
-    assert "diverged" in result["error"]
 
 
 def fails_at_two(cells: list[Cell]) -> list[Any]:
@@ -312,18 +289,6 @@ def test_dask_equals_local_also_with_a_worker_killed_half_way(cluster: Any) -> N
     workers = dask_workers(cluster.scheduler_address)
     again = run_cells(slowly, cells, workers=workers, together=3, progress=progress)
     assert killed and again == local
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_the_command_runs_on_a_cluster(cluster: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    common = ["sweep", "drop", "--vary", "phase=0:0.9:6", "--set", "plant=exact", "--json", "-"]
-    here = [*common, "--record", str(tmp_path / "here.jsonl"), "--workers", "0"]
-    there = [*common, "--record", str(tmp_path / "there.jsonl"), "--scheduler", cluster.scheduler_address]
-    results = []
-    for arguments in (here, there):
-        assert main(arguments) == 0
-        results.append(capsys.readouterr().out)
-    assert results[0] == results[1]
 
 
 def slowly(cells: list[Cell]) -> list[Any]:
