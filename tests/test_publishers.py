@@ -23,7 +23,8 @@ from mcap.reader import make_reader
 from live_client import LiveClient, reader
 from maglev_mj import theory
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
-from maglev_mj.bridge.flight import Flight, StopSwitch
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.landing import StopSwitch
 from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.laws.base import as_law

@@ -21,7 +21,8 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State, Twin, TwinParameters
-from maglev_mj.bridge.flight import Flight, StopSwitch
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.landing import StopSwitch
 from maglev_mj.bridge.links import UdpServer
 from maglev_mj.bridge.realtime import stopping
 from maglev_mj.bridge.safety import Limits
@@ -128,9 +129,10 @@ def within(seconds: float) -> list[str]:
     """
     text = f"""
 import sys
+from maglev_mj.bridge import landing
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.cli import bridge, main
-bridge.LANDING_TIME = {seconds}
+from maglev_mj.cli import main
+landing.LANDING_TIME = {seconds}
 RemotePlant.__init__.__kwdefaults__["patience"] = 30.0
 sys.exit(main())
 """

@@ -14,8 +14,8 @@ import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.landing import Motion, _observed
 from maglev_mj.bridge.safety import HostLimits
-from maglev_mj.bridge.takeoff import Motion
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.twin.simulated_links import Impairment
 from maglev_mj.bridge.twin.twin import REST
@@ -39,7 +39,7 @@ RATES = [0.005, 0.001, 0.00025]
 
 def still(rig: Rig) -> Motion:
     """Return the result of a watch before takeoff."""
-    return rig.plant._watch(0.0)
+    return _observed(rig.plant, 0.0)
 
 
 @pytest.mark.parametrize("period", RATES)
@@ -282,7 +282,7 @@ def test_takeoff_and_landing_have_the_default_envelope_and_the_own_speed() -> No
 
 def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:
     # The first command leaves at the first sample after ARM, and costs no more than the later ones.
-    from maglev_mj.bridge import remote, takeoff
+    from maglev_mj.bridge import landing
 
     rig = Rig()
     line, armed, sent = rig.plant._line, [], []
@@ -294,13 +294,8 @@ def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: 
     def asked(operation: Operation, **keywords: Any) -> Any:
         answer = control(operation, **keywords)
         armed.append((rig.twin.tick, time.perf_counter()))
-        for module, name in (
-            (takeoff, "Trajectory"),
-            (takeoff, "Controller"),
-            (takeoff, "Hold"),
-            (remote, "ControlLoop"),
-        ):
-            monkeypatch.setattr(module, name, forbidden)
+        for name in ("Trajectory", "Controller", "Hold", "ControlLoop"):
+            monkeypatch.setattr(landing, name, forbidden)
         monkeypatch.setattr("gc.collect", forbidden)
         return answer
 

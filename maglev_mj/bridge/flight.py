@@ -6,25 +6,23 @@ import json
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.bridge.realtime import LatencyHistogram, interrupt
+from maglev_mj.bridge.landing import LandingReport, StopSwitch
+from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.takeoff import LandingReport
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
-from maglev_mj.errors import MaglevError, ParameterError, PlantError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingError, RecordingFile
 from maglev_mj.result import Table
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import (
     STEP_FORCE,
@@ -48,9 +46,6 @@ _USUAL = 100  # answers whose median is the usual delay: one late answer makes n
 _RENEWED = 2_000_000_000  # [ns] the quickest way is looked for in: clocks drift apart by up to 100 µs a second
 _NOTE = "the hand, the rate and the delay are the device's"
 
-LANDING_TIME = 2.0
-"""Longest landing before the currents are cut [s]."""
-
 LINE_TIME = 1e-3
 """Assumed delay of the line, both ways, and host [s].
 
@@ -66,64 +61,6 @@ def expected_delay(plant: RemotePlant) -> float:
     The line's part cannot be measured before takeoff and is taken as `LINE_TIME`; it is 0 in lockstep.
     """
     return plant.delay + (0.0 if plant.lockstep else LINE_TIME)
-
-
-class StopSwitch:
-    """Switch that ends a flight by landing or zero current.
-
-    Attributes:
-        landing: True if the flight is to land.
-    """
-
-    def __init__(self) -> None:
-        self.landing = False
-        self._plant: RemotePlant | None = None  # that flies
-
-    def land(self) -> None:
-        """Request landing, from any thread."""
-        self.landing = True
-
-    def cut(self) -> None:
-        """Interrupt the flight once, which cuts its currents.
-
-        Only for the thread that flies.
-        """
-        self.landing = True
-        plant, self._plant = self._plant, None
-        if plant is not None and not plant.disarmed:
-            interrupt()
-
-    @contextmanager
-    def flying(self, plant: RemotePlant) -> Iterator[None]:
-        """Guard a flight: any error cuts its currents.
-
-        An interrupt is an emergency stop, any other error a fault of the host.
-
-        Raises:
-            KeyboardInterrupt: If landing was requested before the start, or the currents were cut before takeoff.
-            DeviceFault: If the currents were cut, by an interrupt or by an error once it is armed.
-            PlantError: If the device does not confirm the cut.
-        """
-        if self.landing:
-            interrupt()
-        self._plant, plant.disarmed = plant, False
-        try:
-            yield
-        except KeyboardInterrupt:
-            self._plant = None
-            try:
-                plant.estop()
-            except MaglevError as error:
-                raise PlantError(f"the flight was to be cut, {error}") from None
-            plant.read()  # raises the fault, with the last cycles on disk
-            raise KeyboardInterrupt("stopped before takeoff; ESTOP is latched in the device") from None
-        except BaseException as error:
-            self._plant = None
-            where = line_of(error)
-            plant.abort(f"{where}: " * (where is not None) + f"{type(error).__name__}: {error}")
-            raise
-        finally:
-            self._plant = None
 
 
 class LoopTiming:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import math
 import warnings
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ from typing import NoReturn, Self
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
+from maglev_mj.bridge.landing import LandingReport, Leader, land, shown, take_off
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.safety import (
     WARNING_RISE,
@@ -25,10 +25,8 @@ from maglev_mj.bridge.safety import (
     reading_fault,
     weight_fault,
 )
-from maglev_mj.bridge.takeoff import LandingReport, Leader, Motion, off_stop, shown
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Fault, Frame, Operation, State, StateReport, fault_names
-from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants.sensor import PoseTracker
@@ -36,7 +34,6 @@ from maglev_mj.plants.sensor import PoseTracker
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
 _NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6
 _MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
-_SETTLING, _WATCHING = 0.3, 0.2  # longest wait for rest before disarming, and observation after [s]
 
 
 class RemotePlant:
@@ -61,6 +58,8 @@ class RemotePlant:
         limits: The smaller of the device's and the host's.
         latched: One line about faults that were latched in the device at the handshake; empty without faults.
         disarmed: True after this host armed the device and switched the currents off.
+        guided: True in takeoff and landing: the default envelope applies if it is the larger.
+        doubt: Fault of the last sample's numbers, as text; empty if they are plausible.
         state: State of the device at the last sample; `faults` are its faults then.
         first: First faults, at `fault_time` by the device's clock [ns]; 0 without faults.
         last_currents: Last sent currents [A], six.
@@ -131,8 +130,8 @@ class RemotePlant:
         self._answered: int | None = None  # by the newest answer
         # armed by this host, and nothing has ended it that was reported
         self.disarmed = self._armed = self._warned = False
-        self._led = self._owed = False  # led from or to its stop; an answer is owed to the last sample
-        self._sequence, self._located, self._doubt = 0, 0, ""  # last sample, last known pose, fault of the sample
+        self.guided = self._owed = False  # an answer is owed to the last sample
+        self._sequence, self._located, self.doubt = 0, 0, ""  # last sample, last known pose
         self._frame: Frame | None = None  # the last sample
         self._seen: Sequence[float] = _UNKNOWN  # its pose
         self._known: Sequence[float] = ZERO
@@ -170,20 +169,20 @@ class RemotePlant:
         if (report.state != self.state or report.faults != self.faults) and frame.time > self._line.settled:
             self._adopt(report.state, report.faults)
         if self.state is _FAULT and self._armed:
-            self._fail(self.faults, "asked for")
+            self.fail(self.faults, "asked for")
         samples, limits = self.samples, self.limits
         fault = self._spots.check(report.spots, report.valid, report.conversions, samples.elapsed)
         wrong = reading_fault(limits, report.currents, report.temperatures)
-        if fault or wrong or self._doubt:
+        if fault or wrong or self.doubt:
             self._mistrust(fault | wrong, report)
         position = self._locate(report.spots)
         tick, active = samples.tick, self.state is _ACTIVE
-        if wrong := self._guard.check(position, (tick - self._located) * self.period, self._led or not active):
+        if wrong := self._guard.check(position, (tick - self._located) * self.period, self.guided or not active):
             self._suspect(wrong, f"the flotor is at {shown(position)}")
         self._located = tick
         if active:
             if samples.out_of_step:
-                self._fail(Fault.CLOCK, samples.out_of_step)
+                self.fail(Fault.CLOCK, samples.out_of_step)
             if max(report.temperatures) >= WARNING_RISE or self._output.thermal.warmest >= WARNING_RISE:
                 self._watch_temperatures()
         return Sample(tick, tick * self.period, position)
@@ -199,7 +198,7 @@ class RemotePlant:
         try:
             command, held, pulsed, width = self._output.currents(command, self._known)
         except (PlantError, TypeError) as error:
-            self._fail(Fault.INVALID_COMMAND, str(error))
+            self.fail(Fault.INVALID_COMMAND, str(error))
         self._answer(frame, held, pulsed, width)
         return command
 
@@ -260,7 +259,7 @@ class RemotePlant:
             hover: Held by the device if commands are missing [A], six; by default the currents that carry the flotor.
         """
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
-        self.state, self._armed, self._led = _ACTIVE, True, False
+        self.state, self._armed, self.guided = _ACTIVE, True, False
 
     def disarm(self) -> None:
         """Switch the currents off."""
@@ -311,27 +310,7 @@ class RemotePlant:
             PlantError: If the flotor moves, is not on its lower stop or not measured; the device is not armed.
         """
         self._check_open()
-        if self.state is not _INACTIVE:
-            raise PlantError(f"no takeoff: the device is {self.state.name}, faults {fault_names(self.faults)}")
-        leader, loop = self._leader, ControlLoop(self, self._leader)
-        gc.collect()
-        motion = self._watch(0.0)
-        if self._doubt or not motion.full:
-            raise PlantError(f"no takeoff: {self._doubt or 'the flotor is not measured'}")
-        rest = motion.pose
-        if not motion.at_rest:
-            raise PlantError(f"no takeoff: the flotor moves at {motion}, and must rest")
-        if off_stop(rest, self.calibration.gravity.tolist()):
-            raise PlantError(f"no takeoff: the flotor is at {shown(rest)}, and must lie on its lower stop")
-        leader.aim(rest, rest, duration)
-        loop.cycle(2)  # the device ignores these answers; slow first calls are done
-        leader.aim(rest, ZERO, duration, self._astray)
-        self.arm()
-        self.rest, self._led = rest, True
-        try:
-            self._lead(loop, duration, watch)
-        finally:
-            self._led = False
+        take_off(self, self._leader, duration, watch)
 
     def land(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> LandingReport:
         """Move the flotor back to its rest pose and disarm.
@@ -346,38 +325,7 @@ class RemotePlant:
         Raises:
             DeviceFault: As for `takeoff`.
         """
-        leader, self._led = self._leader, True
-        loop = ControlLoop(self, leader)
-        leader.aim(self.read().position, self.rest, duration)
-        self._lead(loop, duration, watch)
-        end = self.samples.tick + round(_SETTLING / self.period)
-        while self.samples.tick < end and not leader.motion.at_rest:
-            loop.cycle()
-        self.disarm()
-        motion = self._watch(_WATCHING)
-        rests = motion.at_rest and not self._doubt
-        return LandingReport(math.dist(motion.pose[:3], self.rest[:3]), *motion.speeds, rests)
-
-    def _lead(self, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> None:
-        end = self.samples.tick + max(round(duration / self.period), 1)
-        while self.samples.tick < end:
-            loop.cycle()
-            if watch is not None and watch():
-                return
-
-    def _watch(self, duration: float) -> Motion:
-        """Observe motion for `duration` [s] and until known or doubtful."""
-        motion, self._doubt = Motion(self.period), ""
-        end = self.samples.tick + round(duration / self.period)
-        while self.samples.tick < end or not (motion.full or self._doubt):
-            try:
-                motion.add(self.read())
-            except SensingError as error:
-                self._doubt = str(error)
-        return motion
-
-    def _astray(self, place: Sequence[float]) -> NoReturn:
-        self._fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(place)}, not where it is led")
+        return land(self, self._leader, duration, watch)
 
     def _ask(self, operation: Operation, *, hover: Sequence[float] = ZERO) -> None:
         self._check_open()
@@ -420,19 +368,19 @@ class RemotePlant:
 
     def _adopt(self, state: int, faults: int) -> None:
         if state not in tuple(State):
-            self._fail(Fault.HOST, f"the device says that it is in state {state}, which is none")
+            self.fail(Fault.HOST, f"the device says that it is in state {state}, which is none")
         before = self.state
         if state == _FAULT:
             self._latch(Fault(faults), self.samples.time)
         self.state, self.faults = State(state), Fault(faults)
         if self.state is _FAULT is not before:
-            self._fail(self.faults, "said by the device")
+            self.fail(self.faults, "said by the device")
         if self.state is _INACTIVE and before == _ACTIVE:
-            self._fail(Fault.HOST, "the device switched its currents off without being asked to")
+            self.fail(Fault.HOST, "the device switched its currents off without being asked to")
 
     def _mistrust(self, fault: Fault, report: StateReport) -> None:
         """Note a fault in a sample's numbers, or clear it."""
-        self._doubt = ""
+        self.doubt = ""
         if not fault:
             return
         spots = ", ".join(f"{part * 1e3:.3f}" for part in report.spots)
@@ -443,12 +391,12 @@ class RemotePlant:
         self._suspect(fault, said)
 
     def _suspect(self, fault: Fault, said: str) -> None:
-        self._doubt = f"{fault_names(fault)}: {said}"
+        self.doubt = f"{fault_names(fault)}: {said}"
         self._fail_if_active(fault, said)
 
     def _fail_if_active(self, fault: Fault, said: str) -> None:
         if self.state is _ACTIVE:
-            self._fail(fault, said)
+            self.fail(fault, said)
 
     def _locate(self, spots: Sequence[float]) -> list[float]:
         """Return the pose of spots; its answer is then due."""
@@ -475,7 +423,7 @@ class RemotePlant:
     def _watch_temperatures(self) -> None:
         warmest = max(temperatures := self.temperatures)
         if warmest >= 1.0:
-            self._fail(Fault.COIL_OVERTEMP, f"coil {temperatures.index(warmest)} bears no more")
+            self.fail(Fault.COIL_OVERTEMP, f"coil {temperatures.index(warmest)} bears no more")
         if not self._warned:
             self._warned = True
             warnings.warn(f"a coil is at {warmest:.0%} of what it bears", stacklevel=3)
@@ -485,7 +433,7 @@ class RemotePlant:
             self.first, self.fault_time = faults, time
         self.state, self.faults = _FAULT, self.faults | faults
 
-    def _fail(self, faults: Fault, message: str) -> NoReturn:
+    def fail(self, faults: Fault, message: str) -> NoReturn:
         """Trip the device, write the black box, raise DeviceFault."""
         self._armed = False
         if self.state is not _FAULT or not self.faults & faults:

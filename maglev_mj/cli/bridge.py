@@ -18,7 +18,8 @@ from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.bench.identification import collect, excitation
 from maglev_mj.bridge.bench.identification import identify as identify_device
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, fault_meanings
-from maglev_mj.bridge.flight import LANDING_TIME, Flight, StopSwitch, expected_delay
+from maglev_mj.bridge.flight import Flight, expected_delay
+from maglev_mj.bridge.landing import LANDING_TIME, StopSwitch
 from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.realtime import interrupt, stopping
 from maglev_mj.bridge.realtime import realtime as scheduled
@@ -179,7 +180,7 @@ def _fly(
     """
     scene, switch = flown.scene, StopSwitch()
     with ExitStack() as last:
-        last.enter_context(stopping(switch.land, switch.cut, within=LANDING_TIME))
+        last.enter_context(switch.signals())
         viewer = None
         if front is not None:
             blank = Snapshot(scene=scene, actions=device_actions(type(scene)))
@@ -272,7 +273,7 @@ def _identify(plant: RemotePlant, path: Path, mass: float | None, policy: Litera
     # before takeoff: the device would take the time that this needs for a host that is gone
     shaker = excitation(plant.calibration, period=plant.period, delay=plant.delay)
     switch = StopSwitch()
-    with stopping(switch.land, switch.cut, within=LANDING_TIME), _punctual(policy), switch.flying(plant):
+    with switch.signals(), _punctual(policy), switch.flying(plant):
         plant.takeoff(watch=lambda: switch.landing)
         motion = collect(plant, shaker, _IDENTIFYING, then=plant.land, watch=lambda: switch.landing)
     # the wire and this program take their time too, which the map would have to pay for

@@ -15,10 +15,10 @@ from typing import Any, NoReturn, TypeAlias
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
+from maglev_mj.bridge.landing import Leader, Motion
+from maglev_mj.bridge.landing import shown as pose_shown
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.safety import OFF, Limits, OutputLimiter
-from maglev_mj.bridge.takeoff import Leader, Motion
-from maglev_mj.bridge.takeoff import shown as pose_shown
 from maglev_mj.bridge.wire import Fault, Flag, HelloStatus, Operation, State, fault_names, newer
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Sample

@@ -1,0 +1,350 @@
+"""Takeoff and landing of a device, and the switch that lands or cuts a flight."""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from typing import NamedTuple, NoReturn, Protocol
+
+import numpy as np
+
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.connection import SampleCounter
+from maglev_mj.bridge.realtime import interrupt, stopping
+from maglev_mj.bridge.wire import Fault, State, fault_names
+from maglev_mj.control import Bias, Hold
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import ControlLoop, Plant
+from maglev_mj.errors import MaglevError, PlantError, SensingError
+from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.parameters import number
+from maglev_mj.plants.hand import Trajectory
+from maglev_mj.scenes.find import line_of
+from maglev_mj.spec import Spec
+
+LANDING_TIME = 2.0
+"""Longest landing before the currents are cut [s]."""
+
+_SETTLING, _WATCHING = 0.3, 0.2
+"""Longest wait for rest before disarming, and observation after it [s]."""
+
+_ASIDE, _ASKEW = 0.002, math.radians(3.0)
+
+_SLOW, _SLOW_SPIN = 5e-3, 0.1
+"""Largest speed [m/s] and angular speed [rad/s] at rest.
+
+At 200 Hz they are 300 times the apparent speed due to noise of half a spot's step, and 3 times that due to 50 µm.
+"""
+
+_ON_STOP = 0.6 * Spec.translation_range.value
+_WATCHED, _BLOCKS = 0.1, 5
+
+
+class GuidedPlant(Plant, Protocol):
+    """Interface of a device to takeoff and landing.
+
+    Attributes:
+        calibration: Calibration of the device.
+        samples: Counter of received, lost and skipped samples.
+        state: State of the device at the last sample; `faults` are its faults then.
+        rest: Pose before takeoff and target of the landing [m, rad].
+        guided: True in takeoff and landing: the default envelope applies if it is the larger.
+        doubt: Fault of the last sample's numbers, as text; empty if they are plausible.
+        disarmed: True after this host armed the device and switched the currents off.
+    """
+
+    calibration: Calibration
+    samples: SampleCounter
+    state: State
+    faults: Fault
+    rest: Sequence[float]
+    guided: bool
+    doubt: str
+    disarmed: bool
+
+    def arm(self) -> None:
+        """Switch the currents on."""
+
+    def disarm(self) -> None:
+        """Switch the currents off."""
+
+    def estop(self) -> object:
+        """Switch the currents off in any state and latch ESTOP."""
+
+    def abort(self, reason: str) -> None:
+        """Trip a device that this host armed; DeviceFault then."""
+
+    def fail(self, faults: Fault, message: str) -> NoReturn:
+        """Trip the device and raise DeviceFault."""
+
+
+class Motion:
+    """Pose and speed of the flotor over 0.1 s.
+
+    The speeds are the range of the mean poses of five blocks, over the time between the first and the last: noise
+    counts the less the faster the sampling, and a swing to and fro below 25 Hz is not missed.
+
+    Args:
+        period: Sample period [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._seen: deque[Sample] = deque(maxlen=max(round(_WATCHED / period), 2) + 1)
+        self.add = self._seen.append
+
+    @property
+    def full(self) -> bool:
+        """True if the samples cover 0.1 s."""
+        return len(self._seen) == self._seen.maxlen
+
+    @property
+    def pose(self) -> list[float]:
+        """Mean pose [m, rad], six; NaN without samples."""
+        return np.mean([one.position for one in self._seen] or [[math.nan] * 6], axis=0).tolist()  # type: ignore[no-any-return]
+
+    @property
+    def speeds(self) -> tuple[float, float]:
+        """Speed [m/s] and angular speed [rad/s].
+
+        NaN for less than two samples.
+        """
+        if len(self._seen) < 2:
+            return math.nan, math.nan
+        rows = np.array([(one.tick * self._period, *one.position) for one in self._seen])
+        means = np.array([block.mean(axis=0) for block in np.array_split(rows, min(_BLOCKS, len(rows)))])
+        gone = np.ptp(means[:, 1:], axis=0) / (means[-1, 0] - means[0, 0])
+        return math.hypot(*gone[:3]), math.hypot(*gone[3:])
+
+    @property
+    def at_rest(self) -> bool:
+        """True if the flotor is at rest."""
+        speed, spin = self.speeds
+        return speed <= _SLOW and spin <= _SLOW_SPIN
+
+    def __str__(self) -> str:
+        return _speeds_shown(*self.speeds)
+
+
+class LandingReport(NamedTuple):
+    """Pose and motion of a flotor after landing.
+
+    Attributes:
+        error: Distance from the pose before takeoff [m]; NaN if its pose is not known.
+        speed: Speed over the last 0.1 s [m/s].
+        spin: Angular speed over the last 0.1 s [rad/s].
+        at_rest: True if it rests.
+    """
+
+    error: float
+    speed: float
+    spin: float
+    at_rest: bool
+
+    def __str__(self) -> str:
+        how = "at rest" if self.at_rest else f"NOT at rest: {_speeds_shown(self.speed, self.spin)}"
+        return f"landed {self.error * 1e3:.2f} mm from where it lay, {how}"
+
+
+class Leader:
+    """Controller that leads the flotor along a minimum-jerk path.
+
+    A soft spring and damper, and the weight carried.
+
+    Args:
+        calibration: Calibration of the device.
+        period: Sample period [s].
+        delay: Total time from a sample to its command's effect [s].
+
+    Attributes:
+        period: Sample period [s].
+    """
+
+    def __init__(self, calibration: Calibration, period: float, delay: float) -> None:
+        self.period = period
+        inertia = np.concatenate([[calibration.mass] * 3, calibration.inertia])
+        weight = np.concatenate([-calibration.mass * calibration.gravity, np.zeros(3)])
+        hold = Hold.critically_damped(inertia=inertia, period=period, delay=delay)
+        self._controller = Controller([Bias(weight), hold], period=period)
+        self.aim(ZERO, ZERO, 1.0)
+
+    def aim(
+        self,
+        start: Sequence[float],
+        end: Sequence[float],
+        duration: float,
+        astray: Callable[[Sequence[float]], object] | None = None,
+    ) -> None:
+        """Begin a path between two poses at the next sample.
+
+        Poses are [m, rad], six each.
+
+        Args:
+            start: First pose.
+            end: Last pose.
+            duration: Time between them [s].
+            astray: Called with the pose if the flotor does not follow.
+
+        Raises:
+            ParameterError: If the duration is not above 0.
+        """
+        self._path = Trajectory([0.0, number("duration", duration, above=0.0)], [list(start), list(end)])
+        self._astray, self._first = astray, -1
+        self.motion = Motion(self.period)
+        self._controller.reset()
+
+    def step(self, sample: Sample) -> Command:
+        """Answer one sample."""
+        if self._first < 0:
+            self._first = sample.tick
+        self.motion.add(sample)
+        goal = self._path.at((sample.tick - self._first) * self.period)
+        off = [found - wanted for found, wanted in zip(sample.position, goal)]
+        if self._astray is not None and (math.hypot(*off[:3]) > _ASIDE or math.hypot(*off[3:]) > _ASKEW):
+            self._astray(sample.position)
+        return self._controller.step(Sample(sample.tick, sample.time, off))
+
+
+def take_off(plant: GuidedPlant, leader: Leader, duration: float, watch: Callable[[], object] | None) -> None:
+    """Check rest, arm, and lead the flotor to the centre; see `RemotePlant.takeoff`."""
+    if plant.state is not State.INACTIVE:
+        raise PlantError(f"no takeoff: the device is {plant.state.name}, faults {fault_names(plant.faults)}")
+    loop = ControlLoop(plant, leader)
+    gc.collect()
+    motion = _observed(plant, 0.0)
+    if plant.doubt or not motion.full:
+        raise PlantError(f"no takeoff: {plant.doubt or 'the flotor is not measured'}")
+    rest = motion.pose
+    if not motion.at_rest:
+        raise PlantError(f"no takeoff: the flotor moves at {motion}, and must rest")
+    if _off_stop(rest, plant.calibration.gravity.tolist()):
+        raise PlantError(f"no takeoff: the flotor is at {shown(rest)}, and must lie on its lower stop")
+
+    def astray(pose: Sequence[float]) -> NoReturn:
+        plant.fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(pose)}, not where it is led")
+
+    leader.aim(rest, rest, duration)
+    loop.cycle(2)  # the device ignores these answers; slow first calls are done
+    leader.aim(rest, ZERO, duration, astray)
+    plant.arm()
+    plant.rest, plant.guided = rest, True
+    try:
+        _lead(plant, loop, duration, watch)
+    finally:
+        plant.guided = False
+
+
+def land(plant: GuidedPlant, leader: Leader, duration: float, watch: Callable[[], object] | None) -> LandingReport:
+    """Lead the flotor back to its rest pose and disarm; see `RemotePlant.land`."""
+    loop, plant.guided = ControlLoop(plant, leader), True
+    leader.aim(plant.read().position, plant.rest, duration)
+    _lead(plant, loop, duration, watch)
+    end = plant.samples.tick + round(_SETTLING / plant.period)
+    while plant.samples.tick < end and not leader.motion.at_rest:
+        loop.cycle()
+    plant.disarm()
+    motion = _observed(plant, _WATCHING)
+    rests = motion.at_rest and not plant.doubt
+    return LandingReport(math.dist(motion.pose[:3], plant.rest[:3]), *motion.speeds, rests)
+
+
+def _lead(plant: GuidedPlant, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> None:
+    end = plant.samples.tick + max(round(duration / plant.period), 1)
+    while plant.samples.tick < end:
+        loop.cycle()
+        if watch is not None and watch():
+            return
+
+
+def _observed(plant: GuidedPlant, duration: float) -> Motion:
+    """Observe motion for `duration` [s] and until known or doubtful."""
+    motion, plant.doubt = Motion(plant.period), ""
+    end = plant.samples.tick + round(duration / plant.period)
+    while plant.samples.tick < end or not (motion.full or plant.doubt):
+        try:
+            motion.add(plant.read())
+        except SensingError as error:
+            plant.doubt = str(error)
+    return motion
+
+
+class StopSwitch:
+    """Switch that ends a flight by landing or zero current.
+
+    Attributes:
+        landing: True if the flight is to land.
+    """
+
+    def __init__(self) -> None:
+        self.landing = False
+        self._plant: GuidedPlant | None = None  # that flies
+
+    def land(self) -> None:
+        """Request landing, from any thread."""
+        self.landing = True
+
+    def cut(self) -> None:
+        """Interrupt the flight once, which cuts its currents.
+
+        Only for the thread that flies.
+        """
+        self.landing = True
+        plant, self._plant = self._plant, None
+        if plant is not None and not plant.disarmed:
+            interrupt()
+
+    def signals(self) -> AbstractContextManager[None]:
+        """Land at the first stop signal; cut at a second Ctrl-C, or if landing takes long."""
+        return stopping(self.land, self.cut, within=LANDING_TIME)
+
+    @contextmanager
+    def flying(self, plant: GuidedPlant) -> Iterator[None]:
+        """Guard a flight: any error cuts its currents.
+
+        An interrupt is an emergency stop, any other error a fault of the host.
+
+        Raises:
+            KeyboardInterrupt: If landing was requested before the start, or the currents were cut before takeoff.
+            DeviceFault: If the currents were cut, by an interrupt or by an error once it is armed.
+            PlantError: If the device does not confirm the cut.
+        """
+        if self.landing:
+            interrupt()
+        self._plant, plant.disarmed = plant, False
+        try:
+            yield
+        except KeyboardInterrupt:
+            self._plant = None
+            try:
+                plant.estop()
+            except MaglevError as error:
+                raise PlantError(f"the flight was to be cut, {error}") from None
+            plant.read()  # raises the fault, with the last cycles on disk
+            raise KeyboardInterrupt("stopped before takeoff; ESTOP is latched in the device") from None
+        except BaseException as error:
+            self._plant = None
+            where = line_of(error)
+            plant.abort(f"{where}: " * (where is not None) + f"{type(error).__name__}: {error}")
+            raise
+        finally:
+            self._plant = None
+
+
+def _speeds_shown(speed: float, spin: float) -> str:
+    return f"{speed * 1e3:.2g} mm/s and {spin:.2g} rad/s"
+
+
+def _off_stop(pose: Sequence[float], gravity: Sequence[float]) -> bool:
+    """Return True if a pose is off the lower stop.
+
+    The stop is the lower one with respect to gravity [m/s²]; without gravity no pose is off it.
+    """
+    return sum(one * other for one, other in zip(pose, gravity)) < _ON_STOP * math.hypot(*gravity)
+
+
+def shown(position: Sequence[float]) -> str:
+    """Return a pose as text."""
+    return ", ".join(f"{part * 1e3:.2f}" for part in position) + " (mm, mrad)"
