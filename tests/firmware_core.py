@@ -18,7 +18,8 @@ from typing import Any
 
 import pytest
 
-from maglev_mj.bridge.twin.firmware import Amplifiers, Firmware, Profile, Reading
+from maglev_mj.bridge.safety import Profile
+from maglev_mj.bridge.twin.firmware import Amplifiers, Firmware, Reading
 from maglev_mj.bridge.wire import Codec, Fault, State
 from tests.conftest import COMPILER
 
@@ -123,13 +124,13 @@ class CoreFirmware:
         limits = profile.limits
         known = _Profile(
             *(profile.period, profile.delay, round(limits.watchdog * 1e9), round(limits.enable * 1e9)),
-            *(limits.current, limits.continuous_current, limits.hover),
-            *(limits.thermal_time, limits.spot, limits.spot_speed, limits.frozen, profile.number),
+            *(limits.current_limit, limits.continuous_current, limits.hover_limit),
+            *(limits.thermal_time, limits.spot_limit, limits.spot_speed, limits.frozen, profile.number),
             lockstep=profile.lockstep,
         )
         known.calibration[:] = profile.calibration
-        if codec._seal is not None:
-            key = codec._seal._key
+        if codec._authenticator is not None:
+            key = codec._authenticator._key
             known.key_length, known.key[:] = len(key), key[:32].ljust(32, b"\0")
         self._now, self._reading = 0, _Reading()
         self._told: list[Callable[[], None]] = []

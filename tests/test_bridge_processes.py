@@ -25,7 +25,7 @@ from maglev_mj.bridge import Calibration, Fault, RemotePlant, State, Twin, TwinP
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.links import UdpLink, UdpServer
 from maglev_mj.bridge.realtime import RealtimeError, realtime
-from maglev_mj.bridge.twin.simulated_links import Impairment, UdpProxy
+from maglev_mj.bridge.twin.simulated_links import Impairment
 from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.bridge.wire import StateReport
 from maglev_mj.control.loop import Plant
@@ -35,6 +35,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Table
 from tests.recorded import command_row
+from tests.udp_proxy import UdpProxy
 
 COMMAND = [sys.executable, "-m", "maglev_mj"]
 NEAR = "udp://127.0.0.1:0"

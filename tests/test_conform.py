@@ -21,7 +21,7 @@ from maglev_mj.bridge.conformance import CheckResult, checks, conform
 from maglev_mj.bridge.conformance.check import CHECKS
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.links import PtyServer, SerialLink, Server, UdpLink, UdpServer
-from maglev_mj.bridge.safety import Limits, ThermalModel, command_fault
+from maglev_mj.bridge.safety import Limits, Profile, ThermalModel, command_fault
 from maglev_mj.bridge.twin import firmware, twin
 from maglev_mj.bridge.twin.firmware import Firmware
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
@@ -287,21 +287,15 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("request-numbers", F, "_hello", "self._sequence, self._acknowledgement = 0, None", "self._sequence = 0"),
     ("drawn", F, "_hello", "self._draw()", "self.session + 1 or 1"),
     ("version", F, "receive", "codec.version_met is not None", "False"),
-    ("version", F, "_answer_hello", "nonce, status,", "nonce or 1, status,"),
-    (
-        "welcome",
-        F,
-        "_answer_hello",
-        "limits.continuous_current, limits.hover",
-        "limits.continuous_current, limits.current",
-    ),
-    ("welcome", F, "_answer_hello", "self._watchdog,", "self.profile.period,"),
+    ("version", F, "_answer_hello", "nonce=nonce,", "nonce=nonce or 1,"),
+    ("welcome", Profile, "answer", "**times}", "**times, 'hover_limit': limits['current_limit']}"),
+    ("welcome", Profile, "answer", "**times}", "**times, 'watchdog': self.period}"),
     ("frames", F, "_answer_hello", "codec.encode(session, 0,", "codec.encode(self.session, 0,"),
     ("bye", F, "_control", "last.operation == Operation.BYE", "False"),
     ("bye", F, "_do", "if self.state == State.ACTIVE:", "if True:"),
     # frames
     ("magic", C, "_reason", "data[:2] != _MAGIC", "False"),
-    ("crc", C, "_reason", "zlib.crc32(data) != _SEALED", "False"),
+    ("crc", C, "_reason", "zlib.crc32(data) != _CRC_RESIDUE", "False"),
     ("frame-version", C, "_reason", "data[2] != VERSION", "False"),
     ("frame-version", F, "receive", " and data[3] == _HELLO", ""),
     ("type", C, "_reason", "shape is None", "False"),
@@ -316,8 +310,14 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("operations", F, "_arm", "self.state != State.INACTIVE or ", ""),
     ("operations", F, "_reset", "self.state == State.ACTIVE or ", ""),
     ("reset-flowing", F, "_reset", " or not off", ""),
-    ("arm", F, "_arm", "not all(abs(one) <= self.profile.limits.hover", "any(abs(one) > self.profile.limits.hover"),
-    ("arm", F, "_arm", "abs(one) <= self.profile.limits.hover", "one <= self.profile.limits.hover"),
+    (
+        "arm",
+        F,
+        "_arm",
+        "not all(abs(one) <= self.profile.limits.hover_limit",
+        "any(abs(one) > self.profile.limits.hover_limit",
+    ),
+    ("arm", F, "_arm", "abs(one) <= self.profile.limits.hover_limit", "one <= self.profile.limits.hover_limit"),
     ("trip", F, "_do", "control.faults & sum(Fault)", "control.faults"),
     ("trip", F, "_do", " or Fault.HOST", ""),
     ("trip", F, "trip", "self.faults | faults", "faults"),
@@ -375,7 +375,7 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("samples", F, "sample", "conversions &", "7 &"),
     ("frames", F, "sample", "self._codec.encode(self.session, tick", "self._codec.encode(self.session + 1, tick"),
     # in flight
-    ("bad-line", C, "_reason", "zlib.crc32(data) != _SEALED", "False"),
+    ("bad-line", C, "_reason", "zlib.crc32(data) != _CRC_RESIDUE", "False"),
     ("flight-silence", F, "_hold_or_trip", "gap > self._watchdog", "False"),
     ("flight-over-current", firmware, "command_fault", "Fault.COIL_OVERCURRENT", "_NO_FAULT"),
     ("flight-estop", F, "receive", "self.trip(Fault.ESTOP, now)", "pass"),
@@ -419,12 +419,12 @@ def test_a_twin_without_a_guard_fails(
 
 @pytest.mark.parametrize("check", sorted(TAGS))
 def test_a_keyed_twin_that_looks_at_no_tag_fails(check: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    changes = [("not hmac.compare_digest(data[end : end + TAG], self._seal.tag(data[:end]))", "False")]
+    changes = [("not hmac.compare_digest(data[end : end + TAG], self._authenticator.tag(data[:end]))", "False")]
     if check == "no-tag":
         either = "len(data) not in (shape.size + 4, shape.size + self._overhead)"
         changes = [
             ("len(data) != shape.size + self._overhead", either),
-            ("self._seal is not None", "self._seal is not None and len(data) != shape.size + 4"),
+            ("self._authenticator is not None", "self._authenticator is not None and len(data) != shape.size + 4"),
         ]
     without(monkeypatch, Codec, "_reason", *changes)
     assert results_of(key=KEY, only=[check])[check].passed is False
@@ -456,7 +456,7 @@ def test_a_device_with_its_coils_reversed_is_let_go() -> None:
 
 
 def test_a_device_that_does_not_wait_in_lockstep_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(TwinServer, "_await_answer", lambda self, frame: self._hear(0.01))
+    monkeypatch.setattr(TwinServer, "_await_answer", lambda self, frame: self._receive(0.01))
     with served(lockstep=True) as server:
         link = UdpLink(*server.address)
         (result,) = conform([link], only=["lockstep"])

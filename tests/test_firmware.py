@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.twin.firmware import Profile, Reading
+from maglev_mj.bridge.safety import Limits, Profile
+from maglev_mj.bridge.twin.firmware import Reading
 from maglev_mj.bridge.wire import (
     Codec,
     Command,
@@ -294,7 +294,7 @@ def test_trip_latches_what_the_host_has_seen(asked: int, latched: Fault) -> None
 
 
 def test_the_welcome_says_what_the_device_is() -> None:
-    bench = Bench(watchdog=0.03, current=8.0, thermal_time=7.0, hover=1.5, enable=0.02, frozen=7)
+    bench = Bench(watchdog=0.03, current_limit=8.0, thermal_time=7.0, hover_limit=1.5, enable=0.02, frozen=7)
     answer = bench.hello(nonce=2**64 - 1)
     times, limits = (PERIOD, DELAY, 30_000_000, 20_000_000), (8.0, 3.0, 1.5, 7.0, 0.012, 1.0)
     expected = HelloAck(2**64 - 1, 0, 0, 2, State.INACTIVE, 1, CALIBRATION, *times, 0, 0, 0, 7, *limits)
@@ -534,7 +534,7 @@ def test_the_largest_current_and_width_are_taken(current: float, width: float) -
 @pytest.mark.parametrize("place", [0, 5])
 @pytest.mark.parametrize("current", [NAN, INF, -INF, 1.5 + 1e-9, -1.5 - 1e-9, 9.0])
 def test_hover_currents_that_must_not_be_are_refused(current: float, place: int) -> None:
-    bench = Bench(hover=1.5).brought_to(State.INACTIVE)
+    bench = Bench(hover_limit=1.5).brought_to(State.INACTIVE)
     hover = [*ZERO]
     hover[place] = current
     assert bench.ask(Operation.ARM, hover=hover)[2:] == (Result.REFUSED, State.INACTIVE, 0)
@@ -820,7 +820,7 @@ def test_diodes_may_be_left_unwatched() -> None:
 @pytest.mark.parametrize("steps", [1, 2, 7])
 def test_a_spot_that_jumps(step: float, fault: Fault | None, steps: int) -> None:
     # By so much for each period, of which some had no sample.
-    bench = Bench(watchdog=1.0, spot=0.1).brought_to(State.ACTIVE)
+    bench = Bench(watchdog=1.0, spot_limit=0.1).brought_to(State.ACTIVE)
     for place in (-0.5 * step * steps, 0.5 * step * steps):
         bench.command()
         bench.sample(spots=[*ZERO[:3], place, *ZERO[:2]], steps=steps)

@@ -21,8 +21,8 @@ import pytest
 
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.links import cobs_decode, cobs_encode
-from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.twin.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.safety import Limits, Profile
+from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State
 from tests.conftest import COMPILER
@@ -32,7 +32,7 @@ from tests.test_wire import sealed
 PERIOD = 5_000_000
 KEY = bytes(range(32))
 CALIBRATION = bytes(range(16))
-PROFILE = Profile(period=PERIOD, delay=1_500_000, calibration=CALIBRATION, limits=Limits(hover=1.5))
+PROFILE = Profile(period=PERIOD, delay=1_500_000, calibration=CALIBRATION, limits=Limits(hover_limit=1.5))
 ZERO = (0.0,) * 6
 HOVER = (1.1, 1.1, 1.1, 0.0, 0.0, 0.0)
 ODD = (math.nan, math.inf, -math.inf, 10.1, -10.1, 1e300, 5e-324)
@@ -238,9 +238,10 @@ def test_it_flies_the_twin_to_the_same_bytes(key: bytes | None) -> None:
     [({"period": 0}, {}), ({}, {"watchdog": 1e-10}), ({}, {"enable": 1e-10}), ({}, {"spot_speed": 0.0})],
 )
 def test_it_does_not_start_as_no_device(change: dict[str, Any], limits: dict[str, float]) -> None:
-    profile = replace(PROFILE, limits=Limits(), **change)
-    for name, value in limits.items():
-        object.__setattr__(profile.limits, name, value)  # which Limits itself would refuse
+    profile = replace(PROFILE, limits=Limits())
+    for owner, values in ((profile, change), (profile.limits, limits)):
+        for name, value in values.items():
+            object.__setattr__(owner, name, value)  # which they themselves would refuse
     with pytest.raises(ValueError):
         CoreFirmware(profile, Amplifiers(), Codec(), lambda: 1)
 
@@ -260,7 +261,7 @@ def test_a_board_that_tells_no_heating_has_its_coils_heated_by_what_is_measured(
 @pytest.mark.parametrize("length", [15, 33])
 def test_it_does_not_start_with_a_key_of_another_length(length: int) -> None:
     codec = Codec(KEY)
-    codec._seal._key = bytes(length)  # type: ignore[union-attr]
+    codec._authenticator._key = bytes(length)  # type: ignore[union-attr]
     with pytest.raises(ValueError):
         CoreFirmware(PROFILE, Amplifiers(), codec, lambda: 1)
 

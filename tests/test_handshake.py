@@ -69,14 +69,14 @@ ABSURD: list[tuple[str, Any, str]] = [
     *(("watchdog", value, "watchdog must be") for value in (0, 999_999, 10_000_000_001, 2**64 - 1)),
     *(("enable", value, "enable must be") for value in (0, 9_999, 10_000_000_001)),
     *(
-        (field, value, f"{name} must be a finite number")
-        for field, name, least, most in (
-            ("current_limit", "current", 0.0, 100.1),
-            ("continuous_current", "continuous_current", 0.0, 100.1),
-            ("hover_limit", "hover", -0.1, 100.1),
-            ("thermal_time", "thermal_time", 0.009, 1.1e7),
-            ("spot_limit", "spot", 0.9e-4, 0.11),
-            ("spot_speed", "spot_speed", 0.9e-3, 101.0),
+        (field, value, f"{field} must be a finite number")
+        for field, least, most in (
+            ("current_limit", 0.0, 100.1),
+            ("continuous_current", 0.0, 100.1),
+            ("hover_limit", -0.1, 100.1),
+            ("thermal_time", 0.009, 1.1e7),
+            ("spot_limit", 0.9e-4, 0.11),
+            ("spot_speed", 0.9e-3, 101.0),
         )
         for value in (NAN, INF, -INF, -1.0, 1e9, least, most)
     ),
@@ -99,9 +99,9 @@ def test_numbers_that_no_device_has_are_refused_by_name(field: str, value: Any, 
 def test_the_smaller_of_both_ends_limits_counts() -> None:
     changed = with_(current_limit=4.0, hover_limit=2.0, continuous_current=2.5)
     plant = RemotePlant(Doctored(Twin(TwinParameters()), changed), limits=HostLimits(max_current=6.0))
-    assert (plant.limits.current, plant.limits.hover, plant.limits.continuous_current) == (4.0, 2.0, 2.5)
+    assert (plant.limits.current_limit, plant.limits.hover_limit, plant.limits.continuous_current) == (4.0, 2.0, 2.5)
     plant = RemotePlant(Doctored(Twin(TwinParameters()), changed), limits=HostLimits(max_current=1.9))
-    assert (plant.limits.current, plant.limits.hover, plant.limits.continuous_current) == (1.9, 1.9, 2.5)
+    assert (plant.limits.current_limit, plant.limits.hover_limit, plant.limits.continuous_current) == (1.9, 1.9, 2.5)
 
 
 def test_a_device_that_cannot_carry_the_flotor_is_refused_at_once_and_so_are_own_limits_that_cannot() -> None:
@@ -137,7 +137,7 @@ def test_whatever_goes_wrong_in_the_handshake_closes_the_line(
 
     link = Doctored(Twin(TwinParameters()), fail if place == "in the handshake" else lambda body: body)
     if place == "after it":
-        monkeypatch.setattr(connection, "_limits", fail)
+        monkeypatch.setattr(connection, "profile_of", fail)
     with pytest.raises(becomes, match="oh"):
         RemotePlant(link)
     assert link.closed == 1

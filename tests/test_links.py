@@ -30,9 +30,10 @@ from maglev_mj.bridge.links import (
     open_link,
     parse_url,
 )
-from maglev_mj.bridge.twin.simulated_links import Impairer, Impairment, UdpProxy
+from maglev_mj.bridge.twin.simulated_links import Impairer, Impairment
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.session.access import check_host, is_loopback
+from tests.udp_proxy import UdpProxy
 
 PATIENCE = 5.0
 HOME = "127.0.0.1"

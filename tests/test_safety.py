@@ -91,7 +91,7 @@ def test_a_spots_speed_is_over_the_samples_that_passed(place: int, steps: int) -
     step = 0.4 * PERIOD * steps
     shares = ((0.99, NONE), (-0.99, NONE), (1.01, Fault.FLOTOR_OVERSPEED), (-1.01, Fault.FLOTOR_OVERSPEED))
     for share, fault in (*shares, (4.5, Fault.SENSOR_OUT_OF_RANGE)):
-        guard = watched(Limits(spot_speed=0.4, spot=0.1))
+        guard = watched(Limits(spot_speed=0.4, spot_limit=0.1))
         assert guard.check(moved(place, SPOTS[place] + share * step, SPOTS), 7, 1, steps) == fault
 
 
@@ -121,7 +121,7 @@ def test_a_conversion_counter_that_stands_still_is_found_and_one_that_wraps_is_n
 
 @pytest.mark.parametrize("place", range(6))
 def test_currents_and_temperatures_that_cannot_be_are_found(place: int) -> None:
-    limits, ones, cool = Limits(current=2.0), (1.0,) * 6, (0.1,) * 6
+    limits, ones, cool = Limits(current_limit=2.0), (1.0,) * 6, (0.1,) * 6
     assert reading_fault(limits, ones, cool) == NONE
     assert reading_fault(limits, (2.9,) * 6, (1.9,) * 6) == NONE  # however large together
     for wrong in (NAN, INF, -INF, 3.01, -3.01):
@@ -197,8 +197,8 @@ def test_the_hosts_own_limits_hold_for_force_torque_and_pulse(axis: int) -> None
 @pytest.mark.parametrize("turn", [(0.0, 0.0, 0.0), (0.1, -0.05, 0.08)])
 def test_the_smaller_current_counts(turn: tuple[float, ...]) -> None:
     for own, device, most in ((2.0, 10.0, 2.0), (20.0, 10.0, 10.0)):
-        limits = HostLimits(max_current=own).narrowed(Limits(current=device, hover=3.0))
-        assert (limits.current, limits.hover) == (most, min(most, 3.0))
+        limits = HostLimits(max_current=own).narrowed(Limits(current_limit=device, hover_limit=3.0))
+        assert (limits.current_limit, limits.hover_limit) == (most, min(most, 3.0))
         output = OutputLimiter(Calibration.nominal().coils, limits, None, PERIOD)
         pose = (0.0, 0.0, 0.0, *turn)
         _, held, pulsed, _ = output.currents(Command((50.0, -30.0, 500.0, 0.5, 1.0, -1.0), (100.0,) * 6, 0.002), pose)
@@ -217,9 +217,9 @@ def test_what_does_not_carry_the_weight_is_said_with_the_numbers() -> None:
 
     assert said() == said(max_current=1.45, force_limit=8.7) == ""
     assert "max_current must be at least 1.43 A, not 1.3: hovering needs 1.14 A" in said(max_current=1.3)
-    assert "max_current must be at least 1.43 A, not 1: " in said(Limits(current=1.0))
+    assert "max_current must be at least 1.43 A, not 1: " in said(Limits(current_limit=1.0))
     assert "force_limit must be above 8.58 N, not 8: the weight is 6.87 N" in said(force_limit=8.0)
-    assert "hover limit must be at least 1.14 A, which carries the weight, not 1.1" in said(Limits(hover=1.1))
+    assert "hover limit must be at least 1.14 A, which carries the weight, not 1.1" in said(Limits(hover_limit=1.1))
     assert "hover limit must be at least 1.14 A" in said(continuous_current=1.0)
 
 

@@ -147,7 +147,7 @@ def start(program: Path, plant_file: Path) -> Iterator[Starter]:
 
     def new(*arguments: str) -> Device:
         known = ["--plant", str(plant_file), "--calibration-hash", NOMINAL.digest.hex(), "--seconds", "60"]
-        child = Program(str(program), *known, "--hover-limit", str(PROFILE.limits.hover), *arguments)
+        child = Program(str(program), *known, "--hover-limit", str(PROFILE.limits.hover_limit), *arguments)
         port = int(child.wait_for(r"^listening udp://127\.0\.0\.1:(\d+)$"))
         devices.append(Device(child, port, KEY if "--key" in arguments else None, [], {}))
         return devices[-1]
@@ -226,12 +226,12 @@ def test_it_passes_the_checks(start: Starter, key_file: Path, arguments: list[st
 
 def test_it_says_what_it_is_and_where_the_flotor_lies(start: Starter) -> None:
     host, limits = start("--lockstep").host(), PROFILE.limits
-    assert host.welcome.hover_limit == pytest.approx(limits.hover, rel=1e-15)
+    assert host.welcome.hover_limit == pytest.approx(limits.hover_limit, rel=1e-15)
     assert host.welcome == HelloAck(
         *(host.nonce, 0, 1, 2, State.INACTIVE, 1, NOMINAL.digest, PROFILE.period, PROFILE.delay),
         *(round(limits.watchdog * 1e9), round(limits.enable * 1e9), 0, 0, 0, 0),
-        *(limits.current, limits.continuous_current, host.welcome.hover_limit),
-        *(limits.thermal_time, limits.spot, limits.spot_speed),
+        *(limits.current_limit, limits.continuous_current, host.welcome.hover_limit),
+        *(limits.thermal_time, limits.spot_limit, limits.spot_speed),
     )
     report = host.last.body
     assert report.spots == pytest.approx(SLOPES @ REST, abs=1e-15)

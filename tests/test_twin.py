@@ -208,10 +208,10 @@ def test_an_amplifier_that_keeps_its_current_in_flight_is_found(coil: int) -> No
 def test_hover_currents_neither_burn_nor_push() -> None:
     twin = Twin(TwinParameters(pose=CENTRE))
     known = twin.parameters.calibration
-    limit = twin.parameters.profile.limits.hover
+    limit = twin.parameters.profile.limits.hover_limit
     assert limit == pytest.approx(1.25 * known.hover.max()) and limit < 3.0
-    heavy = Twin(TwinParameters(limits=Limits(continuous_current=1.2, hover=5.0)))
-    assert heavy.parameters.profile.limits.hover == 1.2
+    heavy = Twin(TwinParameters(limits=Limits(continuous_current=1.2, hover_limit=5.0)))
+    assert heavy.parameters.profile.limits.hover_limit == 1.2
     host = Connection(VirtualLink(twin), known.digest, None, 1.0)
     for one, result in ((1.01 * limit, 1), (-1.01 * limit, 1), (limit, 0)):
         answer = host.control(Operation.ARM, hover=(one,) * 3 + (0.0,) * 3)

@@ -23,7 +23,8 @@ import pytest
 
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.links import cobs_encode
-from maglev_mj.bridge.twin.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.safety import Profile
+from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.wire import (
     MAGIC,
     VERSION,

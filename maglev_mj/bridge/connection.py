@@ -6,13 +6,14 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.links import Link, open_link
-from maglev_mj.bridge.safety import OFF, Limits
+from maglev_mj.bridge.safety import OFF, Profile
 from maglev_mj.bridge.wire import (
     VERSION,
+    WRAP,
     Body,
     Codec,
     Command,
@@ -34,17 +35,17 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import number
 
-_AGAIN = 0.02
+AGAIN = 0.02
 """Interval at which an unanswered request is repeated [s]."""
 
 _HELLO_AGAIN, _ESTOP_AGAIN = 0.1, 0.005
-_TAKEOVER = 1.0
+TAKEOVER = 1.0
 """Silence after which an idle device drops its host [s]."""
 
 _STILL = 4
 """Equal timestamps that show a stopped clock, as in lockstep."""
 
-_WRAP = 0xFFFFFFFF
+T = TypeVar("T")
 
 
 class EstopReport(NamedTuple):
@@ -108,10 +109,10 @@ def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], ob
 
     Other frames are passed to `aside`.
     """
-    body = Estop(int.from_bytes(os.urandom(8), "little"))
+    body = Estop(draw())
     start, times, answer = link.now(), Counter[int](), None
     confirmed, first = False, 0
-    for data in _exchange(link, codec, 0, body, _ESTOP_AGAIN, patience):
+    for data in _requested(link, codec, 0, body, _ESTOP_AGAIN, patience):
         frame = codec.decode(data)
         if frame is None or not isinstance(frame.body, EstopAck) or frame.body.request != body.request:
             if frame is not None:
@@ -129,17 +130,33 @@ def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], ob
     return EstopReport(confirmed, (link.now() - start) * 1e-9, faults, currents, first)
 
 
-def _exchange(link: Link, codec: Codec, session: int, body: Body, every: float, patience: float) -> Iterator[bytes]:
-    """Send a request repeatedly; yield frames received meanwhile.
+def exchange(
+    link: Link, encode: Callable[[], bytes], receive: Callable[[float], T | None], every: float, patience: float
+) -> Iterator[T]:
+    """Send a request repeatedly; yield all that is received meanwhile.
 
-    It is sent every `every` seconds, for `patience` seconds.
+    Args:
+        link: Link to the device.
+        encode: Returns the request's frame.
+        receive: Receives for some time [s], such as `link.receive`.
+        every: Time after which the request is sent again [s].
+        patience: Time after which the exchange ends [s].
     """
     end = link.now() + int(patience * 1e9)
     while (now := link.now()) < end:
-        link.send(codec.encode(session, 0, now, body))
+        link.send(encode())
         again = now + int(every * 1e9)
-        while (left := again - link.now()) > 0 and (data := link.receive(left * 1e-9)) is not None:
+        while (left := again - link.now()) > 0 and (data := receive(left * 1e-9)) is not None:
             yield data
+
+
+def _requested(link: Link, codec: Codec, session: int, body: Body, every: float, patience: float) -> Iterator[bytes]:
+    return exchange(link, lambda: codec.encode(session, 0, link.now(), body), link.receive, every, patience)
+
+
+def draw() -> int:
+    """Return a random 64-bit number."""
+    return int.from_bytes(os.urandom(8), "little")
 
 
 class SampleCounter:
@@ -171,7 +188,7 @@ class SampleCounter:
         if self.tick < 0:
             self.tick = 0
         else:
-            self.elapsed, passed = (sequence - self._sequence) & _WRAP, time - self.time
+            self.elapsed, passed = (sequence - self._sequence) & WRAP, time - self.time
             if abs(passed - self.elapsed * self.period) > self.period // 2:
                 span = f"{self.elapsed} samples of {self.period * 1e-6:.3f} ms"
                 self.out_of_step = f"{passed * 1e-6:.3f} ms went by in {span}"
@@ -193,7 +210,7 @@ class Connection:
 
     Attributes:
         welcome: Device's answer to the handshake.
-        limits: Device limits, checked against sane bounds.
+        profile: Device properties, checked against sane bounds.
         codec: Encoder and decoder of frames; counts dropped frames by reason.
         open: True until closed.
         samples: Counter of received, lost and skipped samples.
@@ -217,9 +234,9 @@ class Connection:
         try:
             self._patience = number("patience", patience, above=0.0)
             self.codec = Codec(key)
-            self.welcome = self._greet(calibration)
-            self.limits = _limits(self.welcome)
-            self.samples = SampleCounter(self.welcome.period)
+            self.welcome = self._join(calibration)
+            self.profile = profile_of(self.welcome)
+            self.samples = SampleCounter(self.profile.period)
         except BaseException as error:
             self._abandon()
             if isinstance(error, (ValueError, ArithmeticError)) and not isinstance(error, MaglevError):
@@ -237,7 +254,7 @@ class Connection:
     def command(self, command: Command) -> None:
         """Send currents."""
         self._last = command
-        self._sequence = (self._sequence + 1) & _WRAP
+        self._sequence = (self._sequence + 1) & WRAP
         now = self._link.now()
         self._link.send(self.codec.encode(self._session, self._sequence, now, command))
         self.latency = now - self.heard
@@ -256,7 +273,7 @@ class Connection:
             self.heard = now = link.now()
             left = max((end - now) * 1e-9, 0.0)
         # in lockstep there is no newer one: the device waits for the answer to this
-        while not self.welcome.lockstep and (data := link.receive(0.0)) is not None:
+        while not self.profile.lockstep and (data := link.receive(0.0)) is not None:
             if (later := self._sample_in(data)) is not None:
                 frame, self.heard = later, link.now()
                 skipped += 1
@@ -272,7 +289,7 @@ class Connection:
             return None
         self._request += 1
         body = Control(self._request, operation, faults, tuple(hover))
-        for data in _exchange(self._link, self.codec, self._session, body, _AGAIN, self._patience):
+        for data in _requested(self._link, self.codec, self._session, body, AGAIN, self._patience):
             frame = self._trusted(data)
             if frame is not None and isinstance(frame.body, ControlAck) and frame.body.request == self._request:
                 self.settled = frame.time
@@ -311,12 +328,12 @@ class Connection:
         with suppress(Exception):
             self._link.close()
 
-    def _greet(self, calibration: bytes) -> HelloAck:
+    def _join(self, calibration: bytes) -> HelloAck:
         """Send HELLO until the device answers."""
-        hello, versions = Hello(int.from_bytes(os.urandom(8), "little"), calibration), set[int]()
-        for patience in (self._patience, _TAKEOVER):
+        hello, versions = Hello(draw(), calibration), set[int]()
+        for patience in (self._patience, TAKEOVER):
             busy = False
-            for data in _exchange(self._link, self.codec, 0, hello, _HELLO_AGAIN, patience):
+            for data in _requested(self._link, self.codec, 0, hello, _HELLO_AGAIN, patience):
                 if (answer := self._welcome(data, hello, versions)) is not None:
                     if answer.status == HelloStatus.WELCOME:
                         return answer
@@ -371,8 +388,8 @@ class Connection:
 
     def _is_newer(self, frame: Frame) -> bool:
         newest = self._newest
-        if newest is not None and frame.sequence != (newest + 1) & _WRAP:  # which few are
-            if newest == frame.sequence and self.welcome.lockstep and self._last is not None:
+        if newest is not None and frame.sequence != (newest + 1) & WRAP:  # which few are
+            if newest == frame.sequence and self.profile.lockstep and self._last is not None:
                 self.command(self._last)  # the device waits, so the answer was lost
             if not newer(frame.sequence, newest):
                 self.codec.dropped["old"] += 1
@@ -392,23 +409,10 @@ class Connection:
         return frame if frame is not None and isinstance(frame.body, StateReport) and self._is_newer(frame) else None
 
 
-def _limits(welcome: HelloAck) -> Limits:
-    """Return a device's limits; raise if one is invalid."""
+def profile_of(welcome: HelloAck) -> Profile:
+    """Return a device's properties; HandshakeError if one is invalid."""
     try:
-        number("period", welcome.period * 1e-9, at_least=1e-5, at_most=0.1)
-        number("delay", welcome.delay * 1e-9, at_least=0.0, at_most=0.1)
-        number("lockstep", welcome.lockstep, at_least=0, at_most=1)
         number("state", welcome.state, at_least=0, at_most=max(State))
-        return Limits(
-            current=welcome.current_limit,
-            continuous_current=welcome.continuous_current,
-            thermal_time=welcome.thermal_time,
-            spot=welcome.spot_limit,
-            spot_speed=welcome.spot_speed,
-            watchdog=welcome.watchdog * 1e-9,
-            enable=welcome.enable * 1e-9,
-            hover=welcome.hover_limit,
-            frozen=welcome.frozen,
-        )
+        return Profile.of(welcome)
     except ParameterError as error:
         raise HandshakeError(f"the device says what cannot be: {error}") from None

@@ -25,15 +25,15 @@ from maglev_mj.bridge.safety import (
     reading_fault,
     weight_fault,
 )
+from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Frame, Operation, State, StateReport, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
-from maglev_mj.bridge.wire import Fault, Frame, Operation, State, StateReport, fault_names
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants.sensor import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
-_NAN, _NONE, _UNKNOWN = math.nan, 0xFFFFFFFF, (math.nan,) * 6
-_MOST = Limits(current=100.0, continuous_current=100.0, hover=100.0)
+_NAN, _UNKNOWN = math.nan, (math.nan,) * 6
+_MOST = Limits(current_limit=100.0, continuous_current=100.0, hover_limit=100.0)
 
 
 class RemotePlant:
@@ -106,12 +106,12 @@ class RemotePlant:
             raise ParameterError(said)
         self._line = Connection(link, known.digest, key, patience)
         try:
-            self._patience, welcome = patience, self._line.welcome
-            self.limits = own.narrowed(self._line.limits)
+            self._patience, welcome, profile = patience, self._line.welcome, self._line.profile
+            self.limits = own.narrowed(profile.limits)
             if said := weight_fault(weight, self._hover, own, self.limits):
                 raise HandshakeError(f"the device does not carry the flotor: {said}")
-            self.period, self.delay = welcome.period / 1e9, welcome.delay / 1e9
-            self.lockstep, self.latched = bool(welcome.lockstep), self._line.latched
+            self.period, self.delay = profile.period / 1e9, profile.delay / 1e9
+            self.lockstep, self.latched = profile.lockstep, self._line.latched
             self.state, self.faults = State(welcome.state), Fault(welcome.faults)
             self.first, self.fault_time = Fault(welcome.first), welcome.fault_time
             self.samples = self._line.samples
@@ -211,7 +211,7 @@ class RemotePlant:
         """
         frame = self._answered_frame("drive")
         if command_fault(self.limits, currents, currents, 0.0):
-            raise ParameterError(f"currents must be within {self.limits.current:g} A, not {list(currents)}")
+            raise ParameterError(f"currents must be within {self.limits.current_limit:g} A, not {list(currents)}")
         self._answer(frame, currents, None, 0.0)
 
     def _answered_frame(self, call: str) -> Frame:
@@ -359,8 +359,8 @@ class RemotePlant:
         elapsed = self.samples.elapsed
         if (unanswered := elapsed - answered) > 0:  # without a command the coils cool, or keep their currents
             self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
-        behind = (frame.sequence - report.answered) & _NONE
-        known = report.age != _NONE and report.answered != self._answered
+        behind = (frame.sequence - report.answered) & WRAP
+        known = report.age != NEVER and report.answered != self._answered
         self._answered = report.answered
         self.newest_delay = behind * self.period - report.age * 1e-6 + self.delay if known else _NAN
         self.last_delay = self.newest_delay if elapsed == behind == 1 else _NAN

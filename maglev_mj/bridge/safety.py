@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.bridge.wire import Fault
+from maglev_mj.bridge.wire import VERSION, Fault, HelloAck
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, clipped
-from maglev_mj.parameters import Parameters, numbers, param
+from maglev_mj.parameters import Parameters, flag, number, numbers, param
 from maglev_mj.plants.coils import CoilMap, limited_wrench
 from maglev_mj.spec import Spec
 
@@ -36,20 +37,63 @@ _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
 
 
 class Limits(Parameters):
-    """Limits of a device, sent in the handshake.
+    """Limits of a device, under their names in HELLO_ACK.
 
     The host refuses a device with limits outside these bounds.
     """
 
-    current: float = param("largest in a coil", "A", default=Spec.peak_current.value, above=0.0, at_most=100.0)
+    current_limit: float = param("largest in a coil", "A", default=Spec.peak_current.value, above=0.0, at_most=100.0)
     continuous_current: float = param("borne", "A", default=Spec.continuous_current.value, above=0.0, at_most=100.0)
     thermal_time: float = param("of a coil's warming; assumed", "s", default=10.0, at_least=0.01, at_most=1e7)
-    spot: float = param("largest coordinate; assumed", "m", default=0.012, at_least=1e-4, at_most=0.1)
+    spot_limit: float = param("largest coordinate; assumed", "m", default=0.012, at_least=1e-4, at_most=0.1)
     spot_speed: float = param("largest; assumed", "m/s", default=1.0, at_least=1e-3, at_most=100.0)
     watchdog: float = param("longest wait for a command", "s", default=0.05, at_least=1e-3, at_most=10.0)
     enable: float = param("longest pause of the enable line", "s", default=0.01, at_least=1e-5, at_most=10.0)
-    hover: float = param("in ARM", "A", default=Spec.continuous_current.value, at_least=0.0, at_most=100.0)
+    hover_limit: float = param("in ARM", "A", default=Spec.continuous_current.value, at_least=0.0, at_most=100.0)
     frozen: int = param("equal readings that noise rules out; 0: no noise", default=30, at_least=0, at_most=1_000_000)
+
+
+_LIMITS = [one.name for one in Limits.parameters()]
+_NANOSECONDS = "watchdog", "enable"
+"""Limits that the wire has in nanoseconds."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Profile:
+    """Properties of a device, as HELLO_ACK states them.
+
+    See docs/reference/protocol.md.
+
+    Raises:
+        ParameterError: If a number is outside its bounds.
+    """
+
+    period: int  # [ns]
+    delay: int  # [ns]
+    calibration: bytes
+    limits: Limits = field(default_factory=Limits)
+    lockstep: bool = False
+    number: int = 1
+
+    def __post_init__(self) -> None:
+        number("period", self.period * 1e-9, at_least=1e-5, at_most=0.1)
+        number("delay", self.delay * 1e-9, at_least=0.0, at_most=0.1)
+        flag("lockstep", self.lockstep)
+
+    @classmethod
+    def of(cls, answer: HelloAck) -> Self:
+        """Return the properties that a device states."""
+        number("lockstep", answer.lockstep, at_least=0, at_most=1)
+        own = {name: getattr(answer, name) for name in ("period", "delay", "calibration")}
+        limits = {name: getattr(answer, name) * (1e-9 if name in _NANOSECONDS else 1) for name in _LIMITS}
+        return cls(**own, limits=Limits(**limits), lockstep=bool(answer.lockstep), number=answer.device)
+
+    def answer(self, **state: Any) -> HelloAck:
+        """Return the HELLO_ACK with these properties and the given state."""
+        own = {name: getattr(self, name) for name in ("period", "delay", "calibration", "lockstep")}
+        limits = {name: getattr(self.limits, name) for name in _LIMITS}
+        times = {name: round(limits[name] * 1e9) for name in _NANOSECONDS}
+        return HelloAck(version=VERSION, device=self.number, **own, **{**limits, **times}, **state)
 
 
 class HostLimits(Parameters):
@@ -100,9 +144,13 @@ class HostLimits(Parameters):
 
     def narrowed(self, limits: Limits) -> Limits:
         """Return the smaller of the device's and the host's limits."""
-        current = min(limits.current, self.max_current or math.inf)
+        current = min(limits.current_limit, self.max_current or math.inf)
         steady = min(limits.continuous_current, self.continuous_current or math.inf)
-        return limits.replace(current=current, continuous_current=steady, hover=min(limits.hover, current, steady))
+        return limits.replace(
+            current_limit=current,
+            continuous_current=steady,
+            hover_limit=min(limits.hover_limit, current, steady),
+        )
 
 
 def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits: Limits) -> str:
@@ -111,14 +159,14 @@ def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits:
     `weight` is in [N], `hover` are six currents [A]; the message is empty if hovering is possible.
     """
     most = max(map(abs, hover))
-    force, least, current = own.force_limit, _MARGIN * most, limits.current
+    force, least, current = own.force_limit, _MARGIN * most, limits.current_limit
     if force is not None and force <= _MARGIN * weight:
         return f"force_limit must be above {_MARGIN * weight:.3g} N, not {force:g}: the weight is {weight:.3g} N"
     if current < least:
         needs = f"hovering needs {most:.3g} A, and control a quarter more"
         return f"max_current must be at least {least:.3g} A, not {current:g}: {needs}"
-    if limits.hover < most:
-        return f"the hover limit must be at least {most:.3g} A, which carries the weight, not {limits.hover:g}"
+    if limits.hover_limit < most:
+        return f"the hover limit must be at least {most:.3g} A, which carries the weight, not {limits.hover_limit:g}"
     return ""
 
 
@@ -164,7 +212,7 @@ def command_fault(limits: Limits, held: Sequence[float], pulsed: Sequence[float]
     if not math.isfinite(sum(held) + sum(pulsed) + width) or not 0.0 <= width <= 1.0:
         return Fault.INVALID_COMMAND
     # rounding on the host's side is no fault
-    most = limits.current * (1.0 + 1e-9)
+    most = limits.current_limit * (1.0 + 1e-9)
     if max(held) > most or min(held) < -most or max(pulsed) > most or min(pulsed) < -most:
         return Fault.COIL_OVERCURRENT
     return _NO_FAULT
@@ -175,7 +223,7 @@ def reading_fault(limits: Limits, currents: Sequence[float], temperatures: Seque
 
     Currents [A] and temperatures, six each.
     """
-    most, (a, b, c, d, e, f) = _OVER * limits.current, currents
+    most, (a, b, c, d, e, f) = _OVER * limits.current_limit, currents
     # the sums of squares first: both say at once that nothing is wrong, and that all is finite
     if a * a + b * b + c * c + d * d + e * e + f * f <= most * most and min(temperatures) >= _COLD:
         a, b, c, d, e, f = temperatures
@@ -213,7 +261,7 @@ class SpotGuard:
     """
 
     def __init__(self, limits: Limits, period: float) -> None:
-        self._most, self._frozen = limits.spot, limits.frozen
+        self._most, self._frozen = limits.spot_limit, limits.frozen
         self._step = limits.spot_speed * period
         self._last: Sequence[float] | None = None
         self._conversions: int | None = None
@@ -304,7 +352,7 @@ class OutputLimiter:
         if wrench_limit is not None:
             values = numbers("wrench_limit", wrench_limit, at_least=0.0, finite=False)
             self._limit = [float(part) for part in np.broadcast_to(values, (6,))]
-        self._inverse_turned, self._current, self._period = coils.inverse_turned, limits.current, period
+        self._inverse_turned, self._current, self._period = coils.inverse_turned, limits.current_limit, period
         self.thermal = ThermalModel(limits)
         self._timeline = Timeline(Timing(period=period, delay=0.0), ZERO)
 

@@ -99,9 +99,12 @@ _MAGIC = MAGIC.to_bytes(2, "little")
 
 VERSION = 2
 
+WRAP = NEVER = 0xFFFFFFFF
+"""Largest sequence number; the number and age of a command that there is not."""
+
 _HEADER = "<HBBIIQ"
 _CRC = struct.Struct("<I")
-_SEALED = 0x2144DF1C
+_CRC_RESIDUE = 0x2144DF1C
 """CRC-32 of any data followed by its own CRC."""
 
 
@@ -180,7 +183,7 @@ class StateReport(NamedTuple):
     flags: int
     faults: int
     answered: int  # number of the sample that the command in force answers
-    age: int  # of that command [us]; 0xFFFFFFFF for none
+    age: int  # of that command [us]; NEVER for none
     conversions: int  # counter of the sensor interface
 
 
@@ -272,8 +275,8 @@ class Codec:
     """
 
     def __init__(self, key: bytes | None = None) -> None:
-        self._seal = None if key is None else Authenticator(key)
-        self._overhead = _CRC.size + (TAG if self._seal is not None else 0)
+        self._authenticator = None if key is None else Authenticator(key)
+        self._overhead = _CRC.size + (TAG if self._authenticator is not None else 0)
         self.dropped: Counter[str] = Counter()
         self.version_met: int | None = None
 
@@ -284,9 +287,9 @@ class Codec:
         """
         number = _NUMBERS[body.__class__]
         values = _FLAT[number](body) if number in _FLAT else body
-        data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & 0xFFFFFFFF, time, *values)
-        if self._seal is not None:
-            data += self._seal.tag(data)
+        data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & WRAP, time, *values)
+        if self._authenticator is not None:
+            data += self._authenticator.tag(data)
         return data + _CRC.pack(zlib.crc32(data))
 
     def decode(self, data: bytes) -> Frame | None:
@@ -309,7 +312,7 @@ class Codec:
         if data[:2] != _MAGIC:
             return "magic"
         # the CRC first: no other field is read unless it is right
-        if len(data) < self._overhead + 4 or zlib.crc32(data) != _SEALED:
+        if len(data) < self._overhead + 4 or zlib.crc32(data) != _CRC_RESIDUE:
             return "crc"
         if data[2] != VERSION:
             self.version_met = data[2]
@@ -319,9 +322,9 @@ class Codec:
             return "type"
         if len(data) != shape.size + self._overhead:
             return "length"
-        if self._seal is not None:
+        if self._authenticator is not None:
             end = len(data) - self._overhead
-            if not hmac.compare_digest(data[end : end + TAG], self._seal.tag(data[:end])):
+            if not hmac.compare_digest(data[end : end + TAG], self._authenticator.tag(data[:end])):
                 return "tag"
         return ""
 
@@ -333,7 +336,7 @@ def newer(one: int, other: int) -> bool:
 
     Source: RFC 1982.
     """
-    return 0 < ((one - other) & 0xFFFFFFFF) < 0x80000000
+    return 0 < ((one - other) & WRAP) < 0x80000000
 
 
 LEAST_KEY, MOST_KEY = 16, 32

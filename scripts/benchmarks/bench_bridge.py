@@ -45,7 +45,7 @@ SESSION = 1
 START = (1e-3, 0.0, 0.0, 0.0, 0.01, 0.0)
 BLOCK = 500
 WIDE = HostLimits(envelope=1.0, envelope_angle=1.0, speed_limit=10.0, spin_limit=100.0)
-COOL = Limits(thermal_time=1e6, spot=0.1, spot_speed=100.0)
+COOL = Limits(thermal_time=1e6, spot_limit=0.1, spot_speed=100.0)
 RATES = 200, 1000, 2000, 4000
 BAR = 44  # characters
 EIGHTHS = " ▏▎▍▌▋▊▉"

@@ -34,8 +34,9 @@ from typing import Any, TypeAlias
 
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.safety import Profile
 from maglev_mj.bridge.twin import firmware as firmware_module
-from maglev_mj.bridge.twin.firmware import Firmware, Profile, Reading
+from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Control, Estop, EstopAck, Fault, Hello, Operation, State

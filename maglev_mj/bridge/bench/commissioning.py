@@ -133,7 +133,7 @@ def with_offsets(calibration: Calibration, spots: ArrayLike) -> Calibration:
 
 def _one_coil(plant: RemotePlant, coil: int, current: float) -> list[float]:
     number("coil", coil, at_least=0, at_most=5)
-    number("current", current, above=0.0, at_most=plant.limits.current)
+    number("current", current, above=0.0, at_most=plant.limits.current_limit)
     return [current if index == coil else 0.0 for index in range(6)]
 
 

@@ -6,9 +6,10 @@ import math
 from itertools import pairwise
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.conformance.check import HALF, NAN, NEVER, QUIET, check, close, flipped, sealed, stopped, zero
-from maglev_mj.bridge.conformance.tester import WRAP, Tester, draw, fail, is_off, same, shown
-from maglev_mj.bridge.wire import VERSION, Fault, Flag, HelloStatus, Operation, Result, State
+from maglev_mj.bridge.conformance.check import HALF, NAN, QUIET, check, close, flipped, stopped, with_crc, zero
+from maglev_mj.bridge.conformance.tester import Tester, fail, is_off, same, shown
+from maglev_mj.bridge.connection import draw
+from maglev_mj.bridge.wire import NEVER, VERSION, WRAP, Fault, Flag, HelloStatus, Operation, Result, State
 from maglev_mj.frames import ZERO
 
 
@@ -70,7 +71,7 @@ def _version(t: Tester) -> str:
     hello = t.encode(wire.Hello(draw(), t.calibration.digest))
     for version in (VERSION - 1, VERSION + 1, 255):
         for data in (hello, hello[:20] + bytes(8), hello + bytes(40)):
-            t.links[0].send(sealed(data[:2] + bytes([version]) + data[3:]))
+            t.links[0].send(with_crc(data[:2] + bytes([version]) + data[3:]))
             answer = t.wait(QUIET, wire.HelloAck) or fail(f"no answer to version {version} in {len(data)} bytes")
             same("nonce, status, version", (answer.body[:2], answer.body.version), ((0, HelloStatus.VERSION), VERSION))
     t.links[0].send(hello[:2] + bytes([255]) + hello[3:])

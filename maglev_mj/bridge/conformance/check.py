@@ -9,15 +9,16 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.conformance.tester import WRAP, Tester, Unexpected, draw, fail, is_off, same, shown
-from maglev_mj.bridge.wire import Fault, Operation, State
+from maglev_mj.bridge.conformance.tester import Tester, Unexpected, fail, is_off, same, shown
+from maglev_mj.bridge.connection import draw
+from maglev_mj.bridge.wire import WRAP, Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import ZERO
 
 QUIET = 0.06
 """Time without frames that counts as no answer [s]."""
 
-HALF, NEVER = 0x7FFFFFFF, 0xFFFFFFFF
+HALF = 0x7FFFFFFF
 NAN = (math.nan,) * 6
 _TRIES = 10  # of a check in which this host was late
 
@@ -169,7 +170,7 @@ def ignored(
     return "ignored"
 
 
-def sealed(data: bytes) -> bytes:
+def with_crc(data: bytes) -> bytes:
     """Return data with its CRC recomputed."""
     return data[:-4] + struct.pack("<I", zlib.crc32(data[:-4]))
 

@@ -8,9 +8,10 @@ from functools import partial
 from typing import Any
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.conformance.check import HALF, NAN, NEVER, check, close, flipped, ignored, sealed, stopped, zero
-from maglev_mj.bridge.conformance.tester import WRAP, Tester, Unexpected, draw, fail, is_off, same, shown
-from maglev_mj.bridge.wire import Fault, Flag, Operation, Result, State
+from maglev_mj.bridge.conformance.check import HALF, NAN, check, close, flipped, ignored, stopped, with_crc, zero
+from maglev_mj.bridge.conformance.tester import Tester, Unexpected, fail, is_off, same, shown
+from maglev_mj.bridge.connection import draw
+from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Flag, Operation, Result, State
 from maglev_mj.frames import ZERO
 
 _JUNK = 500
@@ -107,14 +108,14 @@ def _late_command(t: Tester) -> str:
 # frames that are ignored
 
 _CHANGES: dict[str, tuple[str, Callable[[bytes], bytes], bool]] = {
-    "magic": ("of another magic", lambda data: sealed(b"NJ" + data[2:]), False),
+    "magic": ("of another magic", lambda data: with_crc(b"NJ" + data[2:]), False),
     "crc": ("whose CRC is wrong", lambda data: flipped(data, len(data) - 1), False),
-    "frame-version": ("of another version", lambda data: sealed(data[:2] + b"\x01" + data[3:]), False),
-    "type": ("of an unknown type", lambda data: sealed(data[:3] + b"\x09" + data[4:]), False),
-    "too-short": ("shorter than its type", lambda data: sealed(data[:-5] + data[-4:]), False),
-    "too-long": ("longer than its type", lambda data: sealed(data[:-4] + bytes(1) + data[-4:]), False),
-    "no-tag": ("without a tag", lambda data: sealed(data[:-20] + data[-4:]), True),
-    "tag": ("with a wrong tag", lambda data: sealed(flipped(data, len(data) - 5)), True),
+    "frame-version": ("of another version", lambda data: with_crc(data[:2] + b"\x01" + data[3:]), False),
+    "type": ("of an unknown type", lambda data: with_crc(data[:3] + b"\x09" + data[4:]), False),
+    "too-short": ("shorter than its type", lambda data: with_crc(data[:-5] + data[-4:]), False),
+    "too-long": ("longer than its type", lambda data: with_crc(data[:-4] + bytes(1) + data[-4:]), False),
+    "no-tag": ("without a tag", lambda data: with_crc(data[:-20] + data[-4:]), True),
+    "tag": ("with a wrong tag", lambda data: with_crc(flipped(data, len(data) - 5)), True),
 }
 _HEADERS: dict[str, tuple[str, Callable[[Tester], Iterable[dict[str, int]]], int]] = {
     "session": ("of another session", lambda t: [{"session": one} for one in ((t.session + 1) & WRAP, 0)], 1),
@@ -281,7 +282,7 @@ for _name, (_said, _end, _real_time) in _FLIGHTS.items():
 # rules of all frames, at last
 
 _RULES = {
-    "frames": "every frame has its length, seal, zeros, session and sequence number, and a time that does not go back",
+    "frames": "every frame has its length, CRC, tag, zeros, session and sequence number; its time does not go back",
     "samples": "every STATE is finite, whole periods after the one before, with conversions; FAULT has faults",
     "cut": "no current is measured outside ACTIVE",
 }

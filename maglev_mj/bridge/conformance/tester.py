@@ -6,26 +6,26 @@ It keeps the protocol itself unless told otherwise.
 from __future__ import annotations
 
 import math
-import os
 import random
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any, NoReturn, TypeAlias
 
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.connection import AGAIN, TAKEOVER, draw, exchange, profile_of
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.landing import Leader, Motion
 from maglev_mj.bridge.landing import shown as pose_shown
 from maglev_mj.bridge.links import Link
-from maglev_mj.bridge.safety import OFF, Limits, OutputLimiter
-from maglev_mj.bridge.wire import Fault, Flag, HelloStatus, Operation, State, fault_names, newer
+from maglev_mj.bridge.safety import OFF, OutputLimiter
+from maglev_mj.bridge.wire import WRAP, Fault, Flag, HelloStatus, Operation, State, fault_names, newer
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Sample
 from maglev_mj.plants.sensor import PoseTracker
 
-WRAP = 0xFFFFFFFF
-_AGAIN, _PATIENCE, _TAKEOVER = 0.02, 2.0, 1.0  # [s]
+_PATIENCE = 2.0  # [s]
 _ANSWERS: dict[type, type] = {wire.Hello: wire.HelloAck, wire.Control: wire.ControlAck, wire.Estop: wire.EstopAck}
 _LED = 0.6  # [s] of takeoff and landing
 _ASIDE, _ASKEW = 0.001, 0.03  # from the centre [m], [rad]
@@ -93,7 +93,7 @@ class Tester:
         for _ in range((luck >= self.loss) + (2.0 * self.loss <= luck < 3.0 * self.loss)):
             self.links[0].send(data)
 
-    def hear(self, timeout: float, peer: int = 0) -> Any:
+    def receive(self, timeout: float, peer: int = 0) -> Any:
         """Return the next frame at an address, or None.
 
         It waits up to `timeout` [s]; STATEs are answered meanwhile.
@@ -117,7 +117,7 @@ class Tester:
         """
         end = self.now() + round(seconds * 1e9)
         while (left := end - self.now()) > 0:
-            if (frame := self.hear(left * 1e-9, peer)) is not None and kind and isinstance(frame.body, kind):
+            if (frame := self.receive(left * 1e-9, peer)) is not None and kind and isinstance(frame.body, kind):
                 return frame
         return None
 
@@ -126,11 +126,9 @@ class Tester:
 
         It gives up after `patience` seconds.
         """
-        end = self.now() + round(patience * 1e9)
-        while (left := (end - self.now()) * 1e-9) > 0.0:
-            self.links[peer].send(self.encode(body, **header))
-            frame = self.wait(min(left, _AGAIN), _ANSWERS[type(body)], peer)
-            if frame is not None and frame.body[0] == body[0]:  # nonce or request
+        encode, receive = partial(self.encode, body, **header), partial(self.receive, peer=peer)
+        for frame in exchange(self.links[peer], encode, receive, AGAIN, patience):
+            if frame.body[0] == body[0] and isinstance(frame.body, _ANSWERS[type(body)]):  # nonce or request
                 return frame
         return None
 
@@ -222,7 +220,7 @@ class Tester:
         Raises:
             HandshakeError: If no device answers, or it refuses this host.
         """
-        end, self.session = self.now() + round(2.0 * _TAKEOVER * 1e9), 0
+        end, self.session = self.now() + round(2.0 * TAKEOVER * 1e9), 0
         while True:
             self.nonce = draw()
             frame = self.exchange(wire.Hello(self.nonce, self.calibration.digest))
@@ -257,7 +255,7 @@ class Tester:
             self.ask(Operation.DISARM) if self.session else self.join()
         except Unexpected:
             self.join()
-        end = self.now() + round(_TAKEOVER * 1e9)
+        end = self.now() + round(TAKEOVER * 1e9)
         while (answer := self.ask(Operation.DISARM)).state != State.INACTIVE:
             # refused while a current that was just cut is the last one measured
             if self.ask(Operation.RESET).state != State.INACTIVE:
@@ -312,10 +310,7 @@ class Tester:
         """Take off from rest, and land in any case."""
         one, period, known = self.welcome, self.welcome.period * 1e-9, self.calibration
         # before ARM: the device would take the time for a host that is gone
-        limits = Limits(
-            current=one.current_limit, continuous_current=one.continuous_current, thermal_time=one.thermal_time
-        )
-        output = OutputLimiter(known.coils, limits, None, period)
+        output = OutputLimiter(known.coils, profile_of(one).limits, None, period)
         leader = Leader(known, period, one.delay * 1e-9)
 
         def law(frame: Any) -> Sequence[float]:
@@ -363,11 +358,6 @@ class Tester:
 
     def _locate(self, frame: Any) -> list[float]:
         return self._track([one - other for one, other in zip(frame.body.spots, self._offsets)])
-
-
-def draw() -> int:
-    """Return a random 64-bit number."""
-    return int.from_bytes(os.urandom(8), "little")
 
 
 def fail(seen: str) -> NoReturn:

@@ -7,16 +7,25 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.safety import OFF, WARNING_RISE, CoilGuard, Limits, SpotGuard, ThermalModel, command_fault
-from maglev_mj.bridge.wire import Codec, Command, Control, Estop, Fault, HelloStatus, Operation, State, newer
+from maglev_mj.bridge.safety import OFF, WARNING_RISE, CoilGuard, Profile, SpotGuard, ThermalModel, command_fault
+from maglev_mj.bridge.wire import (
+    NEVER,
+    WRAP,
+    Codec,
+    Command,
+    Control,
+    Estop,
+    Fault,
+    HelloStatus,
+    Operation,
+    State,
+    newer,
+)
 from maglev_mj.frames import ZERO
-from maglev_mj.parameters import flag
 
-_NEVER = 0xFFFFFFFF
 _GAP = 2
 _SILENCE = 1_000_000_000
 _HELLO = 1
@@ -36,24 +45,6 @@ class Amplifiers(Protocol):
 
     def toggle(self, now: int) -> None:
         """Change the level of the amplifiers' enable line."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Profile:
-    """Device properties sent in the handshake.
-
-    See HELLO_ACK in docs/reference/protocol.md.
-    """
-
-    period: int  # [ns]
-    delay: int  # [ns]
-    calibration: bytes
-    limits: Limits = field(default_factory=Limits)
-    lockstep: bool = False
-    number: int = 1
-
-    def __post_init__(self) -> None:
-        flag("lockstep", self.lockstep)
 
 
 class Reading(NamedTuple):
@@ -93,7 +84,7 @@ class Firmware:
         self._nonce, self._heard, self._sequence = 0, 0, 0
         self._acknowledgement: wire.ControlAck | None = None
         self._hover: Sequence[float] = ZERO
-        self._commanded_at, self._answers, self._holding, self._sampled = 0, _NEVER, False, 0
+        self._commanded_at, self._answers, self._holding, self._sampled = 0, NEVER, False, 0
         self._thermal = ThermalModel(profile.limits)
         self._watchdog = round(profile.limits.watchdog * 1e9)
         self._first, self._fault_time, self._sampled_at = Fault(0), 0, 0
@@ -149,7 +140,7 @@ class Firmware:
         Sensors raise no fault outside the active state: an idle device may be opened and turned over.
         """
         spots, valid, measured, commanded, segments, conversions, enabled = reading
-        steps, self._sampled = (tick - self._sampled) & 0xFFFFFFFF, tick & 0xFFFFFFFF
+        steps, self._sampled = (tick - self._sampled) & WRAP, tick & WRAP
         self._sampled_at, self._measured = now, measured
         faults = Fault.COIL_OVERTEMP if self._thermal.add(segments) >= 1.0 else Fault(0)
         if self.state == State.ACTIVE:
@@ -167,9 +158,9 @@ class Firmware:
             self._amplifiers.toggle(now)  # last: a step that hangs before it opens the amplifiers
         if self.session == 0:
             return None
-        age = min(max(now - self._commanded_at, 0) // 1000, _NEVER - 1) if self._answers != _NEVER else _NEVER
+        age = min(max(now - self._commanded_at, 0) // 1000, NEVER - 1) if self._answers != NEVER else NEVER
         flags = wire.Flag.HOLDING * self._holding | wire.Flag.ENABLED * enabled
-        sixes, count = (tuple(spots), tuple(measured), tuple(self._thermal.rises)), conversions & 0xFFFFFFFF
+        sixes, count = (tuple(spots), tuple(measured), tuple(self._thermal.rises)), conversions & WRAP
         body = wire.StateReport(*sixes, self.state, valid, flags, self.faults, self._answers, age, count)
         return self._codec.encode(self.session, tick, now, body)
 
@@ -208,23 +199,17 @@ class Firmware:
             return self._answer_hello(now, hello.nonce, HelloStatus.CALIBRATION)
         self.session, self._nonce, self.peer, self._heard = self._draw(), hello.nonce, peer, now
         self._sequence, self._acknowledgement = 0, None
-        self._answers, self.answered = _NEVER, None
+        self._answers, self.answered = NEVER, None
         return self._answer_hello(now, hello.nonce, HelloStatus.WELCOME)
 
     def _answer_hello(self, now: int, nonce: int, status: HelloStatus) -> bytes:
-        profile, limits = self.profile, self.profile.limits
-        body = wire.HelloAck(
-            *(nonce, status, int(profile.lockstep), wire.VERSION, self.state, profile.number, profile.calibration),
-            *(profile.period, profile.delay, self._watchdog, round(limits.enable * 1e9)),
-            *(self._fault_time, self.faults, self._first, limits.frozen),
-            *(limits.current, limits.continuous_current, limits.hover, limits.thermal_time),
-            *(limits.spot, limits.spot_speed),
-        )
+        state = {"state": self.state, "fault_time": self._fault_time, "faults": self.faults, "first": self._first}
+        body = self.profile.answer(nonce=nonce, status=status, **state)
         session = self.session if status == HelloStatus.WELCOME else 0
         return self._codec.encode(session, 0, now, body)
 
     def _apply(self, command: Command, now: int) -> None:
-        if (self._sampled - command.answers) & 0xFFFFFFFF > self._stale:
+        if (self._sampled - command.answers) & WRAP > self._stale:
             self.counts["old"] += 1  # delayed in a queue, ahead of its sample, or sent twice
             return
         self.answered = command.answers
@@ -269,9 +254,9 @@ class Firmware:
         return True
 
     def _arm(self, hover: Sequence[float], now: int) -> bool:
-        if self.state != State.INACTIVE or not all(abs(one) <= self.profile.limits.hover for one in hover):
+        if self.state != State.INACTIVE or not all(abs(one) <= self.profile.limits.hover_limit for one in hover):
             return False
-        self._hover, self._commanded_at, self._answers, self._holding = hover, now, _NEVER, False
+        self._hover, self._commanded_at, self._answers, self._holding = hover, now, NEVER, False
         self._reset_guards()
         self.state = State.ACTIVE
         self._amplifiers.toggle(now)

@@ -7,20 +7,15 @@ from __future__ import annotations
 
 import heapq
 import random
-import threading
-import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
-from select import select
 
-from maglev_mj.bridge.links import Address, UdpLink, UdpServer
 from maglev_mj.bridge.twin.twin import Twin
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
 
-_LOOK = 0.05  # [s] between looks at a line on which nothing happens
 _PEER = "host"
 _NEVER = 2**63
 
@@ -112,7 +107,7 @@ class Impairer:
         return now + max(round(late * 1e9), 0), data
 
 
-class _Line:
+class ImpairedLine:
     """Frames in transit in both directions.
 
     Of two due at once, the first sent arrives first.
@@ -123,6 +118,7 @@ class _Line:
         self._order, self._frames = count(), list[tuple[int, int, Impairer, bytes]]()
 
     def send(self, way: Impairer, data: bytes, now: int) -> None:
+        """Send one frame in one direction at `now` [ns]."""
         for due, copy in way.fates(data, now):
             heapq.heappush(self._frames, (due, next(self._order), way, copy))
 
@@ -132,78 +128,9 @@ class _Line:
         return self._frames[0][0] if self._frames else _NEVER
 
     def arrived(self, now: int) -> Iterator[tuple[Impairer, bytes]]:
+        """Yield direction and content of each frame that has arrived."""
         while self.due <= now:
             yield heapq.heappop(self._frames)[2:]
-
-
-class UdpProxy:
-    """Impaired UDP line between hosts and a device.
-
-    It runs in a thread. Hosts use its address in place of the device's.
-
-    The device's frames go to the host of the last frame.
-
-    Args:
-        upstream: Address of the device.
-        impairment: Impairment of the line, each way.
-        host: Address of this machine to listen at.
-        port: Port to listen at; 0 for any free one.
-
-    Attributes:
-        address: Address of the proxy.
-        to_device: Impairer towards the device; see its `counts`.
-        to_host: Impairer towards the host.
-
-    Raises:
-        ParameterError: If a host or port is invalid.
-        LinkError: If it cannot listen there.
-    """
-
-    def __init__(self, upstream: Address, impairment: Impairment, host: str = "127.0.0.1", port: int = 0) -> None:
-        self._device = UdpLink(*upstream)
-        try:
-            self._host = UdpServer(host, port)
-        except BaseException:
-            self._device.close()
-            raise
-        self.address = self._host.address
-        self._line = _Line(impairment, time.monotonic_ns())
-        self.to_device, self.to_host = self._line.to_device, self._line.to_host
-        self._stopped = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="bad line", daemon=True)
-        self._thread.start()
-
-    def __enter__(self) -> UdpProxy:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Stop the proxy and drop frames in transit; idempotent."""
-        self._stopped.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        host, device, line, clock = self._host, self._device, self._line, time.monotonic_ns
-        ends: tuple[UdpServer | UdpLink, ...] = host, device
-        peer: Address | None = None
-        try:
-            while not self._stopped.is_set():
-                select(ends, (), (), min(max((line.due - clock()) * 1e-9, 0.0), _LOOK))
-                while (heard := host.receive(0.0)) is not None:
-                    data, peer = heard
-                    line.send(line.to_device, data, clock())
-                while (answer := device.receive(0.0)) is not None:
-                    line.send(line.to_host, answer, clock())
-                for way, data in line.arrived(clock()):
-                    if way is line.to_device:
-                        device.send(data)
-                    elif peer is not None:
-                        host.send(data, peer)
-        finally:
-            device.close()
-            host.close()
 
 
 class VirtualLink:
@@ -220,7 +147,7 @@ class VirtualLink:
     """
 
     def __init__(self, twin: Twin, impairment: Impairment | None = None) -> None:
-        self._twin, self._line = twin, _Line(impairment or Impairment())
+        self._twin, self._line = twin, ImpairedLine(impairment or Impairment())
         self._arrived: list[bytes] = []
         self._period, self._lockstep = twin.parameters.profile.period, twin.parameters.lockstep
         self.time = 0

@@ -11,7 +11,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,13 +19,13 @@ from numpy.typing import ArrayLike
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.links import Address, Server
 from maglev_mj.bridge.realtime import LatencyHistogram
-from maglev_mj.bridge.safety import Limits
+from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, Effect, InjectedFault
-from maglev_mj.bridge.twin.firmware import Firmware, Profile, Reading
-from maglev_mj.bridge.wire import Codec, Fault, State, StateReport, fault_names
+from maglev_mj.bridge.twin.firmware import Firmware, Reading
+from maglev_mj.bridge.wire import WRAP, Codec, Fault, State, StateReport, fault_names
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import ZERO, Array
-from maglev_mj.parameters import flag, number
+from maglev_mj.parameters import number
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.plants.hand import HandForce
 from maglev_mj.spec import Spec
@@ -65,29 +64,21 @@ class TwinParameters:
     limits: Limits = field(default_factory=Limits)
     faults: Sequence[InjectedFault] = ()
 
+    profile: Profile = field(init=False)  # handshake properties, limits narrowed by calibration, period and sensor
+
     def __post_init__(self) -> None:
         # whole nanoseconds, the wire's unit of time
-        number("period", self.period, at_least=1e-5, at_most=0.1)
-        number("delay", self.delay, at_least=0.0, at_most=0.1)
-        flag("lockstep", self.lockstep)
-
-    @cached_property
-    def profile(self) -> Profile:
-        """Handshake properties, with limits narrowed by the other parameters.
-
-        Those are calibration, sample period and sensor.
-        """
-        limits = self.limits.replace(
-            enable=min(max(self.limits.enable, 3.0 * self.period), self.limits.watchdog),
-            hover=min(
-                self.limits.hover, self.limits.continuous_current, _MARGIN * np.abs(self.calibration.hover).max()
-            ),
+        period, delay = (round(number(name, getattr(self, name)) * 1e9) for name in ("period", "delay"))
+        limits, most = self.limits, _MARGIN * np.abs(self.calibration.hover).max()
+        limits = limits.replace(
+            enable=min(max(limits.enable, 3.0 * self.period), limits.watchdog),
+            hover_limit=min(limits.hover_limit, limits.continuous_current, most),
             # noise of half a step keeps no reading
-            frozen=self.limits.frozen if self.noise > 0.0 and self.noise >= 0.5 * self.quantum else 0,
+            frozen=limits.frozen if self.noise > 0.0 and self.noise >= 0.5 * self.quantum else 0,
         )
-        period, delay = round(self.period * 1e9), round(self.delay * 1e9)
         digest = self.calibration.digest
-        return Profile(period=period, delay=delay, calibration=digest, limits=limits, lockstep=self.lockstep)
+        profile = Profile(period=period, delay=delay, calibration=digest, limits=limits, lockstep=self.lockstep)
+        object.__setattr__(self, "profile", profile)
 
 
 class AmplifierBoard:
@@ -202,7 +193,7 @@ class Twin:
     @property
     def answered(self) -> bool:
         """True if the last sample is answered, in lockstep."""
-        return self.firmware.answered == self.tick & 0xFFFFFFFF
+        return self.firmware.answered == self.tick & WRAP
 
     @property
     def pose(self) -> Array:
@@ -375,10 +366,10 @@ class TwinServer:
                 if not self._lockstep:
                     self._await_deadline()
                 elif twin.firmware.session == 0:
-                    self._hear(_LOOK)
+                    self._receive(_LOOK)
                     continue
                 frame = twin.sample()
-                self._say(frame)
+                self._send(frame)
                 if each is not None:
                     each()
                 if self._lockstep:
@@ -408,7 +399,7 @@ class TwinServer:
         left = 1
         while left > 0 and not self._stopped.is_set():
             left = self._deadline - clock()
-            self._hear(min(max(left * 1e-9, 0.0), _LOOK))
+            self._receive(min(max(left * 1e-9, 0.0), _LOOK))
         late = max(clock() - self._deadline, 0)
         self.latency.add(late)
         # a machine that stalls makes simulated time stall, where catching up would look like a host gone silent
@@ -422,17 +413,17 @@ class TwinServer:
         patience, again = asked + round(_LET_GO * 1e9), asked + round(_AGAIN * 1e9)
         spun = asked + round(self._spin * 1e9)
         while not twin.answered and twin.firmware.session and not self._stopped.is_set():
-            self._hear(0.0 if clock() < spun else _AGAIN)
+            self._receive(0.0 if clock() < spun else _AGAIN)
             if twin.answered:
                 return
             now = clock()
             if now > patience:
                 twin.firmware.lose_host(max(twin.tick, 0) * self._period)
             elif now > again:
-                self._say(frame)
+                self._send(frame)
                 again = now + round(_AGAIN * 1e9)
 
-    def _hear(self, timeout: float) -> None:
+    def _receive(self, timeout: float) -> None:
         """Receive for `timeout` [s] and handle the frames.
 
         Once the sample is due, at most one period is spent.
@@ -466,6 +457,6 @@ class TwinServer:
         if (answer := self.twin.receive(data, now, sender)) is not None:
             self._server.send(answer, sender)
 
-    def _say(self, frame: bytes | None) -> None:
+    def _send(self, frame: bytes | None) -> None:
         if frame is not None and self.twin.firmware.session:  # it may have ended since
             self._server.send(frame, self.twin.firmware.peer)
