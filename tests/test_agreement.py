@@ -83,18 +83,6 @@ def start(axis: str, side: int, size: float) -> dict[str, Any]:
     return {"pose": pose, "gravity": 0.0, "record": True}
 
 
-@pytest.mark.parametrize("side", [1, -1])
-@pytest.mark.parametrize("axis", AXES)
-def test_every_axis_and_side_behaves_as_z_does(axis: str, side: int) -> None:
-    # In units of the start and of the inertia, all twelve walls give one curve.
-    size = 1e-3 if AXES.index(axis) < 3 else math.radians(1.0)
-    plant = ExactPlant(Timing(phase=0.2), **start(axis, side, size))
-    reference = ExactPlant(Timing(phase=0.2), **start("z", 1, 1e-3))
-    motion = cross(plant, axis, side, side * size)
-    np.testing.assert_allclose(motion, cross(reference, "z", 1, 1e-3), atol=1e-12)
-    assert motion.min() < -0.02  # it does go into the wall
-
-
 @pytest.mark.parametrize("phases", [3, pytest.param(8, marks=pytest.mark.study)])
 @pytest.mark.parametrize("axis", AXES)
 def test_the_plants_as_they_come_agree_on_every_axis(axis: str, phases: int) -> None:

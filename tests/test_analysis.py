@@ -253,17 +253,6 @@ def test_hits_of_a_hand_are_told_apart_and_its_pull_is_found(hand: str) -> None:
     assert found.figures.energy.taken[2] == pytest.approx(float(ran.figures["absorbed"]), rel=0.005)
 
 
-def test_the_pull_of_an_arm_that_nobody_recorded_is_found_between_the_samples() -> None:
-    press = Press(hand="0.0,6.45,135")
-    stretch = recorded(press)
-    found = analysed(stretch.replace(hand=np.zeros_like(stretch.hand))).recorded
-    middle = 0.5 * (found.motion.time[1:] + found.motion.time[:-1])
-    pose, twist, _ = run(press, plant="exact").trace.at(middle)
-    pull = stretch.hand[:-1, 2] - 135.0 * pose[:, 2] - 6.45 * twist[:, 2]
-    assert np.abs(pull).max() > 4.0
-    assert np.sqrt(np.mean((found.motion.unexplained[:, 2] - pull) ** 2)) < 0.1
-
-
 @pytest.mark.parametrize(
     ("scene", "plant"),
     [(StickSlip(), "exact"), (StickSlip(axis="ry"), "mujoco"), (StickSlip(delay=0.005, duration=1.0), "mujoco")],
@@ -460,9 +449,6 @@ def test_an_experiment_is_analysed_from_the_command_line(kind: str, tmp_path: Pa
         assert len(stretch["recorded"]["faces"][0]["contacts"]) == (2 if kind == "drop" else 5)
         assert "no picture of where it sticks" in said
     assert all((folder / name).stat().st_size > 10_000 for name in pictures)
-
-
-_PICTURES = ("contact", "run", "sticks")
 
 
 def test_a_session_is_analysed_stretch_by_stretch(session: Path, tmp_path: Path, capsys: Any) -> None:

@@ -152,15 +152,6 @@ def test_a_delay_and_a_mass_other_than_stated_are_found() -> None:
         assert found.walls[0].share.value == pytest.approx(0.5937, rel=0.01)
 
 
-def test_a_braking_pulse_does_not_narrow_the_interval() -> None:
-    apart = []
-    for place in range(40):
-        (wall,) = found_in(Drop(quantize=3e-6, stiffness=3000.0 + 100.0 * place), (0.377 * place) % 1.0).walls
-        apart.append((wall.stiffness.value - 3000.0 - 100.0 * place) / wall.stiffness.standard_error)
-    assert np.mean(np.abs(apart) < 2.0) >= 0.9
-    assert np.std(apart) < 1.2
-
-
 def test_the_lag_of_drivers_counts_as_delay() -> None:
     plant = ExactPlant(
         Timing(phase=0.3),
@@ -175,14 +166,6 @@ def test_the_lag_of_drivers_counts_as_delay() -> None:
         ControlLoop(plant, controller, record=file.begin(plant, controller)).cycle(80)
     (stretch,) = file.recording.stretches
     assert identify(stretch).delay.value == pytest.approx(0.0018, abs=1e-5)
-
-
-def test_a_wall_beyond_the_boundary_is_found_to_be_there() -> None:
-    found = found_in(Drop(stiffness=11_000.0, quantize=5e-6, duration=0.15))
-    most = float(largest_stable_stiffness(80.0))
-    (wall,) = found.walls
-    assert wall.share.low > 1.0
-    assert holds(wall.share, 11_000.0 / most)
 
 
 @pytest.mark.parametrize("law", ["stick-slip", "spring-reset", "dahl", "kikuuwe"])

@@ -55,13 +55,6 @@ def test_gil_is_the_first_order_of_the_exact_boundary() -> None:
         assert np.polyfit(np.log(b), np.log(error), 1)[0] == pytest.approx(1.0, abs=0.05)
 
 
-def test_gil_with_physical_damping_too() -> None:
-    own = np.array([0.1, 0.2, 0.4])
-    exact = largest_stable_stiffness(np.zeros(3), period=T, delay=0.0015, hand=Hand(damping=own))
-    error = np.abs(bounds.gil(0.0, period=T, delay=0.0015, physical_damping=own) / exact - 1.0)
-    assert np.polyfit(np.log(own), np.log(error), 1)[0] == pytest.approx(1.0, abs=0.1)
-
-
 def test_how_optimistic_in_figures() -> None:
     # Gil et al. twofold at the optimum, 4 % at a damping of 5 N s/m; Minsky et al. sixfold under a full period.
     best = stiffest_wall(period=T, delay=T)

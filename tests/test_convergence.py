@@ -120,14 +120,6 @@ def test_corrected_steps_are_exact_in_translation_at_every_phase(longest: float 
     assert worst < 1e-14
 
 
-def test_corrected_steps_turn_as_exactly_about_one_axis() -> None:
-    start = [0.0, 0.0, 4.5e-3, 0.03, 0.0, 0.0]
-    exact = ExactPlant(Timing(), pose=start)
-    corrected = CORRECTED(Timing(), coils=False, pose=start)
-    poses = [drive(plant, drop_controller(), 60).pose for plant in (exact, corrected)]
-    np.testing.assert_allclose(poses[1], poses[0], atol=1e-12)
-
-
 @pytest.mark.parametrize("coils", [True, False])
 def test_a_corrected_batch_moves_as_its_devices_do(coils: bool) -> None:
     random = np.random.default_rng(3)

@@ -22,7 +22,6 @@ from maglev_mj.control import (
     LuGre,
     SpringReset,
     StickSlip,
-    Wall,
 )
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, components
@@ -433,17 +432,6 @@ def test_low_pass_follows_a_step_of_speed_exponentially() -> None:
     np.testing.assert_allclose(seen, expected, atol=1e-15)
 
 
-@pytest.mark.parametrize("speed", [0.003, 0.01, 0.03])
-def test_adaptive_window_reads_slow_speeds_off_a_quantized_sensor(speed: float) -> None:
-    # At 5 kHz and 5 µm the difference has steps of 25 mm/s; over 16 samples the chord's step is 1.6 mm/s.
-    period, quantum = 2e-4, 5e-6
-    seen = np.rint(speed * period * np.arange(400) / quantum) * quantum
-    steps = np.diff(seen) / period
-    assert np.abs(steps - speed).max() > 0.4 * 25e-3 * (1 - speed / 0.1)
-    window = estimates(AdaptiveWindow(noise=(quantum,) * 6), seen, period)[20:]
-    assert np.abs(window - speed).max() <= quantum / (16 * period) * 1.001
-
-
 def test_adaptive_window_is_exact_on_a_ramp_and_short_where_the_motion_bends() -> None:
     period = 1e-3
     ramp = 0.02 * period * np.arange(40)
@@ -461,22 +449,6 @@ def test_estimators_refuse_bad_parameters() -> None:
     ):
         with pytest.raises(ParameterError, match=words):
             make()
-
-
-@pytest.mark.parametrize("estimator", [LowPass(80.0), AdaptiveWindow(noise=(1e-7,) * 6)])
-def test_walls_take_any_velocity_estimate(estimator: Any) -> None:
-    # A wall damps by whatever velocity the controller is given, and still fires its pulse on entry.
-    wall = Wall(axes="x", lower=0.0, stiffness=K, damping=80.0, pulse=220.0, pulse_width=0.003)
-    controller = Controller([wall], period=T, velocity=estimator)
-    path = np.array([2e-3, 1.5e-3, 0.9e-3, 0.2e-3, -0.6e-3, -0.9e-3])
-    speeds = estimates(estimator, path, T)
-    for tick, (place, speed) in enumerate(zip(path.tolist(), speeds, strict=True)):
-        command = controller.step(Sample(tick, tick * T, [place] + [0.0] * 5))
-        expected = -K * place - 80.0 * speed if place <= 0.0 else 0.0
-        assert command.force[0] == pytest.approx(expected, rel=1e-12)
-        assert (command.extra is not None) == (tick == 4)
-        if command.extra is not None:
-            assert command.force[0] + command.extra[0] == pytest.approx(-300.0 * speed, rel=1e-12)
 
 
 @pytest.mark.parametrize("early", [1e-6, 1e-4, 2e-3])

@@ -46,7 +46,7 @@ def check_every_cell(plant: str, grid: int, delay: float) -> None:
 
 @pytest.mark.parametrize(
     ("plant", "grid", "delay"),
-    [*(("exact", 12, delay) for delay in DELAYS), ("mujoco", 6, 0.0015)],
+    [("exact", 12, 0.0), ("exact", 12, 0.005), ("mujoco", 6, 0.0015)],
 )
 def test_cells_of_a_coarse_map_settle_or_grow_as_theory_has_it(plant: str, grid: int, delay: float) -> None:
     check_every_cell(plant, grid, delay)
@@ -58,14 +58,6 @@ def test_cells_of_a_coarse_map_settle_or_grow_as_theory_has_it(plant: str, grid:
 def test_every_cell_of_the_map_settles_or_grows_as_theory_has_it(plant: str, grid: int, delay: float) -> None:
     """60 x 60 on MuJoCo: `maglev-mj stability --plant mujoco`."""
     check_every_cell(plant, grid, delay)
-
-
-@pytest.mark.parametrize("period", [1e-4, 1e-3, 0.1])
-@pytest.mark.parametrize("grid", [8, pytest.param(16, marks=pytest.mark.study)])
-def test_the_verdict_does_not_depend_on_the_rate(period: float, grid: int) -> None:
-    # At 10 kHz the flotor sinks in by 0.3 µm, at 10 Hz by 0.1 m: the map is the same.
-    result = run_stability(StabilityParameters(plant="exact", grid=grid, period=period, delay=0.3 * period))
-    assert result.misjudged is not None and not result.misjudged.any()
 
 
 def walls(stiffness: ArrayLike, damping: ArrayLike, **values: Any) -> list[RestingWall]:
@@ -241,27 +233,6 @@ def test_a_simulation_in_closed_loop_agrees_with_the_measured_shift(dampings: li
     assert measure_growth(walls((1.0 - margin) * shifted, b), **euler).stable.all()
     assert not measure_growth(walls((1.0 + margin) * shifted, b), **euler).stable.any()
     assert not measure_growth(walls((1.0 - margin) * shifted, b), "mujoco").stable.any()
-
-
-@pytest.mark.parametrize(
-    "above", [(1.05, 1.1, 1.2), pytest.param((1.01, 1.02, 1.05, 1.1, 1.2), marks=pytest.mark.study)]
-)
-def test_one_sample_of_delay_just_above_the_boundary_diverges_when_foretold(above: tuple[float, ...]) -> None:
-    """Divergence time just above the boundary.
-
-    Alternating delays are no worse than the worse one.
-
-    Ten-thousandfold after ln(10 000) / ln(modulus) samples, give or take the transient at the start.
-    """
-    best = stiffest_wall(period=T, delay=T)
-    k = float(best.stiffness) * np.array(above)
-    b = np.full(len(above), float(best.damping))
-    for plant in ("exact", "mujoco"):
-        growth = measure_growth(walls(k, b, delay=T), plant)
-        assert not growth.stable.any()
-        predicted = np.log(1e4) / np.log(largest_modulus(k, b, period=T, delay=T))
-        np.testing.assert_allclose(growth.ticks, predicted, rtol=0.2, atol=32)
-        assert (np.diff(growth.ticks) < 0).all()
 
 
 @pytest.mark.parametrize(

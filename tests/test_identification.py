@@ -187,17 +187,6 @@ def test_ten_seconds_with_the_devices_sensor_are_within_a_thousandth(timing: tup
         assert (found.misfit < 2.0 * found.noise).all()
 
 
-@pytest.mark.parametrize("fast", [1, pytest.param(3, marks=pytest.mark.study)])
-def test_standard_errors_are_those_of_the_sensor(fast: int) -> None:
-    scores = []
-    for timing, seeds in ((SLOW, 3), (FAST, fast)):
-        for seed in range(seeds):
-            twin, _, found = study(seed, timing, True)
-            scores.append((found.acceleration_per_current - twin.acceleration_per_current) / found.errors)
-            scores.append(np.atleast_2d((found.gravity - twin.gravity) / found.free_errors[:3]))
-    assert 0.8 < np.sqrt(np.mean(np.square(np.concatenate([one.ravel() for one in scores])))) < 1.25
-
-
 def test_errors_fall_with_the_root_of_the_duration_and_with_the_amplitude() -> None:
     def level(duration: float, amplitude: float) -> float:
         """Return the standard error, as tested above."""
@@ -391,17 +380,3 @@ def test_the_excitation_is_what_it_says() -> None:
         excitation(NOMINAL, period=0.005, delay=0.0, lines=LINES.ravel())
     with pytest.raises(ParameterError, match="Trim gain must have a last dimension of 6"):
         Trim(gain=[1.0] * 5, period=0.005)
-
-
-def test_amplitudes_are_those_asked_for_on_a_device_that_is_known() -> None:
-    class Known(Twin):
-        def __init__(self) -> None:
-            super().__init__(0, FAST)
-            self.plant = MuJoCoPlant(Timing(period=FAST[0], delay=FAST[1]))
-
-    motion = shaken(Known(), FAST, 8.0)
-    times = FAST[0] * np.arange(len(motion.poses))
-    for axis, lines in enumerate(LINES):
-        for line in lines:
-            size = 2.0 * abs(np.mean(motion.poses[:, axis] * np.exp(-2j * np.pi * line * times)))
-            assert size == pytest.approx(1e-4 if axis < 3 else 1.5e-3, rel=0.25)

@@ -321,35 +321,6 @@ def test_what_the_drop_leaves_out_would_not_change_one_bit(variant: Callable[...
         np.testing.assert_allclose(one, two, rtol=0.0, atol=1e-12)
 
 
-def test_what_the_drop_keeps_does_change_an_answer() -> None:
-    """Why the rest stays.
-
-    The integrator, because another one is off by half a step times the change of speed. The coils, because no
-    force reaches the flotor without them. x, y and rotation, because the five other axes are held, not absent: a
-    flotor released off centre or tilted moves along them (released upright, z alone would give the same z). The
-    coil sites, because they are where the forces apply. The switched-off contacts and constraints, for speed.
-    """
-    start: dict[str, Any] = {"pose": [0, 0, 4e-3, 0, 0, 0]}
-    euler, exact = MuJoCoPlant(**start), MuJoCoPlant(**start)
-    euler.device.model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    for _ in range(4):
-        gap = abs(euler.read().position[2] - exact.read().position[2])
-    assert gap > 1e-4
-
-    powerless = MuJoCoPlant(**start)
-    powerless.device.model.actuator_gainprm[:, 0] = 0.0
-    for plant in (powerless, exact := MuJoCoPlant(**start)):
-        plant.read()
-        plant.write(Command([0.0, 0.0, 50.0, 0.0, 0.0, 0.0]))
-    assert exact.read().position[2] - powerless.read().position[2] > 1e-4
-
-    tilted = MuJoCoPlant(pose=[5e-4, -5e-4, 0, 0.01, 0.01, 0.01], gravity=0.0)
-    hold = Hold.critically_damped(inertia=INERTIA, period=0.005, delay=0.0015)
-    before = np.abs(tilted.read().pose)[[0, 1, 3, 4, 5]]
-    after = np.abs(drive(tilted, Controller([hold], period=0.005), 40).pose)[[0, 1, 3, 4, 5]]
-    assert (after < 0.5 * before).all()
-
-
 # -- the report ------------------------------------------------------------------------------------------
 
 

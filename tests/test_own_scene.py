@@ -139,15 +139,6 @@ def test_its_model_levels_are_compared(folder: Path, say: Say, monkeypatch: pyte
     assert "detents" in said and json.loads((folder / "all.json").read_text())
 
 
-@pytest.mark.needs("drawing")
-def test_it_is_rendered(folder: Path, say: Say) -> None:
-    command = [sys.executable, "-m", "maglev_mj", "render", "detents.py", "--stiffness", "3000"]
-    command += ["--out", "it.png", "--seconds", "0.05", "--size", "160x160"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=PATIENCE)
-    assert done.returncode == 0, done.stderr
-    assert (folder / "it.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-
-
 @pytest.mark.xdist_group("realtime")
 @pytest.mark.needs("screen", "xdotool")
 def test_keys_change_its_parameters_in_a_window(folder: Path, say: Say) -> None:

@@ -170,15 +170,6 @@ def test_a_stroke_that_does_not_reach_the_wall_says_so() -> None:
     assert data["summary"]["penetration"][0] == 0.0
 
 
-def test_the_hand_holds_on_from_release_at_every_phase() -> None:
-    for phase in (0.0, 0.3, 0.99):
-        for hand in ("arm", "fingertip"):
-            series = exact(SHORT.replace(hand=hand), phase).series()
-            waiting = series["time"] < SHORT.strokes(phase)[0]
-            assert np.abs(series["z"][waiting] - 0.003).max() < 1e-12
-            assert (series["target"][waiting] == 0.003).all()
-
-
 def test_a_coarse_sensor_makes_the_press_ripple() -> None:
     # One step of the sensor, once in the position and twice in its difference.
     step = 5e-6

@@ -147,7 +147,7 @@ def test_one_bit_changed_in_an_attachment_loses_that_attachment_alone(tmp_path: 
     full, summary = read(whole, tmp_path), make_reader(io.BytesIO(whole)).get_summary()
     assert full is not None and summary is not None
     (index,) = (one for one in summary.attachment_indexes if one.name == "lost.py")
-    for place in range(index.offset + 9, index.offset + index.length):
+    for place in range(index.offset + 9, index.offset + index.length, 5):  # in each of its fields
         data = bytearray(whole)
         data[place] ^= 1 << place % 8
         part = read(bytes(data), tmp_path)
@@ -172,7 +172,7 @@ class FullDisk(io.BytesIO):
         return super().write(data)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.001, 0.2, 0.5, 0.9, 0.95, 0.999])
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.5, 0.95, 0.999])
 def test_a_disk_that_is_full_is_told_of_and_what_was_written_is_read(
     share: float, whole: bytes, tmp_path: Path
 ) -> None:

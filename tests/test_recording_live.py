@@ -305,12 +305,6 @@ def test_a_writer_that_dies_is_told_of(tmp_path: Path) -> None:
         file.close()
 
 
-def test_nothing_recorded_leaves_no_file(tmp_path: Path) -> None:
-    for name in ("run.mcap", "run.npz"):
-        assert open_recording(tmp_path / name).close() is None
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_arrays_go_elsewhere_where_their_folder_is_gone(tmp_path: Path) -> None:
     folder = tmp_path / "gone"
     folder.mkdir()
@@ -488,63 +482,6 @@ def test_many_samples_take_little_memory_to_read(tmp_path: Path) -> None:
     tracemalloc.stop()
     assert ticks == 10001
     assert peak < 1500 * ticks  # as messages they took 5000 bytes a sample
-
-
-MORE = """    Field("pull", "N", "force along z, squared, for a test", "applied.force[2] ** 2", optional=True),
-"""
-CHANGED = """
-import sys
-from pathlib import Path
-import maglev_mj
-from maglev_mj.cli import main
-from maglev_mj.recording import Recording
-assert Path(maglev_mj.__file__).is_relative_to(Path.cwd())
-for suffix in ("mcap", "npz"):
-    assert main(["drop", "--plant", "exact", "--duration", "0.05", "--record", f"run.{suffix}"]) == 0
-    assert main(["replay", f"run.{suffix}", "--check"]) == 0
-    (stretch,) = Recording.load(Path(f"run.{suffix}")).stretches
-    assert (stretch.pull == stretch.applied[:, 2] ** 2).all() and stretch.pull.any()
-assert main(["export", "run.mcap", "--to", "csv"]) == 0
-for name in sys.argv[1:]:
-    (old,) = Recording.load(Path(name)).stretches  # from before the line was there
-    assert (old.pull != old.pull).all() and len(old) == 81
-"""
-
-
-def test_one_more_recorded_value_is_one_more_line(tmp_path: Path) -> None:
-    # In a copy of the package: memory, .npz, MCAP and its schema, table and check follow from it.
-    import shutil
-
-    import maglev_mj
-    from maglev_mj.versions import MODELS
-
-    old = [tmp_path / "old.npz", tmp_path / "old.mcap"]
-    for path in old:
-        write_run(path, Drop(), plant="exact")
-    shutil.copytree(Path(maglev_mj.__file__).parent, tmp_path / "maglev_mj", ignore=shutil.ignore_patterns("*.pyc"))
-    shutil.copytree(MODELS, tmp_path / "model", dirs_exist_ok=True)
-    table = tmp_path / "maglev_mj" / "recording" / "sample.py"
-    before, after = table.read_text().split(')\n"""Recorded fields of each sample')
-    table.write_text(f'{before}{MORE})\n"""Recorded fields of each sample{after}')
-    done = subprocess.run(
-        [sys.executable, "-c", CHANGED, *map(str, old)],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(tmp_path)},
-        capture_output=True,
-        text=True,
-        timeout=100,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.count(", pull") == 2  # of the fields that were compared
-    samples = messages(tmp_path / "run.mcap")[1:]
-    pulls = [message["pull"] for _, message in samples]
-    assert pulls == [message["applied"]["z"] ** 2 for _, message in samples] and any(pulls)
-    with np.load(tmp_path / "run.npz") as arrays:
-        assert arrays["0/pull"].tolist() == pulls
-    head, *lines = (tmp_path / "run.csv").read_text().splitlines()
-    column = head.split(",").index("pull [N]")
-    assert [float(line.split(",")[column]) for line in lines] == pulls
-    assert verify(Recording.load(tmp_path / "run.mcap"), rebuild).same  # by the program without the line
 
 
 OWN = """

@@ -284,13 +284,13 @@ def test_a_representation_is_short_and_fits_a_terminal(name: str) -> None:
 
 def test_a_result_of_big_arrays_has_a_short_representation() -> None:
     batch = run(Drop(), plant="exact", phase=np.arange(64) / 64)
-    far = run_stability(StabilityParameters(grid=200))
+    far = run_stability(StabilityParameters(grid=80))
     for found in (
         batch,
         batch.trace,
         batch[0].trace,
         far,
-        sweep(Drop(), {"damping": np.linspace(50.0, 90.0, 200).tolist()}),
+        sweep(Drop(), {"damping": np.linspace(50.0, 90.0, 80).tolist()}),
     ):
         assert 20 < len(repr(found).encode()) <= 2000
 

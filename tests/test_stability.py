@@ -294,7 +294,7 @@ def test_critical_delays_of_more_than_three_periods() -> None:
 )
 def test_a_published_hand_shifts_the_critical_delay(hand: str, least: float, most: float) -> None:
     stiffness, damping = np.meshgrid([1000.0, 2000.0, 4000.0, 6000.0, 8000.0], [20.0, 40.0, 60.0, 80.0, 100.0])
-    for period in (1e-3, 2e-3, T):
+    for period in (1e-3, T):
         alone, held = (critical_delay(stiffness, damping, period=period, hand=one) for one in (None, get_hand(hand)))
         known = np.isfinite(alone) & np.isfinite(held) & (alone > 0.0)
         assert least < (held / np.where(known, alone, 1.0))[known].min() < most
