@@ -264,23 +264,6 @@ def test_a_wall_that_goes_on_ends_with_status_1(capsys: Any) -> None:
     assert "10173" in said and "grow or go on" in said and "hand none" in said
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--mass", "a:b"], "mass must be LOW HIGH, LOW:HIGH, or one value, not 'a:b'"),
-        (["--hand", "fist"], "hand must be one of none, arm, stylus, fingertip"),
-        (["--held"], "hands must be one or more different ones, not none at all"),
-        (["--modulus", "0.4"], "modulus must be above 0.4 here"),
-        (["--law", "observer", "--pulse"], "pulse must be left out for the observer"),
-        (["--out", "x"], "mass or delay must be a range for a picture"),
-    ],
-)
-def test_bad_options_are_one_line(arguments: list[str], words: str, capsys: Any) -> None:
-    assert main(["design", *arguments]) == 2
-    said = capsys.readouterr()
-    assert said.out == "" and said.err.count("\n") == 1 and words in said.err
-
-
 def test_a_scene_gives_rate_delay_and_mass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     # Of a file too; what is given as an option goes before.
     text = "from maglev_mj import Scene, param\n\n\nclass Fast(Scene):\n"

@@ -512,29 +512,6 @@ def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixtur
     assert "hand must have an arm" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["moon"], "scene must be one of joystick, drop, press, "),
-        (["drop", "--tolerance", "0"], "tolerance must be a finite number above 0, not 0"),
-        (["drop", "--boundary-tolerance", "0"], "boundary must be a finite number above 0, not 0"),
-        (["all", "--tolerance", "1e-3"], "unrecognized arguments: --tolerance 1e-3"),
-        (["stick-slip", "--height", "1e-3"], "unrecognized arguments: --height 1e-3"),
-        (["drop", "--json", "no/such/folder.json"], "json"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    try:
-        status = main(["fidelity", *arguments])
-    except SystemExit as ended:
-        status = int(str(ended.code))
-    assert status == 2
-    said = capsys.readouterr().err
-    assert words in said and said.count("\n") == 1
-
-
 class Branching(AxisLaw):
     """Wall with an `if`, which arrays do not support."""
 

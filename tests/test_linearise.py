@@ -308,7 +308,13 @@ class VirtualMass(AxisLaw):
 
 @pytest.mark.parametrize(
     ("mass", "coupling"),
-    [(0.1, (500.0, 5.0)), (0.3, (2000.0, 20.0)), (1.0, (10000.0, 40.0)), (3.0, (60000.0, 100.0)), (1.0, (20000.0, 4.0))],
+    [
+        (0.1, (500.0, 5.0)),
+        (0.3, (2000.0, 20.0)),
+        (1.0, (10000.0, 40.0)),
+        (3.0, (60000.0, 100.0)),
+        (1.0, (20000.0, 4.0)),
+    ],
 )
 def test_a_virtual_mass_is_judged_without_its_free_motion(mass: float, coupling: tuple[float, float]) -> None:
     law = VirtualMass(axes="z", mass=mass, stiffness=coupling[0], damping=coupling[1])

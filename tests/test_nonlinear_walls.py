@@ -116,23 +116,6 @@ def test_the_command_maps_drops_where_an_option_of_theirs_is_given(here: Path, c
     assert "Stability of a PD wall" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--pulse", "-1"], "pulse must be a finite number at least 0 and at most 1e+06, not -1"),
-        (["--force-limit", "0"], "force_limit must be a finite number above 0 and at most 1e+06, not 0"),
-        (["--quantize", "2"], "quantize must be a finite number at least 0 and at most 1, not 2"),
-        (["--height", "-0.001"], "height must be a finite number at least 0 and at most 1, not -0.001"),
-        (["--height", "0", "--plant", "mujoco"], "plant must be one of exact, not 'mujoco'"),
-        (["--pulse", "220", "--damping", "50", "--out", "."], "damping must be a range for a picture, not 50 alone"),
-    ],
-)
-def test_bad_options_of_drops_are_one_line(here: Path, capsys: Any, arguments: list[str], words: str) -> None:
-    assert main(["stability", "--grid", "3", *arguments]) == 2
-    said = capsys.readouterr().err
-    assert words in said and len(said.splitlines()) == 1
-
-
 def test_an_ending_is_that_of_the_last_quarter() -> None:
     # From one quarter to the next: dying in the wall, dying but leaving it, lower than before, higher than released.
     ranges = [[(-2e-3, -1e-3), (-1e-3, 2e-3), (-1e-3, 5e-3), (-1e-3, 4e-3)]]

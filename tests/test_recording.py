@@ -143,33 +143,6 @@ def test_a_clip_keeps_the_colour_of_a_small_mark(tmp_path: Path) -> None:
     assert np.abs(seen - green).max() < 20
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["render", "pub", "--out", "a.png"], "scene must be one of joystick"),
-        (["render", "box", "--out", "a.bmp"], "out must end in .png, .gif or .mp4, not 'a.bmp'"),
-        (["render", "box", "--out", "nowhere/a.png"], "out must be a file in a folder that is there"),
-        (["render", "box", "--out", "a.png", "--size", "1x1"], "size must be WxH.* of 160 to 4000 pixels"),
-        (["render", "box", "--out", "a.png", "--stiffness", "-1"], "stiffness must be"),
-        (["view", "pub"], "scene must be one of joystick"),
-        (["view", "box", "--seconds", "0"], "seconds must be .* above 0"),
-        (["view", "box", "--hand-stiffness", "-5"], "hand stiffness must be"),
-        (["drop", "--record", "nowhere/a.npz"], "record must be a file in a folder that is there"),
-    ],
-)
-def test_bad_input_is_one_line_and_status_2(options: list[str], words: str, capsys: Any) -> None:
-    import re
-
-    try:
-        status = main(options)
-    except SystemExit as stop:  # before the options of a scene are known
-        status = int(str(stop.code))
-    said = capsys.readouterr().err
-    assert status == 2
-    assert len(said.splitlines()) == 1
-    assert re.search(words, said)
-
-
 def test_what_is_wrong_with_a_file_goes_into_arrays_of_it(tmp_path: Path, capsys: Any) -> None:
     assert main(["drop", "--plant", "exact", "--record", str(tmp_path / "run.mcap")]) == 0
     data = (tmp_path / "run.mcap").read_bytes()

@@ -1,7 +1,6 @@
 """Settings by other programs: own walls, and their stability check."""
 
 import json
-import operator
 from typing import Any
 
 import mujoco
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES
-from maglev_mj.control import AxisLaw, Hold, Law, gain
+from maglev_mj.control import Hold, Law
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Sample
 from maglev_mj.parameters import param
@@ -21,6 +20,7 @@ from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, unstable_loop
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
 from maglev_mj.views.window.plots import Plots
+from tests.test_linearise import Detent, Echo
 
 ANGLES = dict.fromkeys(("rx", "ry", "rz"), float(np.radians(6.0)))
 
@@ -171,17 +171,6 @@ def test_what_is_refused_makes_energy_and_what_is_not_does_not(above: bool) -> N
     assert ("unstable" in session.snapshot().reason) is above
 
 
-class Detent(AxisLaw):
-    """Sine detents with a pitch of 2 mm."""
-
-    stiffness: float = gain()
-    damping: float = gain()
-
-    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
-        turn = 1000.0 * np.pi
-        return -gains.stiffness / turn * np.sin(turn * x) - gains.damping * v
-
-
 class Detents(Scene):
     """Detents along x."""
 
@@ -193,17 +182,6 @@ class Detents(Scene):
     def laws(self) -> list[Law]:
         others = Hold.critically_damped(AXES[1:], inertia=INERTIA[1:], period=self.period, delay=self.delay)
         return [Detent(axes="x", stiffness=self.stiffness, damping=self.damping), others]
-
-
-WEIGHTS = np.random.default_rng(0).standard_normal(600)
-
-
-class Echo(AxisLaw):
-    """Force by the positions of 600 samples."""
-
-    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
-        line = (x,) * len(WEIGHTS) if state is None else (x, *state[:-1])
-        return -sum(map(operator.mul, WEIGHTS, line)), line
 
 
 class Echoing(Detents):
