@@ -1,4 +1,4 @@
-"""Bad words on the command line of scenes, studies and recordings: one line each, and status 2."""
+"""Bad words of scenes, studies and recordings on the command line: one line each, status 2."""
 
 from __future__ import annotations
 
