@@ -103,11 +103,6 @@ def test_an_estimate_is_bounded_by_the_workers_and_by_what_hands_out() -> None:
     assert many["seconds"] == pytest.approx(0.5 + 100_000 / 8000.0)
 
 
-def test_devices_are_dear_again_beyond_the_cheapest() -> None:
-    assert growth.slow_from({1: 9.0, 10: 1.0, 100: 1.2, 1000: 1.3}) == 1000
-    assert growth.slow_from({1: 9.0, 10: 1.0, 100: 1.2}) is None
-
-
 def test_pictures_are_drawn_from_the_figures_and_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 

@@ -1,14 +1,13 @@
-"""Cost of the theory's answers.
+"""Cost of answers: stiffest wall, boundary, designed wall, checked setting, map in the engine.
 
-Stiffest wall, boundary, a designed wall, and a setting that is checked.
+`measure` is a section of bench.py.
 """
 
 from __future__ import annotations
 
 import itertools
 import statistics
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -21,9 +20,11 @@ from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes import BUILT_IN, find_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.session import settable
-from maglev_mj.theory import WallRequirements, design_wall, is_stable, largest_modulus, largest_stable_stiffness
+from maglev_mj.studies.stability_map import StabilityParameters, run_stability
+from maglev_mj.theory import WallRequirements, design_wall, largest_stable_stiffness
 from maglev_mj.theory.closed_loop import LoopKeywords
 from maglev_mj.views.margin import margin
+from timing import answered
 
 HANDS = "none", "arm", "stylus", "fingertip", "0.1,5,300,20,5000"
 ESTIMATES: Sequence[VelocityEstimator] = (FiniteDifference(), LowPass(), Window(samples=8))
@@ -34,7 +35,7 @@ DESIGNED: dict[str, Any] = {
     "hands": ("none", "arm", "stylus", "fingertip"),
 }
 _COUNT, _FEW, _REPEATS = 40, 6, 2
-_APART = 1e-7
+_GRID, _QUICK_GRID = 24, 6
 
 
 def loops(count: int) -> list[LoopKeywords]:
@@ -66,60 +67,32 @@ def loops(count: int) -> list[LoopKeywords]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return seconds of each answer, and its errors, over many loops the median and the worst."""
-    chosen = loops(_FEW if quick else _COUNT)
-    repeats = 1 if quick else _REPEATS
-    stiffest, single, curve, wrong = [], [], [], 0
-    for loop in chosen:
-        seconds, best = _timed(partial(largest_stable_stiffness, **loop), repeats)
+    """Return seconds of each answer, over many loops the median and the worst."""
+    repeats, stiffest, single = 1 if quick else _REPEATS, [], []
+    for loop in loops(_FEW if quick else _COUNT):
+        seconds, best = answered(partial(largest_stable_stiffness, **loop), repeats)
         stiffest.append(seconds)
-        damping = 0.7 * float(best.damping)
-        seconds, boundary = _timed(partial(largest_stable_stiffness, damping, **loop), repeats)
-        single.append(seconds)
-        beside = largest_modulus(boundary * [1.0 - _APART, 1.0 + _APART], damping, **loop)
-        wrong += int(is_stable(beside).tolist() != [True, False])
-    dampings = np.linspace(0.0, 200.0, 60)
-    for late in (0.0, 0.0015, 0.005):
-        curve.append(_timed(partial(largest_stable_stiffness, dampings, delay=late), repeats)[0])
-    seconds, wall = _timed(partial(design_wall, WallRequirements(**DESIGNED)), 1)
+        single.append(answered(partial(largest_stable_stiffness, 0.7 * float(best.damping), **loop), repeats)[0])
+    refused, margins = [], []
+    for scene in (find_scene(name)() for name in BUILT_IN):
+        margins.append(answered(partial(margin, scene), repeats)[0])
+        if "stiffness" in settable(scene):
+            state = State(scene, scene.delay, None, "running")
+            seconds, verdict = answered(partial(checked, state, {"stiffness": 6e4}), repeats)
+            if isinstance(verdict, Scene):
+                raise ParameterError(f"{scene.name} must be refused, not {verdict}")
+            refused.append(seconds)
+    grid = _QUICK_GRID if quick else _GRID
     return {
         "stiffest wall": _spread(stiffest),
-        "boundary at a damping": {**_spread(single), "verdicts that differ 1e-7 beside it": wrong},
-        "curve of 60 dampings": _spread(curve),
-        "design_wall": {"seconds": seconds, "modulus beyond 0.97": wall.modulus - 0.97, "stiffness": wall.stiffness},
-        "settings": _settings(repeats),
+        "boundary at a damping": _spread(single),
+        "design_wall": answered(partial(design_wall, WallRequirements(**DESIGNED)))[0],
+        "setting refused": _spread(refused),
+        "margin": _spread(margins),
+        f"map of {grid} x {grid} in MuJoCo": answered(
+            partial(run_stability, StabilityParameters(plant="mujoco", grid=grid))
+        )[0],
     }
-
-
-def _settings(repeats: int) -> dict[str, Any]:
-    """Return seconds to check a setting, over the scenes.
-
-    To refuse it, to accept it, and to compute a margin.
-    """
-    refused: list[float] = []
-    accepted: list[float] = []
-    margins = []
-    for scene in (find_scene(name)() for name in BUILT_IN):
-        margins.append(_timed(partial(margin, scene), repeats)[0])
-        if "stiffness" not in settable(scene):
-            continue
-        state, present = State(scene, scene.delay, None, "running"), float(scene.as_json()["stiffness"])
-        for gain, times in ((0.9 * present, accepted), (6e4, refused)):
-            seconds, verdict = _timed(partial(checked, state, {"stiffness": gain}), repeats)
-            if isinstance(verdict, Scene) != (times is accepted):
-                raise ParameterError(f"the verdict on {scene.name} must be the other, not {verdict}")
-            times.append(seconds)
-    return {"refused": _spread(refused), "accepted": _spread(accepted), "margin": _spread(margins)}
-
-
-def _timed(answer: Callable[[], Any], repeats: int) -> tuple[float, Any]:
-    """Return the least time of several calls [s], and the last result."""
-    least = float("inf")
-    for _ in range(repeats):
-        start = time.perf_counter()
-        result = answer()
-        least = min(least, time.perf_counter() - start)
-    return least, result
 
 
 def _spread(seconds: Sequence[float]) -> dict[str, float]:

@@ -16,14 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from loop import drop_controller, timed
 from maglev_mj import Controller, Hold, Timing, Wall, drive
 from maglev_mj.pictures import Panel, PictureFolder, small_multiples
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.studies.cells import Workers, dask_workers, local_workers
 from maglev_mj.studies.sweep import sweep
+from timing import timed
 
 MANY = 100
 CELLS = 100_000
@@ -62,7 +63,7 @@ def tick_cost(make: Callable[..., SampledPlant], devices: int) -> float:
     pose = np.tile(_POSE, (devices, 1)) if devices > 1 else _POSE
 
     def run() -> float:
-        plant, controller = make(Timing(), pose=pose), drop_controller()
+        plant, controller = make(Timing(), pose=pose), Drop().controller()
         return timed(lambda: drive(plant, controller, _TICKS)) / _TICKS / devices
 
     first = run()
@@ -78,14 +79,6 @@ def against_devices(quick: bool) -> dict[str, dict[int, float]]:
         name: {count: 1e6 * tick_cost(one if count == 1 else batch, count) for count in counts if count <= most}
         for name, (one, batch, most) in plants().items()
     }
-
-
-def slow_from(costs: Mapping[int, float], factor: float = 1.25) -> int | None:
-    """Return the batch size that first costs `factor` times more, beyond the cheapest; None for none."""
-    cheapest = min(costs, key=lambda count: costs[count])
-    return next(
-        (count for count in sorted(costs) if count > cheapest and costs[count] > factor * costs[cheapest]), None
-    )
 
 
 def against_rate(quick: bool) -> dict[str, dict[int, float]]:
@@ -197,17 +190,6 @@ def estimate(found: Mapping[str, Any], workers: int = MANY, cells: int = CELLS) 
     }
 
 
-def caches() -> dict[str, str]:
-    """Return the first processor's cache sizes, from Linux."""
-    folders = sorted(Path("/sys/devices/system/cpu/cpu0/cache").glob("index*"))
-    return {
-        f"L{(folder / 'level').read_text().strip()} {(folder / 'type').read_text().strip()}": (folder / "size")
-        .read_text()
-        .strip()
-        for folder in folders
-    }
-
-
 def measure(quick: bool) -> dict[str, Any]:
     """Return costs over devices, rate and workers, and the estimate.
 
@@ -221,8 +203,6 @@ def measure(quick: bool) -> dict[str, Any]:
         "workers": workers,
         "estimate": estimate(workers),
         "assumed": list(ASSUMED),
-        "a device costs a quarter more from": {name: slow_from(costs) for name, costs in devices.items()},
-        "caches": caches(),
     }
 
 

@@ -1,4 +1,4 @@
-"""Cost and effect of each option over the plain loop.
+"""Cost of each option over the plain loop.
 
 `measure` is a section of bench.py; its times are medians of repeats in turn, its ratios medians of theirs pair by pair.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from functools import partial
-from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +19,7 @@ from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledP
 from maglev_mj.plants.hand import Hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import Spec
+from timing import in_turns, ratio, timed
 
 PLAIN = "plain"
 START = np.array([0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0])
@@ -87,46 +87,26 @@ LOOPS = {
 }
 
 
-def run(loop: Loop, name: str, ticks: int) -> tuple[float, SampledPlant]:
-    """Return the time of a drop with an option [s], and its plant."""
+def run(loop: Loop, name: str, ticks: int) -> float:
+    """Return the time of a drop with an option [s]."""
     plant, controller = loop.make(**{"timing": Timing(), "pose": loop.pose, **loop.options[name]}), Drop().controller()
-    start = perf_counter()
-    drive(plant, controller, ticks)
-    if "trace" in name:
-        plant.trace()
-    return perf_counter() - start, plant
+
+    def whole() -> None:
+        drive(plant, controller, ticks)
+        if "trace" in name:
+            plant.trace()
+
+    return timed(whole)
 
 
-def figures(loop: Loop, quick: bool) -> dict[str, Any]:
-    """Return times, ratios and final positions of a plant's options."""
-    taken: dict[str, list[float]] = {name: [] for name in loop.options}
-    ends: dict[str, Array] = {}
+def over_plain(loop: Loop, quick: bool) -> dict[str, float]:
+    """Return the cost of each option over the plain loop."""
     ticks = min(_SHORT, loop.ticks) if quick else loop.ticks
-    for _ in range(1 if quick else loop.runs):
-        for name in loop.options:
-            time, plant = run(loop, name, ticks)
-            taken[name].append(time)
-            if ticks <= _SHORT:
-                ends[name] = plant.state()[0]
-    for name in loop.options.keys() - ends:  # one that comes to rest ends everywhere alike: sooner
-        ends[name] = run(loop, name, _SHORT)[1].state()[0]
-    return {
-        "µs a tick and device": {
-            name: float(np.median(times)) / ticks / loop.devices * 1e6 for name, times in taken.items()
-        },
-        "over plain": {name: float(np.median(np.divide(times, taken[PLAIN]))) for name, times in taken.items()},
-        # that two revisions come to the same is seen by the mean, to the last bit
-        "mean height at the end (m)": {name: float(pose[..., 2].mean()) for name, pose in ends.items()},
-        "change at the end (m, rad)": {name: float(np.abs(pose - ends[PLAIN]).max()) for name, pose in ends.items()},
-    }
+    times = in_turns({name: partial(run, loop, name, ticks) for name in loop.options}, 1 if quick else loop.runs)
+    return {name: ratio(values, times[PLAIN]) for name, values in times.items()}
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return times, ratios and changes by plant and option.
-
-    Times [µs], ratios to the plain loop, heights and changes [m] at the end.
-
-    Args:
-        quick: One short run of each, of at most 1000 devices, for a test.
-    """
-    return {name: figures(loop, quick) for name, loop in LOOPS.items() if not quick or loop.devices <= 1000}
+    """Return ratios to the plain loop by plant and option; quick on small plants alone."""
+    some = {name: loop for name, loop in LOOPS.items() if not quick or loop.devices <= 1000}
+    return {name: {"over plain": over_plain(loop, quick)} for name, loop in some.items()}

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from loop import timed
 from maglev_mj import ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.studies.levels import apart
 from peers import Simulate, Task, available
+from timing import medians, ratio, timed
 
 OURS: dict[str, Callable[..., Any]] = {
     "this package, corrected": partial(MuJoCoPlant, integrator="corrected", coils=False),
@@ -82,10 +82,10 @@ def measure(quick: bool) -> dict[str, Any]:
                 costs[name].append(math.nan)
             else:  # the least of several, as the method before has left the processor's caches cold
                 costs[name].append(min(timed(prepare()) for _ in range(1 if dear else _RUNS)) / task.duration)
-    first = np.array(next(iter(costs.values())))
+    first = next(iter(costs.values()))
     return {
-        "µs a simulated ms": {name: float(np.nanmedian(values)) * 1e3 for name, values in costs.items()},
-        "over corrected": {name: float(np.nanmedian(np.array(values) / first)) for name, values in costs.items()},
+        "µs a simulated ms": medians(costs, 1e3),
+        "over corrected": {name: ratio(values, first) for name, values in costs.items()},
         "error (m)": errors,
         "missing": missing,
     }

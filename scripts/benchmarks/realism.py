@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from loop import timed
 from maglev_mj import drive
 from maglev_mj.colours import DEVICE, HAND, REFERENCE
 from maglev_mj.control.controller import Controller
@@ -23,6 +22,7 @@ from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import RESOLUTION, Spec
 from maglev_mj.studies.levels import apart, motion_of
+from timing import in_turns, medians, ratio, timed
 
 EXACT, ENGINE = "exact plant", "engine, RK4"
 _TURNS, _RUNS, _DEAR = 9, 3, 0.05
@@ -89,15 +89,12 @@ def measure(quick: bool) -> dict[str, Any]:
     plain = {kind: Piece(kind, {}) for kind in _MAKERS}
     truth = {kind: motion_of(*parts(piece)).pose for kind, piece in plain.items()}
     moved = {name: apart(motion_of(*parts(piece)).pose, truth[piece.plant]) for name, piece in PIECES.items()}
-    taken: dict[str, list[float]] = {name: [] for name in (*plain, *PIECES)}
-    for _ in range(1 if quick else _TURNS):
-        for name, piece in {**plain, **PIECES}.items():
-            taken[name].append(cost(piece, 2 if quick else _RUNS))
-    ratios = {name: float(np.median(np.divide(taken[name], taken[PIECES[name].plant]))) for name in PIECES}
-    simulated = parts(plain[EXACT])[2] * Drop().period
+    runs = 2 if quick else _RUNS
+    work = {name: partial(cost, piece, runs) for name, piece in {**plain, **PIECES}.items()}
+    times = in_turns(work, 1 if quick else _TURNS)
     return {
-        "cost over plain": ratios,
-        "µs a simulated ms": {name: float(np.median(values)) / simulated * 1e3 for name, values in taken.items()},
+        "cost over plain": {name: ratio(times[name], times[PIECES[name].plant]) for name in PIECES},
+        "µs a simulated ms": medians(times, 1e3 / (parts(plain[EXACT])[2] * Drop().period)),
         "change (µm)": {name: 1e6 * float(change) for name, change in moved.items()},
     }
 
