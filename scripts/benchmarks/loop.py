@@ -1,4 +1,4 @@
-"""Cost of the closed loop, of bare steps of the engine, and of a loop written by hand.
+"""Cost of the closed loop, of the engine's bare steps, and of a hand-written loop.
 
 `measure` is a section of bench.py; its times are medians of repeats in turn, its ratios medians of theirs pair by pair.
 """

@@ -1,4 +1,4 @@
-"""Cost of many walls on one core: nonlinear ones in parts, sweeps as batches, maps in the engine.
+"""Cost of many walls on one core: nonlinear ones in parts, sweeps as batches.
 
 `measure` is a section of bench.py.
 """
