@@ -78,10 +78,7 @@ OURS = ("/maglev/stretch", "/maglev/sample", "/maglev/event")
 
 
 def decoder(schema: Any) -> Callable[[bytes], Message]:
-    """Return a decoder of messages by a file's schema.
-
-    It uses the package of protobuf, as any program does.
-    """
+    """Return a decoder of messages by a file's schema, from the package of protobuf."""
     from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
     if schema.encoding == "jsonschema":
@@ -94,10 +91,7 @@ def decoder(schema: Any) -> Callable[[bytes], Message]:
 
 
 def plain(message: Any) -> Message:
-    """Return a protobuf message as names and values.
-
-    NaN is None, as JSON has it.
-    """
+    """Return a protobuf message as names and values, with None for NaN, as in JSON."""
     found: Message = {}
     for field in message.DESCRIPTOR.fields:
         value = getattr(message, field.name)
@@ -228,18 +222,12 @@ def npz_of(header: Message, arrays: Mapping[str, Any], *, compressed: bool = Fal
 
 
 def command_row(command: Command) -> list[float]:
-    """Return a command as 13 numbers.
-
-    Held wrench, pulse, pulse width.
-    """
+    """Return a command as 13 numbers: held wrench, pulse, pulse width."""
     return [*command.force, *(command.extra or ZERO), command.pulse_width if command.extra else 0.0]
 
 
 def numbers_in(value: Any, place: Place = ()) -> Iterator[Place]:
-    """Yield the positions of numbers, switches and nulls.
-
-    Those of the code's versions are left out.
-    """
+    """Yield the positions of numbers, switches and nulls, but those of the code's versions."""
     if isinstance(value, dict | list):
         for key, part in value.items() if isinstance(value, dict) else enumerate(value):
             if key != "versions":

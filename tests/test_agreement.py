@@ -1,7 +1,4 @@
-"""MuJoCo against the exact plant.
-
-Translations agree to rounding, rotations to a microradian.
-"""
+"""MuJoCo against the exact plant: translations to rounding, rotations to a microradian."""
 
 from __future__ import annotations
 
@@ -55,10 +52,7 @@ def test_drops_agree_within_a_nanometre(
 
 
 def cross(plant: SampledPlant, axis: str, side: int, size: float, mass: float = INERTIA[0]) -> Array:
-    """Throw the flotor at a wall along one axis.
-
-    The others are held; the axis is returned over time.
-    """
+    """Return the axis over time as the flotor hits its wall, the other axes held."""
     body = np.array([mass] * 3 + [*INERTIA[3:]])
     share = body[AXES.index(axis)] / INERTIA[0]
     # the same dimensionless wall for every inertia

@@ -1,7 +1,4 @@
-"""Analysis of recordings against known values of the experiments.
-
-To rounding if every force is recorded, within bounds otherwise.
-"""
+"""Analysis of recordings against known values: to rounding if every force is recorded."""
 
 from __future__ import annotations
 
@@ -66,10 +63,7 @@ def analysed(stretch: Stretch, **keywords: Any) -> StretchReport:
 
 @cache
 def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parameters: float) -> Stretch:
-    """Return two seconds of a joystick on a virtual twin.
-
-    Its mass may differ from the calibration's.
-    """
+    """Return two seconds of a joystick on a twin, whose mass may differ from the calibration's."""
     truth = replace(Calibration.nominal(), mass=mass)
     holder = SpringHand(target=TOUR) if hand else None
     twin = Twin(TwinParameters(truth=truth, **parameters), hand_force=holder, draw=lambda: 7)  # type: ignore[arg-type]
@@ -203,10 +197,7 @@ LOST = [7, 8, 20, 33, 34, 35, 50]
 
 
 def with_losses(hand: tuple[float, ...], law: Law, start: float) -> Stretch:
-    """Return 60 samples under a law and an unrecorded force.
-
-    The force is constant.
-    """
+    """Return 60 samples under a law and a constant unrecorded force."""
     plant = ExactPlant(
         Timing(), pose=(0.0, 0.0, start, 0.0, 0.0, 0.0), gravity=0.0, hand_force=lambda tick, time, state: hand
     )

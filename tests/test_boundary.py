@@ -1,7 +1,4 @@
-"""Stability boundary over the gains against dense eigenvalue scans.
-
-Over random loops and margins.
-"""
+"""Stability boundary against dense eigenvalue scans, over random loops and margins."""
 
 from __future__ import annotations
 
@@ -36,10 +33,7 @@ ISLAND: dict[str, Any] = {
 
 
 def random_loop(random: np.random.Generator) -> SampledLoop:
-    """Return a loop with random parameters.
-
-    Rates, delays, masses, hands, lags, velocity estimates and predictions.
-    """
+    """Return a loop of random rate, delay, mass, hand, lag, velocity estimate and prediction."""
     period = 10.0 ** random.uniform(-3.3, -2.0)
     late = random.choice([0.0, random.uniform(0.0, 1.0), random.uniform(0.0, 4.0), 1.0])
     arm: dict[str, Any] = {

@@ -1,7 +1,4 @@
-"""Designed walls against dense samples, theory and simulation.
-
-For products of masses, delays and hands.
-"""
+"""Designed walls against dense samples, theory and simulation."""
 
 from __future__ import annotations
 
@@ -42,10 +39,7 @@ BOXES: list[dict[str, Any]] = [
 
 
 def densely(wall: DesignedWall, seed: int, count: int = 3000) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the moduli of random cases unknown to the design.
-
-    Edges of the ranges are among them.
-    """
+    """Return the moduli of random cases unknown to the design, with edges of the ranges."""
     random, needs = np.random.default_rng(seed), wall.requirements
     moduli = []
     for hand in needs.hands:
@@ -170,10 +164,7 @@ def test_the_dynamic_goal_finds_a_wall_where_the_static_one_does(delay: float) -
 
 @cache
 def dynamic_wall(law: str) -> DesignedWall:
-    """Return the wall of the dynamic goal.
-
-    Over the product of everything; it is dear to find.
-    """
+    """Return the wall of the dynamic goal over the product of everything."""
     needs = WallRequirements(**EVERYTHING, modulus=1.0)
     return design_wall(needs, law, goal="dynamic", pole=None if law == "pd" else 0.0)
 

@@ -20,10 +20,7 @@ G = 9.81
 
 
 def reference(p: Drop, phase: float, times: list[float]) -> tuple[list[float], list[float]]:
-    """Return z and force at given times, computed independently.
-
-    By the issue of commands as a list of switches.
-    """
+    """Return z and force at given times, computed independently from a list of switches."""
     switches: list[tuple[float, float]] = [(0.0, 0.0)]
 
     def state(at: float) -> tuple[float, float, float]:

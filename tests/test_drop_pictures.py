@@ -61,10 +61,7 @@ class Own(AxisLaw):
 
 
 class Beside(Drop):
-    """My wall beside published ones.
-
-    It has no pulse, whatever the scene's parameter says.
-    """
+    """Wall of one's own beside published ones, without the pulse of the scene's parameter."""
 
     mine: bool = param("the wall of one's own", default=True)
 

@@ -146,10 +146,7 @@ def test_a_load_does_not_wait_for_the_delay() -> None:
 
 
 def literal_karnopp(*, breakaway_condition: bool) -> tuple[int, float]:
-    """Return state changes and travel of eq. (11).
-
-    In 50 ms at steps of 10 µs, as printed or with the second condition.
-    """
+    """Return state changes and travel of eq. (11) in 50 ms, as printed or corrected."""
     step, mass, damping, spring, target = 1e-5, 0.7, 80.0, 1000.0, 0.003
     x, v, stuck, changes = 0.0, 0.0, True, 0
     for _ in range(5000):

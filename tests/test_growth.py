@@ -1,7 +1,4 @@
-"""Simulated walls against the exact map.
-
-Over whole grids, with hands, and with integrators that shift the boundary.
-"""
+"""Simulated walls against the exact map: grids, hands, and integrators that shift the boundary."""
 
 from dataclasses import replace
 from typing import Any
@@ -33,10 +30,7 @@ DELAYS = (0.0, 0.0015, 0.003, 0.005)
 
 
 def check_every_cell(plant: str, grid: int, delay: float) -> None:
-    """Check each cell against theory, except near the boundary.
-
-    Cells within half a percent of it are left out.
-    """
+    """Check each cell against theory, except within half a percent of the boundary."""
     result = run_stability(StabilityParameters(plant=plant, grid=grid, delay=delay))
     assert result.simulated is not None and result.misjudged is not None
     assert not result.misjudged.any()
@@ -127,10 +121,7 @@ def test_few_walls_are_simulated_on_one_thread(count: int, threads: int, monkeyp
 
 
 def settles_just_below(boundary: ArrayLike, damping: float, wall: RestingWall, margin: float, **keywords: Any) -> bool:
-    """Return True if walls settle below and grow above boundaries.
-
-    By a margin; all in one batch.
-    """
+    """Return True if walls settle a margin below boundaries and grow a margin above."""
     k = np.atleast_1d(np.asarray(boundary, dtype=np.float64))
     gains = [*((1.0 - margin) * k).tolist(), *((1.0 + margin) * k).tolist()]
     stable = measure_growth([wall.replace(stiffness=gain, damping=damping) for gain in gains], **keywords).stable

@@ -88,10 +88,7 @@ class Twin:
         return np.asarray(self.coils.wrench_per_current / body[:, None])
 
     def lay_on(self, mass: float, place: Sequence[float]) -> None:
-        """Put a weight [kg] onto the handle.
-
-        At a position in flotor axes [m].
-        """
+        """Put a weight [kg] onto the handle, at a position in flotor axes [m]."""
         model = self.plant.device.model
         handle = model.body("handle").id
         before = model.body_mass[handle]

@@ -126,10 +126,7 @@ def test_4096_cases_are_screened() -> None:
 
 
 def unseen_distances(result: FidelityResult, count: int) -> Array:
-    """Return the chosen model's distances in unseen cases [m].
-
-    Distance from the whole device, (count,).
-    """
+    """Return the chosen model's distances from the whole device in unseen cases [m]."""
     assert result.level is not None and result.cheapest is not None
     scene, best, level = result.preset.scene, result.cheapest, result.level.level
     options = {"integrator": best.integrator, "longest_step": best.step} if level_index(level) else {}
@@ -332,10 +329,7 @@ def test_the_drivers_lag_is_so_much_delay_to_two_micrometres(pulse: float) -> No
 
 
 def steady(plant: MuJoCoPlant, force: float, ticks: int = 2) -> float:
-    """Return the acceleration along z under a held force [m/s²].
-
-    From the flotor's position after some ticks.
-    """
+    """Return the acceleration along z under a held force after some ticks [m/s²]."""
     for _ in range(ticks):
         plant.read()
         plant.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))

@@ -275,10 +275,7 @@ def test_an_axis_without_stiffness_is_stable() -> None:
 
 
 class Washout(AxisLaw):
-    """Spring that pushes away and yields, a washout.
-
-    It has no stiffness in the end, except for the cut-off part of its answer.
-    """
+    """Spring that pushes away and yields: no stiffness but for the cut-off part of its answer."""
 
     def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
         slow = x if state is None else state + 0.05 * (x - state)
@@ -363,10 +360,7 @@ def test_an_answer_that_does_not_die_away_is_not_known() -> None:
 
 
 class Corner(AxisLaw):
-    """Integral action known to one end of the range only.
-
-    With a leak or none.
-    """
+    """Integral action at one end of the range only, with a leak or none."""
 
     leak: float = gain(default=0.0)
 

@@ -1,7 +1,4 @@
-"""Sweeps of a user's scene by processes and a cluster.
-
-They do not have the scene's file.
-"""
+"""Sweeps of a user's scene by processes and a cluster that lack its file."""
 
 from __future__ import annotations
 

@@ -19,10 +19,7 @@ M, G, T = 0.7, 9.81, 0.005
 
 
 def restitution(ratio: float) -> float:
-    """Return the energy restitution of an ideal wall.
-
-    By damping ratio; section 3 of the paper.
-    """
+    """Return the energy restitution of an ideal wall by damping ratio (section 3 of the paper)."""
     return math.exp(-2.0 * math.pi * ratio / math.sqrt(1.0 - ratio**2))
 
 

@@ -130,10 +130,7 @@ def test_a_command_within_the_limits_is_passed_on_as_it_is() -> None:
 
 
 def rubbed(duration: Component, x: Component, v: Component, push: Component, rub: Component, inverse: float) -> Array:
-    """Return position and speed after dry friction.
-
-    Case by case for arrays.
-    """
+    """Return position and speed after dry friction, case by case for arrays."""
     breaks = np.where(np.abs(push) > rub, np.sign(push), 0.0)
     sense = np.where(v != 0.0, np.sign(v), breaks)
     first = np.where(sense != 0.0, push - sense * rub, 0.0) * inverse

@@ -1,7 +1,4 @@
-"""Walls with prediction, passivity control, and perceived hardness.
-
-Closed forms, sweeps of the phase, margins.
-"""
+"""Walls with prediction, passivity control, and perceived hardness."""
 
 import itertools
 import math
@@ -37,10 +34,7 @@ def design_of(law: ObserverWall) -> Design:
 
 
 def bounce(laws: list[Law], delay: float) -> tuple[NDArray[np.float64], PassivityObserver, Any]:
-    """Return the restitution of energy at each phase.
-
-    The flotor is thrown at a wall without gravity.
-    """
+    """Return the restitution of energy at each phase, of a flotor thrown at a wall."""
     timing = Timing(period=T, delay=delay, phase=np.arange(PHASES) / PHASES)
     pose, twist = np.zeros((PHASES, 6)), np.zeros((PHASES, 6))
     pose[:, 2], twist[:, 2] = 3e-3, -0.2

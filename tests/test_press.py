@@ -1,7 +1,4 @@
-"""Hits and presses by a scripted hand.
-
-Against a second implementation, closed forms, and the other plant.
-"""
+"""Hits and presses by a scripted hand, against a second implementation and closed forms."""
 
 from __future__ import annotations
 
@@ -34,10 +31,7 @@ def swept(press: Press, phases: int) -> Phases:
 
 
 def drawn_to(p: Press, phase: float, time: float) -> float:
-    """Return the hand's target, written out independently.
-
-    Up, then down and up again every interval, then down to stay.
-    """
+    """Return the hand's target, written out: up, down and up every interval, down to stay."""
     since = time - (1.0 - phase) * p.period - 0.5 * p.interval
     stroke = min(math.floor(since / p.interval), p.hits)
     way = max(since - stroke * p.interval, 0.0) / (0.25 * p.interval) if stroke >= 0 else 0.0
@@ -46,10 +40,7 @@ def drawn_to(p: Press, phase: float, time: float) -> float:
 
 
 def reference(p: Press, phase: float) -> tuple[Array, Array]:
-    """Return z and force every 0.5 ms, computed independently.
-
-    Every switch is at a multiple of that.
-    """
+    """Return z and force every 0.5 ms, computed independently; switches are multiples of that."""
     step, ticks, late, wide = 5e-4, 10, 3, 6
     total = p.mass + ARM_MASS
     values, vectors = np.linalg.eig(

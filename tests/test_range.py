@@ -1,7 +1,4 @@
-"""Warnings of motions beyond the device's range.
-
-One line, and only then.
-"""
+"""Warnings of motions beyond the device's range: one line, and only then."""
 
 from __future__ import annotations
 
@@ -36,10 +33,7 @@ def remark(text: str) -> str | None:
 
 
 def furthest(trace: Trace) -> Array:
-    """Return the largest distances on each axis.
-
-    Sampled every 10 µs.
-    """
+    """Return the largest distances on each axis, sampled every 10 µs."""
     pose = trace.at(np.arange(0.0, float(trace.time[-1].min()), 1e-5))[0]
     distance: Array = np.abs(pose).max(axis=0)
     return distance

@@ -1,7 +1,4 @@
-"""Recordings written, read, replayed bitwise and shown.
-
-Pictures of scenes without a window too.
-"""
+"""Recordings written, read, replayed bitwise and shown; pictures of scenes without a window."""
 
 import json
 import os

@@ -1,7 +1,4 @@
-"""Self-contained recordings of a user's script.
-
-With each plant, law and velocity estimate.
-"""
+"""Self-contained recordings of a user's script, with each plant, law and velocity estimate."""
 
 from __future__ import annotations
 
@@ -139,10 +136,7 @@ PLANTS: Mapping[str, Callable[[], SampledPlant]] = {
 
 
 def controller_of(name: str) -> Controller:
-    """Return a controller of a law with another velocity estimate.
-
-    It holds the axes that the law leaves alone.
-    """
+    """Return a controller of a law, with another velocity estimate, that holds the other axes."""
     estimate = VELOCITIES[list(LAWS).index(name) % len(VELOCITIES)]
     rest = Hold(axes=AXES[3:], stiffness=0.3, damping=0.02)
     return Controller([*LAWS[name], rest, Bias(WEIGHT)], period=PERIOD, velocity=estimate)
@@ -165,10 +159,7 @@ def unwrapped(text: str) -> str:
 
 @pytest.fixture
 def say(capsys: Any) -> Callable[..., tuple[int, str, str]]:
-    """Return a function that runs a command.
-
-    It returns status and output.
-    """
+    """Return a function that runs a command and returns status and output."""
 
     def typed(*words: str) -> tuple[int, str, str]:
         status = main(list(words))
@@ -244,10 +235,7 @@ def other(name: Any, old: Any) -> Any:
 
 
 def unseen(plant: str, names: list[str], part: str, every: bool = True) -> tuple[list[str], int]:
-    """Return undetected changes of a setup's values, and their number.
-
-    Of every value, or of one of each array.
-    """
+    """Return undetected changes of a setup's values, and the number tried."""
     file, missed, tried = ArrayFile(), [], 0
     for law in names:
         made, controller = PLANTS[plant](), controller_of(law)
@@ -345,10 +333,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def run_script(folder: Path, name: str, stretches: int = 1) -> None:
-    """Record by a script with a law of its own.
-
-    The law leaves a mark when executed.
-    """
+    """Record by a script with a law of its own, which leaves a mark when executed."""
     (folder / "script.py").write_text(SCRIPT.replace("SQUARE", "4.0").replace("STRETCHES", str(stretches)))
     subprocess.run([sys.executable, "script.py", name], cwd=folder, check=True)
     for mark in ("executed", "law executed"):

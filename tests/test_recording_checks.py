@@ -113,10 +113,7 @@ def with_number_in_a_row(kind: str) -> Iterator[Case]:
 
 
 def answers(path: Path, capsys: Any) -> list[int]:
-    """Return each command's status on a file.
-
-    One error line and 2, or a result in finite numbers.
-    """
+    """Return each command's status on a file: 2 with one line, or a finite result."""
     found = []
     commands = (["replay", str(path), "--check"], ["analyse", str(path)])
     for command in (*commands, ["export", str(path), "--to", "csv", "--out", str(path.with_suffix(".csv"))]):
@@ -599,10 +596,7 @@ def setups_file() -> bytes:
 
 
 def large_files(slow: int) -> Mapping[str, tuple[str, bytes]]:
-    """Return small files that unpack to a gigabyte, by suffix.
-
-    Arrays and lz4, which take long to pack, unpack to `slow` bytes.
-    """
+    """Return small files that unpack to a gigabyte, those dear to pack to `slow` bytes."""
     import zstandard
     from lz4.frame import compress  # type: ignore[import-untyped]
 

@@ -31,10 +31,7 @@ def parts() -> tuple[ExactPlant, Controller]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return a recording of two stretches with attachment.
-
-    It has an event too.
-    """
+    """Return a recording of two stretches with an attachment and events."""
     path = tmp_path_factory.mktemp("whole") / "run.mcap"
     file = open_recording(path, wait=True)
     file.attach("device.xml", "text/xml", b"<mujoco/>" * 50)
@@ -103,10 +100,7 @@ def test_cut_off_anywhere_it_is_read_up_to_its_last_whole_chunk(whole: bytes, st
 
 
 def flips(whole: bytes, folder: Path, count: int) -> tuple[int, int, int]:
-    """Return the outcomes of single-bit changes.
-
-    Numbers of files refused, reported as damaged, and equal all the same.
-    """
+    """Return how many single-bit changes were refused, reported as damage, or without effect."""
     full = read(whole, folder)
     assert full is not None
     random, found = np.random.default_rng(1), [0, 0, 0]

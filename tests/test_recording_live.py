@@ -222,10 +222,7 @@ def test_a_recording_that_is_killed_at_any_time_opens(after: int, writer_too: bo
 
 
 def killed(after: int, writer_too: bool, tmp_path: Path) -> int:
-    """Return the samples lost by killing a program.
-
-    It records until killed after some samples.
-    """
+    """Return the samples lost by a program that is killed after recording some."""
     program = subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert program.stdout is not None
     made = 0

@@ -1,7 +1,4 @@
-"""Contents of recordings for other programs.
-
-Every topic by the schema in the file, frames, a scene, a log.
-"""
+"""Contents of recordings for other programs: topics by their schemas, frames, scene, log."""
 
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,4 @@
-"""Declared parameters of scenes.
-
-Kinds, bounds, derived defaults, JSON, and declarations that are refused.
-"""
+"""Declared parameters of scenes: kinds, bounds, derived defaults, JSON, refused declarations."""
 
 from __future__ import annotations
 
@@ -161,10 +158,7 @@ def test_one_parameter_is_found_by_name() -> None:
 
 
 def declare(name: str, annotation: Any = float, base: type = Scene, **keywords: Any) -> type:
-    """Return a class with one parameter.
-
-    Without a type if the annotation is None.
-    """
+    """Return a class with one parameter, without a type for the annotation None."""
     types = {} if annotation is None else {name: annotation}
     return type("Mine", (base,), {"__annotations__": types, name: param("mine", **{"default": 1.0, **keywords})})
 

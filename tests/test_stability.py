@@ -126,10 +126,7 @@ RIGID = Hand(mass=0.1, damping=5.0, stiffness=500.0)
 
 
 def simulated(plant_type: Any, delay: float, gains: tuple[float, float], **options: Any) -> NDArray[np.float64]:
-    """Return the simulated heights of a released flotor.
-
-    From 1 mm off, held by a spring and damper.
-    """
+    """Return the simulated heights of a flotor released 1 mm off, held by spring and damper."""
     pose: Any = [0.0, 0.0, 1e-3, 0.0, 0.0, 0.0]
     velocity = options.pop("velocity")
     plant = plant_type(

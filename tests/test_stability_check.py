@@ -69,10 +69,7 @@ class Pushing(Scene):
 
 
 class Push(Law):
-    """Law that pushes on one axis.
-
-    With a velocity it would push a thousand times as hard.
-    """
+    """Law that pushes on one axis, a thousand times as hard with a velocity."""
 
     pulse_width = 0.001
 

@@ -1,7 +1,4 @@
-"""Study engine: kept results, no repeats, lost workers.
-
-A worker's death costs its own cells only.
-"""
+"""Study engine: kept results, no repeats, workers whose death costs their own cells only."""
 
 import json
 import os
@@ -36,10 +33,7 @@ def drop_cells(count: int) -> list[Cell]:
 
 
 def deadly(cells: list[Cell]) -> list[Any]:
-    """Kill the worker on a marked cell.
-
-    Marked always, or once and not yet seen.
-    """
+    """Kill the worker on a cell marked always, or once and not yet seen."""
     for cell in cells:
         if cell.get("kill") == "always":
             os.kill(os.getpid(), signal.SIGKILL)

@@ -172,10 +172,7 @@ def test_pressing_longer_in_rate_mode_does_not_stretch_the_coupling_further() ->
     coupling = Coupling(stiffness=1500.0, damping=25.0, bound=8.0)
 
     def pressed(seconds: float) -> tuple[float, int]:
-        """Return contact force and samples until a turn.
-
-        After pressing on a slave that cannot move.
-        """
+        """Return contact force and samples until a turn, after pressing on a still slave."""
         way = Navigation(edge=0.0025, scale=10.0, gain=50.0)
         law = CouplingLaw(coupling, lambda: np.zeros(3), period=0.005, navigator=Navigator(way))
 

@@ -1,7 +1,4 @@
-"""Runs with different numbers as one batch.
-
-It gives the results of the single runs.
-"""
+"""Runs with different numbers as one batch give the results of the single runs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

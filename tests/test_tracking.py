@@ -1,7 +1,4 @@
-"""Pose of one device from six spots, fast.
-
-As exact as `Beams.pose`, and never another pose without an error.
-"""
+"""Pose of one device from six spots, as exact as `Beams.pose` or an error."""
 
 from __future__ import annotations
 
@@ -30,10 +27,7 @@ def poses(count: int, distance: float = 4.5e-3, degrees: float = 6.0, seed: int 
 
 
 def path(count: int, step: float) -> Array:
-    """Return a smooth path through the range.
-
-    Each pose is about a given distance from the last [m].
-    """
+    """Return a smooth path through the range, poses about a given distance apart [m]."""
     random = np.random.default_rng(2)
     rates, phases = random.uniform(0.5, 1.5, 6), random.uniform(0.0, 2.0 * math.pi, 6)
     reach = np.array([4e-3] * 3 + [0.055] * 3)

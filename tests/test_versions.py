@@ -1,7 +1,4 @@
-"""Versions of the code in every result.
-
-In every JSON, recording and record.
-"""
+"""Versions of the code in every JSON, recording and record."""
 
 import json
 import os

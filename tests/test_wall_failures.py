@@ -1,7 +1,4 @@
-"""Failures of walls despite stable eigenvalues, and remedies.
-
-Each claim over phases, seeds or a sweep.
-"""
+"""Failures of walls despite stable eigenvalues, and remedies, over phases, seeds or sweeps."""
 
 import numpy as np
 import pytest
@@ -21,10 +18,7 @@ T, Q = 0.005, 5e-6
 
 
 def gate(noise: float, period: float = T) -> float:
-    """Return the least approach speed for a pulse.
-
-    Five steps and deviations a period.
-    """
+    """Return the least approach speed for a pulse: five steps and deviations a period."""
     return 5.0 * (Q + noise) / period
 
 
@@ -81,10 +75,7 @@ Within its 3 ms, rather than throwing it back [N s/m].
 
 
 def rattling(gaps: Array, pulse: float, delay: float) -> list[float]:
-    """Return the share of rattling starts in each gap.
-
-    16 speeds and 8 phases from the middle.
-    """
+    """Return the share of rattling starts in each gap, of 16 speeds and 8 phases."""
     speeds, phases = np.arange(1, 17) * 0.02, np.arange(8) / 8
     found = rattle(gaps[:, None, None], speeds[:, None], phases, pulse=pulse, delay=delay)
     return [float(share) for share in (found.speed > RATTLE).mean(axis=(1, 2))]
@@ -100,10 +91,7 @@ def test_two_walls_rattle_by_their_pulses_from_many_starts() -> None:
 def random_rattles(
     pulse: float, delay: float, seed: int, count: int = 4000, **options: float
 ) -> tuple[Array, Mask, Array]:
-    """Return random gaps, rattling, and distances.
-
-    Any speed, phase and position between the walls.
-    """
+    """Return random gaps, rattling, and distances, for any speed, phase and start between walls."""
     random = np.random.default_rng(seed)
     gap = np.exp(random.uniform(np.log(1e-5), np.log(5e-3), count))
     speed = random.uniform(0.02, 0.45, count) * random.choice([-1.0, 1.0], count)
@@ -149,10 +137,7 @@ def dropped_under(limit: float, seed: int, gains: tuple[Array, Array], height: A
 
 
 def stable_walls(seed: int, count: int, stiffness: tuple[float, float], damping: tuple[float, float]) -> list[Array]:
-    """Return random stable gains, stiffness and damping.
-
-    With a modulus below 0.95.
-    """
+    """Return random stable gains, stiffness and damping, of a modulus below 0.95."""
     random = np.random.default_rng(seed)
     k, b = random.uniform(*stiffness, count), random.uniform(*damping, count)
     stable = largest_modulus(k, b, period=T, delay=0.0015) < 0.95
