@@ -21,23 +21,24 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj import Controller, Hold, Sample
+from maglev_mj import Controller, Hold
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.links import Link, UdpLink, UdpServer
 from maglev_mj.bridge.realtime import LatencyHistogram, realtime, stopping
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.safety import HostLimits, Limits, OutputLimiter
+from maglev_mj.bridge.safety import HostLimits, Limits
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import ServerReport, Twin, TwinParameters, TwinServer
-from maglev_mj.bridge.wire import Codec, Command, StateReport
+from maglev_mj.bridge.wire import Codec, StateReport
 from maglev_mj.control import Bias
 from maglev_mj.control.loop import drive
 from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.plants.sensor import FastBeams, PoseTracker
+from maglev_mj.plants.sensor import FastBeams
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import INERTIA, WEIGHT, Joystick
 from maglev_mj.spec import Spec
+from timing import timed
 
 PARTS = "host", "lockstep", "realtime"
 HOME = "127.0.0.1"
@@ -47,9 +48,6 @@ BLOCK = 500
 WIDE = HostLimits(envelope=1.0, envelope_angle=1.0, speed_limit=10.0, spin_limit=100.0)
 COOL = Limits(thermal_time=1e6, spot_limit=0.1, spot_speed=100.0)
 RATES = 200, 1000, 2000, 4000
-BAR = 44  # characters
-EIGHTHS = " ▏▎▍▌▋▊▉"
-EDGES = [step * 10**power for power in range(3, 10) for step in (1, 2, 5)]  # [ns], 1 µs to 5 s
 clock = time.perf_counter_ns
 
 
@@ -134,7 +132,7 @@ def prepared(count: int, period: int) -> list[bytes]:
 
 
 def host(cycles: int, repeats: int) -> None:
-    """Print the cost of a host cycle and its parts."""
+    """Print the cost of a host cycle."""
     print(f"host, six axes with walls and friction: from a STATE in to its CMD out, {repeats} times {cycles} cycles")
     for name in ("in memory", "over UDP"):
         answers, wholes = np.array([timed_cycles(cycles, name == "over UDP") for _ in range(repeats)]).swapaxes(0, 1)
@@ -144,10 +142,6 @@ def host(cycles: int, repeats: int) -> None:
                 f"  {name + ', ' + what:<24}{np.median(medians):7.1f} µs in the median (best {medians.min():.1f}), "
                 f"{np.median(np.percentile(values, 99, axis=1)):7.1f} at 99 %"
             )
-    print("  by itself, median of repeats (best)")
-    for part, work in parts(cycles).items():
-        took = [timed(work) / cycles * 1e6 for _ in range(repeats)]
-        print(f"    {part:<22}{statistics.median(took):7.2f} µs ({min(took):.2f})")
 
 
 def timed_cycles(cycles: int, over_udp: bool) -> tuple[list[float], list[float]]:
@@ -177,36 +171,6 @@ def timed_cycles(cycles: int, over_udp: bool) -> tuple[list[float], list[float]]
             if over_udp:
                 server.receive(1.0)
     return answers, wholes
-
-
-def parts(cycles: int) -> dict[str, Callable[[], object]]:
-    """Return the parts of as many cycles, as separate jobs, on the same numbers."""
-    known, codec, controller = Calibration.nominal(), Codec(), Joystick(friction=True).controller()
-    frames = prepared(cycles, 5_000_000)
-    reports: list[Any] = [frame.body for data in frames if (frame := codec.decode(data))]
-    poses = [PoseTracker(known.beams)(report.spots) for report in reports]
-    samples = [Sample(tick, tick * controller.period, pose) for tick, pose in enumerate(poses)]
-    commands = [controller.step(sample) for sample in samples]
-    gate = OutputLimiter(known.coils, COOL, None, controller.period)
-    sent = [gate.currents(command, pose)[1:] for command, pose in zip(commands, poses)]
-
-    def laws() -> None:
-        controller.reset()
-        for sample in samples:
-            controller.step(sample)
-
-    def encode() -> None:
-        for tick, (held, pulsed, width) in enumerate(sent):
-            codec.encode(SESSION, tick, 0, Command(tick, 0, tuple(held), tuple(pulsed or held), width))
-
-    track = PoseTracker(known.beams)
-    return {
-        "decode": lambda: [codec.decode(data) for data in frames],
-        "pose": lambda: [track(report.spots) for report in reports],
-        "laws": laws,
-        "gate": lambda: [gate.currents(command, pose) for command, pose in zip(commands, poses)],
-        "encode": encode,
-    }
 
 
 # two processes
@@ -303,58 +267,10 @@ def in_real_time(seconds: float) -> None:
         sampling, lost = served.latency, f"{flown.lost} lost, {flown.skipped} skipped by the host"
         print(f"  {served.ticks} samples, {served.missed} periods stalled, {lost}")
         print(f"  sampled late by {sampling.p50 * 1e6:.0f} µs in the median, {sampling.p99 * 1e6:.0f} µs at 99 %")
-        print("  answer at the device after its sample's instant:", histogram(answered), sep="\n")
-
-
-# latencies as bars
-
-
-def histogram(latency: LatencyHistogram) -> str:
-    """Return bars, a line each bin, within 80 columns."""
-    if not latency.count:
-        return "latency: none yet"
-    kept = latency.kept
-    bins = np.bincount(np.searchsorted(EDGES, kept, side="right"), minlength=len(EDGES) + 1)
-    used = np.flatnonzero(bins)
-    which = latency.count if latency.count == len(kept) else f"the last {len(kept)} of {latency.count}"
-    lines = [f"latency of {which}: p50 {span(latency.p50)}, p99 {span(latency.p99)}, max {span(latency.max)}"]
-    for index in range(used[0], used[-1] + 1):
-        lines.append(f"{label(index)}  {bar(bins[index] / bins.max()):<{BAR}} {bins[index]:>9}")
-    return "\n".join(line.rstrip() for line in lines)
-
-
-def span(duration: float) -> str:
-    """Return a duration [s] in readable units."""
-    for unit, size in (("s", 1.0), ("ms", 1e-3)):
-        if duration >= 0.9995 * size:  # which is written as 1
-            return f"{duration / size:.3g} {unit}"
-    return f"{duration * 1e6:.3g} µs"
-
-
-def label(index: int) -> str:
-    """Return the bounds of a bin, 18 characters."""
-    if index == 0:
-        return f"{'below':>8} {span(EDGES[0] * 1e-9):<9}"
-    low = span(EDGES[index - 1] * 1e-9)
-    if index == len(EDGES):
-        return f"{'above':>8} {low:<9}"
-    return f"{low:>7} to {span(EDGES[index] * 1e-9):<7}"
-
-
-def bar(share: float) -> str:
-    """Return a bar; small values stay visible."""
-    eighths = max(round(share * BAR * 8), 1) if share > 0.0 else 0
-    return "█" * (eighths // 8) + EIGHTHS[eighths % 8].strip()
+        print(f"  answer at the device after its sample: {answered.p50 * 1e6:.0f} µs, {answered.p99 * 1e6:.0f} at 99 %")
 
 
 # what all of them need
-
-
-def timed(work: Callable[[], object]) -> float:
-    """Return the time of one call [s]."""
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
 
 
 def pin(cpu: int | None) -> None:
