@@ -15,13 +15,20 @@ import numpy as np
 import pytest
 
 import teleoperation
-from gantry.coupling import Coupling, CouplingLaw
-from gantry.energy import Ledger, ledger
-from gantry.limits import GRIPS, bodies, contacts, growth, measured_boundary
-from gantry.run import History, carry_out
-from gantry.slave import Slave
-from gantry.task import DELAY_SHARE, FIRM, Task
-from gantry.theory import NO_GAINS, Gains, TwoBodies, chosen_gains, stiffest_coupling
+from gantry.run import GRIPS, History, Ledger, bodies, carry_out, contacts, growth, ledger, measured_boundary
+from gantry.task import (
+    DELAY_SHARE,
+    FIRM,
+    NO_GAINS,
+    Coupling,
+    CouplingLaw,
+    Gains,
+    Slave,
+    Task,
+    TwoBodies,
+    chosen_gains,
+    stiffest_coupling,
+)
 from maglev_mj.frames import Array
 from maglev_mj.interop.spacenav.navigation import Navigation, Navigator
 from maglev_mj.plants import Timing

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from corner import corner
-from failures import press_at_edge
+from failures import corner, press_at_edge
 from impacts import RATTLE, LimitedDrop, limited_drop, rattle
 from maglev_mj.control import Wall
 from maglev_mj.frames import Array, Mask

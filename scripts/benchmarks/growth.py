@@ -191,11 +191,7 @@ def estimate(found: Mapping[str, Any], workers: int = MANY, cells: int = CELLS) 
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return costs over devices, rate and workers, and the estimate.
-
-    Args:
-        quick: Little of each, without a cluster.
-    """
+    """Return costs over devices, rate and workers, and the estimate."""
     devices, workers = against_devices(quick), against_workers(quick)
     return {
         "µs a tick and device": devices,

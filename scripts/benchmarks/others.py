@@ -65,11 +65,7 @@ def _itself(simulate: Simulate) -> Simulate:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return costs, ratios to the first of OURS, errors [m]: costs in µs a simulated ms.
-
-    Args:
-        quick: Few turns, for a test.
-    """
+    """Return costs, ratios to the first of OURS, errors [m]: costs in µs a simulated ms."""
     task = Task()
     methods, missing = prepared(task)
     truth = np.array(our_run(ExactPlant, task)())

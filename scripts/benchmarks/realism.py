@@ -82,9 +82,6 @@ def measure(quick: bool) -> dict[str, Any]:
     """Return ratio, cost and change of each piece.
 
     Over the plain loop; [µs a simulated ms]; [µm].
-
-    Args:
-        quick: One turn of two runs, for a test.
     """
     plain = {kind: Piece(kind, {}) for kind in _MAKERS}
     truth = {kind: motion_of(*parts(piece)).pose for kind, piece in plain.items()}

@@ -264,11 +264,7 @@ def read_hour(minutes: float, runs: int) -> dict[str, float]:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return the costs of recording and reading.
-
-    Args:
-        quick: Fewer turns, samples and runs.
-    """
+    """Return the costs of recording and reading."""
     turns, count, runs = (5, 500, 1) if quick else (60, 4000, 3)
     return {
         "tick": tick_costs(turns, runs),

@@ -44,11 +44,7 @@ def _took(arguments: Sequence[str], environment: Mapping[str, str]) -> tuple[flo
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return times [s] and ratios to their references.
-
-    Args:
-        quick: One round in place of five, with the byte code there is.
-    """
+    """Return times [s] and ratios to their references."""
     with TemporaryDirectory() as folder:
         here = {**os.environ, "XDG_CACHE_HOME": folder}
         if not quick:

@@ -74,9 +74,6 @@ def work_precision(title: str, points: Sequence[WorkPoint], path: Path) -> Path:
         title: Above the panel.
         points: What to draw.
         path: File to write.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
     """
     groups = list(dict.fromkeys(point.group for point in points))
     styles = {

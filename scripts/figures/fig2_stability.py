@@ -26,9 +26,6 @@ def draw(cases: Sequence[tuple[str, Array, Array, Array, tuple[float, float]]], 
     Args:
         cases: Title, values of c_v (B,) and c_p (K,), modulus (K, B), and the maximum (c_v, c_p) of each panel.
         path: File to write.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
     """
     figure, panels = new_figure(1, len(cases), 4.6, sharex=True, sharey=True)
     for panel, (title, cv, cp, modulus, top) in zip(panels, cases, strict=True):

@@ -122,9 +122,6 @@ def draw(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
     Args:
         rows: Each with law, rate [Hz], quantize [m], velocity (an estimator's name) and error [m].
         path: File to write.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
     """
     cases = [(0.0, "difference"), (5e-6, "difference"), (5e-6, "low-pass"), (5e-6, "adaptive")]
     figure, panels = new_figure(2, 2, 6.6, sharex=True, sharey=True)

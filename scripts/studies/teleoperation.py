@@ -22,13 +22,9 @@ if __name__ == "__main__":
 
 import numpy as np
 
-from gantry.coupling import Coupling
-from gantry.energy import Ledger, ledger
-from gantry.limits import GRIPS, bodies, contacts, growth, measured_boundary
 from gantry.pictures import balance, limits, motion, scenes
-from gantry.run import History, carry_out
-from gantry.task import DELAY_SHARE, Task
-from gantry.theory import NO_GAINS, Gains, stiffest_coupling
+from gantry.run import GRIPS, History, Ledger, bodies, carry_out, contacts, growth, ledger, measured_boundary
+from gantry.task import DELAY_SHARE, NO_GAINS, Coupling, Gains, Task, stiffest_coupling
 from maglev_mj.cli.arguments import Parser, number_option
 from maglev_mj.cli.pictures import add_pictures, chosen_pictures
 from maglev_mj.errors import MaglevError, ParameterError

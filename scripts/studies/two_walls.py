@@ -58,9 +58,6 @@ def draw(
         axes: Values of the rows (M,) and of the columns (N,).
         labels: Names of rows, columns and share.
         path: File to write.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
     """
     rows, columns = axes
     deep = -(-len(maps) // 2)

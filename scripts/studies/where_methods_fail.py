@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from corner import corner
-from failures import press_at_edge, random_delay_rate
+from failures import corner, press_at_edge, random_delay_rate
 from impacts import RATTLE, limited_drop, rattle
 from maglev_mj import Timing, Wall
 from maglev_mj.cli.pictures import script_options

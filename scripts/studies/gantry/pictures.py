@@ -9,10 +9,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gantry.energy import Ledger
-from gantry.limits import Growth
-from gantry.run import History
-from gantry.slave import Slave
+from gantry.run import Growth, History, Ledger
+from gantry.task import Slave
 from maglev_mj.colours import GRID, HAND, REFERENCE, SERIES, STOP, TOUCHED
 from maglev_mj.frames import Array
 from maglev_mj.pictures import BESIDE, FIRST, SECOND, TITLE, name_curves, new_figure, save
@@ -29,15 +27,7 @@ _PARTS = {
 
 
 def motion(history: History, path: Path) -> Path:
-    """Draw the slave's position, and both forces.
-
-    Args:
-        history: What was seen.
-        path: File to write.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
-    """
+    """Draw the slave's position, and both forces."""
     figure, panels = new_figure(2, 1, 6.8, sharex=True)
     _draw_places(panels[0], history)
     _draw_forces(panels[1], history)
@@ -45,16 +35,7 @@ def motion(history: History, path: Path) -> Path:
 
 
 def balance(history: History, energies: Ledger, path: Path) -> Path:
-    """Draw the energy balance.
-
-    Args:
-        history: What was seen.
-        energies: Its ledger.
-        path: File to write.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
-    """
+    """Draw the energy balance."""
     figure, panels = new_figure(2, 1, 6.8, sharex=True)
     _draw_balance(panels[0], energies)
     made = panels[1]
@@ -124,9 +105,6 @@ def limits(rows: Sequence[tuple[str, Sequence[float], Sequence[Growth]]], path: 
     Args:
         rows: For each panel its title, stiffnesses in parts of the boundary's, and the growths there.
         path: File to write.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
     """
     figure, panels = new_figure(1, len(rows), 3.6)
     for panel, (title, shares, found) in zip(panels, rows, strict=True):
