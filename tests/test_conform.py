@@ -325,8 +325,8 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("first-fault", F, "_reset", ", Fault(0), 0\n", ", self._first, self._fault_time\n"),
     # commands
     ("not-active", F, "_apply", "self.state != State.ACTIVE", "False"),
-    ("future", F, "_apply", "& 0xFFFFFFFF > self._stale", "& 0xFFFFFFFF in range(self._stale + 1, 1 << 31)"),
-    ("stale", F, "_apply", "& 0xFFFFFFFF > self._stale", "& 0xFFFFFFFF >= 1 << 31"),
+    ("future", F, "_apply", "& WRAP > self._stale", "& 0xFFFFFFFF in range(self._stale + 1, 1 << 31)"),
+    ("stale", F, "_apply", "& WRAP > self._stale", "& 0xFFFFFFFF >= 1 << 31"),
     ("late-command", F, "_apply", "> self._stale", "> 2"),
     ("not-finite", firmware, "command_fault", "not math.isfinite(sum(held) + sum(pulsed) + width)", "False"),
     ("not-finite", firmware, "command_fault", "sum(held) + ", ""),
@@ -339,7 +339,7 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ),
     ("pulse", F, "_apply", "command.pulsed if command.width else None", "None"),
     ("answered", F, "_apply", "now, command.answers, False", "now, command.answers - 1, False"),
-    ("answered", F, "_arm", "hover, now, _NEVER, False", "hover, now, 0, False"),
+    ("answered", F, "_arm", "hover, now, NEVER, False", "hover, now, 0, False"),
     # currents
     ("currents", F, "_do", "self._amplifiers.cut()", "pass"),
     ("currents", F, "trip", "self._amplifiers.cut()", "pass"),
