@@ -133,11 +133,11 @@ def run(*arguments: str, env: Mapping[str, str] | None = None, cwd: Path | None 
     return Outcome(done.returncode, done.stdout, done.stderr)
 
 
-def run_here(*arguments: str) -> tuple[int, str]:
-    """Run a command of maglev-mj in this process; return its status and all output."""
-    with redirect_stdout(io.StringIO()) as output, redirect_stderr(output):
+def run_here(*arguments: str) -> Outcome:
+    """Run a command of maglev-mj in this process."""
+    with redirect_stdout(io.StringIO()) as output, redirect_stderr(io.StringIO()) as errors:
         try:
             status = cli.main(arguments)
         except SystemExit as ending:
             status = int(ending.code or 0)
-    return status, output.getvalue()
+    return Outcome(status, output.getvalue(), errors.getvalue())

@@ -40,12 +40,6 @@ def test_drop_prints_one_screen(capsys: pytest.CaptureFixture[str]) -> None:
     assert len(out.splitlines()) <= 24
 
 
-@pytest.mark.parametrize("more", ["", "--plant exact --force-limit 60 --carry --duration 0.12"])
-def test_drop_prints_at_most_80_columns(more: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["drop", "--phases", "5", *more.split()]) == 0
-    assert max(map(len, capsys.readouterr().out.splitlines())) <= 80
-
-
 def test_drop_json_on_standard_output_is_nothing_but_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["drop", "--plant", "exact", "--json", "-", "--phases", "3", "--force-limit", "60"]) == 0
     data = json.loads(capsys.readouterr().out)
@@ -68,47 +62,21 @@ def test_drop_writes_json_and_pictures(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
+    ("arguments", "rows"),
     [
-        (["--period", "-1"], "period must be a finite number at least 1e-06 and at most 1, not -1.0"),
-        (["--period", "-1e-3"], "period must be a finite number at least 1e-06 and at most 1, not -0.001"),
-        (["--height", "-inf"], "height must be a finite number above 0 and below 0.045, not -inf"),
-        (["--delay", "soon"], "argument --delay: must be a number, not 'soon'"),
-        (["--delay", "1e308"], "delay must be a finite number at least 0 and at most 1, not 1e+308"),
-        (["--delay", "0.5", "--period", "1e-6", "--duration", "0.1"], "delay must be at most 10000 periods"),
-        (["--phase", "1"], "phase must be a finite number at least 0 and below 1, not 1.0"),
-        (["--plant", "real"], "plant must be one of exact, mujoco, not 'real'"),
-        (["--phases", "0"], "phases must be at least 1 and at most 10000, not 0"),
-        (["--phases", "many"], "argument --phases: must be a whole number, not 'many'"),
-        (["--mass", "nan"], "mass must be a finite number at least 0.001 and at most 1000, not nan"),
-        (["--force-limit", "0"], "force_limit must be a finite number above 0 and at most 1e+06, not 0.0"),
-        (["--stiffness", "-5"], "stiffness must be a finite number at least 0 and at most 1e+08, not -5.0"),
-        (["--carry"], "carry needs a force_limit"),
-        (["--period", "1e-6", "--duration", "10"], "duration must be at most 1000000 periods, not 10 s"),
-        (["--speed", "5"], "unrecognized arguments: --speed 5"),
+        ("drop --delay 0.005 --duration 3", 300),
+        ("press --hand fingertip --delay 0.005", 500),
+        ("stick-slip --spring 30000 --duration 2", 50),
     ],
 )
-def test_bad_input_gets_one_line_and_status_2(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
+def test_a_diverging_run_says_so_and_keeps_its_record(
+    arguments: str, rows: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    try:
-        status = cli.main(["drop", *arguments])
-    except SystemExit as exit_:
-        status = int(exit_.code or 0)
-    captured = capsys.readouterr()
-    assert status == 2
-    assert captured.out == ""
-    assert words in captured.err
-    assert len(captured.err.splitlines()) == 1
-
-
-def test_a_diverging_drop_says_so_and_keeps_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    target = tmp_path / "drop.json"
-    assert cli.main(["drop", "--delay", "0.005", "--duration", "3", "--json", str(target)]) == 1
+    target = tmp_path / "run.json"
+    assert cli.main([*arguments.split(), "--json", str(target)]) == 1
     assert "a run has diverged" in capsys.readouterr().err
     data = json.loads(target.read_text())
-    assert "diverged" in data
-    assert len(data["z"]) > 300
+    assert "diverged" in data and len(data["time"]) > rows
 
 
 def test_where_a_compared_drop_diverges_the_record_is_the_one_asked_for(tmp_path: Path) -> None:
@@ -157,12 +125,6 @@ def test_the_table_shows_the_sweep_as_it_is(capsys: pytest.CaptureFixture[str]) 
     assert "pulse 220 further: settling time is there at 19 of 20 phases" in capsys.readouterr().out
 
 
-def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["drop", "--json", str(tmp_path / "no" / "such" / "folder.json")]) == 2
-    said = capsys.readouterr().err
-    assert "folder.json" in said and len(said.splitlines()) == 1
-
-
 def test_stick_slip_prints_one_screen_and_writes_json_and_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -207,40 +169,6 @@ def test_stick_slip_runs_every_law_velocity_and_axis(arguments: list[str], capsy
     assert abs(data["summary"]["final_position"]) > 0.0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--law", "glue"], "law must be one of stick-slip, spring-reset, dahl, .*, not 'glue'"),
-        (["--velocity", "guess"], "velocity must be one of difference, low-pass, adaptive, not 'guess'"),
-        (["--axis", "w"], "axis must be one of x, y, z, rx, ry, rz, not 'w'"),
-        (["--breakaway", "0"], "breakaway must be a finite number above 0 .* not 0.0"),
-        (["--v-min", "-1e-3"], "v_min must be a finite number above 0 .* not -0.001"),
-        (["--spring", "nan"], "spring must be .* not nan"),
-        (["--target", "x"], "argument --target: must be a number, not 'x'"),
-    ],
-)
-def test_bad_stick_slip_input_gets_one_line_and_status_2(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    try:
-        status = cli.main(["stick-slip", *arguments])
-    except SystemExit as exit_:
-        status = int(exit_.code or 0)
-    captured = capsys.readouterr()
-    assert status == 2
-    assert captured.out == ""
-    assert re.search(words, captured.err)
-    assert len(captured.err.splitlines()) == 1
-
-
-def test_a_diverging_stick_slip_keeps_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    target = tmp_path / "run.json"
-    arguments = ["stick-slip", "--spring", "30000", "--duration", "2", "--json", str(target)]
-    assert cli.main(arguments) == 1
-    assert "a run has diverged" in capsys.readouterr().err
-    assert "diverged" in json.loads(target.read_text())
-
-
 def test_press_prints_one_screen_and_writes_json_and_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -268,46 +196,6 @@ def test_press_json_on_standard_output_is_nothing_but_json(capsys: pytest.Captur
     assert data == {**json.loads(json.dumps(expected.as_json())), "versions": versions()}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--hand", "none"], "hand must have an arm of some stiffness, by which it presses, not 'none'"),
-        (["--hand", "fist"], "hand must be one of none, arm, stylus, fingertip, or mass,damping,stiffness"),
-        (["--hits", "0"], "hits must be a finite number at least 1 and at most 1000, not 0"),
-        (["--hits", "2.5"], "argument --hits: must be a whole number, not '2.5'"),
-        (["--interval", "0.01"], "interval must be a finite number at least 0.04 and at most 100, not 0.01"),
-        (["--press", "-1e-3"], "press must be a finite number above 0 and at most 1e+06, not -0.001"),
-        (["--press", "60", "--force-limit", "60"], "press must be below the force_limit of 60 N"),
-        (["--pulse-gate", "nan"], "pulse_gate must be a finite number at least 0 and at most 1000, not nan"),
-        (["--stiffness", "0"], "stiffness must be a finite number above 0 and at most 1e+08, not 0.0"),
-        (["--duration", "1"], "duration must be a finite number above 1.905 and at most 100000, not 1.0"),
-        (["--phases", "0", "--plant", "exact"], "phases must be at least 1 and at most 10000, not 0"),
-        (["--json", "no/such/folder.json"], "json must be a file in a folder that is there, not 'no/such/folder.json'"),
-        (["--carry"], "unrecognized arguments: --carry"),
-    ],
-)
-def test_bad_press_input_gets_one_line_and_status_2(
-    arguments: list[str], words: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    try:
-        status = cli.main(["press", *arguments])
-    except SystemExit as exit_:
-        status = int(exit_.code or 0)
-    captured = capsys.readouterr()
-    assert status == 2
-    assert captured.out == ""
-    assert words in captured.err
-    assert len(captured.err.splitlines()) == 1
-
-
-def test_a_diverging_press_says_so_and_keeps_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    target = tmp_path / "press.json"
-    assert cli.main(["press", "--hand", "fingertip", "--delay", "0.005", "--json", str(target)]) == 1
-    assert "a run has diverged" in capsys.readouterr().err
-    data = json.loads(target.read_text())
-    assert "diverged" in data and len(data["z"]) > 500
-
-
 def test_the_press_table_says_what_the_device_could_not_do(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["press", "--plant", "exact", "--height", "0.006", "--hits", "8", "--interval", "0.3"]) == 0
     out = capsys.readouterr().out
@@ -317,13 +205,6 @@ def test_the_press_table_says_what_the_device_could_not_do(capsys: pytest.Captur
     assert re.findall(r"\S+ to \S+", depths) == ["1.59 to 2.21", "2.35 to 3.25"]  # of eight hits
     assert cli.main(["press", "--plant", "exact"]) == 0
     assert "device" not in capsys.readouterr().out
-
-
-def test_press_goes_on_below_where_a_line_ends(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["press", "--plant", "exact", "--phases", "3"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert max(map(len, lines)) <= 80 and len(lines) <= 34
-    assert sum(line.startswith("  penetration") for line in lines) == 2
 
 
 def test_info(capsys: pytest.CaptureFixture[str]) -> None:

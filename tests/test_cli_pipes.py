@@ -40,8 +40,7 @@ def unread(*command: str, unbuffered: bool = False, both: bool = False, folder: 
     return done.returncode, done.stderr or ""
 
 
-@pytest.mark.parametrize("unbuffered", [False, True])
-@pytest.mark.parametrize("both", [False, True])
+@pytest.mark.parametrize(("unbuffered", "both"), [(False, False), (True, True)])
 def test_a_table_that_nobody_reads_is_silent(unbuffered: bool, both: bool) -> None:
     command = [*CLI, "drop", "--plant", "exact"]
     assert unread(*command, unbuffered=unbuffered, both=both) == (141, "")

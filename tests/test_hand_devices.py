@@ -96,22 +96,6 @@ def test_a_stick_within_its_dead_zone_on_every_axis_lets_go() -> None:
     assert pushed([0.151, *[0.0] * 5])[0] == pytest.approx(3.0 * RANGE[0] * 0.001 / 0.85)
 
 
-@pytest.mark.parametrize(
-    ("settings", "expected"),
-    [
-        ({"gain": 2.0}, [1.0, 0.0, 0.5, 0.0, 0.0, -0.25]),
-        ({"turning_gain": 2.0}, [0.5, 0.0, 0.25, 0.0, 0.0, -0.5]),
-        ({"order": "z,x,0,rz,0,0"}, [0.25, 0.5, 0.0, -0.25, 0.0, 0.0]),
-        ({"invert": "x,rz"}, [-0.5, 0.0, 0.25, 0.0, 0.0, 0.25]),
-        ({"dominant": True}, [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]),
-        ({"dead_zone": 0.25}, [1.0 / 3.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-    ],
-)
-def test_each_setting_does_what_it_says(settings: dict[str, Any], expected: list[float]) -> None:
-    target = pushed([0.5, 0.0, 0.25, 0.0, 0.0, -0.25], **settings)
-    assert np.divide(target, RANGE) == pytest.approx(expected)
-
-
 def test_no_gain_turns_a_target_round_to_the_other_side() -> None:
     # Past half a turn a spring would pull the other way.
     assert math.hypot(*pushed([1.0] * 6, turning_gain=100.0)[3:]) < math.pi
@@ -158,12 +142,6 @@ def test_a_full_deflection_presses_the_wall_and_letting_go_returns(axis: int, ed
     last = played.after(REST)
     assert last.pose == pytest.approx(np.zeros(6), abs=1e-6)
     assert not last.hand.any()
-
-
-def test_a_stick_at_rest_leaves_the_flotor_to_its_friction() -> None:
-    played = Played(friction=True)
-    played.after(Reading(one(0)))
-    assert played.after(REST).pose[0] > 0.002
 
 
 def test_a_session_reads_the_device_by_itself_and_closes_it() -> None:
@@ -481,30 +459,6 @@ def test_view_has_its_hand_from_a_3d_mouse(path: Path, shown: Shown, capsys: pyt
     assert shown.targets == [pytest.approx([-2.0 * RANGE[0], *[0.0] * 5])]
     assert shown.states == ["paused"]  # by the button
     assert f"the hand: 3D mouse at {path}" in capsys.readouterr().out
-
-
-ABSENT = "hand-device must be one of those that `--hand-device list` prints, not "
-
-
-@pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        ("--hand-device joypad", f"{ABSENT}'joypad'"),
-        ("--hand-device", f"{ABSENT}'auto'"),
-        ("--hand-device /no/such.sock", f"{ABSENT}'/no/such.sock'"),
-        # one of our own is none
-        ("--hand-device spacenav --spacenav", f"{ABSENT}'spacenav'"),
-        ("--hand-gain 2", "hand-gain and the like are for --hand-device"),
-        ("--hand-device joypad --hand-gain 101", "hand-gain must be a finite number at least 0 and at most 100"),
-    ],
-)
-def test_a_device_that_is_not_there_is_refused_in_one_line(
-    words: str, complaint: str, path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["view", *words.split()]) == 2
-    said = capsys.readouterr().err
-    assert complaint in said and said.count("\n") == 1
-    assert shown.targets == []
 
 
 @pytest.mark.parametrize("there", [False, True])

@@ -98,7 +98,7 @@ def test_what_is_not_named_stays() -> None:
     assert isinstance(wanted, Joystick) and checked(state(wanted), {"walls": "none"}) == wanted.replace(walls=None)
 
 
-@pytest.mark.parametrize("scene", [Box(), Joystick()])
+@pytest.mark.parametrize("scene", [Box()])
 @pytest.mark.parametrize(("axis", "normal"), [("z", 1), ("x", -1), ("ry", 1)])
 def test_an_unstable_wall_is_refused_with_the_figures_of_its_loop(scene: Scene, axis: str, normal: int) -> None:
     given = {"walls": [[axis, normal, -normal * 0.001]], "stiffness": 40000.0, "damping": 70.0}
@@ -137,14 +137,6 @@ def test_what_is_accepted_is_stable_and_what_is_legal_never_raises() -> None:
         kinds.append(type(found) is cls)
         assert unstable_loop(found) is None if isinstance(found, Scene) else isinstance(found, UnstableLoop | str)
     assert 10 < sum(kinds) < 90
-
-
-def test_a_law_that_fails_is_said() -> None:
-    class Failing(Joystick):
-        def own_laws(self) -> Any:
-            raise ZeroDivisionError("no")
-
-    assert checked(state(Failing()), {"wall": False}) == "the parameters are refused: ZeroDivisionError: no"
 
 
 def test_one_request_at_a_time_and_the_newest_waits() -> None:
@@ -544,10 +536,6 @@ def url(live: LiveServer) -> str:
     return f"ws://127.0.0.1:{live.port}"
 
 
-def positions(stretches: Any) -> dict[int, list[float]]:
-    return {int(tick): row.tolist() for one in stretches for tick, row in zip(one.tick, one.position, strict=True)}
-
-
 realtime = pytest.mark.xdist_group("realtime")
 
 
@@ -580,10 +568,9 @@ def test_every_sample_is_seen_as_it_was_recorded(live: LiveServer) -> None:
 
 
 @realtime
-@pytest.mark.parametrize("period", [0.005, 0.001])
-def test_a_call_is_answered_with_the_first_sample_under_it(live: LiveServer, period: float) -> None:
+def test_a_call_is_answered_with_the_first_sample_under_it(live: LiveServer) -> None:
     draw, names = random.Random(1), []
-    with running(live, period=period) as one, LiveClient(url(live), set()) as client:
+    with running(live, period=0.001) as one, LiveClient(url(live), set()) as client:
         for _ in range(25):
             time.sleep(draw.uniform(0.0, 0.02))
             edge, stiffness = draw.uniform(-4e-3, -1e-3), draw.uniform(2000.0, 6000.0)

@@ -77,7 +77,7 @@ def test_the_default_give_is_that_of_the_friction_on_every_axis() -> None:
 
 
 @pytest.mark.parametrize("friction", [True, False])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_slave_never_jumps_whatever_the_hand_does(seed: int, friction: bool) -> None:
     # Each increment is its mode's to the last bit: the flotor's way, or that of the rate.
     random = np.random.default_rng(seed)
@@ -100,24 +100,6 @@ def test_the_slave_never_jumps_whatever_the_hand_does(seed: int, friction: bool)
         total = total + moved
     assert seen == {POSITION, RATE}
     assert (navigator.slave == total).all()
-
-
-def test_within_the_edge_the_slave_goes_as_the_flotor_does_and_comes_back_with_it() -> None:
-    navigator = Navigator(Navigation(scale=3.0))
-    for time in np.arange(0.0, 1.0, FRAME):
-        x = 0.99 * EDGE * math.sin(2.0 * math.pi * time)
-        navigator.move(along(x), None, FRAME)
-        assert navigator.slave[0] == pytest.approx(3.0 * x, abs=1e-15)
-    assert set(navigator.modes) == {POSITION}
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_rate_begins_at_nothing_and_grows_with_the_deflection_beyond_the_edge(side: float) -> None:
-    navigator = Navigator()
-    for beyond in np.linspace(1e-9, 2e-3, 50):
-        moved = navigator.move(along(side * (EDGE + beyond)), None, FRAME)
-        assert moved[0] == pytest.approx(side * GAIN * beyond * FRAME, rel=1e-6)
-    assert navigator.modes[0] is RATE
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -171,32 +153,6 @@ def test_an_axis_that_has_never_stuck_has_no_friction_and_is_rate_beyond_the_edg
     navigator.move([0.003, 0.0, 0.003, 0.0, 0.0, 0.0], SLIDES, FRAME)
     navigator.move([0.003, 0.0, 0.003, 0.0, 0.0, 0.0], SLIDES, FRAME)
     assert (navigator.modes[0], navigator.modes[2]) == (POSITION, RATE)
-
-
-@pytest.mark.parametrize("peak", [0.003, 0.0037, 0.0045])
-def test_a_cycle_out_and_back_leaves_the_slave_as_far_back_as_the_text_says(peak: float) -> None:
-    steps = np.linspace(0.0, peak, 401)
-    navigator, rate = sliding(), 0.0
-    for x in steps[1:]:
-        navigator.move(along(x), SLIDES, 1e-3)
-        rate += GAIN * max(x - EDGE, 0.0) * 1e-3
-    for x in steps[-2::-1]:
-        navigator.move(along(x), SLIDES, 1e-3)
-    first = steps[steps > EDGE][0]
-    # the way out is position up to the last sample within the edge
-    within = first - steps[1]
-    assert navigator.slave[0] == pytest.approx(rate - SCALE * (peak - within), abs=1e-12)
-    assert abs(navigator.slave[0] - (rate - SCALE * (peak - EDGE))) <= steps[1]
-
-
-def test_without_friction_the_way_back_is_rate_too_and_no_way_is_lost() -> None:
-    steps = np.linspace(0.0, 0.0045, 451)
-    navigator, rate = Navigator(), 0.0
-    for x in [*steps, *steps[-2::-1]]:
-        navigator.move(along(x), None, 1e-3)
-        rate += GAIN * max(x - EDGE, 0.0) * 1e-3
-    # over the edge it goes twice, in one step each
-    assert navigator.slave[0] == pytest.approx(rate, abs=2.0 * steps[1])
 
 
 def test_a_flotor_put_elsewhere_does_not_move_the_slave() -> None:

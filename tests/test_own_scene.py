@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import re
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
@@ -17,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from live_client import LiveClient
 from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.bridge import Calibration, RemotePlant, Twin, TwinParameters, open_link
 from maglev_mj.bridge.links import UdpServer
@@ -25,7 +20,6 @@ from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.cli import main
 from maglev_mj.control import AxisLaw, Bias, gain
-from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene, Start, find_scene
 from maglev_mj.scenes.rooms import WEIGHT
@@ -33,9 +27,7 @@ from maglev_mj.session import Pacer, Session
 from maglev_mj.theory import stability
 from maglev_mj.versions import hash_of
 from maglev_mj.views.window.plots import Plots
-from tests.test_dask_workers import Cluster, cluster
-from tests.test_viewer import Watched
-from tests.virtual_screen import VirtualScreen
+from tests.test_dask_workers import cluster
 
 __all__ = ["cluster"]
 
@@ -91,34 +83,6 @@ def test_it_runs_with_its_options_at_a_hundred_phases(folder: Path, say: Say) ->
     assert data["position"][0] == 1e-4 and abs(data["position"][-1]) < 1e-6
 
 
-def test_it_is_swept_by_two_processes_as_by_this_one(folder: Path, say: Say) -> None:
-    command = "sweep detents.py --vary stiffness=2000:8000:3 --vary plant=exact --set duration=0.1".split()
-    cells = []
-    for workers in ("0", "2"):
-        status, _, wrong = say(*command, "--workers", workers, "--record", f"{workers}.jsonl", "--json", "all.json")
-        assert status == 0 and "Error" not in wrong
-        cells.append(json.loads((folder / "all.json").read_text())["results"])
-    assert cells[0] == cells[1] and len({cell["peak_speed"] for cell in cells[0]}) == 3
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_it_is_swept_by_a_cluster_that_knows_nothing_of_it(
-    folder: Path, say: Say, cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    monkeypatch.chdir(elsewhere)
-    command = ["sweep", f"{folder}/detents.py", "--vary", "stiffness=2000,4000", "--set", "plant=exact"]
-    with cluster.worker():
-        monkeypatch.chdir(folder)
-        hidden, command[1] = folder / "detents.py", "detents.py"
-        status, _, wrong = say(*command, "--scheduler", cluster.address, "--json", "far.json")
-    assert status == 0 and "Error" not in wrong and hidden.exists()
-    assert say(*command, "--record", "near.jsonl", "--json", "near.json")[0] == 0
-    far, near = (json.loads((folder / f"{name}.json").read_text())["results"] for name in ("far", "near"))
-    assert far == near and len(far) == 2
-
-
 def test_its_stability_is_told_and_warned_of(folder: Path, say: Say) -> None:
     for options, stable, modulus in (([], True, 0.9147), (["--stiffness", "9870"], False, 1.0308)):
         status, said, wrong = say("stability", "detents.py", *options, "--json", "-")
@@ -137,38 +101,6 @@ def test_its_model_levels_are_compared(folder: Path, say: Say, monkeypatch: pyte
     status, said, wrong = say(*command)
     assert status == 0, wrong
     assert "detents" in said and json.loads((folder / "all.json").read_text())
-
-
-@pytest.mark.xdist_group("realtime")
-@pytest.mark.needs("screen", "xdotool")
-def test_keys_change_its_parameters_in_a_window(folder: Path, say: Say) -> None:
-    command = [sys.executable, "-m", "maglev_mj", "view", "detents.py", "--stiffness", "9870"]
-    command += ["--foxglove", "0", "--record", "seen.npz"]
-    with VirtualScreen(600, 400) as screen:
-        program = subprocess.Popen(
-            command, env=screen.environment, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        try:
-            assert program.stdout is not None
-            found = re.search(r"ws://\S+:\d+", program.stdout.readline())
-            assert found
-            window = screen.window("joystick")
-            screen.xdotool("mousemove", 200, 130)  # keys go to the window under the mouse
-            scene = Watched(found[0])
-            scene.until(lambda _: True, 30)
-            for key, name, value in (("Down", "stiffness", 7900.0), ("period", "damping", 62.5)):
-                time.sleep(1.0)
-                screen.xdotool("key", key)
-                scene.set_to(name, value)
-            screen.close(window)
-            _, wrong = program.communicate(timeout=PATIENCE)
-        finally:
-            program.kill()
-            program.communicate()
-    assert program.returncode == 0 and wrong.count("\n") == 1 and "detents is unstable: the laws on x" in wrong
-    settings = [stretch.setup["parameters"] for stretch in Recording.load(folder / "seen.npz").stretches]
-    assert settings[0]["stiffness"] == 9870.0 and settings[-1]["damping"] == 62.5
-    assert_checked_with_the_scene_alone(say, "seen.npz")
 
 
 def assert_checked_with_the_scene_alone(say: Say, name: str) -> None:
@@ -228,51 +160,6 @@ def test_it_is_flown_on_a_twin_recorded_checked_and_analysed(folder: Path, say: 
     with served() as address:
         status, _, wrong = say("bridge", address, *flight[2:4], "--seconds", "0.05", "--stiffness", "9870")
     assert status == 0 and wrong.startswith("  warning: detents is unstable: the laws on x: 9870 N/m and 50 N s/m")
-
-
-@pytest.mark.xdist_group("realtime")
-def test_other_programs_set_its_parameters_and_one_that_is_unstable_is_refused(folder: Path) -> None:
-    live = LiveServer(0)
-    session = Session(
-        find_scene("detents.py")(), pacer=Pacer(budget=60.0, patience=3600.0), publishers=[live], file=live
-    )
-    stopped = threading.Event()
-
-    def go_on() -> None:
-        while not stopped.wait(0.005):
-            session.tick(0.005)
-
-    session.tick(0.005)
-    thread = threading.Thread(target=go_on)
-    thread.start()
-    try:
-        with LiveClient(f"ws://127.0.0.1:{live.port}", set()) as client:
-            accepted, unstable, fixed = (
-                client.set(**asked) for asked in ({"stiffness": 3000.0}, {"stiffness": 9870.0}, {"pitch": 0.001})
-            )
-            assert not accepted["reason"] and accepted["since"] is not None
-            assert re.search(r"^the laws on x: 9870 N/m and 50 N s/m .* root modulus 1\.0308", unstable["reason"])
-            assert "pitch" in fixed["reason"] and fixed["since"] is unstable["since"] is None
-            assert client.parameters()["stiffness"] == 3000.0
-    finally:
-        stopped.set()
-        thread.join()
-        session.close()
-
-
-def test_an_installed_scene_runs_by_its_name(folder: Path, say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
-    site = folder / "site"
-    info = site / "other_package-1.0.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other-package\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[maglev_mj.scenes]\nrow-of-detents = row_of_detents:Detents\n")
-    (folder / "detents.py").rename(site / "row_of_detents.py")
-    monkeypatch.syspath_prepend(str(site))
-    try:
-        status, said, wrong = say(*"run row-of-detents --stiffness 9870 --duration 0.02 --plant exact".split())
-        assert status == 0 and "stiffness 9870 N/m" in said and "detents is unstable" in wrong
-    finally:
-        sys.modules.pop("row_of_detents", None)
 
 
 TEXT = EXAMPLE.read_text()

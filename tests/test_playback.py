@@ -22,13 +22,13 @@ FIRST, SECOND = 600, 1000
 """
 
 
-@pytest.fixture(scope="module", params=[".mcap", ".npz"])
-def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     """Record two stretches with a hand; the second stops early.
 
     Ticks are missed in the second.
     """
-    path = tmp_path_factory.mktemp("playback") / f"run{request.param}"
+    path = tmp_path_factory.mktemp("playback") / "run.mcap"
     hand = SpringHand(target=[6e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
     session = Session(hand=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))
     session.tick(3.0)

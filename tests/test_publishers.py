@@ -14,7 +14,7 @@ from contextlib import closing, contextmanager
 from inspect import CO_OPTIMIZED
 from pathlib import Path
 from types import FrameType
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,7 +26,6 @@ from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import StopSwitch
 from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
-from maglev_mj.bridge.wire import Fault
 from maglev_mj.control.laws.base import as_law
 from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.recording import Recording, RecordingError, open_recording
@@ -119,50 +118,6 @@ def test_a_twin_shows_its_true_pose_and_its_faults() -> None:
         device.send_signal(signal.SIGINT)
         assert device.wait(30) == 0
         assert device.stderr is not None and device.stderr.read() == ""
-
-
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (
-            ("bridge", "udp://127.0.0.1:9", "--foxglove", "65536"),
-            "port must be a whole number of 0 to 65535, not 65536",
-        ),
-        (("twin", "--foxglove", "-1"), "port must be a whole number of 0 to 65535, not -1"),
-        (("view", "--foxglove", "99999"), "port must be a whole number of 0 to 65535, not 99999"),
-        (("twin", "--foxglove", "x"), "must be a whole number, not 'x'"),
-        (("bridge", "udp://127.0.0.1:5678", "--identify", "f.json", "--foxglove"), "foxglove is for scenes"),
-        (("serve-spacenav", "--seconds", "0"), "seconds must be"),
-    ],
-)
-def test_options_that_do_not_fit_are_one_line(
-    arguments: tuple[str, ...], complaint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    status, said = said_by(*arguments)
-    assert status == 2 and len(said.splitlines()) == 1 and complaint in said, said
-
-
-def test_a_fault_of_a_twin_is_told_and_its_end_is_none() -> None:
-    from maglev_mj.cli.twin import _logged
-
-    class Told:
-        events: ClassVar[list[tuple[str, str]]] = []
-
-        def begin(self, *_: Any) -> Any:
-            return lambda *_: None
-
-        def event(self, kind: str, text: str) -> None:
-            self.events.append((kind, text))
-
-    device: Any = Twin(TwinParameters())
-    each = _logged(Told(), device)  # type: ignore[arg-type]
-    for faults in (Fault(0), Fault.ESTOP, Fault.ESTOP, Fault(0), Fault.ESTOP):
-        device.firmware.faults = faults
-        each()
-    assert Told.events == [("fault", "ESTOP")] * 2
 
 
 def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:

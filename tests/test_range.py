@@ -51,7 +51,7 @@ def test_the_furthest_of_a_trace_lies_between_its_knots_too() -> None:
     assert ball.furthest() == pytest.approx([0.05])  # thrown up at 1 m/s, back after 0.2 s
 
 
-LIMITS = [8.0, 15.0, 20.0, 25.0, 26.0, 27.0, 30.0, 60.0, None]
+LIMITS = [8.0, 20.0, 26.0, 27.0, 60.0, None]
 
 
 @pytest.mark.parametrize(("limit", "gains"), sweep(LIMITS, [(3000.0, 40.0), (6000.0, 80.0), (9000.0, 60.0)], every=3))
@@ -80,9 +80,7 @@ def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
             assert (remark(str(Variants({"drop": result}).table())) is not None) == left
 
 
-@pytest.mark.parametrize(
-    "change", [{}, {"height": 0.0045}, {"height": 0.0046}, {"force_limit": 5.5}, {"stiffness": 1000.0}, {"press": 40.0}]
-)
+@pytest.mark.parametrize("change", [{}, {"height": 0.0046}, {"force_limit": 5.5}, {"press": 40.0}])
 def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None:
     variants = [Press(hits=2, **change).replace(pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
     labels = ["with pulse", "without pulse"]
@@ -97,7 +95,7 @@ def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None
     assert sweep.furthest.shape == (3, 6)
 
 
-@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("axis", ["x", "rz"])
 def test_stick_slip_says_when_it_leaves_the_range_on_any_axis(axis: str) -> None:
     # Targets around the end of the range, in m and rad.
     reach, kind = RANGE[AXES.index(axis)], []

@@ -126,33 +126,6 @@ def test_an_example_runs(
     assert capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("words", "ending"),
-    [
-        ("drpo", "not 'drpo'; did you mean drop?"),
-        ("qqq", "not 'qqq'"),
-        ("--verison", "unrecognized arguments: --verison; did you mean --version?"),
-        ("drop --stifness 3", "unrecognized arguments: --stifness 3; did you mean --stiffness?"),
-        ("drop --stifness=3", "unrecognized arguments: --stifness=3; did you mean --stiffness?"),
-        ("run box --frictoin", "unrecognized arguments: --frictoin; did you mean --friction?"),
-        ("drop there", "unrecognized arguments: there"),
-        ("view joistick", "not 'joistick'; did you mean joystick?"),
-        ("stick-slip --law lugrd", "not 'lugrd'; did you mean lugre?"),
-        ("design --law observr", "--law must be one of pd, observer, disturbance-observer, not 'observr'; "
-         "did you mean observer?"),
-        ("sweep drop --vary stifness=1,2", "not 'stifness'; did you mean stiffness?"),
-        ("stability --hand armm", "not 'armm'; did you mean arm?"),
-        ("drop --plant exct", "not 'exct'; did you mean exact?"),
-    ],
-)  # fmt: skip
-def test_a_slip_gets_one_line_that_ends_with_the_nearest_name(
-    words: str, ending: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    status, out, err = said(capsys, *words.split())
-    assert (status, out) == (2, "")
-    assert err.endswith(f"{ending}\n") and err.count("\n") == 1
-
-
 ASK = """
 import os, sys
 from maglev_mj.cli import main

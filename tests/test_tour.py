@@ -145,19 +145,6 @@ WRONG: list[tuple[int, str, Callable[[User], None]]] = [
 ]
 
 
-@pytest.mark.parametrize("step", RIGHT)
-def test_a_step_is_done_by_its_deed(step: int) -> None:
-    user = User(step)
-    assert user.line.number == step and not user.line.done
-    RIGHT[step](user)
-    assert user.line.done, user.line
-    user.release(0.0)
-    for _ in range(round(2.2 / TICK)):
-        user.tour.tick(TICK)
-    last = step == len(STEPS)
-    assert user.line.number == (step if last else step + 1) and user.line.done == last
-
-
 @pytest.mark.parametrize(("step", "name", "deed"), WRONG, ids=[f"{step}-{name}" for step, name, _ in WRONG])
 def test_a_step_is_not_done_by_another_deed(step: int, name: str, deed: Callable[[User], None]) -> None:
     user = User(step)
@@ -280,14 +267,6 @@ def test_a_scene_that_made_energy_starts_again_by_itself() -> None:
         user.tour.tick(TICK)
     assert user.tour.snapshot().state == "running" and user.line.number == BUZZ
     assert user.line.deed == STEPS[BUZZ - 1].deed
-
-
-def test_an_emergency_stop_stays() -> None:
-    user = User(1)
-    user.tour.act(EMERGENCY_STOP)
-    for _ in range(round(5.0 / TICK)):
-        user.tour.tick(TICK)
-    assert user.tour.snapshot().state == "stopped"
 
 
 def test_an_emergency_stop_stays_after_a_step_is_done() -> None:

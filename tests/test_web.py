@@ -28,7 +28,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from maglev_mj.cli import main
-from maglev_mj.cli.web import PORT, PageOptions
+from maglev_mj.cli.web import PageOptions
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import Turn, param
 from maglev_mj.plants.hand import SpringHand
@@ -211,21 +211,6 @@ def test_a_port_that_is_taken_and_a_host_that_is_not_here_are_told(capsys: pytes
     assert "192.0.2.1" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--web", "--host", "0.0.0.0"], "token must be given for a host that is not this machine"),
-        (["--web", "--token", "short"], "token must be 16 or more letters"),
-        (["--web", "--port", "65536"], "port must be a whole number of 0 to 65535"),
-        (["--port", "8000"], "port is for --web"),
-        (["--no-open"], "no-open is for --web"),
-    ],
-)
-def test_bad_options_are_one_line(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["view", "--seconds", "0.1", *words]) == 2
-    assert said in capsys.readouterr().err
-
-
 def test_a_token_is_made_where_the_option_has_none(capsys: pytest.CaptureFixture[str]) -> None:
     """One that is typed is in the list of processes."""
     tokens = []
@@ -236,12 +221,6 @@ def test_a_token_is_made_where_the_option_has_none(capsys: pytest.CaptureFixture
         tokens.append(door.token)
         assert f"the page is at http://127.0.0.1:{door.port}/?token={door.token}\n" in capsys.readouterr().out
     assert tokens[0] != tokens[1] and min(map(len, tokens)) >= 32
-
-
-def test_a_page_and_a_window_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["twin", "--view", "--web"]) == 2
-    assert "give one" in capsys.readouterr().err
-    assert PORT == 8123
 
 
 @pytest.mark.parametrize("kind", ["box", "cylinder", "ellipsoid"])
@@ -563,13 +542,6 @@ def until(page: Page, done: Any) -> None:
         page._apply()
         assert time.monotonic() < end
         time.sleep(0.01)
-
-
-@pytest.mark.parametrize("command", ["view", "twin", "bridge udp://127.0.0.1:1", "replay none.npz"])
-def test_commands_that_show_something_take_the_page_s_options(command: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main([*command.split(), "--help"])
-    assert ended.value.code == 0 and "page in a browser" in capsys.readouterr().out
 
 
 def test_ctrl_c_ends_a_page_and_says_what_it_came_to() -> None:

@@ -113,12 +113,6 @@ def test_a_recording_is_not_written_over(words: str, tmp_path: Path, capsys: pyt
     assert path.read_bytes() == before
 
 
-def test_two_outputs_are_two_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "both.npz"
-    told = refused(["drop", "--json", str(path), "--record", str(path)], capsys)
-    assert told == f"maglev-mj drop: json and record must be two files, not '{path}' for both\n"
-
-
 def test_a_check_leaves_nothing_behind(tmp_path: Path) -> None:
     options: Any = argparse.Namespace(command="run", json=str(tmp_path / "a.json"), out=tmp_path / "b" / "c")
     output.check_outputs(options)
@@ -127,13 +121,6 @@ def test_a_check_leaves_nothing_behind(tmp_path: Path) -> None:
     kept.write_text("kept")
     output.check_outputs(options)
     assert kept.read_text() == "kept"
-
-
-def test_the_kind_of_a_recording_is_checked_before_a_device_is_asked(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    told = refused(["bridge", "udp://127.0.0.1:9", "--record", str(tmp_path / "a.foo")], capsys)
-    assert told == f"maglev-mj bridge: record must be a file that ends in .mcap or .npz, not '{tmp_path}/a.foo'\n"
 
 
 def test_a_session_starts_in_a_folder_that_takes_no_files(closed: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,242 @@
+"""Promises of a session, whatever a person and a program do in whichever order."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from maglev_mj.recording import ArrayFile, Recording
+from maglev_mj.recording.verify import verify
+from maglev_mj.scenes import BUILT_IN, Scene
+from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.session import EMERGENCY_STOP, TIME_SCALES, ChangeRequest, Pacer, Session, Snapshot
+from maglev_mj.session.changes import actions
+from maglev_mj.session.replay import rebuild
+
+LIVELY = st.sampled_from([0.005, 0.02, 0.06])
+SLIDERS = st.fixed_dictionaries(
+    {},
+    optional={
+        "stiffness": st.sampled_from([2000.0, 3000.0, 4500.0]),
+        "damping": st.sampled_from([40.0, 60.0]),
+        "friction": st.booleans(),
+        "wall": st.booleans(),
+        "period": st.sampled_from([0.005, 0.004]),
+        "delay": st.sampled_from([0.0, 0.0015]),
+    },
+)
+KEYS = st.sampled_from(["wall", "pulse", "friction", "stiffness down", "damping up", "rate up", "delay down"])
+
+
+class Program:
+    """Program that asks for a scene once, and keeps what it is told.
+
+    Attributes:
+        wanted: The scene to ask for; None for none.
+        answers: Replies so far.
+    """
+
+    def __init__(self) -> None:
+        self.wanted: Scene | None = None
+        self.answers: list[int | str] = []
+
+    def take(self) -> ChangeRequest | None:
+        """Return the request, once."""
+        scene, self.wanted = self.wanted, None
+        return None if scene is None else ChangeRequest(scene, self.answers.append)
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Ignore a snapshot."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class SessionStates(RuleBasedStateMachine):
+    """A session beside a model of what it promises."""
+
+    @initialize()
+    def begin(self) -> None:
+        """Start a session that no slow machine can make late."""
+        self.folder = tempfile.TemporaryDirectory()
+        self.opened = patch(
+            "maglev_mj.session.session.open_recording", lambda path: ArrayFile(path.with_suffix(".npz"))
+        )
+        self.opened.start()
+        self.beside, self.program = ArrayFile(), Program()
+        self.session = Session(
+            Joystick(),
+            folder=Path(self.folder.name),
+            pacer=Pacer(budget=60.0, patience=3600.0),
+            publishers=[self.program],
+            file=self.beside,
+        )
+        self.scene: Scene = Joystick()
+        self.stopped, self.paused, self.steps = "", False, 0
+        self.ticks, self.due, self.scale = 0, 0.0, 1.0
+        self.recording, self.recorded, self.emergencies = False, 0, 0
+
+    def restarted(self, scene: Scene) -> None:
+        """Note that a scene has started anew."""
+        self.scene, self.stopped, self.due = scene, "", self.session.simulated
+
+    @rule(elapsed=LIVELY)
+    def tick(self, elapsed: float) -> None:
+        """Let real time pass: no tick is lost, none is made where there must be none."""
+        steps, self.steps = self.steps, 0
+        before = self.session.snapshot()
+        made = self.session.tick(elapsed)
+        after = self.session.snapshot()
+        self.ticks += made
+        self.recorded += made if self.recording else 0
+        if after.reason and not self.stopped:  # an unstable scene stops by itself
+            assert after.reason.startswith("the rendered world made")
+            self.stopped = after.reason
+        elif self.stopped:
+            assert made == 0 and (after.pose == before.pose).all()
+        elif self.paused:
+            assert made == steps
+            self.due = self.session.simulated
+        else:
+            self.due += elapsed * self.scale
+            assert -1e-9 <= self.due - self.session.simulated <= max(0.005, self.scene.period) + 1e-9
+
+    @precondition(lambda self: not self.stopped and not self.paused)
+    @rule()
+    def rest(self) -> None:
+        """Let the time pass after which the last value is in force."""
+        for _ in range(2):
+            self.tick(0.11)
+        if not self.stopped:
+            assert self.session._stretch.scene == self.scene
+
+    @rule(x=st.sampled_from([-2e-3, 0.0, 3e-3, 8e-3]), held=st.booleans())
+    def move_hand(self, x: float, held: bool) -> None:
+        """Move the hand, or let go."""
+        self.session.hand.target = [x, 0.0, 0.0, 0.0, 0.0, 0.0] if held else None
+
+    @rule(values=SLIDERS)
+    def slide(self, values: dict[str, Any]) -> None:
+        """Move sliders: the newest value of each is shown at once, and the flotor stays where it is."""
+        live = {one.name for one in self.scene.parameters() if one.live}
+        values = {name: value for name, value in values.items() if name in live}
+        self.change(self.scene.replace(**values), lambda: self.session.change(values))
+
+    @rule(key=KEYS)
+    def press_key(self, key: str) -> None:
+        """Press the key of a parameter, where the scene has it."""
+        own = actions(type(self.scene))
+        if key in own:
+            self.change(own[key](self.scene), lambda: self.session.act(key))
+
+    def change(self, scene: Scene, deed: Any) -> None:
+        """Change parameters, and compare with the scene that should be shown."""
+        before = self.session.snapshot()
+        deed()
+        after = self.session.snapshot()
+        assert after.scene == scene
+        if self.stopped and (scene != self.scene or after.state != "stopped"):
+            self.restarted(scene)
+        elif not self.stopped:
+            assert (after.pose == before.pose).all() and after.time == before.time
+        self.scene = scene
+
+    @rule(action=st.sampled_from(["pause", "step", "slower", "faster"]))
+    def press_button(self, action: str) -> None:
+        """Pause, step or change the pace, which starts nothing that was stopped."""
+        self.session.act(action)
+        if action == "pause":
+            self.paused = not self.paused
+        elif action == "step":
+            self.paused, self.steps = True, self.steps + 1
+        else:
+            place = TIME_SCALES.index(self.scale) + (1 if action == "faster" else -1)
+            self.scale = TIME_SCALES[min(max(place, 0), len(TIME_SCALES) - 1)]
+
+    @rule(action=st.sampled_from(["centre", "drop", "next scene", *(f"scene {name}" for name in BUILT_IN)]))
+    def start(self, action: str) -> None:
+        """Start this scene or another one, which ends every stop."""
+        names = list(BUILT_IN)
+        expected = {"next scene": names[(names.index(self.scene.name) + 1) % len(names)]}
+        self.session.act(action)
+        scene = self.session.snapshot().scene
+        assert scene.name == expected.get(action, action.removeprefix("scene ") if " " in action else self.scene.name)
+        if action in ("centre", "drop") and "weightless" in scene.as_json():
+            assert scene.as_json()["weightless"] is (action == "centre")
+        assert self.session.snapshot().time == 0.0
+        self.restarted(scene)
+
+    @rule()
+    def stop(self) -> None:
+        """Press the emergency stop, which is told once however often it is pressed."""
+        self.emergencies += self.stopped != EMERGENCY_STOP
+        self.session.act(EMERGENCY_STOP)
+        self.stopped = EMERGENCY_STOP
+
+    @rule()
+    def record(self) -> None:
+        """Start or end a recording."""
+        self.session.act("record")
+        self.recording = not self.recording
+
+    @rule(stiffness=st.sampled_from([2500.0, 3500.0]))
+    def ask(self, stiffness: float) -> None:
+        """Let a program ask for a value, which ends no emergency stop and sets no rate."""
+        if "stiffness" not in self.scene.as_json():
+            return
+        self.program.wanted = self.scene.replace(stiffness=stiffness, period=0.001, delay=0.003)
+        told = len(self.program.answers)
+        self.tick(0.05)
+        if len(self.program.answers) == told:  # nothing runs that could take it, or not yet
+            self.program.wanted = None
+            return
+        answer = self.program.answers[-1]
+        if isinstance(answer, int):
+            self.scene = self.scene.replace(stiffness=stiffness)
+            if self.stopped and self.session.snapshot().state != "stopped":
+                self.restarted(self.scene)
+        elif self.stopped == EMERGENCY_STOP:
+            assert answer == "settings must wait until the scene is started again: emergency stop"
+
+    @invariant()
+    def is_as_it_should_be(self) -> None:
+        """Compare what the session shows with the model."""
+        shown = self.session.snapshot()
+        assert shown.scene == self.scene and shown.tick == self.ticks and shown.time_scale == self.scale
+        assert shown.state == ("stopped" if self.stopped else "paused" if self.paused else "running")
+        assert shown.reason == self.stopped
+        assert ("RECORDING" in shown.notes) == self.recording
+
+    def teardown(self) -> None:
+        """Close the session: every tick is in its files, and runs again bit for bit."""
+        if not hasattr(self, "session"):
+            return
+        self.session.close()
+        self.opened.stop()
+        told = [event for event in self.beside.recording.events if event.endswith(EMERGENCY_STOP)]
+        assert len(told) == self.emergencies
+        assert self.beside.recording.ticks == self.ticks
+        files = [Recording.load(path) for path in self.session.recordings]
+        assert sum(file.ticks for file in files) == self.recorded
+        for file in files:
+            assert verify(file, rebuild).same
+        self.folder.cleanup()
+        assert np.isfinite(self.session.snapshot().pose).all()
+
+
+TestSessionStates = SessionStates.TestCase
+TestSessionStates.settings = settings(
+    max_examples=16,
+    stateful_step_count=30,
+    derandomize=True,
+    database=None,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
