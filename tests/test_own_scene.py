@@ -32,7 +32,6 @@ from tests.test_dask_workers import cluster
 __all__ = ["cluster"]
 
 EXAMPLE = Path(__file__).parent.parent / "scripts" / "examples" / "detents.py"
-PATIENCE = 60.0
 
 Say = Callable[..., tuple[int, str, str]]
 

@@ -119,12 +119,12 @@ class SessionStates(RuleBasedStateMachine):
 
     @rule(x=st.sampled_from([-2e-3, 0.0, 3e-3, 8e-3]), held=st.booleans())
     def move_hand(self, x: float, held: bool) -> None:
-        """Move the hand, or let go."""
+        """Move the hand, or release the flotor."""
         self.session.hand.target = [x, 0.0, 0.0, 0.0, 0.0, 0.0] if held else None
 
     @rule(values=SLIDERS)
     def slide(self, values: dict[str, Any]) -> None:
-        """Move sliders: the newest value of each is shown at once, and the flotor stays where it is."""
+        """Move sliders: the newest values are shown at once, and the flotor does not jump."""
         live = {one.name for one in self.scene.parameters() if one.live}
         values = {name: value for name, value in values.items() if name in live}
         self.change(self.scene.replace(**values), lambda: self.session.change(values))
