@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from friction_study import (
+from friction_laws import (
     BREAKAWAY,
     STIFFNESS,
     chatter,

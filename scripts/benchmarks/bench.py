@@ -117,9 +117,7 @@ def spread(values: Sequence[float]) -> dict[str, Any]:
 
 
 def summary(runs: dict[str, list[dict[str, Any]]]) -> dict[str, dict[str, Any]]:
-    """Return spreads of both sides and of their ratio.
-
-    The ratio is after over before, pair by pair.
+    """Return spreads of both sides, and of after over before pair by pair.
 
     Args:
         runs: Figures of the runs of each side, "before" and "after".
@@ -137,9 +135,7 @@ def summary(runs: dict[str, list[dict[str, Any]]]) -> dict[str, dict[str, Any]]:
 
 
 def measured(name: str, packages: dict[str, Path], repeats: int, quick: bool) -> dict[str, Any]:
-    """Return a section's figures, its sides in turn.
-
-    A side that fails is named, and left out.
+    """Return a section's figures, its sides in turn; one that fails is named and left out.
 
     Args:
         name: Of the section.

@@ -145,10 +145,7 @@ def host(cycles: int, repeats: int) -> None:
 
 
 def timed_cycles(cycles: int, over_udp: bool) -> tuple[list[float], list[float]]:
-    """Return two latencies of each cycle [µs].
-
-    Until the answer was sent, and until all was done.
-    """
+    """Return times of each cycle until the answer was sent, and until all was done [µs]."""
     twin = Twin(TwinParameters(lockstep=True, limits=COOL), draw=lambda: SESSION)
     link = Switched(twin)
     plant, controller = RemotePlant(link, limits=WIDE), Joystick(friction=True).controller()

@@ -56,10 +56,7 @@ def plants() -> dict[str, tuple[Callable[..., SampledPlant], Callable[..., Sampl
 
 
 def tick_cost(make: Callable[..., SampledPlant], devices: int) -> float:
-    """Return the least cost of a tick and device [s].
-
-    A tick of the drop's closed loop.
-    """
+    """Return the least cost of a tick of the drop, a device [s]."""
     pose = np.tile(_POSE, (devices, 1)) if devices > 1 else _POSE
 
     def run() -> float:
@@ -82,10 +79,7 @@ def against_devices(quick: bool) -> dict[str, dict[int, float]]:
 
 
 def against_rate(quick: bool) -> dict[str, dict[int, float]]:
-    """Return simulated seconds a second by plant and rate.
-
-    The delay is three tenths of the period.
-    """
+    """Return simulated seconds a second by plant and rate, at a delay of 0.3 periods."""
     makers: dict[str, Callable[..., SampledPlant]] = {
         "exact plant": ExactPlant,
         "corrected, MuJoCo": partial(MuJoCoPlant, integrator="corrected", coils=False),

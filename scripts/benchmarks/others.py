@@ -1,6 +1,4 @@
-"""The drop with this package and with other simulators.
-
-The best variant of each within a nanometre.
+"""The drop with this package and with the best variants of other simulators.
 
 `measure` is a section of bench.py. Every method runs in turn, so that costs are compared pair by pair.
 """
@@ -31,10 +29,7 @@ _TURNS, _DEAR_TURNS, _RUNS, _DEAR = 15, 3, 4, 0.01
 
 
 def our_run(make: Callable[..., Any], task: Task) -> Callable[[], list[Any]]:
-    """Return a closed loop on a new plant, run once.
-
-    It returns the poses, as a peer does.
-    """
+    """Return a closed loop on a new plant, run once; it returns the poses."""
     plant = make(Timing(period=task.period, delay=task.delay), pose=task.pose)
     gains: dict[str, Any] = {name: getattr(task, name) for name in ("stiffness", "damping", "pulse", "pulse_width")}
     controller = wall_controller(**gains, period=task.period, delay=task.delay, mass=task.mass)

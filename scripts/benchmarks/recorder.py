@@ -69,10 +69,7 @@ class Nothing:
 
 
 def tick_times(makers: Sequence[Callable[[Nothing], Record] | None], turns: int) -> list[list[float]]:
-    """Return tick times [s] by way of recording.
-
-    In short turns, since a machine is not alone.
-    """
+    """Return tick times [s] by way of recording, in short turns."""
     loops = []
     for make in makers:
         plant, controller = Nothing(), Joystick().controller()
@@ -207,10 +204,7 @@ class _Totals:
 
 
 def make_file(path: Path, samples: int) -> None:
-    """Write a file of many samples at 1 kHz.
-
-    By the writer, from noise in place of a plant.
-    """
+    """Write a file of many samples at 1 kHz by the writer, from noise."""
     random, rows = np.random.default_rng(1), np.zeros(NOISY, ROW)
     for name, size in (("position", 1e-3), ("command", 10.0), ("hand", 3.0)):
         rows[name] = random.normal(size=(NOISY, 6)) * size

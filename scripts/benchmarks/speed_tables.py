@@ -107,10 +107,7 @@ def compared_table(figures: Mapping[str, Any]) -> list[str]:
 
 
 def options_table(figures: Mapping[str, Any]) -> list[str]:
-    """Return a row each option, a column each plant.
-
-    Cost over the plain loop, before and after.
-    """
+    """Return a row each option, a column each plant: cost over the plain loop."""
     found: dict[str, dict[str, str]] = {}
     for name, figure in figures.items():
         plant, _, rest = name.partition(": over plain: ")
@@ -141,10 +138,7 @@ def side_by_side(figures: Mapping[str, Any]) -> list[str]:
 
 
 def _spread(figure: Mapping[str, Any] | None) -> str:
-    """Return median and range of the runs after.
-
-    The median alone if they agree or there is one run.
-    """
+    """Return median and range of the runs after; the median alone if they agree."""
     spread = None if figure is None else figure.get("after")
     if spread is None:
         return ""

@@ -54,10 +54,7 @@ def requirements(case: str, delay: float) -> WallRequirements:
 
 
 def returned(laws: list[Law], delay: float) -> Array:
-    """Return the share of energy a wall gives back.
-
-    To a flotor thrown at it, at 40 phases.
-    """
+    """Return the share of energy a wall gives back to a flotor, at 40 phases."""
     phase = np.arange(40) / 40
     pose, twist = np.zeros((40, 6)), np.zeros((40, 6))
     pose[:, 2], twist[:, 2] = 3e-3, -0.2

@@ -68,10 +68,7 @@ def flood(address: str, data: bytes) -> None:
 
 
 def stopped(kind: str) -> tuple[float, float]:
-    """Fly, flood and stop once; return both times [ms].
-
-    To the cut, and to a sample without current.
-    """
+    """Fly, flood and stop once; return times to the cut, and to zero current [ms]."""
     child: Any = subprocess.Popen([sys.executable, __file__, "device"], stdout=subprocess.PIPE, text=True)
     address = child.stdout.readline().split(" at ")[1].split(",")[0]
     hold = Hold.critically_damped(inertia=INERTIA, period=0.005, delay=0.003)

@@ -36,10 +36,7 @@ def shares(pulse: float, delay: float) -> tuple[Array, Mask]:
 
 
 def widest(pulse: float, delay: float, seed: int) -> float:
-    """Return the widest rattling gap found [mm].
-
-    Among random gaps, speeds, phases and positions; 0 for none.
-    """
+    """Return the widest rattling gap among random starts [mm]; 0 for none."""
     random = np.random.default_rng(seed)
     gap = np.exp(random.uniform(np.log(1e-5), np.log(5e-3), RANDOM_STARTS))
     speed = random.uniform(0.02, 0.45, RANDOM_STARTS) * random.choice([-1.0, 1.0], RANDOM_STARTS)

@@ -39,10 +39,7 @@ def panel(title: str, x: str, y: str, curves: list[tuple[str, Any, Any]], **opti
 
 
 def just_above_the_boundary() -> Panel:
-    """Return the panel of growth just above the boundary.
-
-    With one sample of delay: the samples to grow ten-thousandfold, foretold and simulated.
-    """
+    """Return the panel of samples to grow ten-thousandfold just above the boundary, foretold and simulated."""
     best = stiffest_wall(period=T, delay=T)
     over = np.geomspace(0.1 if options.quick else 0.01, 0.3, COUNT)
     stiffness, damping = float(best.stiffness) * (1.0 + over), np.full(COUNT, float(best.damping))
@@ -62,10 +59,7 @@ def just_above_the_boundary() -> Panel:
 
 
 def jitter() -> Panel:
-    """Return the panel of delays drawn anew each sample.
-
-    6000 N/m and 80 N s/m, delays spread evenly around their mean.
-    """
+    """Return the panel of delays drawn anew each sample, spread evenly around their mean."""
     means = np.linspace(0.0025, 0.004, COUNT)
     curves = [("no jitter", means * 1e3, largest_modulus(6000.0, 80.0, period=T, delay=means))]
     for spread in (0.5e-3, 1e-3):
@@ -80,10 +74,7 @@ def jitter() -> Panel:
 
 
 def chatter() -> Panel:
-    """Return the panel of pulses at a wall's edge.
-
-    Of the paper's wall, over a 5 µm sensor with noise.
-    """
+    """Return the panel of pulses at the edge of the paper's wall, over a noisy sensor."""
     presses = np.geomspace(0.003, 1.0, 2 if options.quick else 16)
     curves, gated = [], np.zeros(presses.size)
     for noise in (0.0, 1e-6, 2e-6, 5e-6, 10e-6):
@@ -105,10 +96,7 @@ def chatter() -> Panel:
 
 
 def gaps() -> Panel:
-    """Return the panel of rattling starts between two walls.
-
-    Of 128; 6000 N/m and 80 N s/m with 60 N.
-    """
+    """Return the panel of rattling starts between two walls, of 128 under 60 N."""
     widths = np.geomspace(1e-5, 5e-3, COUNT + 2)
     speeds, duration = np.arange(1, 17) * 0.02, 2.0 if options.quick else 16.0
     stops = MASS / 0.003 - 80.0
@@ -137,10 +125,7 @@ def gaps() -> Panel:
 
 
 def saturation() -> Panel:
-    """Return the panel of drops under a force limit.
-
-    The observer's of 27 000 N/m gain: the largest distance of the worst phase.
-    """
+    """Return the panel of drops under a force limit: the furthest of the worst phase."""
     heights = np.geomspace(5e-5, RANGE[2], COUNT + 4)
     paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
     cases: list[tuple[str, Law, float]] = []
@@ -174,10 +159,7 @@ def saturation() -> Panel:
 
 
 def quantization() -> Panel:
-    """Return the panel of swings at a coarse sensor.
-
-    5 µm, by friction of its own over Abbott and Okamura's.
-    """
+    """Return the panel of swings at a coarse sensor, over the share of friction."""
     shares = np.linspace(0.0, 1.2, COUNT + 3)
     curves = []
     for stiffness, damping in ((2000.0, 30.0), (4000.0, 60.0), (6000.0, 80.0)):
@@ -205,10 +187,7 @@ def hands() -> Panel:
 
 
 def corners() -> Panel:
-    """Return the panel of kinetic energy in a corner.
-
-    Of a flotor thrown into a corner of two walls and a rotation.
-    """
+    """Return the panel of kinetic energy of a flotor thrown into a corner."""
     curves = []
     for plant, spin in itertools.product(("exact", "mujoco"), (0.0, 0.5)):
         _, energy = corner(plant, [2e-3, 1e-3, 3e-3, 0.0, 0.02, 0.0], [-0.1, 0.0, -0.15, spin, -1.0, spin])

@@ -52,10 +52,7 @@ class _Law(SampledBlock):  # type: ignore[misc]
         return [x]
 
     def next(self, t: float, inputs: list[Any], x: Array) -> Array:
-        """Answer a sample.
-
-        bdsim calls this at the ticks of all clocks, so others are told apart by the time.
-        """
+        """Answer a sample; ticks of other clocks are told apart by the time."""
         if abs(t - len(self.poses) * self._task.period) > 1e-9:
             return x
         self.poses.append(inputs[0].copy())
@@ -68,10 +65,7 @@ def _state(force: list[float], pulse: list[float] | None, number: int) -> Array:
 
 
 def _wrench(applied: Array, ended: Array) -> Array:
-    """Return the wrench in effect.
-
-    The first of a command until its number shows up among the ended ones.
-    """
+    """Return a command's first wrench, until its number is among the ended ones."""
     return applied[6:12] if ended[12] == applied[12] else applied[:6]
 
 

@@ -83,10 +83,7 @@ class Task:
         return self.ticks * self.period
 
     def law(self) -> Law:
-        """Return a new control law at its start.
-
-        In plain floats; a run takes a new one.
-        """
+        """Return a new control law in plain floats; each run takes one."""
         period, stiffness, damping, braking = self.period, self.stiffness, self.damping, self.pulse + self.damping
         frequency = min(50.0, 0.25 / (self.period + self.delay))
         springs = [body * frequency**2 for body in self.body]

@@ -141,10 +141,7 @@ def carry_out(task: Task) -> History:
 
 
 def _law(task: Task, coupling: Coupling, slave: Slave) -> CouplingLaw:
-    """Return the coupling's law.
-
-    In rate mode with friction, by which the hand is told to push or to release.
-    """
+    """Return the coupling's law, in rate mode with friction."""
     scale, friction = coupling.scale, None
     way = Navigation(edge=_EVERYWHERE, scale=scale)
     if task.mode == "rate":
@@ -306,10 +303,7 @@ def _sum(parts: Array) -> Array:
 
 
 def _squares(time: Array, start: Array, end: Array) -> Array:
-    """Return the running integral of a square, (N,).
-
-    Of a value that is linear over each step, over all axes.
-    """
+    """Return the running integral over all axes of a piecewise linear value's square, (N,)."""
     return _sum(np.diff(time)[:, None] * (start**2 + start * end + end**2) / 3.0)
 
 

@@ -380,10 +380,7 @@ class Slave:
 
 
 DELAY_SHARE = 0.3
-"""Transport delay in parts of the period.
-
-The paper's 1.5 ms at 200 Hz, 0.3 ms at 1 kHz.
-"""
+"""Transport delay in periods: the paper's 1.5 ms at 200 Hz."""
 
 FIRM = Hand(mass=0.5, damping=25.0, stiffness=1000.0)
 """A firm grip, near the top of published hands."""
@@ -397,10 +394,7 @@ _BLOCK = {
     "touching": (0.0, 0.0, 0.0),
     "free": (0.0, 0.0, -0.1),
 }
-"""Position of the block in each mode [m].
-
-From the start of the pin's tip, the slave's.
-"""
+"""Position of the block in each mode [m, the slave's], from the pin's start."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -461,10 +455,7 @@ class Task:
 
     @property
     def friction(self) -> Gains:
-        """Gains of the stick-slip law in rate mode.
-
-        No stiffer than at the paper's rate and delay, which serves.
-        """
+        """Gains of the stick-slip law in rate mode, no stiffer than at the paper's rate."""
         return min(chosen_gains(self.timing, math.inf), chosen_gains(Timing(), math.inf))
 
     @property
