@@ -25,7 +25,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import speed_pictures
+import growth
+import realism
+import speed_accuracy
 import speed_tables
 from maglev_mj.cli.arguments import Parser
 from maglev_mj.cli.pictures import script_options
@@ -66,6 +68,9 @@ SECTIONS = {
     "growth": Section("growth with devices, rate and workers", compared=False, repeats=1),
 }
 """Sections by module name, in the order of the run."""
+
+DRAWN = {"speed_accuracy": speed_accuracy.draw, "realism": realism.draw, "growth": growth.draw}
+"""Pictures of sections."""
 
 _CHILD = """import importlib, json, sys
 sys.path.insert(0, sys.argv[1])
@@ -236,8 +241,10 @@ def main() -> int:
     print(speed_tables.times(found["sections"]))
     path = options.pictures.path("bench", "json")
     path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    for written in [path, *speed_pictures.draw(options.pictures, found["sections"])]:
-        print(f"wrote {written}")
+    print(f"wrote {path}")
+    for name, draw in DRAWN.items():
+        if details := found["sections"].get(name, {}).get("details"):
+            print(*(f"wrote {picture}" for picture in draw(options.pictures, details)), sep="\n")
     return int(any(section["failed"] for section in found["sections"].values()))
 
 
