@@ -91,17 +91,6 @@ def test_a_flotor_in_a_hand_converges_to_its_closed_form(integrator: str, order:
     assert slope(steps, errors) == pytest.approx(order, abs=0.12)
 
 
-@pytest.mark.parametrize("integrator", SEMI_IMPLICIT)
-def test_raw_steps_of_a_drop_are_off_in_proportion_to_the_step(integrator: str) -> None:
-    # a fall of whole steps: h/2 v ahead, before there is any wall
-    steps, errors = [1e-3, 5e-4, 2.5e-4], []
-    for step in steps:
-        plant = MuJoCoPlant(Timing(delay=0.0), pose=[0, 0, 4.5e-3, 0, 0, 0], integrator=integrator, longest_step=step)
-        last = drive(plant, Controller([], period=0.005), 5)
-        errors.append(4.5e-3 - 0.5 * 9.81 * 0.025**2 - float(last.pose[2]))
-    np.testing.assert_allclose(errors, [0.5 * step * 9.81 * 0.025 for step in steps], rtol=1e-9)
-
-
 @pytest.mark.parametrize("longest", [None, 5e-4])
 def test_corrected_steps_are_exact_in_translation_at_every_phase(longest: float | None) -> None:
     worst, start = 0.0, [5e-4, -3e-4, 4.5e-3, 0.0, 0.0, 0.0]

@@ -177,17 +177,6 @@ def test_hardness_of_a_pulse_is_its_damping_over_the_window(height: float) -> No
             assert (limited < 1.01 * 60.0 / window / math.sqrt(2.0 * G * height)).all()
 
 
-def test_a_pulse_of_the_paper_has_two_readings() -> None:
-    drop = Drop(height=3e-3, force_limit=60.0)
-    variants = drop.variants()
-    assert [(label, variant.pulse) for label, variant in variants.items()] == [
-        ("pulse 220 further", FURTHER),
-        ("pulse 220 in all", IN_ALL),
-        ("no pulse", NONE),
-    ]
-    assert all(variant.replace(pulse=drop.pulse) == drop for variant in variants.values())
-
-
 @pytest.mark.parametrize(
     ("changes", "labels"),
     [

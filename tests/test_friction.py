@@ -165,17 +165,6 @@ def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say
     assert np.ptp(swing) == pytest.approx(1e-3, rel=0.15)  # about 1 mm, says the paper; 1.12 mm at four phases
 
 
-@pytest.mark.parametrize("axis", AXES)
-def test_every_axis_sticks_and_slips_as_x_does(axis: str) -> None:
-    # In units of the radius of gyration all six axes give one curve.
-    along = run(StickSlipScene(axis=axis), plant="exact")
-    reference = run(StickSlipScene(), plant="exact")
-    radius = math.sqrt(along.scene.inertia / 0.7)
-    for name in ("position", "velocity", "stick_position"):
-        np.testing.assert_allclose(along.series()[name] * radius, reference.series()[name], atol=1e-12)
-    assert len(along.scene.events(along)) == 2
-
-
 @pytest.mark.parametrize(("law", "axis", "period"), sweep(LAWS, AXES, [0.005, 0.001], every=3))
 def test_plants_agree_on_every_law(law: str, axis: str, period: float) -> None:
     # Within 1e-12 m in translation, quantized or not; in rotation the coils turn by 4.7 degrees: 1e-4 rad.
@@ -265,17 +254,6 @@ def test_stick_slip_changes_state_once_a_sample() -> None:
     force, anchor = drive(law, np.array([0.0, 3e-4, 4e-4, 4.1e-4, 4.2e-4, 3.0e-4]))
     np.testing.assert_allclose(force, [0.0, -1.8, 0.0, 0.0, -0.06, 0.66], atol=1e-12)
     np.testing.assert_allclose(anchor, [0.0, 0.0, 4e-4, 4.1e-4, 4.1e-4, 4.1e-4], atol=1e-15)
-
-
-def test_coupled_axes_break_away_by_their_norm() -> None:
-    # At 45 degrees each axis holds 1.7 N: more than 2 N together, less than 2 N alone.
-    pose = [1.7 / K, 1.7 / K, 0.0, 0.0, 0.0, 0.0]
-    for coupled, expected in ((True, 0.0), (False, -1.7)):
-        law = StickSlip(axes=("x", "y"), stiffness=K, breakaway=F, v_min=0.005, coupled=coupled)
-        controller = Controller([law], period=T)
-        controller.step(Sample(0, 0.0, [0.0] * 6))
-        force = controller.step(Sample(1, T, pose)).force
-        assert force[:2] == pytest.approx([expected, expected])
 
 
 def test_coupled_friction_is_the_same_in_every_direction() -> None:

@@ -71,16 +71,6 @@ def test_growth_is_the_modulus(count: int) -> None:
     np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
 
 
-@pytest.mark.parametrize("hand", ["none", "arm"])
-def test_the_engine_that_is_taken_gives_the_growth_of_rk4(hand: str) -> None:
-    # Rounding is a millionth of the motion at which a wall counts as settled.
-    some = walls([3000.0, 9000.0, 12000.0], [60.0, 100.0, 60.0], hand=hand)
-    taken, reference = measure_growth(some, "mujoco"), measure_growth(some, "mujoco", integrator="rk4")
-    np.testing.assert_array_equal(taken.stable, reference.stable)
-    np.testing.assert_array_equal(taken.ticks, reference.ticks)
-    np.testing.assert_allclose(taken.rate, reference.rate, rtol=1e-7)
-
-
 @pytest.mark.parametrize("off", [0.03, pytest.param(0.01, marks=pytest.mark.study)])
 def test_a_wall_s_growth_is_that_of_the_wall_alone(off: float) -> None:
     # Runs end when the last of a batch is decided, of which one that is a little too stiff takes the longest.

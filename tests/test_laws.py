@@ -78,16 +78,6 @@ def test_upper_wall_mirrors_the_lower_one_bit_for_bit() -> None:
             assert one.extra[2] == -other.extra[2]
 
 
-def test_two_sided_wall_is_the_sum_of_two_one_sided_ones() -> None:
-    path = [0.0, 1.5e-3, 0.2e-3, -1.4e-3, -0.5e-3, 1.1e-3]
-    options: dict[str, Any] = {"pulse": PULSE, "pulse_width": WIDTH}
-    both = answer(Controller([wall(lower=-1e-3, upper=1e-3, **options)], period=T), "z", path)
-    pair = [wall(lower=-1e-3, **options), wall(lower=-math.inf, upper=1e-3, **options)]
-    sum_ = answer(Controller(pair, period=T), "z", path)
-    assert [c.wrench.tolist() for c in both] == [c.wrench.tolist() for c in sum_]
-    assert [c.pulse.tolist() for c in both] == [c.pulse.tolist() for c in sum_]
-
-
 def test_every_axis_has_its_own_gains_side_and_position() -> None:
     stiffness = np.array([1e3, 2e3, 3e3, 4.0, 5.0, 6.0])
     lower = np.array([0.0, -math.inf, 1e-3, 0.0, -math.inf, -2e-3])
@@ -161,14 +151,6 @@ def test_batch_of_1000_equals_single_devices_bit_for_bit(limit: float, every: in
             command = alone.step(Sample(tick, tick * T, pose[device].tolist()))
             assert command.wrench.tobytes() == wrench[tick, device].tobytes()
             assert np.array_equal(command.pulse, pulse[tick, device])
-
-
-def test_reset_forgets() -> None:
-    controller = Controller([wall(pulse=PULSE, pulse_width=WIDTH)], period=T)
-    path = [1e-3, -1e-3, -2e-3]
-    first, second = answer(controller, "z", path), answer(controller, "z", path)
-    assert [c.wrench.tolist() for c in first] == [c.wrench.tolist() for c in second]
-    assert [c.pulse.tolist() for c in first] == [c.pulse.tolist() for c in second]
 
 
 @pytest.mark.parametrize("period", [0.0002, 0.001, 0.005, 0.02])

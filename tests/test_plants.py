@@ -268,8 +268,11 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
         Timing(delay=1e12)
     with pytest.raises(ParameterError, match="one device"):
         MuJoCoPlant(pose=np.zeros((3, 6)))
-    with pytest.raises(ParameterError, match="need coils"):
-        MuJoCoPlant(coils=False, driver_lag=True)
+    for lacking in ({"driver_lag": True}, {"force_falloff": 0.1}):
+        with pytest.raises(ParameterError, match="driver_lag and force_falloff need coils=True"):
+            MuJoCoPlant(coils=False, **lacking)
+    with pytest.raises(ParameterError, match="force_falloff must be a finite number at least 0 and at most 1, not 2"):
+        MuJoCoPlant(force_falloff=2.0)
     with pytest.raises(ModelError, match=r"model must be one of drop, .*, not 'moon'"):
         MuJoCoPlant(model="moon")
 
@@ -294,17 +297,6 @@ def test_driver_lag_in_closed_form_is_what_small_steps_converge_to(shares: tuple
     slopes = np.diff(np.log(errors)) / np.diff(np.log(steps))
     assert errors[-1] < 1e-8
     assert (slopes > 3.5).all(), (errors, slopes)
-
-
-def test_current_limit_caps_each_coil() -> None:
-    plant = MuJoCoPlant(current_limit=10.0)
-    plant.read()
-    assert plant.write(push(100.0)).force[2] == pytest.approx(60.0)
-    assert plant.write(push(59.0)).force[2] == pytest.approx(59.0)
-    tilted = plant.write(Command([0.0, 0.0, 50.0, 1.0, 0.0, 0.0]))  # needs more than 10 A in one coil
-    assert plant.device.coils is not None
-    assert np.abs(plant.device.coils.currents(tilted.wrench)).max() <= 10.0 + 1e-12
-    assert tilted.force[2] < 50.0
 
 
 @pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])

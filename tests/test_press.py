@@ -161,15 +161,6 @@ def test_a_stroke_that_does_not_reach_the_wall_says_so() -> None:
     assert data["summary"]["penetration"][0] == 0.0
 
 
-def test_a_coarse_sensor_makes_the_press_ripple() -> None:
-    # One step of the sensor, once in the position and twice in its difference.
-    step = 5e-6
-    p = SHORT.replace(quantize=step, hits=1, duration=2.5)
-    one_step = step * (p.stiffness + 2.0 * p.damping / p.period)
-    ripple = swept(p, 10).figures["force_ripple"]
-    assert (ripple > 0.5 * one_step).all() and (ripple <= one_step * (1.0 + 1e-9)).all()
-
-
 @pytest.mark.parametrize("phases", [20, pytest.param(100, marks=pytest.mark.study)])
 def test_the_pulse_lessens_every_hit_of_an_arm(phases: int) -> None:
     # Over many phases and four hits; of the paper's 220 N s/m as further damping, not with the damping in it.

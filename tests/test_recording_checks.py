@@ -321,26 +321,6 @@ def test_a_message_that_is_missing_is_noticed_on_any_topic(
     assert recording.ticks == (place if topic == SAMPLE else recording.ticks)
 
 
-def test_a_count_that_is_of_another_topic_is_noticed(tmp_path: Path) -> None:
-    from mcap.writer import Writer
-
-    add: Any = Writer.add_message
-    moved: list[int] = []
-
-    def adding(self: Any, channel_id: int, *given: Any) -> None:
-        add(self, channel_id, *given)
-        counts, channels = self._Writer__statistics.channel_message_counts, self._Writer__channels
-        others = [other for other in counts if channels[other].topic == "/tf"]
-        if channels[channel_id].topic == SAMPLE and others and not moved:
-            counts[channel_id], counts[others[0]] = counts[channel_id] + 1, counts[others[0]] - 1
-            moved.append(channel_id)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Writer, "add_message", adding)
-        data = with_messages(made("drop", ".mcap"), lambda on, _, message: message)
-    assert moved and "messages are missing" in load(data, tmp_path, ".mcap").damage
-
-
 @ALL_OF_THEM
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_bit_that_differs_in_any_field_is_found_and_named(kind: str, every: bool, tmp_path: Path) -> None:

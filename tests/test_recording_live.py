@@ -18,13 +18,11 @@ import pytest
 
 from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
-from maglev_mj.control import Bias, Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MissingPackageError, ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.plants.hand import Hand
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, load_samples, open_recording, setup_of
 from maglev_mj.recording.sample import ROW, TOTALS
 from maglev_mj.recording.verify import verify
@@ -129,19 +127,6 @@ def test_energy_of_a_session_goes_on_with_what_acted_before(tmp_path: Path) -> N
         last = [m for topic, m in messages(path) if topic == "/maglev/sample" and m["stretch"] == place][-1]
         found = analyse(stretch, rebuild, simulated=False).recorded.figures.energy
         assert last["taken"] == pytest.approx(sum(found.taken), rel=1e-6, abs=1e-9)
-
-
-def test_the_work_of_the_hand_is_in_it(tmp_path: Path) -> None:
-    path, timing = tmp_path / "run.mcap", Timing(phase=0.4)
-    hand = [0.0, 0.0, -3.0, 0.0, 0.0, 0.0]
-    plant = ExactPlant(timing, pose=[0.0, 0.0, 3e-3, 0.0, 0.0, 0.0], hand_force=lambda tick, time, state: hand)
-    wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
-    file = open_recording(path)
-    controller, places = Controller([wall], period=timing.period), []
-    record = file.begin(plant, controller, {"kind": "test"})
-    drive(plant, controller, 60, record=record, observe=lambda sample, applied: places.append(sample.position[2]))
-    assert file.close() == path
-    assert messages(path)[-1][1]["hand_work"] == pytest.approx(-3.0 * (places[-1] - places[0]), rel=1e-12)
 
 
 class Still:
@@ -268,27 +253,6 @@ def test_rows_that_come_faster_than_they_are_written_are_counted_or_waited_for()
     assert waited and sum(waited) + len(list(slow.rows())) == 2 * ROWS and slow.lost == 0
     patient.close()
     slow.close()
-
-
-def test_pulses_and_rows_go_through_the_ring_unchanged() -> None:
-    rng = np.random.default_rng(1)
-    ring = Ring()
-    reader = RowReader(ring.descriptor)
-    for count in range(50):
-        values = [rng.normal(size=6).tolist() for _ in range(6)]
-        command = Command(values[0], values[1] if count % 2 else None, 0.003)
-        applied = Command(values[2], values[3] if count % 3 else None, 0.002)
-        plant = Still()
-        plant.hand_wrench = values[5]
-        ring.record(plant)(Sample(count, 0.1 * count, values[4]), command, applied)
-        ((place, row),) = reader.rows()
-        pulse, width = (values[1], 0.003) if count % 2 else (list(ZERO), 0.0)
-        given, lasting = (values[3], 0.002) if count % 3 else (list(ZERO), 0.0)
-        assert place == count
-        expected = [count, 0.1 * count, *values[4], *values[0], *pulse, *values[2], *given, *values[5], width, lasting]
-        assert row[:-1] == expected and math.isnan(row[-1])
-    ring.close()
-    reader.close()
 
 
 def test_a_writer_that_dies_is_told_of(tmp_path: Path) -> None:
@@ -543,34 +507,6 @@ def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_che
     (tmp_path / "elsewhere.py").write_text(OWN.replace("damping=40.0", "damping=41.0"))
     assert main(["replay", str(path), "--check", *again]) == 1
     assert "has changed since, or is another" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
-def test_ten_lines_of_ones_own_tell_all_that_plant_and_controller_know(suffix: str, tmp_path: Path) -> None:
-    path = tmp_path / f"run{suffix}"
-    hand, timing = Hand(mass=0.2, axes="z"), Timing(period=0.001, delay=0.0025, phase=0.5)
-    plant = ExactPlant(timing, mass=0.9, gravity=2.0, wrench=[0.0, 0.0, 1.8, 0.0, 0.0, 0.0], hand=hand)
-    controller = Controller([Bias([0.0, 0.0, 1.8, 0.0, 0.0, 0.0])], period=0.001)
-    file = open_recording(path, wait=True)
-    drive(plant, controller, 5, record=file.begin(plant, controller))
-    file.close()
-    (stretch,) = Recording.load(path).stretches
-    known, setup = stretch.metadata, stretch.setup
-    assert known is not None and (known.period, known.delay, known.faces) == (0.001, 0.0025, [])
-    assert known.inertia.tolist() == [0.9, 0.9, 0.9 + 0.2, *INERTIA[3:]]
-    assert known.load[2] == -1.8 and known.before[2] == known.carried[2] == 1.8
-    assert (setup["kind"], setup["scene"], setup["source"]) == ("run", None, None)
-    assert setup["plant"]["class"] == "ExactPlant" and setup["plant"]["timing"]["phase"] == 0.5
-    assert setup["plant"]["wrench"][2] == 1.8 and setup["versions"]
-    assert analyse(stretch).comparison is None
-    verdict = verify(
-        Recording([stretch]), lambda setup, force: (ExactPlant(timing, mass=0.8, hand_force=force), controller_of())
-    )
-    assert {name for name, field in verdict.fields.items() if field.first} >= {"inertia", "load", "before", "carried"}
-
-
-def controller_of() -> Controller:
-    return Controller([], period=0.001)
 
 
 def test_a_plant_that_does_not_tell_its_delay_is_refused_without_it() -> None:

@@ -330,17 +330,6 @@ def test_a_batch_is_its_runs_to_rounding(scene: Scene, gains: Any) -> None:
             np.testing.assert_allclose(one, value, rtol=1e-9 if isinstance(scene, Drop) else 1e-5, atol=1e-9)
 
 
-@pytest.mark.parametrize("scene", [Drop(), Drop(duration=0.05, carry=True, force_limit=60.0), Twist(), LetGo(), Fall()])
-def test_a_figure_that_takes_a_batch_gives_each_device_the_same_bits(scene: Scene) -> None:
-    batch = run(scene, plant="exact", phase=PHASES)
-    together = [name for name, one in scene.figures.items() if one.batched]
-    assert together
-    for name in together:
-        values = scene.figures[name](batch)
-        each = [scene.figures[name](batch[device]) for device in range(PHASES.size)]
-        assert np.array_equal(values, each, equal_nan=True), name
-
-
 def test_figures_of_ones_own_are_swept_whether_they_take_a_batch_or_not() -> None:
     swept = run_phases(Fall(duration=0.012), PHASES, plant="exact")
     assert list(swept.figures) == ["half_fallen", "knots", "low", "final_position"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable
 
@@ -12,7 +11,6 @@ import pytest
 from maglev_mj.errors import ParameterError, SensingError
 from maglev_mj.frames import Array, rotation_matrix
 from maglev_mj.plants import SpotReader, SpotSensor
-from maglev_mj.plants import sensor as sensing
 from maglev_mj.plants.sensor import FARTHEST, MOST_TURNED, Beams, FastBeams, PoseTracker, beams
 
 QUANTUM = 8e-7
@@ -104,23 +102,6 @@ def test_half_a_turn_gives_the_same_spots_and_is_not_taken() -> None:
     np.testing.assert_allclose(sensor.spots(other), sensor.spots(pose), atol=1e-13)
     tracker = PoseTracker(sensor)
     np.testing.assert_allclose(tracker(sensor.spots(other).tolist()), pose, atol=1e-12)
-
-
-def test_newton_squares_its_error() -> None:
-    forms, start, constants = sensing._forms(beams()), sensing._UPRIGHT, []
-    for spots in beams().spots(poses(300, 9e-3, 20.0)):
-        turning = forms.dot((*spots, 1.0)).tolist()[:30]
-        root = sensing._turn(turning, start)
-        assert root is not None
-        guess, errors = start, [math.hypot(*root)]
-        while errors[-1] > 1e-7:
-            after = sensing._turn(turning, guess, close=math.inf)  # one step
-            assert after is not None and len(errors) < 6
-            guess = after
-            errors.append(math.dist(guess, root))
-        constants += [late / early**2 for early, late in itertools.pairwise(errors) if late > 1e-13]
-    # what it multiplies the square by does not depend on the size of the error; 2 suffices for steps of 1e-7 to end it
-    assert len(constants) > 500 and max(constants) < 2.0
 
 
 def test_no_pose_is_an_error_and_the_next_one_is_found_as_by_a_new_tracker() -> None:
