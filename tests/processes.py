@@ -45,7 +45,7 @@ class Program:
         pipe = subprocess.PIPE
         environment = {**os.environ, **(env or {})}
         self.child = subprocess.Popen(arguments, stdin=pipe, stdout=pipe, stderr=pipe, env=environment, cwd=cwd)
-        self._output, self._errors = bytearray(), bytearray()
+        self._output, self._errors, self._lines = bytearray(), bytearray(), 0
         self._readers = [
             threading.Thread(target=self._read, args=(self.child.stdout, self._output)),
             threading.Thread(target=self._read, args=(self.child.stderr, self._errors)),
@@ -89,6 +89,15 @@ class Program:
                 break
             time.sleep(0.01)
         raise AssertionError((pattern, self.output, self.errors))
+
+    def line(self) -> str:
+        """Wait for the next line of the output."""
+        deadline = time.monotonic() + PATIENCE
+        while self.output.count("\n") <= self._lines:
+            assert time.monotonic() < deadline, (self.output, self.errors)
+            time.sleep(0.001)
+        self._lines += 1
+        return self.output.splitlines()[self._lines - 1].strip()
 
     def end(self, number: int | None = signal.SIGINT) -> Outcome:
         """Send a signal and wait for the end.

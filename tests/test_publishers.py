@@ -4,8 +4,6 @@ With their options.
 """
 
 import re
-import signal
-import subprocess
 import sys
 import threading
 import time
@@ -32,39 +30,10 @@ from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Box, Joystick
 from maglev_mj.session import ChangeRequest, Publishers, Session, Snapshot, unstable_loop
-from tests.test_bridge_processes import COMMAND, ended, said_by, twin
+from tests.processes import started
+from tests.test_bridge_processes import ended, said_by, twin
 
 pytestmark = pytest.mark.xdist_group("realtime")
-
-
-@contextmanager
-def program(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], list[str]]]:
-    """Start a command; return it and its output lines."""
-    child = subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    said: list[str] = []
-    assert child.stdout is not None
-    listener = threading.Thread(target=lambda: said.extend(iter(child.stdout.readline, "")))  # type: ignore[union-attr]
-    listener.start()
-    try:
-        yield child, said
-    finally:
-        child.kill()
-        child.wait()
-        listener.join()
-        for pipe in (child.stdout, child.stderr):
-            assert pipe is not None
-            pipe.close()
-
-
-def found(said: list[str], pattern: str) -> str:
-    """Wait for a line with a text; return it."""
-    deadline = time.monotonic() + 60.0
-    while time.monotonic() < deadline:
-        for line in list(said):
-            if match := re.search(pattern, line):
-                return match[1]
-        time.sleep(0.02)
-    raise AssertionError((pattern, said))
 
 
 def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> None:
@@ -73,8 +42,8 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
     publishers = ("--foxglove", "0", "--spacenav", "--socket", str(tmp_path / "s"))
     with twin("--watchdog", "2") as (device, address):
         options = ("--scene", "table", "--record", str(record), "--out", str(tmp_path), *publishers)
-        with program("bridge", address, *options) as (host, said):
-            with LiveClient(found(said, r"(ws://[\d.:]+)"), {"/maglev/sample"}) as client:
+        with started("bridge", address, *options) as host:
+            with LiveClient(host.wait_for(r"ws://[\d.:]+"), {"/maglev/sample"}) as client:
                 while client.parameters().get("state") != "flying":
                     time.sleep(0.1)
                 wall = {"wall": True, "walls": [["z", 1, -0.001]]}
@@ -88,8 +57,7 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
                 assert accepted["since"] is not None and not accepted["reason"]
                 ticks = [message.fields.tick for message in client.messages(0.5)]
                 assert abs(next(client.messages(5.0)).fields.position.z) < 1e-3
-            host.send_signal(signal.SIGINT)
-            assert host.wait(30) == 0
+            assert host.end().status == 0
         assert not (tmp_path / "s").exists()
         assert "inactive, faults: none" in ended(device)[1]
     recording = Recording.load(record)
@@ -106,18 +74,17 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
 
 def test_a_twin_shows_its_true_pose_and_its_faults() -> None:
     # It lies on its stop, nothing can be set there, and an emergency stop is logged.
-    with program("twin", "--foxglove", "0", "--listen", "udp://127.0.0.1:0") as (device, said):
-        with LiveClient(found(said, r"(ws://[\d.:]+)")) as client:
+    with started("twin", "--foxglove", "0", "--listen", "udp://127.0.0.1:0") as device:
+        with LiveClient(device.wait_for(r"ws://[\d.:]+")) as client:
             sample = next(one.fields for one in client.messages(10.0) if one.topic == "/maglev/sample")
             assert sample.position.z == pytest.approx(-0.0045, abs=1e-5) and not sample.applied.z
             assert client.parameters() == {} and client.set(wall=True)["reason"] == "no scene runs here"
             client.send({"op": "nonsense"})  # is not for the person at the terminal
-            said_by("estop", found(said, r"(udp://[\d.:]+)"))
+            said_by("estop", device.wait_for(r"udp://[\d.:]+"))
             logged = (one.fields.message for one in client.messages(10.0) if one.topic == "/log")
             assert next(line for line in logged if "fault" in line) == "fault: ESTOP"
-        device.send_signal(signal.SIGINT)
-        assert device.wait(30) == 0
-        assert device.stderr is not None and device.stderr.read() == ""
+        ended_twin = device.end()
+        assert (ended_twin.status, ended_twin.errors) == (0, "")
 
 
 def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:

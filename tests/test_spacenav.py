@@ -8,7 +8,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-import queue
 import socket
 import stat
 import struct
@@ -49,6 +48,7 @@ from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Session, Snapshot
 from tests.conftest import COMPILER
+from tests.processes import Program as Process
 from tests.sweeps import sweep
 
 SOURCE = Path(__file__).parents[1] / "scripts" / "examples" / "spacenav_client.c"
@@ -887,45 +887,29 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return program
 
 
-class Running:
-    """Client in C, with its output lines."""
+class Running(Process):
+    """Client in C, which has asked all that it wants to know.
+
+    Attributes:
+        said: Its first line.
+    """
 
     def __init__(self, program: Path, server: SpacenavServer, *arguments: str) -> None:
-        self._process = subprocess.Popen(
-            [str(program), *arguments],
-            env={**os.environ, "SPNAV_SOCKET": str(server.path)},
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        self._lines: queue.Queue[str] = queue.Queue()
-        self._reader = threading.Thread(target=self._read)
-        self._reader.start()
-        self.said = ""
-        for _ in range(round(PATIENCE / 0.005)):  # at rest, until it has asked all it wants to know
+        super().__init__(str(program), *arguments, env={"SPNAV_SOCKET": str(server.path)})
+
+        def answered() -> bool:
             server.show(snapshot())
-            try:
-                self.said = self._lines.get(timeout=0.005)
-                break
-            except queue.Empty:
-                continue
+            return "\n" in self.output
 
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
-            self._lines.put(line.strip())
+        assert waited(answered)
+        self.said = self.line()
 
-    def line(self) -> str:
-        """Wait for the next line."""
-        return self._lines.get(timeout=PATIENCE)
-
-    def end(self) -> int:
+    def finish(self) -> int:
         """Let it end; return its exit status."""
-        assert self._process.stdin is not None and self._process.stdout is not None
-        self._process.stdin.close()
-        status = self._process.wait(PATIENCE)
-        self._reader.join(PATIENCE)
-        self._process.stdout.close()
+        assert self.child.stdin is not None
+        self.child.stdin.close()
+        status = self.end(None).status
+        self.close()
         return status
 
 
@@ -952,10 +936,10 @@ def test_libspnav_reads_500_of_500_events_with_the_right_values(
         assert [int(part) for part in program.line().split()[:6]] == list(row)
     assert program.line().startswith("moved ")
     assert program.line() == "500 of 500 events as expected"
-    assert program.end() == 0
+    assert program.finish() == 0
     assert (server.dropped, server.clients) == (0, 2)  # their end has not been looked at yet
     assert server.missed > 0
-    assert stalled.end() == 0
+    assert stalled.finish() == 0
 
 
 @pytest.mark.needs("compiler", "spnav")
@@ -969,7 +953,7 @@ def test_libspnav_hears_each_press_and_its_release(client: Path, clicking: Space
     for button in "01":
         said = [line.split()[2] for line in lines if line.startswith(f"button {button}")]
         assert said == ["pressed", "released"] * 3
-    assert program.end() == 0
+    assert program.finish() == 0
 
 
 @pytest.mark.needs("compiler", "spnav")
@@ -997,7 +981,7 @@ def test_libspnav_moves_an_object_where_the_joystick_goes(
     assert [float(part) for part in where.split()] == pytest.approx(moved, abs=1e-3)
     sines = [math.copysign(math.sin(abs(part)), part) for part in turned]
     assert [float(part) for part in how.split()[:3]] == pytest.approx(sines, abs=1e-3)
-    assert program.line() == "1 of 1 events" and program.end() == 0
+    assert program.line() == "1 of 1 events" and program.finish() == 0
 
 
 # -- the command line ------------------------------------------------------------------------------------

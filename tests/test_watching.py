@@ -5,10 +5,9 @@ A wall felt through the mouse too.
 
 import multiprocessing
 import re
-import signal
-import subprocess
-import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import Pipe
 from pathlib import Path
@@ -31,7 +30,8 @@ from maglev_mj.views.inbox import Inbox
 from maglev_mj.views.remote import RemoteSession, RemoteViewer
 from maglev_mj.views.window.keys import keys_of
 from maglev_mj.views.window.window import show
-from tests.virtual_screen import VirtualScreen
+from tests.processes import Program, started
+from tests.virtual_screen import VirtualScreen, waited
 
 pytestmark = pytest.mark.xdist_group("realtime")
 
@@ -131,48 +131,42 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     viewer.close()
 
 
+@contextmanager
+def flying(screen: VirtualScreen, folder: Path, look: str, *options: str) -> Iterator[tuple[Program, Program, int]]:
+    """Yield a twin, its host in flight, and the number of the window of one of them."""
+    views = {name: ["--view"] if name == look else [] for name in ("twin", "bridge")}
+    address = ["--listen", "udp://127.0.0.1:0", "--watchdog", "2"]
+    with started("twin", *address, *views["twin"], env=screen.environment) as twin:
+        place = twin.wait_for(r"udp://\S+:\d+")
+        with started("bridge", place, "--out", str(folder), *options, *views["bridge"], env=screen.environment) as host:
+            window = screen.window("MuJoCo")
+            host.wait_for("takes off")
+
+            def focused() -> bool:
+                with suppress(AssertionError):  # refused until it is on the screen
+                    screen.xdotool("windowfocus", window)
+                    return True
+                return False
+
+            waited(focused, 60.0)
+            yield twin, host, window
+
+
 @pytest.mark.needs("screen", "xdotool")
 def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "maglev_mj"]
     record = tmp_path / "run.mcap"  # which is read while it is written
     with VirtualScreen(*SIZE) as screen:
-        twin = subprocess.Popen(
-            [*command, "twin", "--listen", "udp://127.0.0.1:0", "--view", "--watchdog", "2"],
-            env=screen.environment,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        try:
-            assert twin.stdout is not None
-            found = re.search(r"udp://\S+:\d+", twin.stdout.readline())
-            assert found
-            window = screen.window("MuJoCo")
-            host = subprocess.Popen(
-                [*command, "bridge", found[0], "--seconds", "60", "--record", str(record), "--out", str(tmp_path)],
-                env=screen.environment,
-                stdout=subprocess.PIPE,
-                text=True,
-            )
-            try:
-                assert host.stdout is not None
-                host.stdout.readline()  # it takes off: no hand is to be in the way
-                for _ in range(4):  # a busy machine's window takes long to draw, and misses a drag
-                    time.sleep(3)
-                    _pull(screen, window)
-                    (stretch,) = Recording.load(record).stretches
-                    if np.abs(stretch.position[:, :3]).max() > 3.5e-3:
-                        break
-                host.send_signal(signal.SIGINT)  # lands
-                said, _ = host.communicate(timeout=30)
-            finally:
-                host.kill()
-            assert host.returncode == 0, said
-            twin.send_signal(signal.SIGINT)
-            summary, _ = twin.communicate(timeout=30)
-            assert twin.returncode == 0 and "faults: none" in summary
-        finally:
-            twin.kill()
-            twin.wait()
+        with flying(screen, tmp_path, "twin", "--seconds", "60", "--record", str(record)) as (twin, host, window):
+            for _ in range(8):  # a busy machine's window takes long to draw, and misses a drag
+                time.sleep(1.0)
+                _pull(screen, window)
+                (stretch,) = Recording.load(record).stretches
+                if np.abs(stretch.position[:, :3]).max() > 3.5e-3:
+                    break
+            landed = host.end()
+            assert landed.status == 0, landed
+            ended = twin.end()
+            assert ended.status == 0 and "faults: none" in ended.output
     (stretch,) = Recording.load(record).stretches
     far = int(np.argmax(np.abs(stretch.position[:, :3]).max(axis=1)))
     axis = int(np.argmax(np.abs(stretch.position[far, :3])))
@@ -185,39 +179,20 @@ def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_
 
 
 @pytest.mark.needs("screen", "xdotool")
-@pytest.mark.parametrize("seen", ["twin", "bridge"])
-def test_escape_in_a_window_cuts_the_currents(seen: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "maglev_mj"]
-    look = {"twin": ["--view"], "bridge": []}
-    with VirtualScreen(*SIZE) as screen:
-        options: dict[str, Any] = {"env": screen.environment, "stdout": subprocess.PIPE, "text": True}
-        address = ["--listen", "udp://127.0.0.1:0", "--watchdog", "2", *look[seen]]
-        twin = subprocess.Popen([*command, "twin", *address], **options)
-        host = None
-        try:
-            assert twin.stdout is not None
-            found = re.search(r"udp://\S+:\d+", twin.stdout.readline())
-            assert found
-            view = [] if seen == "twin" else ["--view"]
-            host = subprocess.Popen(
-                [*command, "bridge", found[0], "--out", str(tmp_path), *view], stderr=subprocess.STDOUT, **options
-            )
-            window = screen.window("MuJoCo")
-            time.sleep(3)
-            screen.xdotool("windowfocus", window)
-            screen.xdotool("mousemove", 200, 200)
-            time.sleep(0.5)
-            screen.xdotool("key", "Escape")
-            said, _ = host.communicate(timeout=30)
-            assert host.returncode == 1 and "ESTOP: " in said
-            twin.send_signal(signal.SIGINT)
-            summary, _ = twin.communicate(timeout=30)
-            assert "fault, faults: ESTOP" in summary
-        finally:
-            for child in (twin, host):
-                if child is not None:
-                    child.kill()
-                    child.wait()
+@pytest.mark.parametrize("look", ["twin", "bridge"])
+def test_escape_in_a_window_cuts_the_currents(look: str, tmp_path: Path) -> None:
+    with VirtualScreen(*SIZE) as screen, flying(screen, tmp_path, look) as (twin, host, _window):
+        screen.xdotool("mousemove", 200, 200)
+
+        def cut() -> bool:
+            screen.xdotool("key", "Escape")  # a window that is not drawn yet misses it
+            time.sleep(0.3)
+            return host.child.poll() is not None
+
+        waited(cut, 60.0)
+        stopped = host.end(None)
+        assert stopped.status == 1 and "ESTOP: " in stopped.output + stopped.errors
+        assert "fault, faults: ESTOP" in twin.end().output
 
 
 class ViewerHere(RemoteViewer):
@@ -303,7 +278,7 @@ def _pull(screen: VirtualScreen, window: int) -> None:
     for step in range(25):
         screen.xdotool("mousemove", x + 10 * step, y)
         time.sleep(0.1)
-    time.sleep(3)
+    time.sleep(1.5)
     screen.xdotool("mouseup", 3)
     screen.xdotool("keyup", "ctrl")
 

@@ -47,6 +47,7 @@ from maglev_mj.views.page.meshes import glb, solid
 from maglev_mj.views.page.page import Page, PageServer
 from maglev_mj.views.page.plots import drawn, ticks
 from maglev_mj.views.remote import RemoteSession, RemoteViewer
+from tests.processes import started
 
 TOKEN = "a-token-of-some-length"
 VERSION = [Subprotocol(f"viser-v{viser.__version__}")]
@@ -546,13 +547,8 @@ def until(page: Page, done: Any) -> None:
 
 def test_ctrl_c_ends_a_page_and_says_what_it_came_to() -> None:
     """Which is how it ends, and no failure."""
-    command = [sys.executable, "-m", "maglev_mj", "view", "--web", "--no-open", "--port", "0"]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        assert child.stdout is not None and "the page is at http://127.0.0.1:" in child.stdout.readline()
+    with started("view", "--web", "--no-open", "--port", "0") as program:
+        program.wait_for("the page is at http://127.0.0.1:")
         time.sleep(1.5)
-        child.send_signal(signal.SIGINT)
-        said, wrong = child.communicate(timeout=30)
-    finally:
-        child.kill()
-    assert (child.returncode, wrong) == (0, "") and "control ticks, 0 missed" in said
+        ended = program.end()
+    assert (ended.status, ended.errors) == (0, "") and "control ticks, 0 missed" in ended.output
