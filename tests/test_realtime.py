@@ -4,7 +4,6 @@ import ctypes
 import gc
 import math
 import os
-import random
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bench_bridge import histogram
 from maglev_mj import cli
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import LINE_TIME, Flight, LoopTiming, delay_check, expected_delay
@@ -154,54 +152,13 @@ def test_lateness_keeps_the_last_and_the_worst_of_all() -> None:
     assert latency.p50 == pytest.approx(np.percentile(kept, 50.0))
     assert latency.p99 == pytest.approx(np.percentile(kept, 99.0))
     assert latency.max == pytest.approx(7e-3)
-    assert histogram(latency).startswith("latency of the last 100 of 251: p50 201 µs, p99 249 µs, max 7 ms\n")
 
 
 def test_no_lateness_is_no_number() -> None:
     latency = LatencyHistogram(3)
     assert math.isnan(latency.p50) and math.isnan(latency.p99) and math.isnan(latency.max)
-    assert histogram(latency) == "latency: none yet"
     with pytest.raises(ParameterError, match="size"):
         LatencyHistogram(0)
-
-
-def test_the_histogram_as_it_is_seen() -> None:
-    latency = LatencyHistogram()
-    for late, count in ((30_000, 800), (70_000, 400), (150_000, 1), (999, 3), (3_000_000, 2)):
-        for _ in range(count):
-            latency.add(late)
-    assert histogram(latency).splitlines() == [
-        "latency of 1206: p50 30 µs, p99 70 µs, max 3 ms",
-        "   below 1 µs       ▏                                                    3",
-        "   1 µs to 2 µs                                                          0",
-        "   2 µs to 5 µs                                                          0",
-        "   5 µs to 10 µs                                                         0",
-        "  10 µs to 20 µs                                                         0",
-        "  20 µs to 50 µs    " + "█" * 44 + "       800",
-        "  50 µs to 100 µs   " + "█" * 22 + " " * 22 + "       400",
-        " 100 µs to 200 µs   ▏                                                    1",
-        " 200 µs to 500 µs                                                        0",
-        " 500 µs to 1 ms                                                          0",
-        "   1 ms to 2 ms                                                          0",
-        "   2 ms to 5 ms     ▏                                                    2",
-    ]
-
-
-def test_the_histogram_fits_a_terminal_and_counts_everything() -> None:
-    latency = LatencyHistogram(5000)
-    for late in [
-        -5,
-        0,
-        999,
-        1000,
-        10**10,
-        *(int(10 ** random.Random(seed).uniform(2.0, 10.0)) for seed in range(4000)),
-    ]:
-        latency.add(late)
-    lines = histogram(latency).splitlines()
-    assert max(map(len, lines)) <= 80
-    assert sum(int(line.split()[-1]) for line in lines[1:]) == latency.count
-    assert "below 1 µs" in lines[1] and "above 5 s" in lines[-1]
 
 
 class Sampled:
