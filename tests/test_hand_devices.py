@@ -24,11 +24,16 @@ import pytest
 from maglev_mj import cli
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import AXES
-from maglev_mj.interop.hand_devices.device import HandDevice, Reading
-from maglev_mj.interop.hand_devices.find import described_devices, open_device
-from maglev_mj.interop.hand_devices.gamepad import Gamepad, gamepad_shares
-from maglev_mj.interop.hand_devices.mouse import SpacenavMouse
-from maglev_mj.interop.spacenav import AxisMapping, SpacenavServer, place, searched_paths
+from maglev_mj.interop.hand_devices import (
+    Gamepad,
+    HandDevice,
+    Reading,
+    SpacenavMouse,
+    described_devices,
+    gamepad_shares,
+    open_device,
+)
+from maglev_mj.interop.spacenav import AxisMapping, SpacenavServer, searched_paths, server
 from maglev_mj.interop.spacenav.protocol import button_event, motion_event
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import find_scene
@@ -177,8 +182,8 @@ def test_the_first_buttons_are_actions_and_further_ones_are_none() -> None:
 def path(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Return the only path searched for a 3D mouse."""
     with tempfile.TemporaryDirectory() as folder:
-        monkeypatch.setattr(place, "_SETTINGS", Path(folder) / "spnavrc")
-        monkeypatch.setattr(place, "_DAEMONS", Path(folder) / "daemon.sock")
+        monkeypatch.setattr(server, "_SETTINGS", Path(folder) / "spnavrc")
+        monkeypatch.setattr(server, "_DAEMONS", Path(folder) / "daemon.sock")
         monkeypatch.setenv("SPNAV_SOCKET", f"{folder}/spnav.sock")
         yield Path(folder) / "spnav.sock"
 
@@ -274,10 +279,10 @@ def test_where_nobody_answers_there_is_no_mouse(path: Path) -> None:
 
 
 def test_a_mouse_is_looked_for_where_libspnav_looks(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert searched_paths() == [path, place._DAEMONS]
+    assert searched_paths() == [path, server._DAEMONS]
     monkeypatch.delenv("SPNAV_SOCKET")
-    place._SETTINGS.write_text("# socket = /no\nled = 1\n  socket =\n socket = /tmp/a b.sock \nsocket = /tmp/late\n")
-    assert searched_paths() == [Path("/tmp/a b.sock"), place._DAEMONS]
+    server._SETTINGS.write_text("# socket = /no\nled = 1\n  socket =\n socket = /tmp/a b.sock \nsocket = /tmp/late\n")
+    assert searched_paths() == [Path("/tmp/a b.sock"), server._DAEMONS]
 
 
 # -- gamepads --------------------------------------------------------------------------------------------

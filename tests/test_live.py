@@ -33,8 +33,8 @@ from websockets.typing import Origin, Subprotocol
 from live_client import LiveClient
 from maglev_mj import AXES
 from maglev_mj.errors import MissingPackageError, ParameterError
-from maglev_mj.interop.foxglove import LiveServer, LiveServerError, guard
-from maglev_mj.interop.foxglove.guard import forward, refusal
+from maglev_mj.interop.foxglove import LiveServer, LiveServerError, service
+from maglev_mj.interop.foxglove.service import forward, refusal
 from maglev_mj.interop.foxglove.settings import NICE, Answer, Requests, State, checked, values_of
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
@@ -238,7 +238,7 @@ def asks(port: int, data: bytes) -> socket.socket:
 
 def test_nothing_reaches_the_server_but_what_is_let_in(monkeypatch: pytest.MonkeyPatch) -> None:
     # Refused, too long, cut off and never finished requests are ended by the guard itself.
-    monkeypatch.setattr(guard, "PATIENCE", 0.3)
+    monkeypatch.setattr(service, "PATIENCE", 0.3)
     good = (request() + "\r\n\r\n").encode()
     with guarded() as (port, behind), ExitStack() as open_ones:
         behind.setblocking(False)
@@ -283,8 +283,8 @@ def test_small_messages_are_passed_on_at_once(monkeypatch: pytest.MonkeyPatch) -
         for one, other in ((server, line), (line, server), (server, line)):
             one.sendall(b"small")
             assert other.recv(16) == b"small"
-    if guard._QUICKACK is not None:
-        waited(lambda: calls.count((socket.IPPROTO_TCP, guard._QUICKACK, 1)) == 3, 5.0)
+    if service._QUICKACK is not None:
+        waited(lambda: calls.count((socket.IPPROTO_TCP, service._QUICKACK, 1)) == 3, 5.0)
     assert calls.count((socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)) == 2
 
 
@@ -314,7 +314,7 @@ def test_one_that_stalls_takes_nothing_from_others() -> None:
 
 
 def test_one_connection_too_many_is_closed_until_another_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guard, "MOST", 2)
+    monkeypatch.setattr(service, "MOST", 2)
     good = (request() + "\r\n\r\n").encode()
     with guarded() as (port, behind), ExitStack() as open_ones:
         first, _ = (open_ones.enter_context(asks(port, good[:20])) for _ in range(2))

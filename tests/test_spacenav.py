@@ -39,8 +39,7 @@ from maglev_mj.interop.spacenav import (
     Taps,
     default_path,
 )
-from maglev_mj.interop.spacenav.mapping import FULL_POSE, FULL_RATE, REST
-from maglev_mj.interop.spacenav.navigation import Navigation
+from maglev_mj.interop.spacenav.mapping import FULL_POSE, FULL_RATE, REST, Navigation
 from maglev_mj.interop.spacenav.protocol import DEVICE, EVENT, Conversation, GarbageError, button_event, motion_event
 from maglev_mj.parameters import param
 from maglev_mj.plants.hand import SpringHand, Trajectory

@@ -15,8 +15,7 @@ from maglev_mj.cli.options import parameters
 from maglev_mj.cli.web import Foxglove, open_foxglove
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.interop.foxglove import LiveServer
-from maglev_mj.interop.hand_devices.device import HAND_MAPPING, HandDevice
-from maglev_mj.interop.hand_devices.find import AUTO, described_devices, open_device
+from maglev_mj.interop.hand_devices import AUTO, HAND_MAPPING, HandDevice, described_devices, open_device
 from maglev_mj.interop.spacenav import AxisMapping, PoseAxes, RateAxes, SpacenavMapping, SpacenavServer, Taps
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.session import STEP_FORCE, Publisher
