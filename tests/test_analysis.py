@@ -41,8 +41,7 @@ from maglev_mj.session.replay import Replay, rebuild, record_run, stick_position
 from maglev_mj.spec import GRAVITY
 from maglev_mj.views.charts import Charts
 from maglev_mj.views.page import panel, plots
-from maglev_mj.views.window.overlay import status_rows
-from maglev_mj.views.window.plots import Plots
+from maglev_mj.views.window.screen import Plots, status_rows
 
 ZERO = (0.0,) * 6
 TOUR = Trajectory(

@@ -21,7 +21,7 @@ from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import run_variants
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, record_run, recorded
-from maglev_mj.views.window.clip import write_clip, write_picture
+from maglev_mj.views.window.offscreen import write_clip, write_picture
 
 
 def test_a_run_that_diverges_is_recorded_up_to_there(tmp_path: Path) -> None:

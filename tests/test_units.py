@@ -20,9 +20,9 @@ from maglev_mj.session import Snapshot
 from maglev_mj.theory.verdict import stability
 from maglev_mj.views.charts import Charts
 from maglev_mj.views.page import plots as page_plots
-from maglev_mj.views.page.controls import control
-from maglev_mj.views.window import plots as window_plots
-from maglev_mj.views.window.overlay import status_rows
+from maglev_mj.views.page.panel import control
+from maglev_mj.views.window import screen as window_plots
+from maglev_mj.views.window.screen import status_rows
 
 SHORT: dict[str, Any] = {"duration": 0.02}
 ALONG = "quantize", "spring", "target", "stiffness", "damping", "breakaway", "v_min"

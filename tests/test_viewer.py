@@ -32,10 +32,9 @@ from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import EMERGENCY_STOP, device_actions
 from maglev_mj.session import Session as LiveSession
 from maglev_mj.session.replay import rebuild
-from maglev_mj.views.window.framing import Framing
 from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, SCREENSHOT, help_rows, key_of, keys_of
 from maglev_mj.views.window.layout import Area
-from maglev_mj.views.window.scenery import Scenery
+from maglev_mj.views.window.scenery import Framing, Scenery
 from maglev_mj.views.window.screen import Screen
 from maglev_mj.views.window.window import _PATIENCE
 from tests.virtual_screen import VirtualScreen, waited

@@ -26,8 +26,7 @@ from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Session, Snapshot, device_actions
-from maglev_mj.views.inbox import Inbox
-from maglev_mj.views.remote import RemoteSession, RemoteViewer
+from maglev_mj.views.remote import Inbox, RemoteSession, RemoteViewer
 from maglev_mj.views.window.keys import keys_of
 from maglev_mj.views.window.window import show
 from tests.processes import Program, started

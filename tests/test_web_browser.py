@@ -17,8 +17,7 @@ from maglev_mj.recording.verify import verify
 from maglev_mj.session import Session, Snapshot, real_time
 from maglev_mj.session.access import listen
 from maglev_mj.session.replay import rebuild
-from maglev_mj.views.page.guard import Door
-from maglev_mj.views.page.page import page
+from maglev_mj.views.page.page import Door, page
 from maglev_mj.views.page.stage import FIELD, placed
 from maglev_mj.views.remote import RemoteViewer
 

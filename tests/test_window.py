@@ -25,15 +25,11 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import Note, Pacer, Session, Snapshot, device_actions
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
-from maglev_mj.views.charts import SteadyRange, fitted_range
-from maglev_mj.views.margin import margin
-from maglev_mj.views.window.framing import Framing, directions
+from maglev_mj.views.charts import SteadyRange, fitted_range, margin
 from maglev_mj.views.window.keys import AXIS, KEYS, help_rows
 from maglev_mj.views.window.layout import Area, Font, Layout, arrange
-from maglev_mj.views.window.overlay import status_rows
-from maglev_mj.views.window.plots import shown_colour
-from maglev_mj.views.window.scenery import Scenery
-from maglev_mj.views.window.screen import Screen
+from maglev_mj.views.window.scenery import Framing, Scenery, directions
+from maglev_mj.views.window.screen import Screen, shown_colour, status_rows
 from maglev_mj.views.window.window import SlowFrames, _Window
 from maglev_mj.views.words import banner, met_stops
 

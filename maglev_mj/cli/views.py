@@ -122,8 +122,7 @@ def render(
 ) -> int:
     """A picture or a clip of a scene, without a window."""  # noqa: D401
     # imported here: it loads the libraries that draw
-    from maglev_mj.views.window.clip import checked_name
-    from maglev_mj.views.window.render import render
+    from maglev_mj.views.window.offscreen import checked_name, render
 
     width, height = _pixels(size)
     checked_name(out)

@@ -85,8 +85,7 @@ class PageOptions:
         if token is not None and not _TOKEN.fullmatch(token):
             raise ParameterError("token must be 16 or more letters, digits, - and _")
         require(("viser",), "web", "a page needs viser")
-        from maglev_mj.views.page.guard import Door
-        from maglev_mj.views.page.page import page
+        from maglev_mj.views.page.page import Door, page
 
         listener = listen(PORT if self.port is None else self.port, host)
         door = Door(host, listener.getsockname()[1], token)

@@ -1,11 +1,11 @@
-"""Viewers in a process of their own.
-
-Drawing must not delay a control loop with deadlines.
-"""
+"""Viewers in a process of their own: drawing must not delay a control loop with deadlines."""
 
 from __future__ import annotations
 
+import math
 import os
+import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -34,8 +34,113 @@ from maglev_mj.session import (
     settable,
 )
 from maglev_mj.session.changes import actions
-from maglev_mj.views.glide import SILENCE, Glide
-from maglev_mj.views.inbox import Inbox, Request
+
+SILENCE = 0.5
+"""Silence after which the hand is released [s].
+
+A held target is sent again and again.
+"""
+
+_LONGEST = 0.05
+"""Longest time to reach a target [s].
+
+A browser sends 20 a second, a window 60; each is reached when the next may come.
+"""
+
+
+class Glide:
+    """Move a hand's target smoothly to the wanted pose.
+
+    Args:
+        clock: Returns real time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._start: Sequence[float] = ()
+        self._goal: Sequence[float] | None = None
+        self._came, self._lasts, self._held = 0.0, 0.0, False
+
+    def aim(self, target: Sequence[float] | None) -> None:
+        """Take a new target pose [m, rad], (6,).
+
+        None releases the hand, as does one that is not finite.
+        """
+        if target is not None and not all(map(math.isfinite, target)):
+            target = None  # a browser may say anything, and a plant refuses such a hand for good
+        now = self._clock()
+        self._start = (self._now(now) or target) if self._held and target is not None else target or ()
+        self._goal, self._came, self._lasts = target, now, min(now - self._came, _LONGEST)
+
+    def move(self, hand: SpringHand) -> None:
+        """Move a hand's target, if the hand is held here."""
+        if not self._held and self._goal is None:
+            return
+        hand.target = self._now(self._clock())
+        self._held = hand.target is not None
+
+    def _now(self, now: float) -> Sequence[float] | None:
+        """Return the target of an instant."""
+        passed = now - self._came
+        if self._goal is None or passed > SILENCE:
+            self._goal = None
+            return None
+        share = min(passed / self._lasts, 1.0) if self._lasts > 0.0 else 1.0
+        return [start + share * (goal - start) for start, goal in zip(self._start, self._goal)]
+
+
+Request: TypeAlias = tuple[str, Any]
+"""A kind and its value: "hand" (target), "act" (action), "change" (parameters by name)."""
+
+_PERIOD = 0.05
+_MOST = 64
+_STILL = 0.5
+
+
+class Inbox:
+    """Bounded queue of a person's requests, filled from any thread.
+
+    The emergency stop goes ahead of everything, and what waits before it is dropped, as are parameters after it that
+    follow one another within half a second: a slider still moving starts nothing again. The newest target of the hand
+    goes ahead of the rest. Of each parameter between two actions the newest value is kept; beyond 64 requests that
+    wait, further ones are dropped.
+
+    Args:
+        period: Shortest time from one handing over of actions and parameters to the next [s].
+        clock: Clock of real time [s].
+    """
+
+    def __init__(self, period: float = _PERIOD, clock: Callable[[], float] = time.monotonic) -> None:
+        self._due, self._clock, self._lock = Due(period, clock), clock, threading.Lock()
+        self._stop, self._moved = False, -math.inf
+        self._hand: list[Request] = []
+        self._waiting: list[Request] = []
+
+    def put(self, kind: str, value: Any) -> None:
+        """Add a request."""
+        with self._lock:
+            if kind == "hand":
+                self._hand = [(kind, value)]
+            elif value == EMERGENCY_STOP:
+                self._stop, self._waiting, self._moved = True, [], self._clock()
+            elif kind == "change" and self._clock() - self._moved < _STILL:
+                self._moved = self._clock()
+            elif kind == "change" and self._waiting and self._waiting[-1][0] == "change":
+                self._waiting[-1] = kind, {**self._waiting[-1][1], **value}
+            elif len(self._waiting) < _MOST:
+                self._waiting.append((kind, value))
+
+    def take(self) -> Sequence[Request]:
+        """Return the requests that are due, the most urgent first; each is returned once."""
+        with self._lock:
+            requests: list[Request] = [("act", EMERGENCY_STOP)] if self._stop else []
+            requests += self._hand
+            self._stop, self._hand = False, []
+            if self._waiting and self._due():
+                requests += self._waiting
+                self._waiting = []
+        return requests
+
 
 _MOST_ROWS, _MOST_MESSAGES = 400, 64
 _NAP = 0.001

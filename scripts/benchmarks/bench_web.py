@@ -26,8 +26,7 @@ from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Session, real_time
 from maglev_mj.session.access import listen
-from maglev_mj.views.page.guard import Door
-from maglev_mj.views.page.page import page
+from maglev_mj.views.page.page import Door, page
 from maglev_mj.views.page.stage import FIELD, placed
 from maglev_mj.views.remote import RemoteViewer
 

@@ -1,19 +1,159 @@
-"""3D scene of the page: device, walls, stick position, forces."""
+"""3D scene of the page: device, walls, stick position, forces; and drags of its knob."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import asyncio
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, cast
 
 import numpy as np
+import trimesh
+from trimesh import creation
+from trimesh.transformations import quaternion_matrix
+from trimesh.visual import TextureVisuals
+from trimesh.visual.material import PBRMaterial
 
 from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import Array, quaternion, rotation_matrix
-from maglev_mj.plants.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, arrow_start, shapes, wall_plate
+from maglev_mj.plants.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, Shape, arrow_start, shapes, wall_plate
 from maglev_mj.session import Snapshot
-from maglev_mj.views.page.controls import update
-from maglev_mj.views.page.meshes import glb
+from maglev_mj.views.page.panel import update
+from maglev_mj.views.remote import SILENCE
 from maglev_mj.views.words import banner
+
+_METALLIC, _ROUGHNESS = 0.1, 0.45
+_GAMMA = 2.2  # glTF's colours are linear
+_FEWEST, _PER_METRE, _MOST = 8, 2000.0, 48
+"""Sides of round shapes: even, and more for larger shapes."""
+
+
+def glb(shapes: Sequence[Shape]) -> bytes:
+    """Return shapes as binary glTF, one mesh a colour."""
+    scene = trimesh.Scene()
+    for colour in sorted({tuple(shape.colour) for shape in shapes}):
+        mesh = _joined([solid(shape) for shape in shapes if tuple(shape.colour) == colour])
+        mesh.visual = TextureVisuals(
+            material=PBRMaterial(
+                baseColorFactor=[*np.power(colour[:3], _GAMMA), colour[3]],
+                metallicFactor=_METALLIC,
+                roughnessFactor=_ROUGHNESS,
+                alphaMode="OPAQUE" if colour[3] == 1.0 else "BLEND",
+            )
+        )
+        scene.add_geometry(mesh)
+    made: bytes = scene.export(file_type="glb")
+    return made
+
+
+def solid(shape: Shape) -> trimesh.Trimesh:
+    """Return a shape in place, its edges sharp and its round sides smooth."""
+    mesh = _unit(shape.kind, min(_FEWEST + 2 * int(_PER_METRE * max(shape.half[:2])), _MOST)).copy()
+    mesh.apply_scale(shape.half)
+    mesh.apply_transform(quaternion_matrix(shape.turn))
+    mesh.apply_translation(shape.position)
+    return mesh
+
+
+@lru_cache(maxsize=64)
+def _unit(kind: str, sides: int) -> trimesh.Trimesh:
+    if kind == "ellipsoid":
+        return creation.uv_sphere(1.0, count=(sides // 2, sides // 2))  # twice as many around
+    mesh = creation.box((2.0, 2.0, 2.0)) if kind == "box" else creation.cylinder(1.0, 2.0, sections=sides)
+    facing = np.round(mesh.face_normals @ ([1.0, 2.0, 3.0] if kind == "box" else [0.0, 0.0, 1.0]))
+    return _joined(mesh.submesh([np.flatnonzero(facing == one) for one in np.unique(facing)]))  # which share no corners
+
+
+def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
+    return cast(trimesh.Trimesh, trimesh.util.concatenate(meshes))
+
+
+Aim = Callable[[list[float] | None], object]
+"""Takes a target pose [m, rad], (6,); None on release."""
+
+
+class Grab:
+    """Follow drags of the knob: plain moves, Shift tilts.
+
+    The first browser to grab has the hand.
+
+    Its methods run in the event loop of viser, in order.
+
+    Args:
+        server: viser's.
+        knob: What is dragged.
+        aim: Told of each target.
+
+    Attributes:
+        pose: Where the flotor is [m, rad], (6,).
+    """
+
+    def __init__(self, server: Any, knob: Any, aim: Aim) -> None:
+        self._server, self._aim = server, aim
+        self._holder: int | None = None
+        self._listening: asyncio.Task[None] | None = None
+        self._tilts = self._silent = False
+        self.pose = self._from = np.zeros(6)
+        self._start, self._target = np.zeros(3), [0.0] * 6
+        for modifier in (None, "shift"):
+            knob.on_drag("left", modifier=modifier)(self._dragged)
+
+    async def _dragged(self, event: Any) -> None:
+        if event.phase == "start" and (self._holder is None or self._silent):
+            self._let_go()
+            self._holder, self._tilts = event.client_id, event.modifier == "shift"
+            self._from, self._start = self.pose, np.array(event.start_position)
+            self._listening = asyncio.create_task(self._listen(event.client_id))
+        if event.client_id != self._holder:
+            return
+        if event.phase == "end":
+            self._let_go()
+        else:
+            self._target = self._pose(np.array(event.end_position) - self._start).tolist()
+            self._aim(self._target)
+
+    def _pose(self, moved: Array) -> Array:
+        """Return the target pose for a knob displacement [m], (3,)."""
+        place, turn = self._from[:3], self._from[3:]
+        if self._tilts:
+            return np.concatenate([place, turn + np.cross(GRIP, moved) / (GRIP @ GRIP)])
+        return np.concatenate([place + moved, turn])
+
+    def _let_go(self) -> None:
+        self._holder, self._silent = None, False
+        if self._listening is not None:
+            self._listening.cancel()
+        self._aim(None)
+
+    async def _listen(self, client: int) -> None:
+        """Release the knob while a browser does not answer.
+
+        One that is held still sends nothing by itself.
+        """
+        while self._holder == client:
+            answer = asyncio.ensure_future(self._ask(client))
+            self._silent = not (await asyncio.wait([answer], timeout=SILENCE))[0]
+            if self._silent:
+                self._aim(None)
+                await asyncio.wait([answer])
+            if self._holder != client:
+                return
+            if answer.exception() is not None:  # it is gone, and nobody may say the end of its drag
+                self._let_go()
+                return
+            if self._silent:
+                self._silent = False
+                self._aim(self._target)
+            await asyncio.sleep(SILENCE / 5.0)
+
+    async def _ask(self, client: int) -> None:
+        """Wait for a browser's answer.
+
+        Raises:
+            Exception: If it is gone.
+        """
+        await (await self._server._websock_server._live_connections[client].ping())
+
 
 VIEWS = {
     "home": ((0.17, -0.27, 0.21), (0.0, 0.0, 0.028)),
@@ -34,7 +174,7 @@ _FAINT, _LIT = 0.18, 0.45
 _FLOOR = -0.0552
 _REACH = 0.021  # of the ball by which the knob is taken hold of [m]
 _LONGEST = 0.12  # of an arrow [m]
-_SWOLLEN, _GAMMA = 1.06, 2.2
+_SWOLLEN = 1.06
 _RIM = 0.0118, 0.0012
 """Radius and half height of the rotation-stop ring [m].
 

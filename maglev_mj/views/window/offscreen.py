@@ -1,27 +1,108 @@
-"""Drawing of scene, plots and text into an array.
-
-No window is needed.
-"""
+"""Pictures and clips of a scene, drawn without a window and written as files."""
 
 from __future__ import annotations
 
+import struct
 import warnings
+import zlib
+from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from maglev_mj.errors import ParameterError, require
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import interrupts_held
 from maglev_mj.scenes import Scene
-from maglev_mj.session import Snapshot
+from maglev_mj.session import Pacer, Session, Snapshot
 from maglev_mj.views.window.backend import NEEDS, DisplayError, drawing_library
-from maglev_mj.views.window.framing import Framing
 from maglev_mj.views.window.layout import Area
-from maglev_mj.views.window.scenery import Scenery
+from maglev_mj.views.window.scenery import Framing, Scenery
 from maglev_mj.views.window.screen import Screen
+
+CLIPS = (".gif", ".mp4")
+"""File endings of clips."""
+
+Pixels = NDArray[np.uint8]
+
+
+def checked_name(path: Path) -> Path:
+    """Return a file's name with a checked ending.
+
+    Raises:
+        ParameterError: If the ending is not that of a picture or clip.
+        MissingPackageError: If the package that writes it is not installed.
+    """
+    if path.suffix not in (".png", *CLIPS):
+        raise ParameterError(f"out must end in .png, .gif or .mp4, not {str(path)!r}")
+    if path.suffix in CLIPS:
+        _imageio()
+    return path
+
+
+def write_picture(pixels: Pixels, path: Path) -> None:
+    """Write a PNG file.
+
+    Args:
+        pixels: The picture, (height, width, 3).
+        path: The file.
+    """
+    height, width, _ = pixels.shape
+    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter: 0, none
+    rows[:, 1:] = pixels.reshape(height, -1)
+    head = struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)
+    parts = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
+    chunks = b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts
+    )
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + chunks)
+
+
+def write_clip(frames: Iterable[Pixels], path: Path, rate: int) -> None:
+    """Write a GIF or MP4 file.
+
+    Args:
+        frames: The pictures, (height, width, 3) each, of even height and width.
+        path: The file.
+        rate: Frames per second.
+
+    Raises:
+        MissingPackageError: If imageio is not installed.
+    """
+    imageio = _imageio()
+    if path.suffix == ".gif":
+        _write_gif(frames, path, 1000.0 / rate)
+        return
+    with imageio.get_writer(path, fps=rate, macro_block_size=2) as writer:
+        for frame in frames:
+            writer.append_data(np.ascontiguousarray(frame))
+
+
+def _write_gif(frames: Iterable[Pixels], path: Path, duration: float) -> None:
+    """Write a GIF of frames with own palettes.
+
+    A frame lasts `duration` [ms] and has 256 colours of its own.
+    """
+    from PIL import Image  # imageio's own
+
+    # the octree keeps the colour of a small mark, which a median cut loses to shades of a large floor
+    octree, plain = Image.Quantize.FASTOCTREE, Image.Dither.NONE
+    few = (Image.fromarray(np.ascontiguousarray(frame)).quantize(256, octree, dither=plain) for frame in frames)
+    next(few).save(path, save_all=True, append_images=few, duration=duration, loop=0)
+
+
+def _imageio() -> Any:
+    require(("imageio", "imageio_ffmpeg"), "clips", "clips need imageio with ffmpeg")
+    import imageio.v2
+
+    return imageio.v2
+
 
 _SHADOWS, _SAMPLES = 2048, 4
 _LARGE = 1500
@@ -113,3 +194,71 @@ def _context(width: int, height: int, library: str) -> Any:
             return import_module(f"mujoco.{library}").GLContext(width, height)
     except (ImportError, AttributeError, OSError, RuntimeError, TypeError, UserWarning) as error:
         raise DisplayError(f"pictures by {library} need {NEEDS[library]}; MUJOCO_GL chooses: {error}") from error
+
+
+_FOR_EVER = 3600.0
+
+
+def render(
+    scene: Scene,
+    path: Path,
+    *,
+    seconds: float | None = None,
+    width: int = 1200,
+    height: int = 750,
+    rate: int = 20,
+    plots: bool = True,
+    progress: Callable[[int, int], object] = lambda done, total: None,
+) -> int:
+    """Run a scene and write a picture or clip.
+
+    The scripted hand moves the flotor.
+
+    Args:
+        scene: The scene.
+        path: File with the ending .png, .gif or .mp4.
+        seconds: Time of the picture, or duration of the clip [s]; None for half the run, or all of it.
+        width: Width [pixels].
+        height: Height [pixels].
+        rate: Frames per second of a clip.
+        plots: True to include plots and text.
+        progress: Function called with the number of pictures drawn and the number of all.
+
+    Returns:
+        Number of pictures drawn.
+
+    Raises:
+        DisplayError: If there is no drawing library.
+        MissingPackageError: If a clip is requested, and the package that writes it is not installed.
+    """
+    flag("plots", plots)
+    moving = path.suffix in CLIPS
+    end = seconds if seconds is not None else scene.end if moving else 0.5 * scene.end
+    session = Session(
+        scene,
+        hand=scene.scripted_hand() or SpringHand(),
+        pacer=Pacer(budget=_FOR_EVER, patience=_FOR_EVER),  # no hurry
+    )
+    drawn = max(round(end * rate), 1) if moving else 1
+    with OffscreenPainter(scene, width, height, plots=plots) as painter, engine_warnings_silenced():
+        painter.wait(session.snapshot())
+        if not moving:
+            session.tick(end)
+            write_picture(painter.picture(session.snapshot()), path)
+        else:
+            write_clip(_pictures(session, painter, drawn, 1.0 / rate, progress), path, rate)
+    session.close()
+    return drawn
+
+
+def _pictures(
+    session: Session,
+    painter: OffscreenPainter,
+    count: int,
+    step: float,
+    progress: Callable[[int, int], object],
+) -> Iterator[Any]:
+    for place in range(count):
+        yield painter.picture(session.snapshot())
+        session.tick(step)
+        progress(place + 1, count)

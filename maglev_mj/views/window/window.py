@@ -29,12 +29,10 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
 from maglev_mj.views.remote import ShowReport
 from maglev_mj.views.window.backend import DisplayError
-from maglev_mj.views.window.clip import write_picture
-from maglev_mj.views.window.framing import Framing
 from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, SCREENSHOT, keys_of
 from maglev_mj.views.window.layout import Area
-from maglev_mj.views.window.offscreen import OffscreenPainter
-from maglev_mj.views.window.scenery import Scenery
+from maglev_mj.views.window.offscreen import OffscreenPainter, write_picture
+from maglev_mj.views.window.scenery import Framing, Scenery
 from maglev_mj.views.window.screen import Screen
 
 _FRAME = 1.0 / 60.0
@@ -158,10 +156,7 @@ class _Window:
         self._scenery = _scenery(session.snapshot().scene)
         self._framing, self._camera_back = Framing(self._scenery.model), True
         before = set(threading.enumerate())
-        # imported here, because the import needs a display
-        from maglev_mj.views.window.engine import launch
-
-        self._handle = launch(self._scenery.model, self._scenery.data, self._pressed.put)
+        self._handle = _launch(self._scenery.model, self._scenery.data, self._pressed.put)
         with self._handle.lock():  # for the frames until the first of ours
             self._framing.reset(self._handle.cam)
         if shadows is False:
@@ -318,6 +313,44 @@ class _Window:
             self._note.say(f"wrote {path}")
         except (MaglevError, OSError, mujoco.FatalError) as error:
             self._note.say(f"no screenshot: {error}")
+
+
+def _launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Callable[[int], object]) -> Any:
+    """Open a window of the engine's viewer on a model; return the engine's handle."""
+    from mujoco import viewer  # imported here, because it needs a display
+
+    engine: Any = viewer
+
+    class Simulation(engine._Simulate):  # type: ignore[misc] # it has no types
+        """The engine's simulation, which may be closed while it loads.
+
+        A load waits for the drawing thread, which a closed window has ended: to destroy the simulation then would wait
+        for the load, for ever, and hold the interpreter's lock meanwhile.
+
+        Attributes:
+            loading: True during a load; for good if the window was closed during it.
+        """
+
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            self.loading, self._one = False, threading.Lock()
+
+        def load(self, model: mujoco.MjModel, data: mujoco.MjData, path: str) -> None:
+            """Load a model; wait until it is drawn."""
+            with self._one:
+                self.loading = True
+            super().load(model, data, path)
+            self.loading = False
+
+        def destroy(self) -> None:
+            """Destroy the simulation, unless it loads."""
+            with self._one:
+                if not self.loading:
+                    super().destroy()
+
+    if engine._Simulate.__name__ != Simulation.__name__:  # of an earlier window
+        engine._Simulate = Simulation
+    return viewer.launch_passive(model, data, key_callback=key_callback, show_left_ui=False, show_right_ui=False)
 
 
 def _mouse(perturb: Any) -> _Mouse:
