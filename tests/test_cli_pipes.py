@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from maglev_mj.cli import main
-from maglev_mj.cli.commands import COMMANDS
+from maglev_mj.cli.program import COMMANDS
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.session.replay import write_run
 

@@ -34,7 +34,7 @@ from maglev_mj.bridge.links import UdpServer
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.cli import main, parser
-from maglev_mj.cli.arguments import joined
+from maglev_mj.cli.declare import joined
 from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.session import Session
 

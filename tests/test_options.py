@@ -16,12 +16,11 @@ import pytest
 from maglev_mj import cli
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.twin import TwinParameters
-from maglev_mj.cli import pictures, program, recordings, studies, web
+from maglev_mj.cli import output, peripherals, program, recordings, studies
 from maglev_mj.cli import twin as cli_twin
-from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.commands import COMMANDS
-from maglev_mj.cli.declare import declare, option
+from maglev_mj.cli.declare import Parser, declare, option
 from maglev_mj.cli.options import add_parameters, chosen
+from maglev_mj.cli.program import COMMANDS
 from maglev_mj.errors import ParameterError
 from maglev_mj.interop.foxglove import PORT
 from maglev_mj.parameters import Parameters, interval, param
@@ -206,7 +205,7 @@ def allowed(function: Callable[..., int], name: str) -> tuple[str, ...]:
 def test_what_a_help_says_without_its_library_is_what_the_library_has() -> None:
     twin = defaults(cli_twin.twin)
     assert (twin["watchdog"], twin["noise"]) == (Limits.watchdog, TwinParameters.noise)
-    assert web.LIVE_PORT == PORT and pictures.FORMATS == FORMATS
+    assert peripherals.LIVE_PORT == PORT and output.FORMATS == FORMATS
     assert allowed(recordings.export, "to") == tuple(EXPORTS)
     assert allowed(studies.design, "law") == LAWS and allowed(studies.design, "goal") == GOALS
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import maglev_mj
-from maglev_mj.cli.arguments import Parser
+from maglev_mj.cli.declare import Parser
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import flag, number, numbers, parsed_number
 from maglev_mj.plants import ExactPlant

@@ -204,7 +204,7 @@ def test_a_disk_that_is_full_ends_a_session_with_one_line(
     (spare / f"run{suffix}").write_text("of another run")
     monkeypatch.setattr("tempfile.tempdir", str(spare))
     monkeypatch.setattr("maglev_mj.session.session.best_suffix", lambda: suffix)
-    monkeypatch.setattr("maglev_mj.cli.web.PageOptions.open", lambda _: Mock())
+    monkeypatch.setattr("maglev_mj.cli.peripherals.PageOptions.open", lambda _: Mock())
 
     def full(recording: Recording, path: Path) -> None:
         if spare not in Path(path).parents:

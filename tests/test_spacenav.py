@@ -22,9 +22,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.cli import views
-from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.declare import declare, declared
+from maglev_mj.cli import scenes as commands
+from maglev_mj.cli.declare import Parser, declare, declared
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.cli.peripherals import MouseOptions
 from maglev_mj.errors import ParameterError
@@ -1029,7 +1028,7 @@ def test_an_option_of_a_scene_may_have_the_name_of_a_setting(tmp_path: Path) -> 
 def served(*arguments: str) -> int:
     """Run the command by itself."""
     parser = Parser(prog="maglev-mj serve-spacenav")
-    declare(views.serve_spacenav, parser)
+    declare(commands.serve_spacenav, parser)
     options = parser.parse_args(arguments)
     status: int = options.run(options)
     return status
@@ -1069,7 +1068,7 @@ def test_a_mouse_comes_back_to_its_centre_and_a_stick_of_rates_has_friction(
         scenes.append(scene)
         return Session(scene, **keywords)
 
-    monkeypatch.setattr(views, "Session", session)
+    monkeypatch.setattr(commands, "Session", session)
     assert served("--socket", str(path), "--axes", axes, "--seconds", "0.01") == 0
     assert served("--socket", str(path), "--axes", axes, "--seconds", "0.01", "--friction") == 0
     assert [scene.friction for scene in scenes] == [axes == "rate", True]
@@ -1079,7 +1078,7 @@ def test_the_scripted_hand_does_it_again() -> None:
     scene = Joystick()
     hand = scene.scripted_hand()
     assert hand is not None
-    again = views._Again(hand, scene.end)
+    again = commands._Again(hand, scene.end)
 
     def state() -> tuple[Array, Array]:
         return np.zeros(6), np.zeros(6)
@@ -1101,7 +1100,7 @@ def test_the_scripted_hand_does_it_again() -> None:
 def test_the_scripted_hand_of_the_joystick_comes_back_on_every_axis(axes: str, drift: float, late: float) -> None:
     # Numbers taken for speeds add up to next to nothing over a cycle, and never to much.
     scene, told = Joystick(friction=axes == "rate"), {"pose": PoseAxes, "rate": RateAxes}[axes]()
-    session, end = Session(scene, hand=views._hand(scene)), views.deflections().end
+    session, end = Session(scene, hand=commands._hand(scene)), commands.deflections().end
     sums, most = np.zeros(6), np.zeros(6)
     cycles: list[Array] = []
     for shown in frames(session, 2.01 * end, late):

@@ -25,10 +25,10 @@ from maglev_mj.bridge.bench.commissioning import CoilCheck
 from maglev_mj.bridge.fault import BlackBox, load_black_box
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.cli import completion
-from maglev_mj.cli.arguments import joined
-from maglev_mj.cli.commands import COMMANDS, GROUPS
+from maglev_mj.cli.declare import joined
 from maglev_mj.cli.device import _coil_row
-from maglev_mj.cli.progress import Progress
+from maglev_mj.cli.output import Progress
+from maglev_mj.cli.program import COMMANDS, GROUPS
 from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.studies.fidelity import COMPARED, LevelResult, levels_table
 from maglev_mj.studies.levels import LEVELS

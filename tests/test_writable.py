@@ -10,7 +10,7 @@ import pytest
 
 from maglev_mj import cli
 from maglev_mj.cli import output, program
-from maglev_mj.cli.commands import COMMANDS
+from maglev_mj.cli.program import COMMANDS
 from tests.test_options import NEEDED
 
 INPUTS = {"--calibration", "--key", "--profile", "--truth"}

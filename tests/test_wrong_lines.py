@@ -9,7 +9,7 @@ from typing import TypeAlias
 import pytest
 
 from maglev_mj import cli
-from maglev_mj.cli.commands import COMMANDS
+from maglev_mj.cli.program import COMMANDS
 from tests.test_options import NEEDED
 
 SCENES = {

@@ -16,9 +16,9 @@ from sphinx.application import Sphinx
 from sphinx.util.osutil import FileAvoidWrite
 
 from maglev_mj.cli import parser
-from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.commands import GROUPS
+from maglev_mj.cli.declare import Parser
 from maglev_mj.cli.options import add_parameters
+from maglev_mj.cli.program import GROUPS
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.names import scene_names
 

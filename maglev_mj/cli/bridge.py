@@ -26,14 +26,22 @@ from maglev_mj.bridge.realtime import realtime as scheduled
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.wire import Fault, fault_names
-from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.declare import Shared, option
-from maglev_mj.cli.kinds import Address, CalibrationFile, Key, Realtime, Record, Seconds
-from maglev_mj.cli.options import add_parameters, chosen
-from maglev_mj.cli.peripherals import PublisherOptions
-from maglev_mj.cli.progress import Progress
-from maglev_mj.cli.scenes import add_scene, chosen_scene, warn_of_instability
-from maglev_mj.cli.web import PageOptions
+from maglev_mj.cli.declare import Parser, Shared, option
+from maglev_mj.cli.options import (
+    Address,
+    CalibrationFile,
+    Key,
+    Realtime,
+    Record,
+    Seconds,
+    add_parameters,
+    add_scene,
+    chosen,
+    chosen_scene,
+    warn_of_instability,
+)
+from maglev_mj.cli.output import Progress
+from maglev_mj.cli.peripherals import PageOptions, PublisherOptions
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.scenes import Scene

@@ -15,7 +15,7 @@ from contextlib import suppress
 from typing import Any
 
 import maglev_mj
-from maglev_mj.cli.arguments import Parser, offer
+from maglev_mj.cli.declare import Parser, offer
 from maglev_mj.scenes.names import BUILT_IN, scene_names
 
 _FILES = "FILE", "DIR", "PATH"
@@ -27,13 +27,9 @@ _NO_SCENE = r"-(?!-scene).*|[\d.]+(e-?\d+)?"
 def complete(parser: Parser) -> None:
     """Answer a shell's request for completions, and exit.
 
-    Return at once without a request.
-
     Args:
         parser: Parser of all commands.
     """
-    if "_ARGCOMPLETE" not in os.environ:
-        return
     import argcomplete
     from argcomplete.lexers import split_line
 

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from maglev_mj.cli.declare import option
-from maglev_mj.cli.kinds import Address, CalibrationFile, Json, Key, Realtime, Seconds
-from maglev_mj.cli.output import write_result
-from maglev_mj.cli.progress import Progress
+from maglev_mj.cli.options import Address, CalibrationFile, Json, Key, Realtime, Seconds
+from maglev_mj.cli.output import Progress, write_result
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.terminal import say, wrapped
 

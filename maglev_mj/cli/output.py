@@ -1,19 +1,102 @@
-"""Outputs of commands: checked before the work, then written as JSON, pictures and tables."""
+"""Outputs of commands: checked before the work, then a progress bar, JSON, pictures and tables."""
 
 from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Mapping, Sequence
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self, TextIO
 
+from maglev_mj.cli.declare import Parser
 from maglev_mj.errors import ParameterError
 
 if TYPE_CHECKING:
     from maglev_mj.errors import DivergenceError
     from maglev_mj.pictures import PictureFolder
     from maglev_mj.result import Result
+
+_WIDTH, _SLIDER = 30, 6
+_ERASED = "\r\x1b[K"
+
+
+class Progress:
+    """Context manager that draws a progress bar.
+
+    Call it with the finished and the total work.
+
+    Args:
+        label: Name of the work.
+        stream: Output stream; standard error by default.
+        quiet: Time before the first drawing [s].
+        every: Time between two drawings [s].
+    """
+
+    def __init__(self, label: str, stream: TextIO | None = None, *, quiet: float = 2.0, every: float = 0.2) -> None:
+        self._label, self._stream = label, stream or sys.stderr
+        self._quiet, self._every = quiet, every
+        self._began = self._start = time.monotonic()
+        self._first = self._done = self._total = 0
+        self._shown = False
+        self._lock, self._over = threading.Lock(), threading.Event()
+        self._thread = threading.Thread(target=self._draw, name="progress", daemon=True)
+
+    def __enter__(self) -> Self:
+        if self._stream.isatty():
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        with self.aside():
+            pass
+
+    def __call__(self, done: int, total: int) -> None:
+        """Update the finished work.
+
+        Less than before begins a second part.
+        """
+        with self._lock:
+            if not self._total or done < self._done:
+                self._start, self._first = time.monotonic(), done
+            self._done, self._total = done, total
+
+    @contextmanager
+    def aside(self) -> Iterator[None]:
+        """Remove the bar while something else is printed."""
+        with self._lock:
+            if self._shown:
+                self._stream.write(_ERASED)
+                self._stream.flush()
+                self._shown = False
+            yield
+
+    def _draw(self) -> None:
+        wait = self._quiet
+        while not self._over.wait(wait):
+            wait = self._every
+            with self._lock:
+                self._stream.write(_ERASED + self._bar())
+                self._stream.flush()
+                self._shown = True
+
+    def _bar(self) -> str:
+        now = time.monotonic()
+        if not self._total:
+            place = int((now - self._began) / self._every) % (_WIDTH - _SLIDER + 1)
+            bar = f"{'.' * place}{'#' * _SLIDER}".ljust(_WIDTH, ".")
+            return f"[{bar}] {self._label}: {now - self._began:.0f} s"
+        bar = ("#" * (_WIDTH * self._done // self._total)).ljust(_WIDTH, ".")
+        fresh = self._done - self._first
+        left = f", {(now - self._start) * (self._total - self._done) / fresh:.0f} s left" if fresh else ""
+        return f"[{bar}] {self._label}: {self._done} of {self._total}{left}"
+
 
 _OUTPUTS = "json", "record", "write", "identify", "out"
 _FILES = "render", "export"
@@ -151,3 +234,67 @@ def write_result(json: str | None, result: Result, pictures: PictureFolder | Non
         return () if pictures is None else [result.plot(pictures.path(picture))]
 
     write_results(json, result.as_json, lambda: str(result.table()), draw)
+
+
+FORMATS = "png", "pdf", "svg"
+"""Formats of pictures: those of `maglev_mj.pictures`, which loads arrays."""
+
+
+def add_pictures(parser: Parser, told: str = "write pictures to this folder", default: Path | None = None) -> None:
+    """Add --out and --format.
+
+    Args:
+        parser: Parser of the command.
+        told: Help of --out.
+        default: Default folder; None for no pictures.
+    """
+    output = parser.group("output")
+    output.add_argument("--out", metavar="DIR", type=Path, default=default, help=told)
+    output.add_argument(
+        "--format", metavar="NAME", choices=FORMATS, help=f"of pictures: {', '.join(FORMATS)} (default {FORMATS[0]})"
+    )
+
+
+def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
+    """Return the chosen picture folder; None for no pictures.
+
+    Raises:
+        ParameterError: If a format is given without a folder, or the folder is a file.
+        MissingPackageError: If matplotlib is not installed.
+    """
+    folder = options.out
+    if folder is None:
+        if options.format is not None:
+            raise ParameterError(f"format must be given with out, the folder of pictures, not {options.format!r} alone")
+        return None
+    from maglev_mj.pictures import PictureFolder, require  # with arrays, which a help does not need
+
+    require()
+    check_folder(folder)
+    return PictureFolder(folder, options.format or FORMATS[0])
+
+
+def script_options(
+    description: str | None, quick: str | None = None, more: Callable[[Parser], object] = lambda parser: None
+) -> argparse.Namespace:
+    """Return the options of a script that draws.
+
+    Args:
+        description: Description of the script.
+        quick: Help of `--quick`; None for a script without it.
+        more: Called with the parser, for options of its own.
+
+    Returns:
+        `pictures`, a `PictureFolder`, and `quick`.
+    """
+    parser = Parser(description=description)
+    add_pictures(parser, "write files to this folder (default figures)", Path("figures"))
+    if quick is not None:
+        parser.add_argument("--quick", action="store_true", help=quick)
+    more(parser)
+    options = parser.parse_args()
+    try:
+        options.pictures = chosen_pictures(options)
+    except ParameterError as error:
+        parser.error(str(error))
+    return options

@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from maglev_mj.cli.declare import option
-from maglev_mj.cli.kinds import Picture, Pictures, Recorded, json_of
-from maglev_mj.cli.output import check_files, write_json
-from maglev_mj.cli.progress import Progress
-from maglev_mj.cli.web import PageOptions, show_session
+from maglev_mj.cli.options import Picture, Pictures, Recorded, json_of
+from maglev_mj.cli.output import Progress, check_files, write_json
+from maglev_mj.cli.peripherals import PageOptions, show_session
 from maglev_mj.errors import ParameterError
 from maglev_mj.terminal import printable, say, wrapped
 

@@ -1,152 +1,317 @@
-"""Scene argument of a command and options of its parameters."""
+"""Commands that run or show a scene."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+import math
+import re
+import threading
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing
+from inspect import getdoc
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple, TypeAlias
 
-from maglev_mj.cli.arguments import Parser, number_option
-from maglev_mj.cli.options import add_parameters, chosen
-from maglev_mj.errors import ParameterError
-from maglev_mj.terminal import say
+from maglev_mj.bridge.realtime import stopping
+from maglev_mj.cli.declare import Parser, Shared, count, offer, option
+from maglev_mj.cli.options import (
+    Folder,
+    Pictures,
+    Record,
+    Seconds,
+    Shown,
+    add_parameters,
+    add_phase,
+    add_scene,
+    chosen_scene,
+    json_of,
+    warn_of_instability,
+)
+from maglev_mj.cli.output import Progress, keep_partial, write_results
+from maglev_mj.cli.peripherals import HandOptions, PageOptions, PublisherOptions, ServedMouse, show_session
+from maglev_mj.errors import DivergenceError, MaglevError, ParameterError
+from maglev_mj.frames import AXES, Component
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.find import find_scene
+from maglev_mj.scenes.run import Begin, run_variants
+from maglev_mj.session import Session, real_time
+from maglev_mj.session.tour import Tour
 
-if TYPE_CHECKING:
-    from maglev_mj.scenes.scene import Scene
 
-_MORE = "SCENE is a name, FILE.py or FILE.py:CLASS; SCENE --help lists its own options."
+class _Sampling(NamedTuple):
+    """Chosen plant and phases of the samples."""
 
-More = Callable[[Parser, "type[Scene]"], object]
-Find = Callable[[str], "Scene | type[Scene] | None"]
+    plant: str
+    phase: float
+    phases: int | None
 
 
-def add_scene(
-    parser: Parser,
-    *,
-    more: More | None = None,
-    option: str | None = None,
-    default: str | None = None,
-    without: Sequence[str] = (),
-    options: bool = True,
-    instead: Callable[[Parser], object] | None = None,
-    find: Find | None = None,
-    names: Sequence[str] = (),
-) -> None:
-    """Add the scene argument and options of the scene's parameters.
-
-    The class is found while the arguments are parsed, and stored in `scene_class`.
-
-    Args:
-        parser: Parser of the command.
-        more: Called with parser and scene's class, for options that depend on it.
-        option: Name of the scene's option, such as "--scene"; None for the command's first word.
-        default: Default scene; None if the scene is required.
-        without: Names of parameters without option.
-        options: False if parameters are given in another way.
-        instead: Called with the parser if no scene is given, for a command with an optional scene.
-        find: Function that finds the scene, or one with the default values of the options, where it is not
-            `find_scene`; it returns None for no options.
-        names: Further names that `find` knows.
-    """
-    from maglev_mj.scenes.find import find_scene
-    from maglev_mj.scenes.names import scene_names
-
-    known = [*scene_names(), *names]
-    told = f"{', '.join(known)}, or a file" + (f" (default {default})" if default else "")
-    group = parser.group("scene")
-    if option is not None:
-        group.add_argument(option, dest="scene", default=default, metavar="SCENE", help=told)
+def _add_sampling(parser: Parser, cls: type[Scene]) -> None:
+    plants, group = cls.plants, parser.group("run")
+    described = f"{', '.join(plants)} (default {plants[0]})"
+    offer(group.add_argument("--plant", default=plants[0], metavar="NAME", help=described), plants)
+    if cls.takes_phase:
+        add_phase(parser, "run", 0.0)
+        group.add_argument("--phases", type=count, metavar="N", help="also sweep N phases, evenly spread over a period")
     else:
-        parser.add_argument(
-            "scene", nargs="?" if default or instead else None, default=default, metavar="SCENE", help=told
+        parser.set_defaults(phase=0.0, phases=None)
+
+
+def _chosen_sampling(options: argparse.Namespace) -> _Sampling:
+    return _Sampling(options.plant, options.phase, options.phases)
+
+
+def _add_scene(parser: Parser) -> None:
+    """Add the options of any scene, or of the one that the command is named by."""
+    name = parser.prog.split()[-1]
+    if name == "run":
+        add_scene(parser, more=_add_sampling)
+        return
+    cls = find_scene(name)
+    parser.description, _, parser.epilog = str(getdoc(cls)).partition("\n\n")
+    parser.set_defaults(scene_class=cls)
+    add_parameters(parser.group("parameters of the scene"), cls)
+    _add_sampling(parser, cls)
+
+
+def run(
+    *,
+    scene: Annotated[Scene, Shared(_add_scene, chosen_scene)],
+    sampling: Annotated[_Sampling, Shared(None, _chosen_sampling)],
+    json: Annotated[str | None, json_of("parameters, motion and figures")] = None,
+    pictures: Pictures,
+    record: Record = None,
+) -> int:
+    """Run any scene: of this package, or a file of yours."""
+    warn_of_instability(scene)
+    alone = json == "-" and pictures is None
+    variants = dict(list(scene.variants().items())[: 1 if alone else None])
+    banded = pictures is not None and scene.drawn_phases and "exact" in scene.plants
+    bands = (sampling.phases or scene.drawn_phases) if banded else None
+    written = list[Path]()
+    recording: AbstractContextManager[Begin] | None = None
+    if record is not None:
+        from maglev_mj.session.replay import recorded_to  # with all that reads and writes recordings
+
+        recording = recorded_to(record, written)
+    try:
+        with Progress(scene.name) as progress:
+            results = run_variants(
+                variants,
+                plant=sampling.plant,
+                phase=sampling.phase,
+                phases=sampling.phases,
+                bands=bands,
+                recording=recording,
+                compare=json != "-",
+                progress=progress,
+            )
+    except DivergenceError as error:
+        keep_partial(error, json)
+        raise
+
+    def draw() -> Sequence[Path]:
+        if pictures is None:
+            return ()
+        return [results.plot(pictures.path(name), picture=name) for name in results.pictures]
+
+    write_results(json, results.as_json, lambda: str(results.table()), draw, written)
+    return 0
+
+
+_SCENE = "joystick"
+_LEAST, _MOST = 160, 4000  # pixels of a picture's side
+_STEP = 1.0 / 240.0
+_STANDSTILL = 1.0
+_OUT, _TURNED = 0.003, math.radians(3.5)
+_QUARTER = 0.5
+
+
+def _add_joystick(parser: Parser) -> None:
+    add_scene(parser, default=_SCENE)
+
+
+_SeenScene: TypeAlias = Annotated[Scene, Shared(_add_joystick, chosen_scene)]
+# a 3D mouse returns to the centre by itself; a slave is moved without that
+_Served: TypeAlias = Annotated[
+    Scene, Shared(_add_joystick, lambda options: chosen_scene(options, friction=options.axes == "rate"))
+]
+
+
+def view(
+    *,
+    scene: _SeenScene,
+    hand_stiffness: Annotated[float, option("of the spring by which the hand pulls [N/m]")] = SpringHand.stiffness,
+    seconds: Shown = None,
+    record: Record = None,
+    out: Folder = Path(),
+    page: PageOptions,
+    input_hand: HandOptions,
+    publishing: PublisherOptions,
+) -> int:
+    """Feel a scene in a window: pull with the mouse."""
+    hand = SpringHand(stiffness=hand_stiffness)
+    warn_of_instability(scene)  # and errors of a user's scene, before a page is opened
+    front = page.open()
+    if front is None:
+        # imported here: it loads the library that opens windows
+        from maglev_mj.views.window.window import require_display
+
+        require_display()
+    out.mkdir(parents=True, exist_ok=True)
+    # the device first: a 3D mouse of our own is none for this hand
+    with input_hand.open(hand) as devices, publishing.open() as (publishers, live):
+        session = Session(
+            scene,
+            hand=hand,
+            folder=out,
+            record=record,
+            file=live,
+            publishers=[*publishers, *devices],
+            step_force=publishing.step_force,
         )
-    parser.epilog = f"{parser.epilog}\n{_MORE}" if parser.epilog else _MORE
-    parser.set_defaults(scene_class=None)
-
-    def before(arguments: Sequence[str]) -> None:
-        text = _given(parser, arguments, option, known) or default
-        if text is None:
-            if instead is not None:
-                instead(parser)
-            return
+        for device in devices:
+            device.act = session.act
         try:
-            found = (find or find_scene)(text)
-        except ParameterError as error:
-            parser.error(str(error))
-        if found is None:
-            return
-        cls = found if isinstance(found, type) else type(found)
+            print(show_session(session, front, out, seconds))
+        finally:
+            for path in session.recordings:  # after any error the user needs their paths
+                print(f"  wrote {path}")
+    return 0
+
+
+def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, out: Folder = Path()) -> int:
+    """Walls and friction in eight steps, guided."""
+    front, hand = page.open(), SpringHand()
+    out.mkdir(parents=True, exist_ok=True)
+    with input_hand.open(hand) as devices:
+        session = Session(hand=hand, folder=out, publishers=devices)
+        for device in devices:
+            device.act = session.act
         try:
-            if options:
-                add_parameters(group, found, without=without)
-                group.title = f"parameters of {cls.name}"
-            if more is not None:
-                more(parser, cls)
-        except (argparse.ArgumentError, ParameterError) as error:  # a name that is an option here, or a bad default
-            parser.error(f"scene {cls.name} cannot be given here: {error}")
-        parser.set_defaults(scene_class=found)
-
-    parser.before = before
+            print(show_session(Tour(session), front, out, seconds))
+        finally:
+            for path in session.recordings:
+                print(f"  wrote {path}")
+    return 0
 
 
-def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
-    """Return the given scene with the chosen parameters.
+def render(
+    *,
+    scene: _SeenScene,
+    out: Annotated[Path, option("a .png, .gif or .mp4", "output")],
+    seconds: Annotated[
+        float | None,
+        option(
+            "length of a clip, or when a picture is taken [s] (default: as long as the scene lasts, or half)",
+            "output",
+            at_least=0.0,
+            at_most=600.0,
+        ),
+    ] = None,
+    size: Annotated[str, option("pixels", "output", "WxH")] = "1200x750",
+    fps: Annotated[int, option("pictures a second", "output", at_least=1, at_most=50)] = 20,
+    plain: Annotated[bool, option("leave plots and words out", "output")] = False,
+) -> int:
+    """A picture or a clip of a scene, without a window."""  # noqa: D401
+    # imported here: it loads the libraries that draw
+    from maglev_mj.views.window.offscreen import checked_name, render
 
-    Args:
-        options: Parsed options.
-        defaults: Values in place of the scene's own defaults, for parameters of the scene.
+    width, height = _pixels(size)
+    checked_name(out)
+    with Progress(f"render {scene.name}") as progress:
+        frames = render(
+            scene,
+            out,
+            seconds=seconds,
+            width=width,
+            height=height,
+            rate=fps,
+            plots=not plain,
+            progress=progress,
+        )
+    print(f"wrote {out}" + (f", {frames} pictures" if frames > 1 else ""))
+    return 0
+
+
+def _pixels(size: str) -> tuple[int, int]:
+    """Return width and height of a text such as 1200x750.
 
     Raises:
-        ParameterError: If a value is outside its bounds.
+        ParameterError: If the text has another form, or a size is outside its bounds.
     """
-    found = options.scene_class
-    made: Scene = found() if isinstance(found, type) else found
-    names = {one.name for one in made.parameters()}
-    return chosen(options, made.replace(**{name: value for name, value in defaults.items() if name in names}))
+    match = re.fullmatch(r"(\d{1,5})x(\d{1,5})", size)
+    if match is None or not all(_LEAST <= int(part) <= _MOST for part in match.groups()):
+        raise ParameterError(f"size must be WxH, such as 1200x750, of {_LEAST} to {_MOST} pixels each, not {size!r}")
+    return int(match[1]), int(match[2])
 
 
-def add_phase(parser: Parser, group: str, default: float | None) -> None:
-    """Add --phase."""
-    text = "the samples are at (k + phase) period, in [0, 1) (default 0)"
-    parser.group(group).add_argument("--phase", type=number_option, default=default, metavar="X", help=text)
+def serve_spacenav(*, scene: _Served, mouse: ServedMouse, seconds: Seconds = None) -> int:
+    """A scene in a scripted hand as the 3D mouse of other programs, without a window."""  # noqa: D401
+    server = mouse.open()
+    ended = threading.Event()
+    with closing(server), closing(Session(scene, hand=_hand(scene), publishers=[server])) as session:
+        with engine_warnings_silenced(), stopping(ended.set):
+            _run(session, ended, seconds)
+    print(
+        f"  {server.sent} events, {server.missed} missed, {server.dropped} programs dropped, {server.refused} refused"
+    )
+    return 0
 
 
-def scene_class(options: argparse.Namespace) -> Any:
-    """Return what was found by the given name; None without one."""
-    return options.scene_class
+def deflections() -> Trajectory:
+    """Return a path along each axis in turn, both ways.
+
+    The deflections add up to zero on every axis, so a program that takes them for speeds ends at its start.
+    """
+    turns = [(axis, sign) for axis in range(len(AXES)) for sign in (1.0, -1.0, 0.0)]
+    gaps = {1.0: _QUARTER, -1.0: 2.0 * _QUARTER, 0.0: _QUARTER}
+    times, poses = [0.0], [[0.0] * len(AXES)]
+    for axis, sign in turns:
+        pose = [0.0] * len(AXES)
+        pose[axis] = sign * (_OUT if axis < 3 else _TURNED)
+        times.append(times[-1] + gaps[sign])
+        poses.append(pose)
+    return Trajectory(times, poses)
 
 
-def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None, delay: float | None = None) -> None:
-    """Warn on standard error if a scene may be unstable.
+class _Again:
+    """Hand that starts again at the end of the scene.
 
     Args:
-        scene: See `stability_warning`.
-        inertia: See `stability_warning`.
-        delay: See `stability_warning`.
+        hand: The hand.
+        end: End of the scene [s].
     """
-    from maglev_mj.scenes.stability_check import stability_warning
 
-    if (warning := stability_warning(scene, inertia=inertia, delay=delay)) is not None:
-        say(f"  warning: {warning}", sys.stderr)
+    def __init__(self, hand: HandForce, end: float) -> None:
+        self._hand, self._end, self.hand = hand, end, getattr(hand, "hand", None)
+
+    def __call__(self, tick: int, time: Component, state: Any) -> Sequence[Component]:
+        """See `HandForce`."""
+        return self._hand(tick, time % self._end, state)
 
 
-def _given(parser: Parser, arguments: Sequence[str], option: str | None, names: Sequence[str]) -> str | None:
-    """Return the scene among the arguments, after options if any."""
-    if option is not None:
-        for place, word in enumerate(arguments):
-            if word == option and place + 1 < len(arguments):
-                return arguments[place + 1]
-            if word.startswith(f"{option}="):
-                return word.partition("=")[2]
-        return None
-    if arguments and not arguments[0].startswith("-"):
-        return arguments[0]
-    before = ""
-    for word in arguments:
-        known = parser._option_string_actions.get(before)
-        before = word
-        # the value of an option is none: a file that is given for something else must not be run
-        if known is None and (word in names or word.partition(":")[0].endswith(".py")):
-            return word
-    return None
+def _hand(scene: Scene) -> HandForce:
+    """Return the scene's own hand, repeated.
+
+    The joystick gets a hand that returns a view to its start.
+    """
+    if scene.name == _SCENE:
+        path = deflections()
+        return _Again(SpringHand(stiffness=1000.0, turning_stiffness=3.0, target=path), path.end)
+    script = scene.scripted_hand()
+    return SpringHand() if script is None else _Again(script, scene.end)
+
+
+def _run(session: Session, ended: threading.Event, seconds: float | None) -> None:
+    """Run in real time until the end."""
+    moved = 0.0
+    for elapsed, now in real_time(seconds, _STEP):
+        if session.tick(elapsed):
+            moved = now
+        if now - moved > _STANDSTILL:
+            raise MaglevError("; ".join(session.snapshot().notes))
+        if ended.is_set():
+            return

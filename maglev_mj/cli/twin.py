@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS
 from maglev_mj.cli.declare import option
-from maglev_mj.cli.kinds import CalibrationFile, Key, Realtime, Seconds
-from maglev_mj.cli.web import Foxglove, PageOptions, open_foxglove
+from maglev_mj.cli.options import CalibrationFile, Key, Realtime, Seconds
+from maglev_mj.cli.peripherals import Foxglove, PageOptions, open_foxglove
 from maglev_mj.errors import ParameterError
 from maglev_mj.spec import Spec
 

@@ -29,8 +29,8 @@ import growth
 import realism
 import speed_accuracy
 import speed_tables
-from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.declare import Parser
+from maglev_mj.cli.output import script_options
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import number
 from maglev_mj.versions import versions

@@ -4,7 +4,7 @@ import numpy as np
 
 from gym_environment import SAMPLES, TargetEnv, spring_and_damper
 from maglev_mj import Timing, run, run_phases
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.pictures import Panel, small_multiples
 from maglev_mj.scenes.drop import Drop
 from own_law import Button, press

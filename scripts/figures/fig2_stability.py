@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.frames import Array
 from maglev_mj.pictures import SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.spec import Spec

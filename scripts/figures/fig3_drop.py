@@ -3,7 +3,7 @@
 The flotor falls on an emulated wall, with both readings of the braking pulse.
 """
 
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run_variants
 

@@ -3,7 +3,7 @@
 Both readings of the pulse, beside the ideal analog wall.
 """
 
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run_variants
 

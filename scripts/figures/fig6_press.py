@@ -3,7 +3,7 @@
 A hand hits the wall several times, then presses against it.
 """
 
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run_variants
 

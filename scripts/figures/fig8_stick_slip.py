@@ -3,7 +3,7 @@
 The flotor is pulled out of emulated friction, beside exact Karnopp friction.
 """
 
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.scenes.run import run_variants
 from maglev_mj.scenes.stick_slip import StickSlip
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from maglev_mj import AXES
 from maglev_mj.analysis.pictures import staircases
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.frames import Array
 from maglev_mj.pictures import save
 from maglev_mj.spec import INERTIA, RANGE

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.cli.pictures import script_options
-from maglev_mj.cli.progress import Progress
+from maglev_mj.cli.output import Progress, script_options
 from maglev_mj.pictures import TITLE, new_figure, save
 from maglev_mj.studies.cells import local_workers
 from maglev_mj.studies.drop_map import DropMapParameters, Ending, run_drop_map

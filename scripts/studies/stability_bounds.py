@@ -7,7 +7,7 @@ import json
 
 import numpy as np
 
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.frames import Array
 from maglev_mj.pictures import Panel, small_multiples
 from maglev_mj.plants import INTEGRATORS

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from impacts import RATTLE, rattle
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.frames import Array, Mask
 from maglev_mj.pictures import SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.spec import RANGE, Spec

@@ -14,7 +14,7 @@ import numpy as np
 from failures import corner, press_at_edge, random_delay_rate
 from impacts import RATTLE, limited_drop, rattle
 from maglev_mj import Timing, Wall
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.control import Law, ObserverWall
 from maglev_mj.pictures import Panel, small_multiples
 from maglev_mj.plants.hand import Hand

@@ -1,4 +1,4 @@
-"""Motion of a scene as a 3D mouse has it: axes, buttons, and position and rate control in one stick."""
+"""Axes and buttons of a scene as a 3D mouse has them, by position or rate."""
 
 from __future__ import annotations
 
