@@ -1068,7 +1068,7 @@ def test_a_mouse_comes_back_to_its_centre_and_a_stick_of_rates_has_friction(
         scenes.append(scene)
         return Session(scene, **keywords)
 
-    monkeypatch.setattr(commands, "Session", session)
+    monkeypatch.setattr("maglev_mj.session.Session", session)
     assert served("--socket", str(path), "--axes", axes, "--seconds", "0.01") == 0
     assert served("--socket", str(path), "--axes", axes, "--seconds", "0.01", "--friction") == 0
     assert [scene.friction for scene in scenes] == [axes == "rate", True]

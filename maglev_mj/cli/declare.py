@@ -195,6 +195,7 @@ class Option(NamedTuple):
     take: Take | None
     inverse: str
     const: object
+    default: Callable[[], Any] | None
     bounds: Mapping[str, float]
 
 
@@ -220,6 +221,7 @@ def option(
     take: Take | None = None,
     inverse: str = "",
     const: object = None,
+    default: Callable[[], Any] | None = None,
     **bounds: float,
 ) -> Option:
     """Declare an option; an argument if it has no group.
@@ -233,9 +235,10 @@ def option(
         take: Function that returns the parameter's value.
         inverse: Name of an option that gives its inverse.
         const: Value of the option without a word; None if it needs one.
+        default: Function that returns its default, where that is in a library of the command.
         bounds: Bounds of its number, as `number` has them.
     """
-    return Option(help, group, metavar, name, kind, take, inverse, const, bounds)
+    return Option(help, group, metavar, name, kind, take, inverse, const, default, bounds)
 
 
 def declare(function: Callable[..., int], parser: Parser) -> None:
@@ -289,6 +292,7 @@ def _add(parser: Parser, name: str, kind: Any, about: Option, default: Any) -> N
         return
     parser.declared.add(flag)
     into: Container = parser.group(about.group) if about.group else parser
+    default = default if about.default is None else about.default()
     settings: dict[str, Any] = {"help": about.help}
     if about.group:
         settings |= {"dest": name, "default": None if default is Parameter.empty else default}

@@ -135,11 +135,17 @@ def range_of(name: str, words: Sequence[str] | None) -> tuple[float, float] | No
     return values[0], values[-1]
 
 
-def parameters(declared: Parameters | type[Parameters], group: str, prefix: str = "") -> Shared:
-    """Declare the options of parameters as one value; see `add_parameters` and `chosen`."""
+def parameters(declared: Callable[[], Parameters], group: str, prefix: str = "") -> Shared:
+    """Declare the options of parameters as one value; see `add_parameters` and `chosen`.
+
+    Args:
+        declared: Function that returns them with their defaults, and loads what they need.
+        group: Title of their group in the help.
+        prefix: Prefix of each option's name.
+    """
     return Shared(
-        lambda parser: add_parameters(parser.group(group), declared, prefix),
-        lambda options: chosen(options, declared, prefix),
+        lambda parser: add_parameters(parser.group(group), declared(), prefix),
+        lambda options: chosen(options, declared(), prefix),
     )
 
 

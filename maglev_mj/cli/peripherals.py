@@ -16,16 +16,14 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 from maglev_mj.cli.declare import Parser, Shared, count, option
 from maglev_mj.cli.options import parameters
 from maglev_mj.errors import ParameterError, check_one_of, require
-from maglev_mj.interop.foxglove import LiveServer
-from maglev_mj.interop.hand_devices import AUTO, HAND_MAPPING, HandDevice, described_devices, open_device
-from maglev_mj.interop.spacenav import AxisMapping, PoseAxes, RateAxes, SpacenavMapping, SpacenavServer, Taps
-from maglev_mj.plants.hand import SpringHand
-from maglev_mj.session import STEP_FORCE, Publisher
 from maglev_mj.terminal import say
 
 if TYPE_CHECKING:
     from maglev_mj.interop.foxglove import LiveServer
-    from maglev_mj.session import SnapshotSource
+    from maglev_mj.interop.hand_devices import HandDevice
+    from maglev_mj.interop.spacenav import AxisMapping, SpacenavMapping, SpacenavServer
+    from maglev_mj.plants.hand import SpringHand
+    from maglev_mj.session import Publisher, SnapshotSource
     from maglev_mj.views.remote import Front, ShowReport
 
 PORT = 8123
@@ -202,10 +200,29 @@ def _has_screen() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-_REPORTS: dict[str, Callable[..., Any]] = {"pose": PoseAxes, "rate": RateAxes}
-"""Reported axes by name."""
-
 _MOUSE, _HAND = "3D mouse of other programs", "gamepad or 3D mouse as the hand"
+
+
+def _mouse_mapping() -> SpacenavMapping:
+    from maglev_mj.interop.spacenav import SpacenavMapping
+
+    return SpacenavMapping()
+
+
+def _hand_mapping() -> AxisMapping:
+    from maglev_mj.interop.hand_devices import HAND_MAPPING
+
+    return HAND_MAPPING
+
+
+def _step_force() -> float:
+    from maglev_mj.session import STEP_FORCE
+
+    return STEP_FORCE
+
+
+_MouseMapping: TypeAlias = Annotated["SpacenavMapping", parameters(_mouse_mapping, _MOUSE, "spacenav-")]
+_HandMapping: TypeAlias = Annotated["AxisMapping", parameters(_hand_mapping, _HAND, "hand-")]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -222,7 +239,7 @@ class ServedMouse:
             "what those are told: pose, the deflection; or rate, the motion of a slave (default pose)", _MOUSE, "WHAT"
         ),
     ] = None
-    mapping: Annotated[SpacenavMapping, parameters(SpacenavMapping, _MOUSE, "spacenav-")]
+    mapping: _MouseMapping
 
     def open(self, say: Callable[[str], object] = say) -> SpacenavServer:
         """Start and return the server.
@@ -233,10 +250,13 @@ class ServedMouse:
         Raises:
             ParameterError: If an option is wrong.
         """
+        from maglev_mj.interop.spacenav import PoseAxes, RateAxes, SpacenavServer, Taps
+
+        reports: dict[str, Any] = {"pose": PoseAxes, "rate": RateAxes}
         axes = "pose" if self.axes is None else self.axes
-        check_one_of("axes", _REPORTS, axes)
+        check_one_of("axes", reports, axes)
         buttons = None if self.mapping.press is None else Taps(self.mapping.press)
-        server = SpacenavServer(self.socket, axes=_REPORTS[axes](mapping=self.mapping), buttons=buttons)
+        server = SpacenavServer(self.socket, axes=reports[axes](mapping=self.mapping), buttons=buttons)
         say("  a 3D mouse; for the programs that are to have it:")
         say(f"    export SPNAV_SOCKET={server.path.resolve()}")
         return server
@@ -265,7 +285,7 @@ class MouseOptions:
         for name in ("socket", "axes"):
             if getattr(self.mouse, name) is not None:
                 raise ParameterError(f"{name} is for --spacenav")
-        if self.mouse.mapping != SpacenavMapping():
+        if self.mouse.mapping != _mouse_mapping():
             raise ParameterError("spacenav-gain and the like are for --spacenav")
         return []
 
@@ -293,9 +313,10 @@ class PublisherOptions:
             "largest step of force where the flotor is that new settings may make [N]",
             "other programs",
             name="step-force",
+            default=_step_force,
             above=0.0,
         ),
-    ] = STEP_FORCE
+    ]
     spacenav: MouseOptions
 
     @contextmanager
@@ -325,9 +346,15 @@ class _Device(argparse.Action):
         if values != "list":
             setattr(namespace, self.dest, values)
             return
+        from maglev_mj.interop.hand_devices import described_devices
+
         for line in described_devices() or ["no 3D mouse and no gamepad"]:
             print(f"  {line}")
         parser.exit()
+
+
+_AUTO = "auto"
+"""Name that selects the first device: that of `maglev_mj.interop.hand_devices`, which loads arrays."""
 
 
 def _add_hand_device(parser: Parser) -> None:
@@ -335,7 +362,7 @@ def _add_hand_device(parser: Parser) -> None:
         "--hand-device",
         nargs="?",
         action=_Device,
-        const=AUTO,
+        const=_AUTO,
         metavar="NAME",
         help="a gamepad or 3D mouse as the hand: part of its name, spacenav, a socket's path, or auto for the first; "
         "list prints all",
@@ -347,7 +374,7 @@ class HandOptions:
     """Chosen gamepad or 3D mouse as the hand."""
 
     name: Annotated[str | None, Shared(_add_hand_device, lambda options: options.hand_device)] = None
-    mapping: Annotated[AxisMapping, parameters(HAND_MAPPING, _HAND, "hand-")]
+    mapping: _HandMapping
 
     @contextmanager
     def open(self, hand: SpringHand, tell: Callable[[str], object] = say) -> Iterator[list[HandDevice]]:
@@ -363,10 +390,12 @@ class HandOptions:
             ParameterError: If an option is given without --hand-device, or the device is not there.
         """
         if self.name is None:
-            if self.mapping != HAND_MAPPING:
+            if self.mapping != _hand_mapping():
                 raise ParameterError("hand-gain and the like are for --hand-device")
             yield []
             return
+        from maglev_mj.interop.hand_devices import HandDevice, open_device
+
         device = open_device(self.name)
         tell(f"  the hand: {device.name}")
         with closing(HandDevice(device, hand, self.mapping)) as opened:

@@ -5,14 +5,11 @@ from __future__ import annotations
 import argparse
 import math
 import re
-import threading
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, closing
-from inspect import getdoc
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
-from maglev_mj.bridge.realtime import stopping
 from maglev_mj.cli.declare import Parser, Shared, count, offer, option
 from maglev_mj.cli.options import (
     Folder,
@@ -30,14 +27,17 @@ from maglev_mj.cli.options import (
 from maglev_mj.cli.output import Progress, keep_partial, write_results
 from maglev_mj.cli.peripherals import HandOptions, PageOptions, PublisherOptions, ServedMouse, show_session
 from maglev_mj.errors import DivergenceError, MaglevError, ParameterError
-from maglev_mj.frames import AXES, Component
-from maglev_mj.plants import engine_warnings_silenced
-from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
-from maglev_mj.scenes import Scene
-from maglev_mj.scenes.find import find_scene
-from maglev_mj.scenes.run import Begin, run_variants
-from maglev_mj.session import Session, real_time
-from maglev_mj.session.tour import Tour
+
+if TYPE_CHECKING:
+    from threading import Event
+
+    from maglev_mj.frames import Component
+    from maglev_mj.interop.hand_devices import HandDevice
+    from maglev_mj.plants.hand import HandForce, Trajectory
+    from maglev_mj.scenes.run import Begin
+    from maglev_mj.scenes.scene import Scene
+    from maglev_mj.session import Session, SnapshotSource
+    from maglev_mj.views.remote import Front
 
 
 class _Sampling(NamedTuple):
@@ -69,6 +69,10 @@ def _add_scene(parser: Parser) -> None:
     if name == "run":
         add_scene(parser, more=_add_sampling)
         return
+    from inspect import getdoc
+
+    from maglev_mj.scenes.find import find_scene
+
     cls = find_scene(name)
     parser.description, _, parser.epilog = str(getdoc(cls)).partition("\n\n")
     parser.set_defaults(scene_class=cls)
@@ -76,15 +80,20 @@ def _add_scene(parser: Parser) -> None:
     _add_sampling(parser, cls)
 
 
+_RunScene: TypeAlias = Annotated["Scene", Shared(_add_scene, chosen_scene)]
+
+
 def run(
     *,
-    scene: Annotated[Scene, Shared(_add_scene, chosen_scene)],
+    scene: _RunScene,
     sampling: Annotated[_Sampling, Shared(None, _chosen_sampling)],
     json: Annotated[str | None, json_of("parameters, motion and figures")] = None,
     pictures: Pictures,
     record: Record = None,
 ) -> int:
     """Run any scene: of this package, or a file of yours."""
+    from maglev_mj.scenes.run import run_variants
+
     warn_of_instability(scene)
     alone = json == "-" and pictures is None
     variants = dict(list(scene.variants().items())[: 1 if alone else None])
@@ -125,7 +134,7 @@ _SCENE = "joystick"
 _LEAST, _MOST = 160, 4000  # pixels of a picture's side
 _STEP = 1.0 / 240.0
 _STANDSTILL = 1.0
-_OUT, _TURNED = 0.003, math.radians(3.5)
+_OUT, _TURNED = 0.003, 3.5  # of a deflection [m, deg]
 _QUARTER = 0.5
 
 
@@ -133,17 +142,23 @@ def _add_joystick(parser: Parser) -> None:
     add_scene(parser, default=_SCENE)
 
 
-_SeenScene: TypeAlias = Annotated[Scene, Shared(_add_joystick, chosen_scene)]
+def _hand_stiffness() -> float:
+    from maglev_mj.plants.hand import SpringHand
+
+    return SpringHand.stiffness
+
+
+_SeenScene: TypeAlias = Annotated["Scene", Shared(_add_joystick, chosen_scene)]
 # a 3D mouse returns to the centre by itself; a slave is moved without that
 _Served: TypeAlias = Annotated[
-    Scene, Shared(_add_joystick, lambda options: chosen_scene(options, friction=options.axes == "rate"))
+    "Scene", Shared(_add_joystick, lambda options: chosen_scene(options, friction=options.axes == "rate"))
 ]
 
 
 def view(
     *,
     scene: _SeenScene,
-    hand_stiffness: Annotated[float, option("of the spring by which the hand pulls [N/m]")] = SpringHand.stiffness,
+    hand_stiffness: Annotated[float, option("of the spring by which the hand pulls [N/m]", default=_hand_stiffness)],
     seconds: Shown = None,
     record: Record = None,
     out: Folder = Path(),
@@ -152,6 +167,9 @@ def view(
     publishing: PublisherOptions,
 ) -> int:
     """Feel a scene in a window: pull with the mouse."""
+    from maglev_mj.plants.hand import SpringHand
+    from maglev_mj.session import Session
+
     hand = SpringHand(stiffness=hand_stiffness)
     warn_of_instability(scene)  # and errors of a user's scene, before a page is opened
     front = page.open()
@@ -172,30 +190,40 @@ def view(
             publishers=[*publishers, *devices],
             step_force=publishing.step_force,
         )
-        for device in devices:
-            device.act = session.act
-        try:
-            print(show_session(session, front, out, seconds))
-        finally:
-            for path in session.recordings:  # after any error the user needs their paths
-                print(f"  wrote {path}")
+        _show(session, session, devices, front, out, seconds)
     return 0
 
 
 def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, out: Folder = Path()) -> int:
     """Walls and friction in eight steps, guided."""
+    from maglev_mj.plants.hand import SpringHand
+    from maglev_mj.session import Session
+    from maglev_mj.session.tour import Tour
+
     front, hand = page.open(), SpringHand()
     out.mkdir(parents=True, exist_ok=True)
     with input_hand.open(hand) as devices:
         session = Session(hand=hand, folder=out, publishers=devices)
-        for device in devices:
-            device.act = session.act
-        try:
-            print(show_session(Tour(session), front, out, seconds))
-        finally:
-            for path in session.recordings:
-                print(f"  wrote {path}")
+        _show(Tour(session), session, devices, front, out, seconds)
     return 0
+
+
+def _show(
+    source: SnapshotSource,
+    session: Session,
+    devices: Sequence[HandDevice],
+    front: Front | None,
+    folder: Path,
+    seconds: float | None,
+) -> None:
+    """Show a session, whose hand the devices are, and print its recordings."""
+    for device in devices:
+        device.act = session.act
+    try:
+        print(show_session(source, front, folder, seconds))
+    finally:
+        for path in session.recordings:  # after any error the user needs their paths
+            print(f"  wrote {path}")
 
 
 def render(
@@ -250,8 +278,13 @@ def _pixels(size: str) -> tuple[int, int]:
 
 def serve_spacenav(*, scene: _Served, mouse: ServedMouse, seconds: Seconds = None) -> int:
     """A scene in a scripted hand as the 3D mouse of other programs, without a window."""  # noqa: D401
-    server = mouse.open()
-    ended = threading.Event()
+    from threading import Event
+
+    from maglev_mj.bridge.realtime import stopping
+    from maglev_mj.plants import engine_warnings_silenced
+    from maglev_mj.session import Session
+
+    server, ended = mouse.open(), Event()
     with closing(server), closing(Session(scene, hand=_hand(scene), publishers=[server])) as session:
         with engine_warnings_silenced(), stopping(ended.set):
             _run(session, ended, seconds)
@@ -266,14 +299,13 @@ def deflections() -> Trajectory:
 
     The deflections add up to zero on every axis, so a program that takes them for speeds ends at its start.
     """
-    turns = [(axis, sign) for axis in range(len(AXES)) for sign in (1.0, -1.0, 0.0)]
-    gaps = {1.0: _QUARTER, -1.0: 2.0 * _QUARTER, 0.0: _QUARTER}
-    times, poses = [0.0], [[0.0] * len(AXES)]
-    for axis, sign in turns:
-        pose = [0.0] * len(AXES)
-        pose[axis] = sign * (_OUT if axis < 3 else _TURNED)
-        times.append(times[-1] + gaps[sign])
-        poses.append(pose)
+    from maglev_mj.plants.hand import Trajectory
+
+    times, poses = [0.0], [[0.0] * 6]
+    for axis, full in enumerate([_OUT] * 3 + [math.radians(_TURNED)] * 3):
+        for sign, gap in ((1.0, _QUARTER), (-1.0, 2.0 * _QUARTER), (0.0, _QUARTER)):
+            times.append(times[-1] + gap)
+            poses.append([sign * full * (index == axis) for index in range(6)])
     return Trajectory(times, poses)
 
 
@@ -298,6 +330,8 @@ def _hand(scene: Scene) -> HandForce:
 
     The joystick gets a hand that returns a view to its start.
     """
+    from maglev_mj.plants.hand import SpringHand
+
     if scene.name == _SCENE:
         path = deflections()
         return _Again(SpringHand(stiffness=1000.0, turning_stiffness=3.0, target=path), path.end)
@@ -305,8 +339,10 @@ def _hand(scene: Scene) -> HandForce:
     return SpringHand() if script is None else _Again(script, scene.end)
 
 
-def _run(session: Session, ended: threading.Event, seconds: float | None) -> None:
+def _run(session: Session, ended: Event, seconds: float | None) -> None:
     """Run in real time until the end."""
+    from maglev_mj.session import real_time
+
     moved = 0.0
     for elapsed, now in real_time(seconds, _STEP):
         if session.tick(elapsed):

@@ -1,4 +1,4 @@
-"""Charts of a session: what window and page draw of it, with the stability of its gains."""
+"""Charts of a session, which window and page draw, and the stability of its gains."""
 
 from __future__ import annotations
 

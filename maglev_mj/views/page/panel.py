@@ -9,8 +9,6 @@ from functools import partial
 from html import escape
 from typing import Any
 
-import numpy as np
-
 from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of
 from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter, flag
@@ -19,7 +17,7 @@ from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot
 from maglev_mj.session.changes import actions
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.views.charts import round_up
-from maglev_mj.views.page.stage import VIEWS, look
+from maglev_mj.views.page.stage import VIEWS, look, update
 from maglev_mj.views.words import FORCES, Banner, Reading, banner, readings
 
 Ask = Callable[[str, Any], object]
@@ -34,16 +32,6 @@ A control shows the value in force only then, since that comes back with a delay
 _SHARES, _ROOM = 200.0, 2.5
 _INSIDE = 1e-3
 """Distance from an excluded bound, a share of the default."""
-
-
-def update(handle: Any, **properties: Any) -> None:
-    """Set the properties of viser's element that differ.
-
-    viser would send the others to every browser again.
-    """
-    for name, value in properties.items():
-        if not np.array_equal(getattr(handle, name), value):
-            setattr(handle, name, value)
 
 
 class Control:

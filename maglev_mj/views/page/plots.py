@@ -14,7 +14,7 @@ from maglev_mj.frames import AXES
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.views.charts import Chart, Charts, Range
-from maglev_mj.views.page.panel import update
+from maglev_mj.views.page.stage import update
 
 _WIDTH, _HEIGHT = 320, 156
 _LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 22

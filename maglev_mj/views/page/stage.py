@@ -18,7 +18,6 @@ from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, Shape, arrow_start, shapes, wall_plate
 from maglev_mj.session import Snapshot
-from maglev_mj.views.page.panel import update
 from maglev_mj.views.remote import SILENCE
 from maglev_mj.views.words import banner
 
@@ -180,6 +179,16 @@ _RIM = 0.0118, 0.0012
 
 It lies under the knob and is lit when a rotation meets its stop.
 """
+
+
+def update(handle: Any, **properties: Any) -> None:
+    """Set the properties of viser's element that differ.
+
+    viser would send the others to every browser again.
+    """
+    for name, value in properties.items():
+        if not np.array_equal(getattr(handle, name), value):
+            setattr(handle, name, value)
 
 
 def look(client: Any, view: str) -> None:
