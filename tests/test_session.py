@@ -39,7 +39,7 @@ from maglev_mj.session.replay import rebuild
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.window.keys import help_rows, keys_of
-from maglev_mj.views.window.overlay import status_rows
+from maglev_mj.views.window.screen import status_rows
 from tests.sweeps import sweep
 
 ROOT = Path(__file__).parents[1]

@@ -28,7 +28,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from maglev_mj.cli import main
-from maglev_mj.cli.web import PageOptions
+from maglev_mj.cli.peripherals import PageOptions
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import Turn, param
 from maglev_mj.plants.hand import SpringHand

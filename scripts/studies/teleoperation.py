@@ -25,8 +25,8 @@ import numpy as np
 from gantry.pictures import balance, limits, motion, scenes
 from gantry.run import GRIPS, History, Ledger, bodies, carry_out, contacts, growth, ledger, measured_boundary
 from gantry.task import DELAY_SHARE, NO_GAINS, Coupling, Gains, Task, stiffest_coupling
-from maglev_mj.cli.arguments import Parser, number_option
-from maglev_mj.cli.pictures import add_pictures, chosen_pictures
+from maglev_mj.cli.declare import Parser, number_option
+from maglev_mj.cli.output import add_pictures, chosen_pictures
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
