@@ -26,8 +26,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from maglev_mj import Controller, drive
-from maglev_mj.cli.arguments import Parser
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.declare import Parser
+from maglev_mj.cli.output import script_options
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.pictures import Panel, PictureFolder, small_multiples
 from maglev_mj.plants import INTEGRATORS, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing

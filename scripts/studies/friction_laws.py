@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.cli.pictures import script_options
+from maglev_mj.cli.output import script_options
 from maglev_mj.colours import SERIES
 from maglev_mj.control import Friction
 from maglev_mj.control.controller import Controller
