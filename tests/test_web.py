@@ -38,15 +38,11 @@ from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.session.access import ListenError, listen
 from maglev_mj.views.charts import Chart, Line
-from maglev_mj.views.glide import SILENCE, Glide
-from maglev_mj.views.inbox import Inbox
-from maglev_mj.views.page.controls import Choice, Slider, Switch, control
-from maglev_mj.views.page.grab import Grab
-from maglev_mj.views.page.guard import Door
-from maglev_mj.views.page.meshes import glb, solid
-from maglev_mj.views.page.page import Page, PageServer
+from maglev_mj.views.page.page import Door, Page, PageServer
+from maglev_mj.views.page.panel import Choice, Slider, Switch, control
 from maglev_mj.views.page.plots import drawn, ticks
-from maglev_mj.views.remote import RemoteSession, RemoteViewer
+from maglev_mj.views.page.stage import Grab, glb, solid
+from maglev_mj.views.remote import SILENCE, Glide, Inbox, RemoteSession, RemoteViewer
 from tests.processes import started
 
 TOKEN = "a-token-of-some-length"
