@@ -163,8 +163,8 @@ def start(program: Path, plant_file: Path) -> Iterator[Starter]:
 
 def answered(host: Host, held: ArrayLike = ZERO, pulsed: ArrayLike = ZERO, width: float = 0.0) -> StateReport:
     """Answer the last sample; return the next."""
-    six = (tuple(np.asarray(values, dtype=float).tolist()) for values in (held, pulsed))
-    host.command(host.last.sequence, *six, width)
+    first, second = (tuple(np.asarray(values, dtype=float).tolist()) for values in (held, pulsed))
+    host.command(host.last.sequence, first, second, width)
     report: StateReport = host.states(1)[0].body
     return report
 
@@ -279,7 +279,7 @@ def test_lockstep_sends_again_and_then_lets_go(start: Starter) -> None:
     host = device.host()
     first, link = host.last, host.links[0]
     host.ask(Operation.ARM)
-    again = []
+    again: list[Any] = []
     while len(again) < 5:
         data = link.receive(5.0)
         assert data is not None
