@@ -19,6 +19,7 @@ from maglev_mj import cli
 
 COMMAND = [sys.executable, "-m", "maglev_mj"]
 PATIENCE = 60.0
+ADDRESS = r"(?:udp|serial)://\S+?(?=,|\s)"
 
 
 class Outcome(NamedTuple):
@@ -126,13 +127,33 @@ class Program:
 
 
 @contextmanager
-def started(*arguments: str, env: Mapping[str, str] | None = None, cwd: Path | None = None) -> Iterator[Program]:
-    """Start a command of maglev-mj, which is killed at the end in any case."""
-    program = Program(*COMMAND, *arguments, env=env, cwd=cwd)
+def running(*arguments: str, env: Mapping[str, str] | None = None, cwd: Path | None = None) -> Iterator[Program]:
+    """Start a program, which is killed at the end in any case."""
+    program = Program(*arguments, env=env, cwd=cwd)
     try:
         yield program
     finally:
         program.close()
+
+
+@contextmanager
+def started(*arguments: str, env: Mapping[str, str] | None = None, cwd: Path | None = None) -> Iterator[Program]:
+    """Start a command of maglev-mj, which is killed at the end in any case."""
+    with running(*COMMAND, *arguments, env=env, cwd=cwd) as program:
+        yield program
+
+
+@contextmanager
+def twin(*options: str, listen: str = "udp://127.0.0.1:0") -> Iterator[tuple[Program, str]]:
+    """Start a twin; yield it and its address."""
+    with started("twin", "--listen", listen, *options) as program:
+        yield program, program.wait_for(ADDRESS)
+
+
+def ended(program: Program, number: int | None = signal.SIGINT) -> tuple[int, str]:
+    """End a program as `Program.end` does; return its status and all output."""
+    status, output, errors = program.end(number)
+    return status, output + errors
 
 
 def run(*arguments: str, env: Mapping[str, str] | None = None, cwd: Path | None = None) -> Outcome:

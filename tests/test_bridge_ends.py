@@ -11,7 +11,6 @@ import pytest
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.links import LinkError
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
-from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.bridge.wire import Fault, State, StateReport
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import Command
@@ -166,17 +165,6 @@ def test_commands_that_have_lain_in_a_queue_do_not_feed_the_watchdog() -> None:
         rig.fly(5.0)
     assert rig.twin.firmware.faults & (Fault.WATCHDOG | Fault.FLOTOR_OVERSPEED)
     assert rig.plant.samples.tick < 400
-
-
-def test_an_answer_to_what_is_yet_to_come_or_is_long_past_is_old() -> None:
-    rig = Rig()
-    rig.plant.takeoff()
-    rig.plant.read()
-    firmware, now = rig.twin.firmware, rig.twin.tick
-    for answers, taken in ((now + 1, False), (now - 10, True), (now - 11, False), (now, True)):
-        before = firmware.counts["old"]
-        rig.plant._line.command(CommandFrame(answers & 0xFFFFFFFF, 0, (0.1,) * 6, (0.1,) * 6, 0.0))
-        assert (firmware.counts["old"] == before) is taken, answers
 
 
 def test_what_a_closed_plant_is_asked_for_is_an_error() -> None:

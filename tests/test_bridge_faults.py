@@ -17,17 +17,14 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge import safety
-from maglev_mj.bridge.bench.calibration import Calibration
-from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import ThermalModel
 from maglev_mj.bridge.twin import firmware
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, InjectedFault
-from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
-from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
-from maglev_mj.bridge.wire import Command as CommandFrame
-from maglev_mj.bridge.wire import Fault, Operation, State, fault_names
+from maglev_mj.bridge.twin.simulated_links import Impairment
+from maglev_mj.bridge.twin.twin import REST
+from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
@@ -148,37 +145,6 @@ def test_the_gate_refuses_what_is_no_command(command: Command) -> None:
     broken = Broken(hover(0.005, REACH).laws, period=0.005)
     error = fails(rig, fly(rig, 1.0, broken), Fault.INVALID_COMMAND)
     assert [sample.tick for sample, _ in error.cycles] == list(range(143, 151)) and error.cycles[-1][1] is command
-
-
-HOVER = tuple(Calibration.nominal().hover.tolist())
-
-
-@pytest.mark.parametrize(
-    ("held", "pulsed", "width", "fault"),
-    [
-        ((math.nan, *HOVER[1:]), HOVER, 0.0, Fault.INVALID_COMMAND),
-        (HOVER, (math.inf, *HOVER[1:]), 0.001, Fault.INVALID_COMMAND),
-        (HOVER, HOVER, math.nan, Fault.INVALID_COMMAND),
-        (HOVER, HOVER, -0.001, Fault.INVALID_COMMAND),
-        ((*HOVER[:5], 10.1), HOVER, 0.0, Fault.COIL_OVERCURRENT),
-        (HOVER, (*HOVER[:5], -10.1), 0.001, Fault.COIL_OVERCURRENT),
-    ],
-)
-def test_the_device_refuses_what_no_host_may_send(held: Any, pulsed: Any, width: float, fault: Fault) -> None:
-    twin = Twin(TwinParameters(pose=CENTRE))
-    host = Connection(VirtualLink(twin), twin.parameters.calibration.digest, None, 1.0)
-    assert host.control(Operation.ARM, hover=HOVER) is not None
-    for tick in range(10):
-        assert host.state(1.0) is not None
-        host.command(CommandFrame(tick, 0, HOVER, HOVER, 0.0))
-    assert not twin.firmware.faults and tuple(twin.plant.currents) == HOVER
-    host.command(CommandFrame(9, 0, held, pulsed, width))
-    assert twin.firmware.state == State.FAULT and twin.firmware.faults == fault
-    host.command(CommandFrame(9, 0, HOVER, HOVER, 0.0))  # and a sound one does not help
-    for _ in range(5):
-        twin.sample()
-        assert tuple(twin.plant.currents) == ZERO
-    assert all(not any(currents) for _, currents in twin.plant.segments)
 
 
 # what happens when, to a flotor that hovers or that a hand moves about, and what it is called
@@ -322,29 +288,6 @@ def test_what_a_sample_says_from_before_a_request_is_old(seed: int) -> None:
         for _ in range(5):
             rig.plant.read()
         assert (rig.plant.state, rig.plant.faults) == (State.INACTIVE, Fault(0))
-
-
-@pytest.mark.parametrize("closed", [False, True])
-def test_a_host_whose_program_fails_lets_go(closed: bool) -> None:
-    rig = Rig()
-
-    def stumble() -> None:
-        if rig.plant.samples.tick == 200:
-            raise ZeroDivisionError
-
-    rig.plant.takeoff()
-    with pytest.raises(ZeroDivisionError):
-        rig.fly(1.0, observe=stumble)
-    if closed:
-        rig.plant.close()
-        assert rig.twin.firmware.state == State.INACTIVE and rig.twin.firmware.session == 0
-        rig.currents()
-        assert rig.currents() == [0.0] * 6
-    else:
-        for _ in range(12):
-            rig.twin.sample()
-        assert rig.twin.firmware.faults == Fault.WATCHDOG
-        check_dead(rig)
 
 
 def test_a_flotor_that_is_held_is_not_led() -> None:

@@ -3,24 +3,22 @@
 In lockstep, and after the death of one.
 """
 
-import io
 import json
 import os
 import re
 import signal
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, closing, contextmanager, redirect_stderr, redirect_stdout
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
 import pytest
 
-from maglev_mj import MuJoCoPlant, Timing, cli, drive
+from maglev_mj import MuJoCoPlant, Timing, drive
 from maglev_mj.bridge import Calibration, Fault, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.links import UdpLink, UdpServer
@@ -34,10 +32,10 @@ from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Table
+from tests.processes import ADDRESS, Program, ended, run_here, running, started, twin
 from tests.recorded import command_row
 from tests.udp_proxy import UdpProxy
 
-COMMAND = [sys.executable, "-m", "maglev_mj"]
 NEAR = "udp://127.0.0.1:0"
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -56,63 +54,13 @@ server.run(60.0)
 
 
 @contextmanager
-def started(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
-    """Start a program with an address in its first line.
-
-    It is killed at the end in any case.
-    """
-    child = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        assert child.stdout is not None
-        found = re.search(r"(udp|serial)://\S+?(?=,|$)", child.stdout.readline().strip())
-        assert found, child.communicate(timeout=20)
-        yield child, found[0]
-    finally:
-        child.kill()
-        child.communicate()
-
-
-def ended(child: subprocess.Popen[str], kind: int | None = signal.SIGINT) -> tuple[int, str]:
-    """Ask a program to end; return status and output."""
-    if kind is not None:
-        child.send_signal(kind)
-    said, complained = child.communicate(timeout=30)
-    return child.returncode, said + complained
-
-
-def twin(*options: str) -> AbstractContextManager[tuple[subprocess.Popen[str], str]]:
-    """Start a twin."""
-    return started(*COMMAND, "twin", "--listen", NEAR, *options)
-
-
-@contextmanager
-def flown(address: str, folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    """Fly a device; return once it is in the air."""
+def flown(address: str, folder: Path, *options: str) -> Iterator[Program]:
+    """Fly a device; yield once it is in the air."""
     record = str(folder / "run.npz")
-    child = subprocess.Popen(
-        [*COMMAND, "bridge", address, "--record", record, "--out", str(folder), *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    try:
-        assert child.stdout is not None
-        assert "takes off" in child.stdout.readline(), child.communicate(timeout=20)
+    with started("bridge", address, "--record", record, "--out", str(folder), *options) as host:
+        host.wait_for("takes off")
         time.sleep(1.6)  # twice as long as that
-        yield child
-    finally:
-        child.kill()
-        child.communicate()
-
-
-def said_by(*arguments: str) -> tuple[int, str]:
-    """Run a command in this process; return status and output."""
-    with redirect_stdout(io.StringIO()) as said, redirect_stderr(said):
-        try:
-            status = cli.main(arguments)
-        except SystemExit as exit_:
-            status = int(exit_.code or 0)
-    return status, said.getvalue()
+        yield host
 
 
 def looked_at(address: str) -> StateReport:
@@ -158,7 +106,8 @@ def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
         stops=True,
         stop_damping=True,
     )
-    with started(sys.executable, "-c", LOCKSTEP, " ".join(map(str, pose))) as (_, address):
+    with running(sys.executable, "-c", LOCKSTEP, " ".join(map(str, pose))) as device:
+        address = device.wait_for(ADDRESS)
         host, port = address.removeprefix("udp://").split(":")
         with UdpProxy((host, int(port)), Impairment(loss=loss, duplicate=loss, seed=1)) as proxy:
             place, number = proxy.address
@@ -170,17 +119,17 @@ def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
 def test_in_real_time_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(tmp_path: Path) -> None:
     with twin("--watchdog", "1") as (device, address):
         arguments = ("--seconds", "2", "--friction", "--record", str(tmp_path / "run.npz"))
-        status, said = said_by("bridge", address, *arguments)
+        status, said = run_here("bridge", address, *arguments)
         assert status == 0 and re.search(r"40\d samples, 0 lost", said), said
         status, said = ended(device)
     assert status == 0 and "inactive, faults: none" in said
     assert re.search(r"late by .* median, \S+ ms at 99 %", said)  # by how much is the machine's affair
-    status, said = said_by("replay", str(tmp_path / "run.npz"), "--check")
+    status, said = run_here("replay", str(tmp_path / "run.npz"), "--check")
     assert status == 0 and re.search(r"(\d+) of \1 the same: command, pulse, pulse_width\n", said), said
     (stretch,) = Recording.load(tmp_path / "run.npz").stretches
     stretch.command[100, 2] = np.nextafter(stretch.command[100, 2], 1e3)
     Recording([stretch]).save(tmp_path / "other.npz")
-    status, said = said_by("replay", str(tmp_path / "other.npz"), "--check")
+    status, said = run_here("replay", str(tmp_path / "other.npz"), "--check")
     assert status == 1 and "tick" in said
 
 
@@ -195,20 +144,20 @@ def test_a_host_that_is_asked_to_stop_lands(tmp_path: Path) -> None:
 def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(tmp_path: Path) -> None:
     with twin() as (device, address):
         with flown(address, tmp_path) as host:
-            host.kill()
+            host.child.kill()
         # it says that the old host is still there until it has been silent for a second
         report = looked_at(address)
         assert (report.state, report.faults, report.currents) == (State.FAULT, Fault.WATCHDOG, (0.0,) * 6)
-        status, said = said_by("bridge", address, "--seconds", "0.5", "--out", str(tmp_path))
+        status, said = run_here("bridge", address, "--seconds", "0.5", "--out", str(tmp_path))
         assert status == 1 and "no takeoff: the device is FAULT, faults WATCHDOG" in said
         assert "fault, faults: WATCHDOG" in ended(device)[1]
 
 
 def test_a_host_that_is_stopped_finds_the_watchdogs_fault_when_it_goes_on(tmp_path: Path) -> None:
     with twin() as (device, address), flown(address, tmp_path) as host:
-        host.send_signal(signal.SIGSTOP)
+        host.child.send_signal(signal.SIGSTOP)
         time.sleep(0.5)
-        host.send_signal(signal.SIGCONT)
+        host.child.send_signal(signal.SIGCONT)
         status, said = ended(host, None)
         assert status == 1 and "WATCHDOG" in said
         assert Recording.load(tmp_path / "run.npz").ticks > 100
@@ -219,7 +168,7 @@ def test_a_host_that_is_stopped_finds_the_watchdogs_fault_when_it_goes_on(tmp_pa
 
 def test_a_device_that_is_gone_is_a_fault_of_the_host_and_the_recording_is_kept(tmp_path: Path) -> None:
     with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
-        device.kill()
+        device.child.kill()
         status, said = ended(host, None)
         assert status == 1 and "HOST: no sample from the device within 1 s" in said
         assert Recording.load(tmp_path / "run.npz").ticks > 100
@@ -227,7 +176,7 @@ def test_a_device_that_is_gone_is_a_fault_of_the_host_and_the_recording_is_kept(
 
 def test_a_second_host_is_turned_away_and_the_first_flies_on_until_ctrl_c(tmp_path: Path) -> None:
     with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
-        status, said = said_by("bridge", address, "--seconds", "0.5")
+        status, said = run_here("bridge", address, "--seconds", "0.5")
         assert status == 1 and "another host has the device" in said
         status, said = ended(host, signal.SIGINT)
         assert status == 0, said
@@ -244,32 +193,19 @@ def test_a_host_needs_the_devices_key(tmp_path: Path) -> None:
     key, other = _key(tmp_path / "key", "a7"), _key(tmp_path / "other", "b8")
     with twin("--watchdog", "1", *key) as (device, address):
         for wrong, reason in (([], "no device answered"), (other, "no device answered")):
-            status, said = said_by("bridge", address, "--seconds", "0.2", *wrong)
+            status, said = run_here("bridge", address, "--seconds", "0.2", *wrong)
             assert status == 1 and reason in said
-        status, said = said_by("bridge", address, "--seconds", "0.2", *key)
+        status, said = run_here("bridge", address, "--seconds", "0.2", *key)
         assert status == 0, said
         assert re.search(r"frames ignored: .*for length.*for tag", ended(device)[1])
 
 
 def test_a_flight_over_a_serial_line(tmp_path: Path) -> None:
-    with started(*COMMAND, "twin", "--listen", "pty", "--watchdog", "1") as (device, address):
-        status, said = said_by("bridge", address, "--seconds", "1")
+    with twin("--watchdog", "1", listen="pty") as (device, address):
+        status, said = run_here("bridge", address, "--seconds", "1")
         counted = re.search(r"(\d+) samples, 0 lost(?:, (\d+) skipped)?", said)
         assert status == 0 and counted and sum(int(count or 0) for count in counted.groups()) >= 200, said
         assert "inactive, faults: none" in ended(device)[1]
-
-
-def _other_calibration(path: Path) -> list[str]:
-    values = Calibration.nominal().as_json()
-    values["mass"] = 0.71
-    path.write_text(json.dumps(values))
-    return ["--calibration", str(path)]
-
-
-def test_a_host_with_another_calibration_is_turned_away_and_both_are_named(tmp_path: Path) -> None:
-    with twin() as (_, address):
-        status, said = said_by("bridge", address, *_other_calibration(tmp_path / "other.json"))
-    assert status == 1 and re.search(r"the device's calibration is [0-9a-f]{32}, this host's [0-9a-f]{32}", said)
 
 
 def test_a_twin_too_slow_for_its_rate_is_late_but_not_deaf() -> None:
@@ -294,15 +230,15 @@ def test_real_time_is_enforced_where_the_system_permits_it(monkeypatch: pytest.M
             permitted = True
     except RealtimeError:
         permitted = False
-    assert said_by(*arguments)[0] == (0 if permitted else 1)
+    assert run_here(*arguments)[0] == (0 if permitted else 1)
 
     def refuse(*_: Any) -> NoReturn:
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    status, said = said_by(*arguments)
+    status, said = run_here(*arguments)
     assert status == 1 and re.search(r"no real time: .*SCHED_FIFO.*not permitted", said)
-    assert said_by(*arguments[:-1], "ignore")[0] == 0
+    assert run_here(*arguments[:-1], "ignore")[0] == 0
 
 
 def test_the_hosts_limits_hold_in_flight_and_options_go_before_the_profile(tmp_path: Path) -> None:
@@ -310,16 +246,16 @@ def test_the_hosts_limits_hold_in_flight_and_options_go_before_the_profile(tmp_p
     profile.write_text(json.dumps({"max_current": 4.0, "speed_limit": 0.001}))
     with twin("--watchdog", "1") as (device, address):
         arguments = ("bridge", address, "--seconds", "0.3", "--out", str(tmp_path), "--profile", str(profile))
-        status, said = said_by(*arguments)
+        status, said = run_here(*arguments)
         assert status == 1 and "FLOTOR_OVERSPEED" in said
-        assert said_by("bridge", address, "--reset")[0] == 0
-        status, said = said_by(*arguments, "--speed-limit", "0.6")
+        assert run_here("bridge", address, "--reset")[0] == 0
+        status, said = run_here(*arguments, "--speed-limit", "0.6")
         assert status == 0 and "at rest" in said, said
         assert "inactive, faults: none" in ended(device)[1]
 
 
 def test_help_says_what_ends_a_flight() -> None:
-    status, said = said_by("bridge", "--help")
+    status, said = run_here("bridge", "--help")
     assert status == 0
     for words in ("Ctrl-C twice", "SIGTERM, SIGHUP", "2 s later", "Esc in the window", "maglev-mj estop ADDRESS"):
         assert words in said
@@ -327,37 +263,10 @@ def test_help_says_what_ends_a_flight() -> None:
         assert f"--{option}" in said
 
 
-BAD: list[tuple[list[str], int, str]] = [
-    (["bridge", "127.0.0.1:5678"], 2, "address must be udp://HOST:PORT"),
-    (["bridge", "udp://192.0.2.1:5678"], 2, "loopback"),
-    (["bridge", "udp://127.0.0.1:5678", "--scene", "pub"], 2, "scene must be one of"),
-    (["bridge", "udp://127.0.0.1:5678", "--mass", "1"], 2, "mass is for --identify"),
-    (["bridge", "udp://127.0.0.1:5678", "--reset", "--seconds", "1"], 2, "seconds is for scenes, not for --reset"),
-    (["bridge", "udp://127.0.0.1:5678", "--reset", "--identify", "a"], 2, "identify flies, and --reset does not"),
-    (["bridge", "udp://127.0.0.1:5678", "--max-current", "0"], 2, "max_current must be"),
-    (["bridge", "udp://127.0.0.1:5678", "--max-current", "much"], 2, "--max-current: must be a number, not 'much'"),
-    (["bridge", "udp://127.0.0.1:5678", "--force-limit", "7"], 2, "force_limit must be above"),
-    (["bridge", "udp://127.0.0.1:5678", "--envelope", "nan"], 2, "envelope must be"),
-    (["bridge", "udp://127.0.0.1:5678", "--speed-limit", "-1"], 2, "speed_limit must be"),
-    (["bridge", "udp://127.0.0.1:5678", "--profile", "nowhere"], 2, "profile 'nowhere' cannot be read"),
-    (["estop", "127.0.0.1:5678"], 2, "address must be udp://HOST:PORT"),
-    (["estop", "udp://127.0.0.1:9"], 1, "not confirmed: cut the power (no answer within 1"),
-    (["estop", "udp://127.0.0.1:9", "--key", "nowhere"], 2, "key must be a file of 32 to 64 hexadecimal digits"),
-    (["fault", "nowhere"], 2, "black box 'nowhere' cannot be read"),
-    (["fault", __file__], 2, "is not JSON"),
-    (["bridge", "udp://127.0.0.1:9"], 1, "udp://127.0.0.1:9: no device answered within 1 s"),
-    (["twin", "--listen", "udp://0.0.0.0:0"], 2, "loopback"),
-    (["twin", "--listen", "pub"], 2, "listen must be"),
-    (["twin", "--rate", "0"], 2, "rate must be"),
-    (["twin", "--fault", "thirst:1@2"], 2, "fault must be one of"),
-    (["twin", "--fault", "dead-coil:6@2"], 2, "dead-coil must be of 0 to 5, not 6"),
-    (["twin", "--realtime", "maybe"], 2, "--realtime must be one of enforce, ignore, not 'maybe'"),
-    (["twin", "--key", "nowhere"], 2, "key must be a file of 32 to 64 hexadecimal digits"),
-    (["twin", "--truth", "nowhere"], 2, "nowhere"),
-]
-
-
-@pytest.mark.parametrize(("arguments", "status", "words"), BAD, ids=[" ".join(row[0]) for row in BAD])
-def test_what_is_wrong_is_said_in_one_line(arguments: list[str], status: int, words: str) -> None:
-    found, said = said_by(*arguments)
-    assert found == status and words in said and said.count("\n") == 1, said
+def test_where_no_device_answers_that_is_said_in_one_line() -> None:
+    for arguments, words in (
+        (("estop", "udp://127.0.0.1:9"), "not confirmed: cut the power (no answer within 1"),
+        (("bridge", "udp://127.0.0.1:9"), "udp://127.0.0.1:9: no device answered within 1 s"),
+    ):
+        status, said = run_here(*arguments)
+        assert status == 1 and words in said and said.count("\n") == 1, said

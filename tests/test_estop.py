@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import random
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Collection
 from contextlib import closing
@@ -25,6 +21,7 @@ from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Estop, Fault, State
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command as MotionCommand
+from tests.processes import ended, started, twin
 from tests.test_bridge import CENTRE, Rig
 
 KEY = b"0123456789abcdef"
@@ -247,9 +244,6 @@ def test_a_patience_that_is_none_is_refused(patience: float) -> None:
         estop(VirtualLink(Twin(TwinParameters())), patience=patience)
 
 
-COMMAND = [sys.executable, "-m", "maglev_mj"]
-
-
 def stop_from_here(address: str, pipe: Any) -> None:
     """Stop a device from a process of its own."""
     with closing(open_link(address)) as link:
@@ -259,31 +253,15 @@ def stop_from_here(address: str, pipe: Any) -> None:
 @pytest.mark.xdist_group("realtime")
 @pytest.mark.parametrize("where", ["in flight", "in takeoff"])
 def test_a_third_process_stops_what_a_second_one_flies(where: str, tmp_path: Path) -> None:
-    arguments = [*COMMAND, "twin", "--listen", "udp://127.0.0.1:0"]
-    twin = subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True)
-    host = None
-    try:
-        assert twin.stdout is not None
-        address = next(word for word in twin.stdout.readline().replace(",", " ").split() if word.startswith("udp://"))
-        host = subprocess.Popen(
-            [*COMMAND, "bridge", address, "--out", str(tmp_path)],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        assert host.stdout is not None and "takes off" in host.stdout.readline()
+    with twin() as (_, address), started("bridge", address, "--out", str(tmp_path)) as host:
+        host.wait_for("takes off")
         time.sleep(1.4 if where == "in flight" else 0.5)
         near, far = multiprocessing.get_context("spawn").Pipe()
         child = multiprocessing.get_context("spawn").Process(target=stop_from_here, args=(address, far))
         child.start()
         report: EstopReport = near.recv()
         child.join()
-        said = host.communicate(timeout=20)[1]
+        status, said = ended(host, None)
         print(f"{where}: {report}")
-        assert report.confirmed and report.faults & Fault.ESTOP and "ESTOP" in said
-        assert max(map(abs, report.currents)) < 0.25 and host.returncode == 1
-    finally:
-        for one in (twin, host):
-            if one is not None and one.poll() is None:
-                os.kill(one.pid, signal.SIGKILL)
-                one.communicate()
+    assert report.confirmed and report.faults & Fault.ESTOP and "ESTOP" in said
+    assert max(map(abs, report.currents)) < 0.25 and status == 1

@@ -7,7 +7,6 @@ import json
 import os
 import signal
 import socket
-import subprocess
 import sys
 import threading
 import time
@@ -31,9 +30,8 @@ from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.errors import PlantError
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Snapshot
-from tests.test_bridge_processes import said_by
+from tests.processes import COMMAND, Program, ended, run_here, running
 
-COMMAND = [sys.executable, "-m", "maglev_mj"]
 ZERO_CURRENT = 1e-9
 
 pytestmark = pytest.mark.xdist_group("realtime")
@@ -117,8 +115,8 @@ class Watched:
 
 
 @contextmanager
-def flight(twin: Watched, folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
-    with program([*within(60.0), "bridge", twin.address, "--out", str(folder), *options]) as child:
+def flight(twin: Watched, folder: Path, *options: str) -> Iterator[Program]:
+    with running(*within(60.0), "bridge", twin.address, "--out", str(folder), *options) as child:
         yield child
 
 
@@ -137,16 +135,6 @@ RemotePlant.__init__.__kwdefaults__["patience"] = 30.0
 sys.exit(main())
 """
     return [sys.executable, "-c", text]
-
-
-@contextmanager
-def program(command: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    try:
-        yield child
-    finally:
-        child.kill()
-        child.communicate()
 
 
 def some(cases: Sequence[tuple[Any, ...]], more: Sequence[tuple[Any, ...]]) -> list[Any]:
@@ -174,11 +162,11 @@ def test_the_first_signal_lands_at_any_time_of_takeoff_and_flight(
     with Watched() as twin, flight(twin, tmp_path, "--record", str(record)) as host:
         twin.flown(at)
         sent = time.monotonic()
-        host.send_signal(kind)
-        said, _ = host.communicate(timeout=30)
+        host.child.send_signal(kind)
+        status, said = ended(host, None)
         after = twin.cut_after(sent)
         print(f"{kind.name} at {at} s: {after * 1e3:.0f} ms to zero current")
-    assert host.returncode == 0, said
+    assert status == 0, said
     assert (twin.last.state, twin.last.faults) == (State.INACTIVE, Fault(0))
     assert after > 0.5
     # from where it is, not from the centre
@@ -195,14 +183,14 @@ def test_a_second_ctrl_c_cuts_now(at: float, gap: float, tmp_path: Path) -> None
     record = tmp_path / "run.npz"
     with Watched() as twin, flight(twin, tmp_path, "--record", str(record)) as host:
         twin.flown(at)
-        host.send_signal(signal.SIGINT)
+        host.child.send_signal(signal.SIGINT)
         time.sleep(gap)
         sent = time.monotonic()
-        host.send_signal(signal.SIGINT)
-        said, _ = host.communicate(timeout=30)
+        host.child.send_signal(signal.SIGINT)
+        status, said = ended(host, None)
         after = twin.cut_after(sent)
         print(f"twice, at {at} s and {gap} s later: {after * 1e3:.1f} ms to zero current")
-    assert host.returncode == 1 and "ESTOP" in said, said
+    assert status == 1 and "ESTOP" in said, said
     assert (twin.last.state, twin.last.faults) == (State.FAULT, Fault.ESTOP)
     assert after < 0.5  # where nothing else runs 2 to 13 ms
     assert record.exists() == (at > 0.6), said
@@ -216,33 +204,33 @@ def test_landing_is_asked_for_and_cut_like_the_rest(tmp_path: Path) -> None:
         with Watched() as twin, flight(twin, tmp_path, "--seconds", "0.2") as host:
             twin.flown(1.0)
             for _ in range(times):
-                host.send_signal(signal.SIGINT)
+                host.child.send_signal(signal.SIGINT)
                 time.sleep(0.05)
-            said, _ = host.communicate(timeout=30)
-        assert (host.returncode, twin.last.faults) == (1 if faults else 0, faults), said
+            status, said = ended(host, None)
+        assert (status, twin.last.faults) == (1 if faults else 0, faults), said
 
 
 def test_a_landing_that_takes_too_long_is_cut_at_the_stated_time(tmp_path: Path) -> None:
     with Watched() as twin:
-        with program([*within(0.25), "bridge", twin.address, "--out", str(tmp_path)]) as host:
+        with running(*within(0.25), "bridge", twin.address, "--out", str(tmp_path)) as host:
             twin.flown(1.0)
             sent = time.monotonic()
-            host.send_signal(signal.SIGTERM)
-            said, _ = host.communicate(timeout=30)
+            host.child.send_signal(signal.SIGTERM)
+            status, said = ended(host, None)
         after = twin.cut_after(sent)
-    assert host.returncode == 1 and twin.last.faults == Fault.ESTOP, said
+    assert status == 1 and twin.last.faults == Fault.ESTOP, said
     assert after > 0.24
 
 
-def test_identification_lands_when_asked_to_and_writes_nothing(tmp_path: Path) -> None:
-    for kind, at in ((signal.SIGINT, 0.3), (signal.SIGHUP, 1.2)):
-        with Watched() as twin, flight(twin, tmp_path, "--identify", str(tmp_path / "found.json")) as host:
-            twin.flown(at)
-            host.send_signal(kind)
-            said, _ = host.communicate(timeout=30)
-        assert host.returncode == 1 and "samples: nothing is written" in said, said
-        assert (twin.last.state, twin.last.faults) == (State.INACTIVE, Fault(0))
-        assert not list(tmp_path.iterdir())
+@pytest.mark.parametrize(("kind", "at"), some([(signal.SIGHUP, 0.3)], [(signal.SIGINT, 1.2)]), ids=named)
+def test_identification_lands_when_asked_to_and_writes_nothing(kind: signal.Signals, at: float, tmp_path: Path) -> None:
+    with Watched() as twin, flight(twin, tmp_path, "--identify", str(tmp_path / "found.json")) as host:
+        twin.flown(at)
+        host.child.send_signal(kind)
+        status, said = ended(host, None)
+    assert status == 1 and "samples: nothing is written" in said, said
+    assert (twin.last.state, twin.last.faults) == (State.INACTIVE, Fault(0))
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda kind: kind.name)
@@ -251,11 +239,11 @@ def test_a_handshake_is_given_up_at_once(kind: signal.Signals, tmp_path: Path) -
         deaf.bind(("127.0.0.1", 0))
         deaf.settimeout(30.0)
         address = f"udp://127.0.0.1:{deaf.getsockname()[1]}"
-        with program([*COMMAND, "bridge", address, "--record", str(tmp_path / "run.npz")]) as host:
+        with running(*COMMAND, "bridge", address, "--record", str(tmp_path / "run.npz")) as host:
             deaf.recv(4096)  # a hello
-            host.send_signal(kind)
-            said, _ = host.communicate(timeout=30)
-            assert host.returncode == 130 and said == "maglev-mj bridge: stopped\n"
+            host.child.send_signal(kind)
+            status, said = ended(host, None)
+            assert status == 130 and said == "maglev-mj bridge: stopped\n"
 
 
 def test_hangups_that_nohup_ignores_stay_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -390,38 +378,38 @@ def test_a_stop_that_is_not_confirmed_says_to_cut_the_power(monkeypatch: pytest.
 def test_estop_stops_whoever_flies_and_the_way_on_is_reset(at: float, tmp_path: Path) -> None:
     with Watched() as twin, flight(twin, tmp_path) as host:
         twin.flown(at)
-        status, said = said_by("estop", twin.address)
+        status, said = run_here("estop", twin.address)
         assert status == 0 and "stopped: ESTOP, no current" in said
-        told, _ = host.communicate(timeout=30)
-        assert host.returncode == 1 and "ESTOP: said by the device" in told
-        status, said = said_by("bridge", twin.address, "--seconds", "0.2", "--out", str(tmp_path))
+        status, told = ended(host, None)
+        assert status == 1 and "ESTOP: said by the device" in told
+        status, said = run_here("bridge", twin.address, "--seconds", "0.2", "--out", str(tmp_path))
         assert status == 1 and "no takeoff: the device is FAULT, faults ESTOP" in said
-        status, said = said_by("bridge", twin.address, "--reset")
+        status, said = run_here("bridge", twin.address, "--reset")
         assert status == 0 and "ESTOP: an emergency stop was asked for" in said and " s ago" in said
         twin.until(lambda: twin.last.state == State.INACTIVE)
         time.sleep(1.0)
         assert twin.last.state == State.INACTIVE and not twin.last.current
-        status, said = said_by("bridge", twin.address, "--reset")
+        status, said = run_here("bridge", twin.address, "--reset")
         assert status == 0 and "no fault is latched; the device is inactive" in said
     (box,) = tmp_path.glob("maglev-fault-*.json")
-    status, said = said_by("fault", str(box), "--out", str(tmp_path / "pictures"))
+    status, said = run_here("fault", str(box), "--out", str(tmp_path / "pictures"))
     assert status == 0 and "faults ESTOP" in said and "the last 20 of " in said
     assert max(map(len, said.splitlines()[:-1])) <= 100
-    assert len(said.splitlines()) < 40 < len(said_by("fault", str(box), "--all")[1].splitlines())
+    assert len(said.splitlines()) < 40 < len(run_here("fault", str(box), "--all")[1].splitlines())
     assert list((tmp_path / "pictures").glob("*.png"))
 
 
 def test_estop_that_is_not_confirmed_is_a_failure(tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_text("a7" * 16)
-    status, said = said_by("estop", "udp://127.0.0.1:9")
+    status, said = run_here("estop", "udp://127.0.0.1:9")
     assert status == 1 and "not confirmed: cut the power (no answer within 1" in said
     with Watched() as twin:  # it has no key, so it knows no tag
-        status, said = said_by("estop", twin.address, "--key", str(key))
+        status, said = run_here("estop", twin.address, "--key", str(key))
         assert status == 1 and "not confirmed: cut the power" in said
         assert twin.last.state == State.INACTIVE
     for wrong in ("127.0.0.1:5678", "udp://192.0.2.1:5678"):
-        status, said = said_by("estop", wrong)
+        status, said = run_here("estop", wrong)
         assert status == 2 and said.count("\n") == 1
-    status, said = said_by("estop", "serial:///nowhere?baud=115200")
+    status, said = run_here("estop", "serial:///nowhere?baud=115200")
     assert status == 1 and "not confirmed: cut the power" in said and said.count("\n") == 1

@@ -227,7 +227,7 @@ def test_the_first_hovers_limits_are_those_of_the_guide() -> None:
 
 
 @pytest.mark.parametrize("seed", sweep(range(3), every=3))
-@pytest.mark.parametrize(("period", "seconds"), [(0.005, 5.0), (0.001, 1.5)], ids=["200 Hz", "1 kHz"])
+@pytest.mark.parametrize(("period", "seconds"), [(0.005, 5.0), (0.001, 0.3)], ids=["200 Hz", "1 kHz"])
 def test_within_the_first_hovers_limits_it_takes_off_from_a_stop_beyond_them_and_lands(
     period: float, seconds: float, seed: int
 ) -> None:

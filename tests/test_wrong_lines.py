@@ -123,34 +123,46 @@ twin --rate fast                                    | fast
 twin --delay -1                                     | -1
 twin --noise -1                                     | -1
 twin --seed -1                                      | -1
-twin --fault glue:1@2                               | glue
-twin --fault dead-coil:9@1                          | 9
+twin --fault glue:1@2                               | fault must be one of
+twin --fault dead-coil:9@1                          | dead-coil must be of 0 to 5, not 9
 twin --push w:1@0-1                                 | w:1@0-1
 twin --push z:1@2-1                                 | z:1@2-1
 twin --block nan                                    | nan
-twin --listen nosuch                                | nosuch
+twin --listen nosuch                                | listen must be
 twin --listen udp://8.8.8.8:5678                    | 8.8.8.8
+twin --listen udp://0.0.0.0:0                       | loopback
+twin --rate 0                                       | rate must be
+twin --realtime maybe                               | --realtime must be one of enforce, ignore, not 'maybe'
 twin --calibration nosuch.json                      | nosuch.json
 twin --calibration broken.json                      | broken.json
 twin --truth empty.json                             | empty.json
-twin --key nosuch.key                               | nosuch.key
+twin --key nosuch.key                               | key must be a file of 32 to 64 hexadecimal digits
 twin --scene nosuch                                 | nosuch
 twin --view --web                                   | view and web
 bridge                                              | ADDRESS
 bridge nosuch                                       | nosuch
 bridge udp://127.0.0.1:0                            | udp://127.0.0.1:0
-bridge udp://8.8.8.8:5678                           | 8.8.8.8
+bridge udp://8.8.8.8:5678                           | loopback
 bridge joystick DEVICE                              | DEVICE
-bridge DEVICE --scene nosuch                        | nosuch
+bridge DEVICE --scene nosuch                        | scene must be one of
 bridge DEVICE --seconds nan                         | nan
-bridge DEVICE --mass 1                              | mass
+bridge DEVICE --mass 1                              | mass is for --identify
 bridge DEVICE --identify a.json --view              | view
-bridge DEVICE --profile nosuch.json                 | nosuch.json
+bridge DEVICE --profile nosuch.json                 | profile 'nosuch.json' cannot be read
 bridge DEVICE --current-limit 2                     | --current-limit
 bridge DEVICE --calibration run.npz                 | run.npz
 bridge DEVICE --key run.npz                         | run.npz
+bridge 127.0.0.1:5678                               | address must be udp://HOST:PORT
+bridge DEVICE --reset --seconds 1                   | seconds is for scenes, not for --reset
+bridge DEVICE --reset --identify a                  | identify flies, and --reset does not
+bridge DEVICE --max-current 0                       | max_current must be
+bridge DEVICE --max-current much                    | --max-current: must be a number, not 'much'
+bridge DEVICE --force-limit 7                       | force_limit must be above
+bridge DEVICE --envelope nan                        | envelope must be
+bridge DEVICE --speed-limit -1                      | speed_limit must be
 estop nosuch                                        | nosuch
-estop DEVICE --key nosuch                           | nosuch
+estop udp://192.0.2.1:5678                          | loopback
+estop DEVICE --key nosuch                           | key must be a file of 32 to 64 hexadecimal digits
 commission spots DEVICE                             | DEVICE
 commission DEVICE glue                              | glue
 commission DEVICE coils --coil 9                    | 9
@@ -160,9 +172,9 @@ commission DEVICE coils --current -1                | -1
 commission DEVICE spots --write a.json              | write
 conform nosuch                                      | nosuch
 conform DEVICE --calibration nosuch.json            | nosuch.json
-fault nosuch.json                                   | nosuch.json
+fault nosuch.json                                   | black box 'nosuch.json' cannot be read
 fault empty.json                                    | empty.json
-fault broken.json                                   | broken.json
+fault broken.json                                   | is not JSON
 fault run.npz                                       | run.npz
 fault empty.json --format png                       | png
 replay nosuch.mcap                                  | nosuch.mcap
