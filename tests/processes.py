@@ -171,3 +171,9 @@ def run_here(*arguments: str) -> Outcome:
         except SystemExit as ending:
             status = int(ending.code or 0)
     return Outcome(status, output.getvalue(), errors.getvalue())
+
+
+def said_by(*arguments: str) -> tuple[int, str]:
+    """Run a command as `run_here` does; return its status and all output."""
+    status, output, errors = run_here(*arguments)
+    return status, output + errors

@@ -32,7 +32,7 @@ from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Table
-from tests.processes import ADDRESS, Program, ended, run_here, running, started, twin
+from tests.processes import ADDRESS, Program, ended, running, said_by, started, twin
 from tests.recorded import command_row
 from tests.udp_proxy import UdpProxy
 
@@ -119,17 +119,17 @@ def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
 def test_in_real_time_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(tmp_path: Path) -> None:
     with twin("--watchdog", "1") as (device, address):
         arguments = ("--seconds", "2", "--friction", "--record", str(tmp_path / "run.npz"))
-        status, said = run_here("bridge", address, *arguments)
+        status, said = said_by("bridge", address, *arguments)
         assert status == 0 and re.search(r"40\d samples, 0 lost", said), said
         status, said = ended(device)
     assert status == 0 and "inactive, faults: none" in said
     assert re.search(r"late by .* median, \S+ ms at 99 %", said)  # by how much is the machine's affair
-    status, said = run_here("replay", str(tmp_path / "run.npz"), "--check")
+    status, said = said_by("replay", str(tmp_path / "run.npz"), "--check")
     assert status == 0 and re.search(r"(\d+) of \1 the same: command, pulse, pulse_width\n", said), said
     (stretch,) = Recording.load(tmp_path / "run.npz").stretches
     stretch.command[100, 2] = np.nextafter(stretch.command[100, 2], 1e3)
     Recording([stretch]).save(tmp_path / "other.npz")
-    status, said = run_here("replay", str(tmp_path / "other.npz"), "--check")
+    status, said = said_by("replay", str(tmp_path / "other.npz"), "--check")
     assert status == 1 and "tick" in said
 
 
@@ -148,7 +148,7 @@ def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(t
         # it says that the old host is still there until it has been silent for a second
         report = looked_at(address)
         assert (report.state, report.faults, report.currents) == (State.FAULT, Fault.WATCHDOG, (0.0,) * 6)
-        status, said = run_here("bridge", address, "--seconds", "0.5", "--out", str(tmp_path))
+        status, said = said_by("bridge", address, "--seconds", "0.5", "--out", str(tmp_path))
         assert status == 1 and "no takeoff: the device is FAULT, faults WATCHDOG" in said
         assert "fault, faults: WATCHDOG" in ended(device)[1]
 
@@ -176,7 +176,7 @@ def test_a_device_that_is_gone_is_a_fault_of_the_host_and_the_recording_is_kept(
 
 def test_a_second_host_is_turned_away_and_the_first_flies_on_until_ctrl_c(tmp_path: Path) -> None:
     with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
-        status, said = run_here("bridge", address, "--seconds", "0.5")
+        status, said = said_by("bridge", address, "--seconds", "0.5")
         assert status == 1 and "another host has the device" in said
         status, said = ended(host, signal.SIGINT)
         assert status == 0, said
@@ -193,16 +193,16 @@ def test_a_host_needs_the_devices_key(tmp_path: Path) -> None:
     key, other = _key(tmp_path / "key", "a7"), _key(tmp_path / "other", "b8")
     with twin("--watchdog", "1", *key) as (device, address):
         for wrong, reason in (([], "no device answered"), (other, "no device answered")):
-            status, said = run_here("bridge", address, "--seconds", "0.2", *wrong)
+            status, said = said_by("bridge", address, "--seconds", "0.2", *wrong)
             assert status == 1 and reason in said
-        status, said = run_here("bridge", address, "--seconds", "0.2", *key)
+        status, said = said_by("bridge", address, "--seconds", "0.2", *key)
         assert status == 0, said
         assert re.search(r"frames ignored: .*for length.*for tag", ended(device)[1])
 
 
 def test_a_flight_over_a_serial_line(tmp_path: Path) -> None:
     with twin("--watchdog", "1", listen="pty") as (device, address):
-        status, said = run_here("bridge", address, "--seconds", "1")
+        status, said = said_by("bridge", address, "--seconds", "1")
         counted = re.search(r"(\d+) samples, 0 lost(?:, (\d+) skipped)?", said)
         assert status == 0 and counted and sum(int(count or 0) for count in counted.groups()) >= 200, said
         assert "inactive, faults: none" in ended(device)[1]
@@ -230,15 +230,15 @@ def test_real_time_is_enforced_where_the_system_permits_it(monkeypatch: pytest.M
             permitted = True
     except RealtimeError:
         permitted = False
-    assert run_here(*arguments)[0] == (0 if permitted else 1)
+    assert said_by(*arguments)[0] == (0 if permitted else 1)
 
     def refuse(*_: Any) -> NoReturn:
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
-    status, said = run_here(*arguments)
+    status, said = said_by(*arguments)
     assert status == 1 and re.search(r"no real time: .*SCHED_FIFO.*not permitted", said)
-    assert run_here(*arguments[:-1], "ignore")[0] == 0
+    assert said_by(*arguments[:-1], "ignore")[0] == 0
 
 
 def test_the_hosts_limits_hold_in_flight_and_options_go_before_the_profile(tmp_path: Path) -> None:
@@ -246,16 +246,16 @@ def test_the_hosts_limits_hold_in_flight_and_options_go_before_the_profile(tmp_p
     profile.write_text(json.dumps({"max_current": 4.0, "speed_limit": 0.001}))
     with twin("--watchdog", "1") as (device, address):
         arguments = ("bridge", address, "--seconds", "0.3", "--out", str(tmp_path), "--profile", str(profile))
-        status, said = run_here(*arguments)
+        status, said = said_by(*arguments)
         assert status == 1 and "FLOTOR_OVERSPEED" in said
-        assert run_here("bridge", address, "--reset")[0] == 0
-        status, said = run_here(*arguments, "--speed-limit", "0.6")
+        assert said_by("bridge", address, "--reset")[0] == 0
+        status, said = said_by(*arguments, "--speed-limit", "0.6")
         assert status == 0 and "at rest" in said, said
         assert "inactive, faults: none" in ended(device)[1]
 
 
 def test_help_says_what_ends_a_flight() -> None:
-    status, said = run_here("bridge", "--help")
+    status, said = said_by("bridge", "--help")
     assert status == 0
     for words in ("Ctrl-C twice", "SIGTERM, SIGHUP", "2 s later", "Esc in the window", "maglev-mj estop ADDRESS"):
         assert words in said
@@ -268,5 +268,5 @@ def test_where_no_device_answers_that_is_said_in_one_line() -> None:
         (("estop", "udp://127.0.0.1:9"), "not confirmed: cut the power (no answer within 1"),
         (("bridge", "udp://127.0.0.1:9"), "udp://127.0.0.1:9: no device answered within 1 s"),
     ):
-        status, said = run_here(*arguments)
+        status, said = said_by(*arguments)
         assert status == 1 and words in said and said.count("\n") == 1, said

@@ -30,7 +30,7 @@ from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Box, Joystick
 from maglev_mj.session import ChangeRequest, Publishers, Session, Snapshot, unstable_loop
-from tests.processes import ended, run_here, started, twin
+from tests.processes import ended, said_by, started, twin
 
 pytestmark = pytest.mark.xdist_group("realtime")
 
@@ -66,9 +66,9 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
     assert recording.stretches[1].tick[0] == accepted["since"]
     kept = np.concatenate([stretch.tick for stretch in recording.stretches])
     assert len(ticks) > 100 and set(ticks) <= set(kept.astype(int))
-    status, said_again = run_here("replay", str(record), "--check")
+    status, said_again = said_by("replay", str(record), "--check")
     assert status == 0 and f"{recording.ticks} of {recording.ticks} the same: command," in said_again
-    assert run_here("analyse", str(record))[0] == 0
+    assert said_by("analyse", str(record))[0] == 0
 
 
 def test_a_twin_shows_its_true_pose_and_its_faults() -> None:
@@ -79,7 +79,7 @@ def test_a_twin_shows_its_true_pose_and_its_faults() -> None:
             assert sample.position.z == pytest.approx(-0.0045, abs=1e-5) and not sample.applied.z
             assert client.parameters() == {} and client.set(wall=True)["reason"] == "no scene runs here"
             client.send({"op": "nonsense"})  # is not for the person at the terminal
-            run_here("estop", device.wait_for(r"udp://[\d.:]+"))
+            said_by("estop", device.wait_for(r"udp://[\d.:]+"))
             logged = (one.fields.message for one in client.messages(10.0) if one.topic == "/log")
             assert next(line for line in logged if "fault" in line) == "fault: ESTOP"
         ended_twin = device.end()

@@ -30,7 +30,7 @@ from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.errors import PlantError
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Snapshot
-from tests.processes import COMMAND, Program, ended, run_here, running
+from tests.processes import COMMAND, Program, ended, running, said_by
 
 ZERO_CURRENT = 1e-9
 
@@ -378,38 +378,38 @@ def test_a_stop_that_is_not_confirmed_says_to_cut_the_power(monkeypatch: pytest.
 def test_estop_stops_whoever_flies_and_the_way_on_is_reset(at: float, tmp_path: Path) -> None:
     with Watched() as twin, flight(twin, tmp_path) as host:
         twin.flown(at)
-        status, said = run_here("estop", twin.address)
+        status, said = said_by("estop", twin.address)
         assert status == 0 and "stopped: ESTOP, no current" in said
         status, told = ended(host, None)
         assert status == 1 and "ESTOP: said by the device" in told
-        status, said = run_here("bridge", twin.address, "--seconds", "0.2", "--out", str(tmp_path))
+        status, said = said_by("bridge", twin.address, "--seconds", "0.2", "--out", str(tmp_path))
         assert status == 1 and "no takeoff: the device is FAULT, faults ESTOP" in said
-        status, said = run_here("bridge", twin.address, "--reset")
+        status, said = said_by("bridge", twin.address, "--reset")
         assert status == 0 and "ESTOP: an emergency stop was asked for" in said and " s ago" in said
         twin.until(lambda: twin.last.state == State.INACTIVE)
         time.sleep(1.0)
         assert twin.last.state == State.INACTIVE and not twin.last.current
-        status, said = run_here("bridge", twin.address, "--reset")
+        status, said = said_by("bridge", twin.address, "--reset")
         assert status == 0 and "no fault is latched; the device is inactive" in said
     (box,) = tmp_path.glob("maglev-fault-*.json")
-    status, said = run_here("fault", str(box), "--out", str(tmp_path / "pictures"))
+    status, said = said_by("fault", str(box), "--out", str(tmp_path / "pictures"))
     assert status == 0 and "faults ESTOP" in said and "the last 20 of " in said
     assert max(map(len, said.splitlines()[:-1])) <= 100
-    assert len(said.splitlines()) < 40 < len(run_here("fault", str(box), "--all")[1].splitlines())
+    assert len(said.splitlines()) < 40 < len(said_by("fault", str(box), "--all")[1].splitlines())
     assert list((tmp_path / "pictures").glob("*.png"))
 
 
 def test_estop_that_is_not_confirmed_is_a_failure(tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_text("a7" * 16)
-    status, said = run_here("estop", "udp://127.0.0.1:9")
+    status, said = said_by("estop", "udp://127.0.0.1:9")
     assert status == 1 and "not confirmed: cut the power (no answer within 1" in said
     with Watched() as twin:  # it has no key, so it knows no tag
-        status, said = run_here("estop", twin.address, "--key", str(key))
+        status, said = said_by("estop", twin.address, "--key", str(key))
         assert status == 1 and "not confirmed: cut the power" in said
         assert twin.last.state == State.INACTIVE
     for wrong in ("127.0.0.1:5678", "udp://192.0.2.1:5678"):
-        status, said = run_here("estop", wrong)
+        status, said = said_by("estop", wrong)
         assert status == 2 and said.count("\n") == 1
-    status, said = run_here("estop", "serial:///nowhere?baud=115200")
+    status, said = said_by("estop", "serial:///nowhere?baud=115200")
     assert status == 1 and "not confirmed: cut the power" in said and said.count("\n") == 1
