@@ -1,4 +1,4 @@
-"""Device's side of a session in Python and in C, beside the checks of conformance: edges and internals."""
+"""Edges and internals of the device's side of a session, in Python and in C."""
 
 from __future__ import annotations
 
