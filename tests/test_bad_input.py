@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from maglev_mj.interop.spacenav import place
+from maglev_mj.interop.spacenav import server
 from maglev_mj.views.window import window
 from tests.processes import run_here
 
@@ -161,8 +161,8 @@ def test_what_cannot_be_done_is_one_line_and_status_2(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(window, "require_display", lambda: None)
-    monkeypatch.setattr(place, "_SETTINGS", tmp_path / "spnavrc")
-    monkeypatch.setattr(place, "_DAEMONS", tmp_path / "daemon.sock")
+    monkeypatch.setattr(server, "_SETTINGS", tmp_path / "spnavrc")
+    monkeypatch.setattr(server, "_DAEMONS", tmp_path / "daemon.sock")
     monkeypatch.setenv("SPNAV_SOCKET", str(tmp_path / "spnav.sock"))
     status, output, errors = run_here(*words.split())
     assert (status, output, errors.count("\n")) == (2, "", 1)
