@@ -8,7 +8,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from maglev_mj.cli import main, recordings
+from maglev_mj.cli import main, scenes
 from maglev_mj.control import Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
@@ -227,7 +227,7 @@ def test_a_disk_that_is_full_ends_a_session_with_one_line(
         return ShowReport(0, 0.0, 0.0, 0.0, 0, 0)
 
     monkeypatch.setattr(Recording, "save", full)
-    monkeypatch.setattr(recordings, "show_session", shown)
+    monkeypatch.setattr(scenes, "show_session", shown)
     option = [] if by_key else ["--record", str(tmp_path / f"run{suffix}")]
     assert main(["view", "--out", str(tmp_path), *option]) == 1
     said = capfd.readouterr()
