@@ -18,6 +18,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.parameters import axis_indices, numbers
+from maglev_mj.plants.hand import Hand
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory.closed_loop import SampledLoop, loop_matrix
@@ -246,17 +247,19 @@ class StateSpace(LinearController):
         once = np.linalg.solve(still, self.take)
         return self.direct + self.give @ once, self.give @ np.linalg.solve(still, once)
 
-    def closed_loop(self, *, period: float, delay: float, inertia: Array) -> Array:
+    def closed_loop(self, *, period: float, delay: float, inertia: Array, hand: Hand | None = None) -> Array:
         """Return the closed loop's matrix; see `loop_matrix`.
 
         Args:
             period: Sample period [s].
             delay: Transport delay [s], up to 10 periods.
             inertia: Mass or moments of inertia [kg, kg m²], (n,).
+            hand: The hand on each of the axes; None for a free flotor.
         """
-        phi, old, new, whole, waiting = SampledLoop(period=period, delay=delay, mass=inertia).flotor()
-        body = np.block([[np.diag(phi[:, row, column]) for column in (0, 1)] for row in (0, 1)])
-        before, after = (np.vstack([np.diag(part[:, row]) for row in (0, 1)]) for part in (old, new))
+        phi, old, new, whole, waiting = SampledLoop(period=period, delay=delay, mass=inertia, hand=hand).flotor()
+        states = range(phi.shape[-1])
+        body = np.block([[np.diag(phi[:, row, column]) for column in states] for row in states])
+        before, after = (np.vstack([np.diag(part[:, row]) for row in states]) for part in (old, new))
         return loop_matrix(body, before, after, whole, waiting, *self)
 
 

@@ -5,10 +5,12 @@ It follows from the laws' gains if all state them, otherwise from a numerical li
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import compress, product
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,10 +19,11 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import number, numbers
+from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import load_model
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.spec import INERTIA, RANGE
-from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.closed_loop import MOST_PERIODS, SampledLoop
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
@@ -32,6 +35,8 @@ _POINTS, _STRIDE = 23, 0.9871
 
 The range is a share of the motion range, chosen so that few poses fall on an edge.
 """
+_LONGEST, _FINEST, _PER_PERIOD, _HALVINGS = 0.03, 2.5e-4, 16, 12
+"""Longest delay of a margin and finest step [s], delays tried a period, and halvings between two of them."""
 _OFF, _DEPTHS = 1e-5, (1e-6, 1e-4)
 """Distances from an edge [m]; ten times as many [rad].
 
@@ -251,7 +256,10 @@ def judge(controller: Controller, *, delay: float, pose: ArrayLike = ZERO, inert
     return _by_gains(gains, controller, delay, start, body)
 
 
-def stated_gains(controller: Controller) -> dict[tuple[str, ...], tuple[Array, Array]] | None:
+_Gains: TypeAlias = dict[tuple[str, ...], tuple[Array, Array]]
+
+
+def stated_gains(controller: Controller) -> _Gains | None:
     """Return total gains for each combination of law states.
 
     Stiffness and damping on the six axes.
@@ -277,9 +285,7 @@ def stated_gains(controller: Controller) -> dict[tuple[str, ...], tuple[Array, A
     return None if any((gains < 0.0).any() for both in totals.values() for gains in both) else totals
 
 
-def _by_gains(
-    gains: dict[tuple[str, ...], tuple[Array, Array]], controller: Controller, delay: float, pose: Array, body: Array
-) -> Verdict:
+def _by_gains(gains: _Gains, controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
     """Return the verdict from stated gains, in closed form."""
     loop: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
     kinds: dict[tuple[Any, ...], list[str]] = {}
@@ -351,6 +357,9 @@ class _Loop(NamedTuple):
         return stiffness, damping
 
 
+_Group: TypeAlias = tuple[tuple[_Loop, ...], tuple[StateSpace, ...], tuple[int, ...]]
+
+
 def _loop(near: Linearised, axes: tuple[int, ...], own: Array, seen: list[_Loop]) -> _Loop:
     """Return the loop of some axes, added to those seen or like one of them."""
     settles = bool(near.settled[list(axes)].all())
@@ -383,8 +392,20 @@ def _own_modulus(roots: NDArray[np.complex128], still: int) -> float:
     return _modulus(roots, max(free, default=still))
 
 
-def _numerically(controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
-    """Return the verdict by linearisation."""
+class _Found(NamedTuple):
+    """Loops of a controller by linearisation, and poses without any."""
+
+    loops: list[_Loop]
+    lost: list[_Loop]
+    """At unstable equilibria, of axes that have no stable one."""
+    away: list[_Loop]
+    jumps: list[Array]
+    unknown: list[Array]
+    complete: bool
+    """True if each axis has a loop."""
+
+
+def _linearised(controller: Controller, pose: Array, body: Array) -> _Found:
     loops: list[_Loop] = []
     away: list[_Loop] = []
     seen: list[_Loop] = []
@@ -407,14 +428,20 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
     # an axis without a stable equilibrium is judged at the unstable ones
     lost = [loop for loop in away if not judged.issuperset(loop.axes)]
     nowhere = set(range(len(AXES))) - judged - {axis for loop in lost for axis in loop.axes}
+    return _Found(loops, lost, away, jumps, unknown, not nowhere)
+
+
+def _numerically(controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
+    """Return the verdict by linearisation."""
+    found = _linearised(controller, pose, body)
     worst: _Loop | None = None
     modulus, eigenvalues = np.nan, np.empty(0, dtype=np.complex128)
-    for loop, roots in _roots(loops + lost, delay, body):
+    for loop, roots in _roots(_grouped(found.loops + found.lost), delay, body):
         own = _own_modulus(roots, loop.still)
         if worst is None or own > modulus * (1.0 + _ROUNDING):
             worst, modulus, eigenvalues = loop, own, roots
     unstable = modulus >= 1.0 - _ROUNDING
-    known = unstable or not (unknown or nowhere)
+    known = unstable or (found.complete and not found.unknown)
     stiffness, damping = np.full((2, 6, 6), np.nan) if worst is None else worst.gains(body)
     return Verdict(
         stable=not unstable if known else None,
@@ -425,14 +452,26 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
         damping=damping,
         eigenvalues=eigenvalues,
         stated=False,
-        jumps=_distinct(jumps),
-        unknown=_distinct(unknown),
-        away=_distinct([loop.near.pose for loop in away]),
+        jumps=_distinct(found.jumps),
+        unknown=_distinct(found.unknown),
+        away=_distinct([loop.near.pose for loop in found.away]),
     )
 
 
-def _roots(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[_Loop, NDArray[np.complex128]]]:
+def _roots(
+    groups: Iterable[_Group], delay: float, body: Array, hand: Hand | None = None
+) -> Iterator[tuple[_Loop, NDArray[np.complex128]]]:
     """Yield different loops with their eigenvalues; loops of one size are computed at once."""
+    for different, systems, axes in groups:
+        period, inertia = different[0].near.period, body[list(axes)]
+        held = hand if hand is not None and set(axes) <= set(hand.indices) else None
+        system = StateSpace(*map(np.array, zip(*systems))).with_units(period, inertia)
+        matrices = system.closed_loop(period=period, delay=delay, inertia=inertia, hand=held)
+        yield from zip(different, np.linalg.eigvals(matrices).astype(np.complex128), strict=True)
+
+
+def _grouped(loops: Sequence[_Loop]) -> Iterator[_Group]:
+    """Yield different loops of the same axes and size, with their systems and axes."""
     seen: dict[tuple[int, ...], list[_Loop]] = {}
     sizes: dict[tuple[tuple[int, ...], int], list[tuple[_Loop, StateSpace]]] = {}
     for loop in loops:
@@ -444,10 +483,78 @@ def _roots(loops: Sequence[_Loop], delay: float, body: Array) -> Iterator[tuple[
         sizes.setdefault((loop.axes, len(system.advance)), []).append((loop, system))
     for (axes, _), group in sizes.items():
         different, systems = zip(*group)
-        period, inertia = different[0].near.period, body[list(axes)]
-        system = StateSpace(*map(np.array, zip(*systems))).with_units(period, inertia)
-        matrices = system.closed_loop(period=period, delay=delay, inertia=inertia)
-        yield from zip(different, np.linalg.eigvals(matrices).astype(np.complex128), strict=True)
+        yield different, systems, axes
+
+
+def delay_margins(
+    controller: Controller, hands: Sequence[str], *, pose: ArrayLike = ZERO, inertia: ArrayLike = INERTIA
+) -> dict[str, float]:
+    """Return the longest delay that a controller's loops bear, free and in each hand [s].
+
+    The controller is linearised once. A hand holds the translations; coupled translations and rotations are free.
+
+    Args:
+        controller: The controller, of laws for one device; it is not changed.
+        hands: Names of hands; "none" for a free flotor.
+        pose: Start of the flotor [m, rad], (6,).
+        inertia: Mass and moments of inertia [kg, kg m²], (6,).
+
+    Returns:
+        By hand: 0 if a loop is unstable without delay, infinity if all are stable up to 30 ms or 10 periods, the
+        shorter; NaN if a loop is not known.
+
+    Raises:
+        MaglevError: If a law fails at a pose.
+
+    Example:
+        >>> from maglev_mj import find_scene
+        >>> from maglev_mj.theory.verdict import delay_margins
+        >>> joystick = find_scene("joystick")(period=0.005)
+        >>> round(delay_margins(joystick.controller(), ["none"])["none"] * 1e3, 2)  # [ms]
+        2.91
+    """
+    check_instance("controller", controller, Controller, "a Controller")
+    start, body = numbers("pose", pose), numbers("inertia", inertia, at_least=0.0, above=0.0)
+    gains, period = stated_gains(controller), controller.period
+    if gains is None:
+        found = _linearised(controller, start, body)
+        if found.unknown or not found.complete:
+            return dict.fromkeys(hands, math.nan)
+        loops = [*_grouped(found.loops + found.lost)]
+
+    def modulus(delay: float, hand: Hand | None) -> float:
+        if gains is not None:
+            return _stated_modulus(gains, controller, delay, body, hand)
+        roots = (_own_modulus(own, loop.still) for loop, own in _roots(loops, delay, body, hand))
+        return max(roots, default=0.0)
+
+    return {name: _margin(partial(modulus, hand=get_hand(name)), period) for name in hands}
+
+
+def _stated_modulus(gains: _Gains, controller: Controller, delay: float, body: Array, hand: Hand | None) -> float:
+    """Return the largest modulus of the axes' loops, those of free motion left out."""
+    worst = 0.0
+    for part, held in ((slice(3), hand), (slice(3, 6), None)):
+        stiffness, damping = (np.array([both[kind][part] for both in gains.values()]).ravel() for kind in (0, 1))
+        mass = np.tile(body[part], len(gains))
+        loop = SampledLoop(period=controller.period, delay=delay, mass=mass, hand=held, velocity=controller.velocity)
+        roots = np.linalg.eigvals(loop.matrix(stiffness, damping))
+        free = np.where(stiffness > 0.0, 0, np.where(damping > 0.0, 1, 2)) * (held is None)
+        worst = max(worst, *map(_modulus, roots, free))
+    return worst
+
+
+def _margin(modulus: Callable[[float], float], period: float) -> float:
+    """Return the first delay at which a modulus reaches 1 [s]."""
+    grid = np.arange(0.0, min(_LONGEST, MOST_PERIODS * period) + 1e-12, max(period / _PER_PERIOD, _FINEST))
+    first = next((place for place, delay in enumerate(grid) if modulus(delay) >= 1.0 - _ROUNDING), None)
+    if not first:
+        return math.inf if first is None else 0.0
+    low, high = grid[first - 1], grid[first]
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if modulus(middle) >= 1.0 - _ROUNDING else (middle, high)
+    return float(low)
 
 
 def _memory(response: Array) -> int:
