@@ -101,7 +101,14 @@ class BlackBox:
         self._rows: deque[Cycle] = deque(maxlen=_KEPT)
         self.keep = self._rows.append
 
-    def write(self, faults: Fault, message: str, about: Mapping[str, Any]) -> Path | None:
+    @property
+    def cycles(self) -> list[Cycle]:
+        """The kept cycles."""
+        return list(self._rows)
+
+    def write(
+        self, faults: Fault, message: str, about: Mapping[str, Any], cycles: Sequence[Cycle] | None = None
+    ) -> Path | None:
         """Write the kept cycles to a file.
 
         The temporary folder is used if the own folder cannot be written.
@@ -110,13 +117,16 @@ class BlackBox:
             faults: The faults.
             message: One line of explanation.
             about: Further values, ready for JSON.
+            cycles: Cycles kept before, in place of the last ones.
 
         Returns:
             The file; None if no folder can be written. Nothing is raised, so that the fault itself is reported.
         """
         with suppress(Exception):
             told = {"format": _FORMAT, "faults": fault_names(faults), "message": message, "versions": self._versions}
-            text = json.dumps({**told, **about, "columns": _COLUMNS, "cycles": [_flat(row) for row in self._rows]})
+            text = json.dumps(
+                {**told, **about, "columns": _COLUMNS, "cycles": [_flat(row) for row in (cycles or self._rows)]}
+            )
             for folder in (self._folder, Path(tempfile.gettempdir())):
                 with suppress(OSError):
                     folder.mkdir(parents=True, exist_ok=True)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard
 from maglev_mj.bridge.landing import LandingReport, StopSwitch
 from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.remote import RemotePlant
@@ -71,10 +72,12 @@ class LoopTiming:
         age: Time from a sample to sending its answer, beyond the quickest transport of the last seconds: the two clocks
             have no common zero.
         delay: Time from a sample to its answer's effect, by the device's clock.
+        newest_age: Last of the ages [s]; 0 in lockstep.
     """
 
     def __init__(self) -> None:
         self.answer, self.age, self.delay = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
+        self.newest_age = 0.0
         self._least, self._before, self._renewed = math.inf, math.inf, 0
 
     def add(self, plant: RemotePlant) -> None:
@@ -88,7 +91,9 @@ class LoopTiming:
         if taken > self._renewed:
             self._least, self._before, self._renewed = way, self._least, taken + _RENEWED
         self._least = min(self._least, way)
-        self.age.add(answer + way - int(min(self._least, self._before)))
+        newest = answer + way - int(min(self._least, self._before))
+        self.age.add(newest)
+        self.newest_age = newest * 1e-9
 
     @property
     def kinds(self) -> Mapping[str, LatencyHistogram]:
@@ -163,9 +168,11 @@ class Flight:
         publishers: Publishers to viewers and other programs; left open.
         warn: Called, once, with the reason if the recording ends.
         step_force: Largest step of force by new settings [N]; see `check_step`.
+        bears: Longest delay from a sample to its answer's effect that the scene bears [s]; see `delay_margins`.
 
     Attributes:
         switch: Switch that ends the flight.
+        reason: Why a guard ends the flight; "" if none does.
         timing: Latencies of the loop.
         warning: Result of `delay_check` after the flight.
 
@@ -183,6 +190,7 @@ class Flight:
         publishers: Sequence[Publisher] = (),
         warn: Callable[[str], object] | None = None,
         step_force: float = STEP_FORCE,
+        bears: float = math.inf,
     ) -> None:
         if scene.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
@@ -201,6 +209,7 @@ class Flight:
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
+        self.reason, self._late, self._power = "", DelayGuard(bears), PowerGuard(plant.period)
         if file is not None:
             file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
 
@@ -233,10 +242,12 @@ class Flight:
         plant.takeoff(watch=self._watch)
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
-        while not switch.landing and (last is None or plant.samples.tick < last):
+        while not self.reason and not switch.landing and (last is None or plant.samples.tick < last):
             self._stretch(last)
         ticks = plant.samples.tick - first
-        return ticks, plant.land(watch=lambda: self._watch() and False)
+        if self.reason and self._file is not None:
+            self._file.event("landing", self.reason)
+        return ticks, plant.land(watch=lambda: self._watch() and False, reason=self.reason)
 
     def _missing(self) -> tuple[int, int]:
         """Return lost and skipped samples since takeoff."""
@@ -274,15 +285,23 @@ class Flight:
             name = f"{scene.name} on a device"
             record = begin_scene(self._file, scene, plant, controller, kind="device", name=name, **known)
         loop, samples = ControlLoop(plant, controller, observe=self._observe(controller), record=record), plant.samples
-        while not self.switch.landing and self._wanted is None and (last is None or samples.tick < last):
+        while (
+            not self.reason
+            and not self.switch.landing
+            and self._wanted is None
+            and (last is None or samples.tick < last)
+        ):
             loop.cycle()
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
-        carried, faces = controller.carried, controller.faces
+        carried, faces = controller.carried.tolist(), controller.faces
 
         def observe(sample: Sample, applied: Command) -> None:
             self.timing.add(self._plant)
             self._force = applied.force
+            late = max(self._plant.lateness, self._plant.delay + self.timing.newest_age)
+            laws = [one - other for one, other in zip(applied.force, carried)]
+            self.reason = self._late.check(late) or self._power.check(sample.position, laws)
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
             if not self._publishers:
@@ -291,7 +310,7 @@ class Flight:
                 self._since = sample.tick
                 self._begun.reply(sample.tick)
                 self._begun = None
-            plant, force, pose = self._plant, np.array(applied.force) - carried, np.array(sample.position)
+            plant, force, pose = self._plant, np.array(laws), np.array(sample.position)
             self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
             self._publishers.show(lambda: self._snapshot(pose, force, faces, controller.stick_positions))
             self._listen(sample)

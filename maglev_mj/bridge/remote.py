@@ -7,13 +7,14 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NoReturn, Self
+from typing import Any, NoReturn, Self
 
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
-from maglev_mj.bridge.landing import LandingReport, Leader, land, shown, take_off
+from maglev_mj.bridge.landing import TOLERATED, LandingReport, Leader, Swing, land, shown, take_off
 from maglev_mj.bridge.links import Link, LinkError, open_link
+from maglev_mj.bridge.observer import HandObserver
 from maglev_mj.bridge.safety import (
     WARNING_RISE,
     FlotorGuard,
@@ -66,9 +67,12 @@ class RemotePlant:
         last_delay: Time from the last but one sample to its answer's effect, by the device's clock [s]; NaN if the
             command in force at the last sample answers another.
         newest_delay: The same for the newest answer that has arrived, to any sample; NaN without a new one.
+        lateness: The same, or without a new one the least that the next answer's delay can be.
+        pose: Last known pose [m, rad].
         rest: Pose before takeoff and target of the landing [m, rad].
         samples: Counter of received, lost and skipped samples.
-        hand_wrench: NaN: the hand's wrench is not measured.
+        hand_wrench: The hand's wrench as estimated, low-passed at 20 Hz [N, N m]; NaN unless the device is active. A
+            touched stop counts as a hand; see `HandObserver`.
         arrival: Arrival of the last sample, by the link's clock [s].
 
     Raises:
@@ -84,7 +88,7 @@ class RemotePlant:
         0.005
     """
 
-    hand_wrench = _UNKNOWN
+    hand_wrench = property(lambda self: self._hand.wrench)
     arrival = property(lambda self: self._line.heard * 1e-9)
 
     def __init__(
@@ -121,20 +125,24 @@ class RemotePlant:
             self._offsets: list[float] | None = known.spot_offsets.tolist() if known.spot_offsets.any() else None
             self._output = OutputLimiter(known.coils, self.limits, own.wrench, self.period)
             self._leader = Leader(known, self.period, self.delay)
+            self._hand = HandObserver(known, self.period)
+            self._tolerant = Leader(known, self.period, TOLERATED)
         except BaseException:
             self._line.close()
             raise
         self.last_currents: Sequence[float] = ZERO
         self.rest: Sequence[float] = ZERO
         self.last_delay = self.newest_delay = _NAN
+        self.lateness = self.delay
         self._answered: int | None = None  # by the newest answer
         # armed by this host, and nothing has ended it that was reported
         self.disarmed = self._armed = self._warned = False
         self.guided = self._owed = False  # an answer is owed to the last sample
+        self._behind = 0  # samples since the one that the newest answer answers
         self._sequence, self._located, self.doubt = 0, 0, ""  # last sample, last known pose
         self._frame: Frame | None = None  # the last sample
         self._seen: Sequence[float] = _UNKNOWN  # its pose
-        self._known: Sequence[float] = ZERO
+        self.pose: Sequence[float] = ZERO
 
     def __enter__(self) -> Self:
         return self
@@ -181,6 +189,7 @@ class RemotePlant:
             self._suspect(wrong, f"the flotor is at {shown(position)}")
         self._located = tick
         if active:
+            self._hand.sampled(tick, samples.elapsed, position, tick - self._behind, self.newest_delay)
             if samples.out_of_step:
                 self.fail(Fault.CLOCK, samples.out_of_step)
             if max(report.temperatures) >= WARNING_RISE or self._output.thermal.warmest >= WARNING_RISE:
@@ -196,10 +205,12 @@ class RemotePlant:
         """
         frame = self._answered_frame("write")
         try:
-            command, held, pulsed, width = self._output.currents(command, self._known)
+            command, held, pulsed, width = self._output.currents(command, self.pose)
         except (PlantError, TypeError) as error:
             self.fail(Fault.INVALID_COMMAND, str(error))
         self._answer(frame, held, pulsed, width)
+        whole = None if command.extra is None else [one + other for one, other in zip(command.force, command.extra)]
+        self._hand.answered(self.samples.tick, command.force, whole, width)
         return command
 
     def drive(self, currents: Sequence[float]) -> None:
@@ -260,11 +271,13 @@ class RemotePlant:
         """
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
         self.state, self._armed, self.guided = _ACTIVE, True, False
+        self._hand.reset()
 
     def disarm(self) -> None:
         """Switch the currents off."""
         self._ask(Operation.DISARM)
         self._armed, self.disarmed = False, True
+        self._hand.reset()
         if self.state is _ACTIVE:
             self.state = _INACTIVE
 
@@ -312,12 +325,16 @@ class RemotePlant:
         self._check_open()
         take_off(self, self._leader, duration, watch)
 
-    def land(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> LandingReport:
+    def land(
+        self, duration: float = 0.6, *, watch: Callable[[], object] | None = None, reason: str = ""
+    ) -> LandingReport:
         """Move the flotor back to its rest pose and disarm.
 
         Args:
             duration: Time of the motion [s]; up to 0.3 s more until it rests.
             watch: As for `takeoff`.
+            reason: Why the flight is ended early; "" if it is not. Then a softer hold leads, stable up to 50 ms
+                of delay, and the cycles before are written to a file; a flotor that still swings is cut.
 
         Returns:
             Pose and motion 0.2 s later.
@@ -325,7 +342,18 @@ class RemotePlant:
         Raises:
             DeviceFault: As for `takeoff`.
         """
-        return land(self, self._leader, duration, watch)
+        if not reason:
+            return land(self, self._leader, duration, watch)
+        cycles, swing = self._box.cycles, Swing()
+
+        def calm() -> bool:
+            if self.state is _ACTIVE and (speed := swing.check(self.pose, self.samples.tick * self.period)):
+                self.fail(Fault.HOST, f"{reason}; in the landing it still moved at {speed:.2f} m/s")
+            return watch is not None and bool(watch())
+
+        report = land(self, self._tolerant, duration, calm)
+        path = self._box.write(Fault(0), reason, self._about(), cycles)
+        return report._replace(reason=reason, path=path)
 
     def _ask(self, operation: Operation, *, hover: Sequence[float] = ZERO) -> None:
         self._check_open()
@@ -359,11 +387,13 @@ class RemotePlant:
         elapsed = self.samples.elapsed
         if (unanswered := elapsed - answered) > 0:  # without a command the coils cool, or keep their currents
             self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
-        behind = (frame.sequence - report.answered) & WRAP
+        self._behind = behind = (frame.sequence - report.answered) & WRAP
         known = report.age != NEVER and report.answered != self._answered
         self._answered = report.answered
         self.newest_delay = behind * self.period - report.age * 1e-6 + self.delay if known else _NAN
         self.last_delay = self.newest_delay if elapsed == behind == 1 else _NAN
+        # the answer after the newest that has arrived is at least so late
+        self.lateness = self.newest_delay if known else (behind - 1) * self.period + self.delay
         self._sequence, self._frame, self._seen = frame.sequence, frame, _UNKNOWN
 
     def _adopt(self, state: int, faults: int) -> None:
@@ -407,7 +437,7 @@ class RemotePlant:
         except SensingError as error:
             self._fail_if_active(Fault.SENSOR_OUT_OF_RANGE, str(error))
             raise
-        self._known, self._owed = position, True
+        self.pose, self._owed = position, True
         self._seen = tuple(position)  # the caller may write into the list
         return position
 
@@ -440,8 +470,10 @@ class RemotePlant:
             with suppress(Exception):  # report and black box must not depend on the line
                 self.trip(faults)
         faults |= self.faults  # such as an e-stop, after which it fell
-        about = {"first": fault_names(self.first), "fault_time_ns": self.fault_time, "period_ns": self.samples.period}
-        about |= {name: getattr(self.samples, name) for name in ("tick", "lost", "skipped")}
         if (frame := self._frame) is not None:
             self._box.keep((frame, self._seen, self.last_currents, None, 0.0, self.last_delay, self._line.latency))
-        raise DeviceFault(faults, message, self._box.write(faults, message, about))
+        raise DeviceFault(faults, message, self._box.write(faults, message, self._about()))
+
+    def _about(self) -> dict[str, Any]:
+        about = {"first": fault_names(self.first), "fault_time_ns": self.fault_time, "period_ns": self.samples.period}
+        return about | {name: getattr(self.samples, name) for name in ("tick", "lost", "skipped")}

@@ -36,7 +36,7 @@ _POINTS, _STRIDE = 23, 0.9871
 The range is a share of the motion range, chosen so that few poses fall on an edge.
 """
 _LONGEST, _FINEST, _PER_PERIOD, _HALVINGS = 0.03, 2.5e-4, 16, 12
-"""Longest delay of a margin and finest step [s], delays tried a period, and halvings between two of them."""
+"""Longest delay and finest step of a margin [s], delays tried a period, and halvings."""
 _OFF, _DEPTHS = 1e-5, (1e-6, 1e-4)
 """Distances from an edge [m]; ten times as many [rad].
 

@@ -1,0 +1,255 @@
+"""Guards of a flight: late answers, vibration, energy, and the hand's estimated force."""
+
+from __future__ import annotations
+
+import math
+import random
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import Controller, Hold, Wall, find_scene, judge
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.fault import load_black_box
+from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard
+from maglev_mj.bridge.landing import TOLERATED, Leader, Swing
+from maglev_mj.frames import Command, Sample
+from maglev_mj.session import device_controller
+from maglev_mj.theory.verdict import delay_margins
+from tests.slow_lines import SHAPES, fly
+
+FLOWN = ("joystick", "drop", "press", "table", "box", "corner", "stick-slip", "six-axes", "wall")
+HANDS = ("none", "arm", "stylus", "fingertip")
+
+
+# what a scene bears
+
+
+@pytest.mark.parametrize("period", [0.005, 0.001])
+@pytest.mark.parametrize("name", FLOWN)
+def test_a_margin_is_where_the_verdict_turns(name: str, period: float) -> None:
+    controller = device_controller(find_scene(name)().replace(period=period, delay=0.0015))
+    margin = delay_margins(controller, ["none"])["none"]
+    if margin < math.inf:
+        assert judge(controller, delay=margin * 0.999).stable and not judge(controller, delay=margin * 1.002).stable
+    else:
+        assert judge(controller, delay=min(0.03, 10 * period) * 0.999).stable
+
+
+@pytest.mark.parametrize(
+    ("name", "margins"),
+    [
+        ("joystick", (2.91, 2.91, 2.77, 2.91)),  # its rotations are free in each hand, and decide
+        ("drop", (3.26, 6.30, 3.11, 3.44)),
+        ("stick-slip", (2.72, 5.35, 2.61, 2.89)),
+        ("six-axes", (11.60, 11.60, 10.57, 11.60)),
+    ],
+)
+def test_margins_in_hands_at_200_hz(name: str, margins: tuple[float, ...]) -> None:
+    controller = device_controller(find_scene(name)().replace(period=0.005, delay=0.0015))
+    found = delay_margins(controller, HANDS)
+    assert [round(1e3 * found[hand], 2) for hand in HANDS] == pytest.approx(margins, abs=0.011)
+
+
+class Unstated(Hold):
+    """Hold that states no gains, so that it is linearised."""
+
+    def gains(self) -> None:  # type: ignore[override]
+        return None
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_a_law_that_states_no_gains_has_the_margin_of_one_that_does(hand: str) -> None:
+    stated, unstated = (
+        Controller([law(axes=["x", "y", "z"], stiffness=3000.0, damping=60.0)], period=0.005)
+        for law in (Hold, Unstated)
+    )
+    expected = delay_margins(stated, [hand])[hand]
+    assert math.isfinite(expected)
+    assert delay_margins(unstated, [hand])[hand] == pytest.approx(expected, rel=1e-3)
+
+
+def test_margins_without_any_and_without_end() -> None:
+    shaky = Controller([Wall(axes="z", lower=0.0, stiffness=90_000.0, damping=10.0)], period=0.005)
+    assert delay_margins(shaky, ["none"]) == {"none": 0.0}
+    soft = Controller([Hold(axes="z", stiffness=1.0, damping=0.1)], period=0.005)
+    assert delay_margins(soft, ["none"]) == {"none": math.inf}
+
+
+# guards alone
+
+
+@pytest.mark.parametrize(
+    ("delays", "rule"),
+    [
+        ([3.1] * 7, ""),
+        ([3.1] * 8, "8 of the last 16 delays are above 3.00 ms, the newest 3.10 ms"),
+        ([3.1, 1.0] * 7 + [3.1], "8 of the last 16"),
+        ([3.1, 1.0, 1.0] * 20, ""),
+        ([9.1] * 2, ""),
+        ([9.1] * 3, "3 of the last 5 delays are above 9.00 ms"),
+        ([9.1, 1.0, 9.1, 1.0, 9.1], "3 of the last 5"),
+        ([9.1, 1.0, 1.0, 9.1, 1.0, 9.1], ""),
+        ([40.0, 1.0, 1.0, 1.0] * 3, ""),
+        ([math.inf] * 3, "3 of the last 5"),
+    ],
+)
+def test_a_slow_line_is_found_and_a_late_answer_is_not_one(delays: list[float], rule: str) -> None:
+    guard = DelayGuard(3e-3)
+    said = [guard.check(delay * 1e-3) for delay in delays]
+    assert not any(said[:-1]) and rule in said[-1] and bool(rule) == bool(said[-1])
+
+
+@pytest.mark.parametrize("period", [0.005, 0.001])
+@pytest.mark.parametrize("axis", range(6))
+def test_reversals_are_counted_in_each_axis(axis: int, period: float) -> None:
+    guard, size = PowerGuard(period), 1.0 if axis < 3 else 0.02
+    force, said = np.zeros(6), []
+    for tick in range(round(0.3 / period)):
+        force[axis] = (60.0 if tick % 2 else -60.0) * size
+        said.append(guard.check([0.0] * 6, force.tolist()))
+    assert "the laws vibrate" in next(filter(None, said)) and not any(said[:3])
+
+
+def test_one_hard_blow_is_no_vibration_and_slow_swings_are_none() -> None:
+    for forces in ([0.0, 200.0, -200.0, 0.0], 60.0 * np.sin(2.0 * np.pi * 2.0 * np.arange(0.0, 2.0, 0.005))):
+        guard = PowerGuard(0.005)
+        assert not any(guard.check([0.0] * 6, [0.0, 0.0, force, 0.0, 0.0, 0.0]) for force in forces)
+
+
+@pytest.mark.parametrize("period", [0.005, 0.001])
+def test_energy_is_force_times_path_over_the_last_second(period: float) -> None:
+    """10 N along 4 mm give 40 mJ; once more within the second, too much."""
+    guard = PowerGuard(period)
+
+    def push(sense: float, pause: float) -> list[str]:
+        path = np.linspace(0.0, 0.004, round(0.1 / period))
+        said = [guard.check([part, 0, 0, 0, 0, 0], [sense * 10.0, 0, 0, 0, 0, 0]) for part in path]
+        back = [guard.check([part, 0, 0, 0, 0, 0], [0.0] * 6) for part in path[::-1]]
+        return said + back + [guard.check([0.0] * 6, [0.0] * 6) for _ in range(round(pause / period))]
+
+    assert not any(push(1.0, 1.2) + push(1.0, 0.0))
+    assert "the laws give out energy: 4" in next(filter(None, push(1.0, 0.0)))
+    braked = PowerGuard(period)
+    assert not any(braked.check([1e-3 * tick, 0, 0, 0, 0, 0], [-20.0, 0, 0, 0, 0, 0]) for tick in range(9))
+
+
+def test_a_swing_is_cut_after_a_tenth_of_a_second() -> None:
+    swing = Swing()
+    said = [swing.check([0.35 * time, 0.0, 0.0], time) for time in np.arange(0.0, 0.2, 0.005)]
+    assert not any(said[:20]) and said[22] == pytest.approx(0.35)
+    slow = Swing()
+    assert not any(slow.check([0.29 * time, 0.0, 0.0], time) for time in np.arange(0.0, 0.5, 0.005))
+
+
+@pytest.mark.parametrize("period", [0.005, 0.001])
+def test_the_hold_of_an_early_landing_bears_fifty_milliseconds(period: float) -> None:
+    leader = Leader(Calibration.nominal(), period, TOLERATED)
+    for delay in np.arange(0.0, min(0.0505, 10 * period), 0.0025):
+        assert judge(leader._controller, delay=float(delay)).stable
+
+
+# flights
+
+
+def delayed(shape: str, size: float, begin: float, seed: int = 0) -> Any:
+    draw = random.Random(seed)
+    return lambda time: SHAPES[shape](size, time - begin, draw)
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "hand", "shape", "size"),
+    [
+        ("joystick", 200, "5", "step", 0.003),
+        ("corner", 200, "5", "step", 0.010),
+        ("drop", 200, "8", "step", 0.020),
+        ("box", 200, "8", "jitter", 0.040),
+        ("press", 200, "5", "ramp", 0.045),
+        ("joystick", 200, "none", "step", 0.010),
+        ("table", 200, "5", "burst", 0.015),
+        ("stick-slip", 200, "8", "ramp", 0.010),
+        ("wall", 1000, "8", "step", 0.060),
+    ],
+)
+def test_a_slow_line_ends_a_flight_gently(
+    name: str, rate: int, hand: str, shape: str, size: float, tmp_path: Path
+) -> None:
+    flown = fly(name, rate=rate, hand=hand, delay=delayed(shape, size, 1.6), folder=tmp_path)
+    assert "the line is slower than the scene bears" in flown.outcome or "WATCHDOG" in flown.outcome
+    most = 0.30 if hand == "none" else 0.40
+    assert flown.speeds(1.6).max() < most and (flown.speeds(1.6) > 0.30).sum() / rate <= 0.15
+
+
+def test_the_reason_is_in_the_file_of_the_last_cycles(tmp_path: Path) -> None:
+    flown = fly("joystick", hand="5", delay=delayed("step", 0.005, 1.6), folder=tmp_path)
+    (path,) = tmp_path.glob("*.json")
+    record = load_black_box(path)
+    assert record.message == flown.outcome and "delays are above" in record.message
+    assert 1.6 < record.time[-1] - record.time[0] + 1.6 and record.time.size == 200
+
+
+class Bad:
+    """Controller whose answers are changed 0.5 s after takeoff."""
+
+    def __init__(self, controller: Controller, period: float, change: Any) -> None:
+        self._controller, self._period, self._change, self._ticks = controller, period, change, 0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._controller, name)
+
+    def step(self, sample: Sample) -> Command:
+        command, self._ticks = self._controller.step(sample), self._ticks + 1
+        if self._ticks * self._period < 0.5:
+            return command
+        force = list(command.force)
+        force[0] += self._change(self._ticks)
+        return Command(force, command.extra, command.pulse_width)
+
+
+@pytest.mark.parametrize("rate", [200, 1000])
+@pytest.mark.parametrize("size", [5.0, 10.0, 25.0])
+def test_a_law_that_chatters_is_landed(size: float, rate: int, tmp_path: Path) -> None:
+    law = partial(Bad, change=lambda tick: size if tick % 2 else -size)
+    flown = fly("joystick", rate=rate, law=law, folder=tmp_path, seed=11)
+    assert "the laws vibrate" in flown.outcome and flown.speeds(0.0).max() < 0.15
+
+
+def test_a_law_that_pushes_hard_is_landed(tmp_path: Path) -> None:
+    flown = fly("joystick", law=partial(Bad, change=lambda tick: 30.0), folder=tmp_path, seed=11)
+    assert "give out energy" in flown.outcome
+    assert flown.rows[-1, 13] == 0.0 and flown.rows[-1, 14] == 0.0
+
+
+@pytest.mark.parametrize("change", [lambda tick: math.nan, lambda tick: 1 / (tick % 1 or 0)], ids=["NaN", "raises"])
+def test_a_law_that_fails_has_its_currents_cut_at_once(change: Any, tmp_path: Path) -> None:
+    """The device trips before anything is computed: no hover currents come back after the cut."""
+    flown = fly("joystick", law=partial(Bad, change=change), folder=tmp_path)
+    assert "INVALID_COMMAND" in flown.outcome or "HOST: " in flown.outcome
+    states, currents = flown.rows[:, 14], flown.rows[:, 13]
+    tripped = int(np.flatnonzero(states == 2.0)[0])
+    assert currents[tripped + 1 :].max() == 0.0
+
+
+# the hand's force
+
+
+@pytest.mark.parametrize("rate", [200, 1000])
+@pytest.mark.parametrize(("name", "hand"), [("joystick", "none"), ("drop", "2"), ("six-axes", "2")])
+def test_the_hands_force_is_estimated(name: str, hand: str, rate: int, tmp_path: Path) -> None:
+    flown = fly(name, rate=rate, hand=hand, folder=tmp_path, seconds=1.4)
+    steady = (flown.wrenches[:, 0] > 1.3) & (flown.wrenches[:, 0] < 1.9)
+    error = flown.wrenches[steady, 1:]
+    axis, sense = (2, -1) if name == "drop" else (0, 1 if name == "six-axes" else -1)
+    error[:, axis] -= sense * (0.0 if hand == "none" else 2.0)
+    assert np.sqrt((error[:, :3] ** 2).mean(axis=0)).max() < 0.03  # [N]
+    assert np.sqrt((error[:, 3:] ** 2).mean(axis=0)).max() < 0.5e-3  # [N m]
+
+
+def test_nothing_is_estimated_unless_the_device_is_active(tmp_path: Path) -> None:
+    flown = fly("joystick", folder=tmp_path, seconds=0.5)
+    known = np.isfinite(flown.wrenches[:, 1])
+    states = np.interp(flown.wrenches[:, 0], flown.rows[:, 0], flown.rows[:, 14])
+    assert known.any() and (states[known] > 0.5).all()
