@@ -34,7 +34,7 @@ _Six = c_double * 6
 
 class _Profile(ctypes.Structure):
     _fields_ = [
-        *[(name, c_uint64) for name in ("period", "delay", "watchdog", "enable")],
+        *[(name, c_uint64) for name in ("period", "delay", "watchdog", "enable", "stale")],
         *[(name, c_double) for name in ("current", "continuous_current", "hover", "thermal_time")],
         *[(name, c_double) for name in ("spot", "spot_speed")],
         *[(name, c_uint32) for name in ("frozen", "number", "key_length")],
@@ -123,7 +123,7 @@ class CoreFirmware:
         self.profile, self._amplifiers, self._codec, self._core = profile, amplifiers, codec, library()
         limits = profile.limits
         known = _Profile(
-            *(profile.period, profile.delay, round(limits.watchdog * 1e9), round(limits.enable * 1e9)),
+            *(profile.period, profile.delay, *map(profile.nanoseconds, ("watchdog", "enable", "stale"))),
             *(limits.current_limit, limits.continuous_current, limits.hover_limit),
             *(limits.thermal_time, limits.spot_limit, limits.spot_speed, limits.frozen, profile.number),
             lockstep=profile.lockstep,

@@ -416,7 +416,7 @@ class Foreign(VirtualLink):
     """Wire to a device of protocol version 1."""
 
     def send(self, data: bytes) -> None:
-        assert data[2] == 2
+        assert data[2] == 3
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(wire, "VERSION", 1)
             super().send(data)
@@ -425,8 +425,8 @@ class Foreign(VirtualLink):
 def test_a_host_of_another_protocol_version_is_told_both(monkeypatch: pytest.MonkeyPatch) -> None:
     twin = Twin(TwinParameters())
     for module in (wire, connection):
-        monkeypatch.setattr(module, "VERSION", 2)
-    with pytest.raises(HandshakeError, match="device speaks version 1 of the protocol, this host version 2"):
+        monkeypatch.setattr(module, "VERSION", 3)
+    with pytest.raises(HandshakeError, match="device speaks version 1 of the protocol, this host version 3"):
         RemotePlant(Foreign(twin))
     assert twin.codec.dropped == {"version": 1}
 

@@ -221,17 +221,18 @@ def test_every_operation_in_every_state(state: State, operation: int) -> None:
 
 
 def test_the_welcome_says_what_the_device_is() -> None:
-    bench = Bench(watchdog=0.03, current_limit=8.0, thermal_time=7.0, hover_limit=1.5, enable=0.02, frozen=7)
+    times = {"watchdog": 0.03, "enable": 0.02, "stale": 0.015, "thermal_time": 7.0}
+    bench = Bench(current_limit=8.0, hover_limit=1.5, frozen=7, **times)  # type: ignore[arg-type]
     answer = bench.hello(nonce=2**64 - 1)
-    times, limits = (PERIOD, DELAY, 30_000_000, 20_000_000), (8.0, 3.0, 1.5, 7.0, 0.012, 1.0)
-    expected = HelloAck(2**64 - 1, 0, 0, 2, State.INACTIVE, 1, CALIBRATION, *times, 0, 0, 0, 7, *limits)
+    said, limits = (PERIOD, DELAY, 30_000_000, 20_000_000, 15_000_000), (8.0, 3.0, 1.5, 7.0, 0.012, 1.0)
+    expected = HelloAck(2**64 - 1, 0, 0, 3, State.INACTIVE, 1, CALIBRATION, *said, 0, 0, 0, 7, *limits)
     assert answer == expected
     assert bench.last.session == bench.device.session == 101
 
 
 @pytest.mark.parametrize("state", State)
 def test_a_session_is_taken_over_when_its_host_is_silent_and_the_device_does_not_fly(state: State) -> None:
-    bench = Bench(watchdog=5.0).brought_to(state)
+    bench = Bench(watchdog=1.0).brought_to(state)
     bench.now += 999_999_999
     assert bench.hello(nonce=2, peer="other").status == HelloStatus.BUSY
     bench.now += 1
@@ -262,10 +263,14 @@ def test_a_command_to_a_device_that_is_not_active_is_not_examined(state: State, 
     bench = Bench().brought_to(state)
     before = bench.device.faults
     bench.command((current,) * 6, width=width)
+    report = bench.sample()
+    # before takeoff a host measures the line's delay by it; in FAULT that of the flight is kept
+    known = (0, 5000) if state == State.INACTIVE else (NEVER, NEVER)
+    assert report is not None and (report.answered, report.age) == known
     assert bench.device.counts == {"inactive": 1}
     assert (bench.device.state, bench.device.faults) == (state, before) and not bench.drives
-    assert bench.device.answered == bench.tick  # it was an answer all the same
-    bench.now += 999_999_999
+    assert bench.device.answered == 0  # it was an answer all the same
+    bench.now += 999_999_999 - PERIOD
     assert bench.hello(nonce=2, peer="other").status == HelloStatus.BUSY  # and its host lives
 
 
@@ -427,23 +432,51 @@ def test_an_estop_is_obeyed_in_every_state(state: State, peer: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("period", "watchdog", "lockstep", "most"),
+    ("period", "stale", "lockstep", "behind", "late"),
     [
-        (5_000_000, 0.05, False, 10),
-        (15_000_000, 0.05, False, 3),
-        (7_000_000, 0.007, False, 1),
-        (5_000_000, 0.05, True, 0),
+        (5_000_000, None, False, 4, 0),  # four periods, where nothing else is said
+        (15_000_000, None, False, 3, 5_000_000),  # and no longer than the watchdog's 50 ms
+        (5_000_000, 0.05, False, 10, 0),
+        (5_000_000, 0.012, False, 2, 2_000_000),
+        (5_000_000, 0.012, False, 0, 12_000_000),  # where no sample came since
+        (7_000_000, 0.007, False, 1, 0),
+        (5_000_000, None, True, 0, LONG),  # in lockstep time stands still
     ],
 )
-def test_an_answer_may_be_so_many_samples_behind(period: int, watchdog: float, lockstep: bool, most: int) -> None:
-    bench = Bench(period=period, watchdog=watchdog, lockstep=lockstep).brought_to(State.INACTIVE)
+def test_an_answer_is_obeyed_until_its_sample_is_stale(
+    period: int, stale: float | None, lockstep: bool, behind: int, late: int
+) -> None:
+    bench = Bench(period=period, stale=stale, lockstep=lockstep).brought_to(State.INACTIVE)
     for _ in range(20):
         bench.sample()
     bench.ask(Operation.ARM)
-    for answers, taken in ((bench.tick - most, 1), (bench.tick, 2), (bench.tick - most - 1, 2), (bench.tick + 1, 2)):
+    at, last = bench.now, bench.tick
+    for answers, now, taken in (
+        (last - behind, at + late, 1),
+        (last, at, 2),
+        (last - behind, at + late + 1, 2 + lockstep),
+        (last - behind - 1, at + late, 2 + lockstep),
+        (last + 1, at, 2 + lockstep),
+    ):
+        bench.now = now
         bench.give(Command(answers, 0, ONES, ONES, 0.0))
-        assert len(bench.drives) == taken, answers
-    assert bench.device.counts == {"old": 2}
+        assert len(bench.drives) == taken, (answers, now)
+    assert bench.device.counts == {"old": 3 - lockstep}
+
+
+def test_stale_answers_feed_nothing_but_use_up_their_numbers_and_say_that_the_host_lives() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    bench.command()
+    for count in range(1, 12):
+        report = bench.sample()
+        bench.give(Command((bench.tick - 5) % 2**32, 0, ONES, ONES, 0.0))
+        bench.give(Command(bench.tick, 0, ONES, ONES, 0.0), sequence=bench.sequence)
+        assert report is not None and (report.answered, report.age) == (0, 5000 * count)
+        assert bool(report.flags & Flag.HOLDING) == (3 <= count <= 10)
+    assert bench.drives == [(ONES, None, 0.0), (HOVER, None, 0.0)] and bench.device.counts == {"old": 22}
+    bench.now += 999_999_999
+    assert bench.hello(nonce=2, peer="other").status == HelloStatus.BUSY
+    bench.refuses(Fault.WATCHDOG)
 
 
 EDGES: list[tuple[float, float, Fault]] = [
@@ -458,7 +491,7 @@ EDGES: list[tuple[float, float, Fault]] = [
 @pytest.mark.parametrize(("current", "width", "fault"), EDGES)
 def test_the_edges_of_a_command(current: float, width: float, fault: Fault, pulse: bool) -> None:
     bench = Bench().brought_to(State.ACTIVE)
-    edge = (*ZERO[:5], current)
+    edge = (*ZERO[:4], current, current)  # the sum of two that are huge is infinite
     bench.command(ZERO if pulse else edge, edge if pulse else ZERO, width)
     assert len(bench.drives) == (not fault)
     if fault:
@@ -511,6 +544,25 @@ def test_each_guard_trips(fault: Fault, samples: int, reading: dict[str, Any]) -
         report = bench.sample(**reading)
     assert report is not None and report.valid == reading.get("valid", 7) and len(bench.drives) == samples + 1
     bench.refuses(fault)
+
+
+def test_strikes_may_be_of_any_coils() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    for coil in (5, 0, 3):
+        assert bench.device.state == State.ACTIVE
+        bench.command()
+        bench.sample(measured=[*ONES[:coil], 0.0, *ONES[coil + 1 :]])
+    bench.refuses(Fault.COIL_NOT_FOLLOWING)
+
+
+def test_reset_is_refused_in_inactive_while_a_coil_is_warm() -> None:
+    bench = Bench().brought_to(State.ACTIVE)
+    while (report := bench.sample(currents=(8.0,) * 6)) is None or report.temperatures[0] < 0.85:
+        bench.command((8.0,) * 6)
+    bench.ask(Operation.DISARM)
+    bench.sample()
+    assert bench.ask(Operation.RESET)[2:] == (Result.REFUSED, State.INACTIVE, 0)
+    assert bench.ask(Operation.ARM).result == Result.DONE  # it is warm, not too warm
 
 
 def test_nothing_is_held_where_something_is_wrong() -> None:

@@ -35,7 +35,7 @@ CALIBRATION = bytes(range(16))
 PROFILE = Profile(period=PERIOD, delay=1_500_000, calibration=CALIBRATION, limits=Limits(hover_limit=1.5))
 ZERO = (0.0,) * 6
 HOVER = (1.1, 1.1, 1.1, 0.0, 0.0, 0.0)
-ODD = (math.nan, math.inf, -math.inf, 10.1, -10.1, 1e300, 5e-324)
+ODD = (math.nan, math.inf, -math.inf, 10.1, -10.1, 1e308, 5e-324)
 BY_DEVICE = Fault(sum(Fault)) & ~(Fault.BOUNDARY | Fault.CLOCK | Fault.NOT_FOLLOWING)
 
 pytestmark = pytest.mark.needs("compiler")
@@ -131,6 +131,7 @@ class Exchange:
             data[self.draw.randrange(len(data))] ^= 1 << self.draw.randrange(8)
         if self.bad("frames", 0.05):
             del data[self.draw.randrange(len(data)) :]
+        self.now += self.draw.randrange(PERIOD // 2) if self.bad("frames", 0.5) else 0
         self.compare([side.outcome(side.device.receive(bytes(data), self.now, peer)) for side in self.sides])
 
     def body(self) -> Any:
@@ -145,7 +146,7 @@ class Exchange:
             self.request += draw.choice([1, 1, 1, 1, 0, -1, 5])
             return Control(self.request % 2**32, operation, draw.choice([0, 1040, 2**31]), self.currents())
         self.sequence += draw.choice([1] * 8 + [0, -1, 3])
-        answers = self.tick - (draw.choice([1, 2, 10, 11, -1]) if self.bad("frames", 0.1) else 0)
+        answers = self.tick - (draw.choice([1, 3, 4, 5, -1]) if self.bad("frames", 0.2) else 0)
         width = draw.choice([-1e-9, 1.1, *ODD]) if self.bad("currents", 0.03) else draw.choice([0.0, 0.001])
         return Command(answers % 2**32, 0, self.currents(), self.currents(), width)
 
@@ -235,10 +236,28 @@ def test_it_flies_the_twin_to_the_same_bytes(key: bytes | None) -> None:
 
 @pytest.mark.parametrize(
     ("change", "limits"),
-    [({"period": 0}, {}), ({}, {"watchdog": 1e-10}), ({}, {"enable": 1e-10}), ({}, {"spot_speed": 0.0})],
+    [
+        ({"period": 0}, {}),
+        ({}, {"watchdog": 1e-10}),
+        ({}, {"enable": 1e-10}),
+        ({}, {"spot_speed": 0.0}),
+        # which each alone may be
+        ({}, {"watchdog": 1.000000001}),
+        ({}, {"watchdog": 0.049999999}),
+        ({"delay": 50_000_001}, {}),
+        ({}, {"enable": 0.100000001}),
+        ({}, {"stale": 0.024999999}),
+        ({}, {"stale": 0.100000001}),
+        ({}, {"hover_limit": 3.0 + 1e-12}),
+        ({}, {"continuous_current": 10.0 + 1e-12}),
+        ({"period": 2**63}, {"watchdog": 1.0}),
+    ],
 )
 def test_it_does_not_start_as_no_device(change: dict[str, Any], limits: dict[str, float]) -> None:
-    profile = replace(PROFILE, limits=Limits())
+    profile = replace(PROFILE, period=25_000_000, delay=50_000_000, limits=Limits(watchdog=0.1, enable=0.1, stale=0.1))
+    CoreFirmware(profile, Amplifiers(), Codec(), lambda: 1)  # at the bounds
+    if "watchdog" in limits:
+        limits = {"enable": 0.025, "stale": 0.025, **limits}
     for owner, values in ((profile, change), (profile.limits, limits)):
         for name, value in values.items():
             object.__setattr__(owner, name, value)  # which they themselves would refuse
@@ -276,7 +295,7 @@ def test_a_frame_that_is_too_long_for_a_board_is_none() -> None:
     side = Side(CoreFirmware, PROFILE, None)
     for length, reason in ((256, "version"), (257, "length")):
         data = bytearray(length)
-        data[:4] = b"MJ\x03\x01"
+        data[:4] = b"MJ\x04\x01"
         answer = side.device.receive(sealed(bytes(data)), 0, "host")
         assert (answer is not None) == (reason == "version") and side.codec.dropped[reason] == 1
 

@@ -66,14 +66,15 @@ ABSURD: list[tuple[str, Any, str]] = [
         for value in (0, 9_999, 100_000_001, 2**64 - 1)
     ),
     *(("delay", value, "delay must be .* at most 0.1") for value in (100_000_001, 2**64 - 1)),
-    *(("watchdog", value, "watchdog must be") for value in (0, 999_999, 10_000_000_001, 2**64 - 1)),
-    *(("enable", value, "enable must be") for value in (0, 9_999, 10_000_000_001)),
+    *(("watchdog", value, "watchdog must be") for value in (0, 999_999, 1_000_000_001, 2**64 - 1)),
+    *(("enable", value, "enable must be") for value in (0, 9_999, 1_000_000_001)),
+    *(("stale", value, "stale must be") for value in (0, 9_999, 1_000_000_001)),
     *(
         (field, value, f"{field} must be a finite number")
         for field, least, most in (
-            ("current_limit", 0.0, 100.1),
-            ("continuous_current", 0.0, 100.1),
-            ("hover_limit", -0.1, 100.1),
+            ("current_limit", 0.0, 20.1),
+            ("continuous_current", 0.0, 20.1),
+            ("hover_limit", -0.1, 20.1),
             ("thermal_time", 0.009, 1.1e7),
             ("spot_limit", 0.9e-4, 0.11),
             ("spot_speed", 0.9e-3, 101.0),
@@ -83,6 +84,18 @@ ABSURD: list[tuple[str, Any, str]] = [
     ("frozen", 1_000_001, "frozen must be"),
     ("lockstep", 2, "lockstep must be"),
     ("state", 3, "state must be"),
+    # which each alone may be
+    ("watchdog", 9_999_999, "two periods must be at most watchdog, 0.009999999 s, not 0.01 s"),
+    ("delay", 10_000_001, "delay must be at most two periods, 0.01 s, not 0.010000001 s"),
+    ("enable", 50_000_001, "enable must be at most watchdog, 0.05 s, not 0.050000001 s"),
+    ("stale", 4_999_999, "one period must be at most stale, 0.004999999 s, not 0.005 s"),
+    ("stale", 50_000_001, "stale must be at most watchdog, 0.05 s, not 0.050000001 s"),
+    ("hover_limit", 3.5, "hover_limit must be at most continuous_current, 3 A, not 3.5 A"),
+    ("continuous_current", 11.0, "continuous_current must be at most current_limit, 10 A, not 11 A"),
+    ("state", State.FAULT, "state FAULT with faults none"),
+    ("faults", Fault.CLOCK, "state INACTIVE with faults CLOCK"),
+    ("first", Fault.CLOCK, "first CLOCK of faults none"),
+    ("fault_time", 2**63, f"fault_time {2**63} ns at "),
 ]
 
 
@@ -106,8 +119,9 @@ def test_the_smaller_of_both_ends_limits_counts() -> None:
 
 def test_a_device_that_cannot_carry_the_flotor_is_refused_at_once_and_so_are_own_limits_that_cannot() -> None:
     twin = Twin(TwinParameters())
-    for field, says in (("current_limit", "1.43 A, not 1: hovering needs 1.14 A"), ("hover_limit", "1.14 A, .* not 1")):
-        link = Doctored(twin, with_(**{field: 1.0}))
+    fields, needs = ("current_limit", "continuous_current", "hover_limit"), "1.43 A, not 1: hovering needs 1.14 A"
+    for small, says in ((fields, needs), (fields[2:], "1.14 A, .* not 1")):
+        link = Doctored(twin, with_(**dict.fromkeys(small, 1.0)))
         with pytest.raises(HandshakeError, match=says):
             RemotePlant(link)
         assert link.closed == 1 and twin.firmware.session == 0
@@ -155,7 +169,7 @@ def foreign() -> bytes:
     """Return an untagged frame of another version."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("maglev_mj.bridge.wire.VERSION", 7)
-        return Codec().encode(0, 0, 0, HelloAck(0, 1, 0, 7, 0, 0, bytes(16), *[0] * 8, *[0.0] * 6))
+        return Codec().encode(0, 0, 0, HelloAck(0, 1, 0, 7, 0, 0, bytes(16), *[0] * 9, *[0.0] * 6))
 
 
 class Disturbed(Doctored):
@@ -180,7 +194,7 @@ def test_an_untagged_frame_of_another_version_does_not_end_a_keyed_handshake() -
     assert plant.state == State.INACTIVE
     with pytest.raises(HandshakeError, match=r"no device answered within 1 s; frames dropped: \d+ for version \(7\)$"):
         RemotePlant(Disturbed(Twin(TwinParameters(), key=KEY), KEY, mute=True), key=KEY)
-    with pytest.raises(HandshakeError, match="the device speaks version 7 of the protocol, this host version 2"):
+    with pytest.raises(HandshakeError, match="the device speaks version 7 of the protocol, this host version 3"):
         RemotePlant(Disturbed(Twin(TwinParameters()), None))
 
 
@@ -238,7 +252,16 @@ def test_samples_left_out_during_a_request_count_as_skipped() -> None:
 def test_limits_have_the_bounds_that_the_handshake_asks_for() -> None:
     fields = {one.name for one in Limits.parameters()}
     named = {says.split(" ")[0] for _, _, says in ABSURD}
-    assert fields <= named and named - fields == {"period", "delay", "lockstep", "state"}
+    assert fields <= named and named - fields == {
+        "period",
+        "delay",
+        "lockstep",
+        "state",
+        "two",
+        "one",
+        "first",
+        "fault_time",
+    }
 
 
 def test_a_closed_plant_says_so() -> None:

@@ -82,11 +82,18 @@ DISBELIEVED: list[tuple[str, Callable[[StateReport], StateReport], Fault, int]] 
     ("all diodes frozen", repeated("spots"), Fault.SENSOR_FROZEN, Limits().frozen + 1),
     ("one diode frozen", one_diode, Fault.SENSOR_FROZEN, Limits().frozen + 1),
     ("counter stuck", repeated("conversions"), Fault.SENSOR_STOPPED, 2),
+    ("amplifiers open", lambda report: report._replace(flags=0), Fault.HOST, 2),
+]
+CONTRADICTED: list[tuple[str, Callable[[StateReport], StateReport], Fault, int]] = [
+    ("fault bits without FAULT", lambda report: report._replace(faults=Fault.CLOCK), Fault.HOST, 1),
+    ("FAULT without fault bits", lambda report: report._replace(state=State.FAULT), Fault.HOST, 1),
 ]
 
 
 @pytest.mark.parametrize(
-    ("change", "fault", "within"), [case[1:] for case in DISBELIEVED], ids=[case[0] for case in DISBELIEVED]
+    ("change", "fault", "within"),
+    [case[1:] for case in DISBELIEVED + CONTRADICTED],
+    ids=[case[0] for case in DISBELIEVED + CONTRADICTED],
 )
 def test_what_cannot_be_is_a_fault_by_name(
     change: Callable[[StateReport], StateReport], fault: Fault, within: int
@@ -136,6 +143,30 @@ def test_lost_samples_are_no_speed(missed: int) -> None:
     speeds = [math.hypot(*twist[:3]) for twist in rig.witness.twists]
     assert rig.plant.samples.lost == missed and max(speeds) > 0.33
     assert not rig.plant.faults and rig.plant._guard is not None
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ([{"flags": 0}] * 2, "^HOST: the amplifiers are not ENABLED, and the device does not cut the currents"),
+        ([{"flags": 0}, {}, {"flags": 0}], ""),
+        ([{"flags": 0, "state": State.INACTIVE}] * 2, ""),  # late ones, from before arming
+        ([{"faults": 1024}], "^HOST: the device says state ACTIVE with faults CLOCK"),
+        ([{"state": State.FAULT}], "^HOST: the device says state FAULT with faults none"),
+    ],
+)
+def test_a_device_that_contradicts_itself_is_not_flown(changes: list[dict[str, Any]], says: str) -> None:
+    rig = Rig(pose=CENTRE)
+    rig.plant.arm()
+    rig.fly(0.05)
+    left = [*changes]
+    doctored(rig, lambda report: report._replace(**left.pop(0)) if left else report)
+    if not says:
+        rig.plant._line.settled = rig.link.time + 50_000_000
+        rig.fly(0.05)
+        return
+    with pytest.raises(DeviceFault, match=says):
+        rig.fly(0.05)
 
 
 def test_answers_that_no_coil_gets_warm_none() -> None:

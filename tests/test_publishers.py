@@ -39,7 +39,7 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
     # A wall on the wire is refused or taken; what was flown is in the file with both settings.
     record = tmp_path / "run.mcap"
     publishers = ("--foxglove", "0", "--spacenav", "--socket", str(tmp_path / "s"))
-    with twin("--watchdog", "2") as (device, address):
+    with twin("--watchdog", "1") as (device, address):
         options = ("--scene", "table", "--record", str(record), "--out", str(tmp_path), *publishers)
         with started("bridge", address, *options) as host:
             with LiveClient(host.wait_for(r"ws://[\d.:]+"), {"/maglev/sample"}) as client:

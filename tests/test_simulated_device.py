@@ -229,8 +229,8 @@ def test_it_says_what_it_is_and_where_the_flotor_lies(start: Starter) -> None:
     host, limits = start("--lockstep").host(), PROFILE.limits
     assert host.welcome.hover_limit == pytest.approx(limits.hover_limit, rel=1e-15)
     assert host.welcome == HelloAck(
-        *(host.nonce, 0, 1, 2, State.INACTIVE, 1, NOMINAL.digest, PROFILE.period, PROFILE.delay),
-        *(round(limits.watchdog * 1e9), round(limits.enable * 1e9), 0, 0, 0, 0),
+        *(host.nonce, 0, 1, 3, State.INACTIVE, 1, NOMINAL.digest, PROFILE.period, PROFILE.delay),
+        *(PROFILE.nanoseconds("watchdog"), PROFILE.nanoseconds("enable"), PROFILE.nanoseconds("stale"), 0, 0, 0, 0),
         *(limits.current_limit, limits.continuous_current, host.welcome.hover_limit),
         *(limits.thermal_time, limits.spot_limit, limits.spot_speed),
     )
@@ -379,7 +379,7 @@ def test_rubbish_does_no_harm(start: Starter) -> None:
         else:
             for _ in range(draw.randrange(1, 6)):
                 data[draw.randrange(len(data))] = draw.randrange(256)
-            data[2:4] = bytes([2, draw.randrange(10)]) if kind == 2 else data[2:4]
+            data[2:4] = bytes([3, draw.randrange(10)]) if kind == 2 else data[2:4]
         link.send(sealed(bytes(data)) if kind > 2 and len(data) > 4 else bytes(data))
         if number % 50 == 49:  # no more than its socket holds; and it still answers a stranger
             while link.receive(0.0) is not None:

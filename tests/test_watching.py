@@ -134,7 +134,7 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
 def flying(screen: VirtualScreen, folder: Path, look: str, *options: str) -> Iterator[tuple[Program, Program, int]]:
     """Yield a twin, its host in flight, and the window of one of them."""
     views = {name: ["--view"] if name == look else [] for name in ("twin", "bridge")}
-    address = ["--listen", "udp://127.0.0.1:0", "--watchdog", "2"]
+    address = ["--listen", "udp://127.0.0.1:0", "--watchdog", "1"]
     with started("twin", *address, *views["twin"], env=screen.environment) as twin:
         place = twin.wait_for(r"udp://\S+:\d+")
         with started("bridge", place, "--out", str(folder), *options, *views["bridge"], env=screen.environment) as host:

@@ -195,6 +195,10 @@ def test_the_page_says_where_coils_and_diodes_are_and_which_way_they_point() -> 
     slopes = (beams.spots(small) - beams.spots(-small)).T / 2e-6 * ([1.0] * 3 + [10.0] * 3)
     assert np.allclose(moved, slopes, atol=6e-4)
     assert np.round(known.hover, 4).tolist() == [1.1445] * 3 + [0.0] * 3 and "1.1445 A carry 0.7 kg" in PAGE
+    inertia, (_, _, gravity) = known.inertia, known.gravity
+    moments = "moments of inertia of {:g}, {:g} and {:g} kg m²".format(*inertia)
+    assert f"a mass of {known.mass:g} kg and {moments}" in PAGE and f"gravity is {-gravity:g} m/s²\nalong -z" in PAGE
+    assert not known.gravity[:2].any()
     assert round(float(coils.wrench(np.array([0, 0, 0, 1, 1, 1.0]))[5]), 3) == 0.252 and "0.252 N m about +z" in PAGE
 
 
@@ -237,7 +241,7 @@ def test_check_values_of_the_page() -> None:
     [
         Hello(2**64 - 1, b"\xff" * 16),
         HelloAck(
-            *(1, 2, 1, 255, 2, 2**32 - 1, bytes(16), 2**64 - 1, 0, 1, 2**64 - 2, 3, 2**32 - 1, 5, 2**31),
+            *(1, 2, 1, 255, 2, 2**32 - 1, bytes(16), 2**64 - 1, 0, 1, 2**64 - 2, 7, 3, 2**32 - 1, 5, 2**31),
             *(math.inf, -0.0, 1e-310, 1e308, math.pi, -math.inf),
         ),
         Control(2**32 - 1, 255, 2**32 - 1, SIX),
@@ -341,17 +345,17 @@ def test_a_key_has_16_to_32_bytes(size: int) -> None:
     ("data", "reason"),
     [
         (b"", "short"),
-        (b"MJ\x02", "short"),
-        (b"MJ\x02\x06", "crc"),
-        (b"JM\x02\x06" + bytes(132), "magic"),
+        (b"MJ\x03", "short"),
+        (b"MJ\x03\x06", "crc"),
+        (b"JM\x03\x06" + bytes(132), "magic"),
         (sealed(b"MJ\x01\x01" + bytes(4)), "version"),
-        (sealed(b"MJ\x03\x07" + bytes(28)), "version"),
+        (sealed(b"MJ\x04\x07" + bytes(28)), "version"),
         (sealed(b"MJ\x00\x06" + bytes(132)), "version"),
-        (sealed(b"MJ\x02\x00" + bytes(132)), "type"),
-        (sealed(b"MJ\x02\x09" + bytes(132)), "type"),
-        (sealed(b"MJ\x02\x06" + bytes(4)), "length"),
-        (sealed(b"MJ\x02\x06" + bytes(133)), "length"),
-        (b"MJ\x03\x06" + bytes(132), "crc"),
+        (sealed(b"MJ\x03\x00" + bytes(132)), "type"),
+        (sealed(b"MJ\x03\x09" + bytes(132)), "type"),
+        (sealed(b"MJ\x03\x06" + bytes(4)), "length"),
+        (sealed(b"MJ\x03\x06" + bytes(133)), "length"),
+        (b"MJ\x04\x06" + bytes(132), "crc"),
     ],
 )
 def test_what_is_no_frame_is_counted_by_reason(data: bytes, reason: str) -> None:

@@ -236,6 +236,7 @@ class Connection:
             self.codec = Codec(key)
             self.welcome = self._join(calibration)
             self.profile = profile_of(self.welcome)
+            _check_faults(self.welcome, self._greeted)
             self.samples = SampleCounter(self.profile.period)
         except BaseException as error:
             self._abandon()
@@ -416,3 +417,15 @@ def profile_of(welcome: HelloAck) -> Profile:
         return Profile.of(welcome)
     except ParameterError as error:
         raise HandshakeError(f"the device says what cannot be: {error}") from None
+
+
+def _check_faults(welcome: HelloAck, time: int) -> None:
+    """Refuse state and faults that contradict each other at a device's time [ns]."""
+    faults = f"faults {fault_names(welcome.faults)}"
+    for said, is_said in (
+        (f"state {State(welcome.state).name} with {faults}", (welcome.state == State.FAULT) != bool(welcome.faults)),
+        (f"first {fault_names(welcome.first)} of {faults}", welcome.first & ~welcome.faults),
+        (f"fault_time {welcome.fault_time} ns at {time} ns", welcome.fault_time > time),
+    ):
+        if is_said:
+            raise HandshakeError(f"the device says what cannot be: {said}")

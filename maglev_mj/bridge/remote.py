@@ -26,15 +26,16 @@ from maglev_mj.bridge.safety import (
     reading_fault,
     weight_fault,
 )
-from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Frame, Operation, State, StateReport, fault_names
+from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Flag, Frame, Operation, State, StateReport, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants.sensor import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
+_ENABLED = Flag.ENABLED.value
 _NAN, _UNKNOWN = math.nan, (math.nan,) * 6
-_MOST = Limits(current_limit=100.0, continuous_current=100.0, hover_limit=100.0)
+_MOST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
 class RemotePlant:
@@ -139,6 +140,7 @@ class RemotePlant:
         self.disarmed = self._armed = self._warned = False
         self.guided = self._owed = False  # an answer is owed to the last sample
         self._behind = 0  # samples since the one that the newest answer answers
+        self._open = 0  # samples in a row without ENABLED
         self._sequence, self._located, self.doubt = 0, 0, ""  # last sample, last known pose
         self._frame: Frame | None = None  # the last sample
         self._seen: Sequence[float] = _UNKNOWN  # its pose
@@ -188,8 +190,12 @@ class RemotePlant:
         if wrong := self._guard.check(position, (tick - self._located) * self.period, self.guided or not active):
             self._suspect(wrong, f"the flotor is at {shown(position)}")
         self._located = tick
+        # a sample from before arming need not be ENABLED
+        self._open = 0 if report.flags & _ENABLED or report.state != _ACTIVE else self._open + 1
         if active:
             self._hand.sampled(tick, samples.elapsed, position, tick - self._behind, self.newest_delay)
+            if self._open > 1:
+                self.fail(Fault.HOST, "the amplifiers are not ENABLED, and the device does not cut the currents")
             if samples.out_of_step:
                 self.fail(Fault.CLOCK, samples.out_of_step)
             if max(report.temperatures) >= WARNING_RISE or self._output.thermal.warmest >= WARNING_RISE:
@@ -399,6 +405,8 @@ class RemotePlant:
     def _adopt(self, state: int, faults: int) -> None:
         if state not in tuple(State):
             self.fail(Fault.HOST, f"the device says that it is in state {state}, which is none")
+        if (state == _FAULT) != bool(faults):
+            self.fail(Fault.HOST, f"the device says state {State(state).name} with faults {fault_names(faults)}")
         before = self.state
         if state == _FAULT:
             self._latch(Fault(faults), self.samples.time)

@@ -16,7 +16,7 @@ from maglev_mj.bridge.wire import VERSION, Fault, HelloAck
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, clipped
-from maglev_mj.parameters import Parameters, flag, number, numbers, param
+from maglev_mj.parameters import Parameters, flag, number, numbers, param, store
 from maglev_mj.plants.coils import CoilMap, limited_wrench
 from maglev_mj.spec import Spec
 
@@ -30,6 +30,8 @@ _NO_FAULT = Fault(0)
 _CHANGED = (0, 0, 0)
 _CLOSE_SHARE = 0.1
 _IMPLAUSIBLE = 4.0
+_FRESH = 4
+"""Periods after which an answer is stale, unless stated otherwise."""
 _MARGIN = 1.25
 """Factor over the weight and its currents, for control."""
 _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
@@ -42,19 +44,22 @@ class Limits(Parameters):
     The host refuses a device with limits outside these bounds.
     """
 
-    current_limit: float = param("largest in a coil", "A", default=Spec.peak_current.value, above=0.0, at_most=100.0)
-    continuous_current: float = param("borne", "A", default=Spec.continuous_current.value, above=0.0, at_most=100.0)
+    current_limit: float = param("largest in a coil", "A", default=Spec.peak_current.value, above=0.0, at_most=20.0)
+    continuous_current: float = param("borne", "A", default=Spec.continuous_current.value, above=0.0, at_most=20.0)
     thermal_time: float = param("of a coil's warming; assumed", "s", default=10.0, at_least=0.01, at_most=1e7)
     spot_limit: float = param("largest coordinate; assumed", "m", default=0.012, at_least=1e-4, at_most=0.1)
     spot_speed: float = param("largest; assumed", "m/s", default=1.0, at_least=1e-3, at_most=100.0)
-    watchdog: float = param("longest wait for a command", "s", default=0.05, at_least=1e-3, at_most=10.0)
-    enable: float = param("longest pause of the enable line", "s", default=0.01, at_least=1e-5, at_most=10.0)
-    hover_limit: float = param("in ARM", "A", default=Spec.continuous_current.value, at_least=0.0, at_most=100.0)
+    watchdog: float = param("longest wait for a command", "s", default=0.05, at_least=1e-3, at_most=1.0)
+    enable: float = param("longest pause of the enable line", "s", default=0.01, at_least=1e-5, at_most=1.0)
+    stale: float | None = param(
+        "of an answered sample; None: 4 periods", "s", default=None, optional=True, at_least=1e-5
+    )
+    hover_limit: float = param("in ARM", "A", default=Spec.continuous_current.value, at_least=0.0, at_most=20.0)
     frozen: int = param("equal readings that noise rules out; 0: no noise", default=30, at_least=0, at_most=1_000_000)
 
 
 _LIMITS = [one.name for one in Limits.parameters()]
-_NANOSECONDS = "watchdog", "enable"
+_NANOSECONDS = "watchdog", "enable", "stale"
 """Limits that the wire has in nanoseconds."""
 
 
@@ -62,10 +67,10 @@ _NANOSECONDS = "watchdog", "enable"
 class Profile:
     """Properties of a device, as HELLO_ACK states them.
 
-    See docs/reference/protocol.md.
+    See docs/reference/protocol.md. Without a limit `stale` it is four periods, and at most the watchdog.
 
     Raises:
-        ParameterError: If a number is outside its bounds.
+        ParameterError: If a number is outside its bounds, or two contradict each other.
     """
 
     period: int  # [ns]
@@ -79,6 +84,27 @@ class Profile:
         number("period", self.period * 1e-9, at_least=1e-5, at_most=0.1)
         number("delay", self.delay * 1e-9, at_least=0.0, at_most=0.1)
         flag("lockstep", self.lockstep)
+        if self.limits.stale is None:
+            store(self, limits=self.limits.replace(stale=min(_FRESH * self.period * 1e-9, self.limits.watchdog)))
+        # in whole nanoseconds, so that numbers that are equal on the wire are equal here
+        watchdog, enable, stale = (self.nanoseconds(name) * 1e-9 for name in _NANOSECONDS)
+        period, two, delay = (one * 1e-9 for one in (self.period, 2 * self.period, self.delay))
+        hover, continuous = self.limits.hover_limit, self.limits.continuous_current
+        for name, value, bound, most, unit in (
+            ("two periods", two, "watchdog", watchdog, "s"),
+            ("delay", delay, "two periods", two, "s"),
+            ("enable", enable, "watchdog", watchdog, "s"),
+            ("one period", period, "stale", stale, "s"),
+            ("stale", stale, "watchdog", watchdog, "s"),
+            ("hover_limit", hover, "continuous_current", continuous, "A"),
+            ("continuous_current", continuous, "current_limit", self.limits.current_limit, "A"),
+        ):
+            if value > most:
+                raise ParameterError(f"{name} must be at most {bound}, {most:.9g} {unit}, not {value:.9g} {unit}")
+
+    def nanoseconds(self, name: str) -> int:
+        """Return a limit that is a time, in whole nanoseconds."""
+        return round(float(getattr(self.limits, name)) * 1e9)
 
     @classmethod
     def of(cls, answer: HelloAck) -> Self:
@@ -92,7 +118,7 @@ class Profile:
         """Return the HELLO_ACK with these properties and the given state."""
         own = {name: getattr(self, name) for name in ("period", "delay", "calibration", "lockstep")}
         limits = {name: getattr(self.limits, name) for name in _LIMITS}
-        times = {name: round(limits[name] * 1e9) for name in _NANOSECONDS}
+        times = {name: self.nanoseconds(name) for name in _NANOSECONDS}
         return HelloAck(version=VERSION, device=self.number, **own, **{**limits, **times}, **state)
 
 
@@ -209,7 +235,8 @@ def command_fault(limits: Limits, held: Sequence[float], pulsed: Sequence[float]
 
     Currents [A], six each, and pulse width [s]. They are checked, not clipped.
     """
-    if not math.isfinite(sum(held) + sum(pulsed) + width) or not 0.0 <= width <= 1.0:
+    # one by one: the sum of finite numbers may be infinite
+    if not all(map(math.isfinite, (*held, *pulsed))) or not 0.0 <= width <= 1.0:
         return Fault.INVALID_COMMAND
     # rounding on the host's side is no fault
     most = limits.current_limit * (1.0 + 1e-9)

@@ -97,7 +97,7 @@ MAGIC = 0x4A4D
 """The bytes "MJ"."""
 _MAGIC = MAGIC.to_bytes(2, "little")
 
-VERSION = 2
+VERSION = 3
 
 WRAP = NEVER = 0xFFFFFFFF
 """Largest sequence number; the number and age of a command that there is not."""
@@ -132,6 +132,7 @@ class HelloAck(NamedTuple):
     delay: int
     watchdog: int
     enable: int
+    stale: int
     fault_time: int
     faults: int
     first: int
@@ -182,7 +183,7 @@ class StateReport(NamedTuple):
     valid: int  # bit k: diode k's spot can be trusted
     flags: int
     faults: int
-    answered: int  # number of the sample that the command in force answers
+    answered: int  # number of the sample that the newest command answers
     age: int  # of that command [us]; NEVER for none
     conversions: int  # counter of the sensor interface
 
@@ -226,7 +227,7 @@ Body: TypeAlias = Hello | HelloAck | Control | ControlAck | StateReport | Comman
 
 _TYPES: dict[int, tuple[type[Body], str]] = {
     1: (Hello, "Q16s"),
-    2: (HelloAck, "QBBBBI16sQQQQQIII6d"),
+    2: (HelloAck, "QBBBBI16sQQQQQQIII6d"),
     3: (Control, "IB3xI6d"),
     4: (ControlAck, "IBBBxI"),
     5: (StateReport, "6d6f6fBBHIIII"),

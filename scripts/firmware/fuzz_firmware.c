@@ -17,9 +17,9 @@ enum { COILS = MAGLEV_COILS };
 
 static struct maglev_device device;
 static struct maglev_profile profile = {
-    .period = PERIOD, .delay = 1500000, .watchdog = 10 * PERIOD, .enable = 3 * PERIOD, .current_limit = 10.0,
-    .continuous_current = 3.0, .hover_limit = 1.5, .thermal_time = 10.0, .spot_limit = 0.012, .spot_speed = 1.0,
-    .frozen = 20, .device = 1};
+    .period = PERIOD, .delay = 1500000, .watchdog = 10 * PERIOD, .enable = 3 * PERIOD, .stale = 4 * PERIOD,
+    .current_limit = 10.0, .continuous_current = 3.0, .hover_limit = 1.5, .thermal_time = 10.0, .spot_limit = 0.012,
+    .spot_speed = 1.0, .frozen = 20, .device = 1};
 static uint64_t now, state_of_random;
 static uint32_t number;
 static double flowing[COILS];

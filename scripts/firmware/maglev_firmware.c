@@ -3,7 +3,7 @@
 
    Bounded time: every loop below runs over the coils, the spots, or the bytes of a frame, of which there are
    MAGLEV_LARGEST at most; nothing waits and nothing calls itself. The longest ways through are
-     maglev_receive  a HELLO with a key: CRC over 60 bytes and 2 blocks of BLAKE2s to check it, CRC over 168 bytes and 4
+     maglev_receive  a HELLO with a key: CRC over 60 bytes and 2 blocks of BLAKE2s to check it, CRC over 176 bytes and 4
                      blocks for the answer; 24 000 instructions of a Cortex-M4. A CMD: 16 000, without a key 7 000.
                      256 bytes that are no frame: 3 000.
      maglev_sample   read(), the guards, one exp step, one drive() or cut(), toggle(), CRC over 152 bytes and 4 blocks of
@@ -13,6 +13,7 @@
 #include "maglev_firmware.h"
 
 #define SILENCE UINT64_C(1000000000) /* [ns]; a session is another host's after so long without a frame */
+#define LONGEST UINT64_C(1000000000) /* [ns]; a watchdog that waits longer is none */
 #define GAP 2          /* periods without a command after which the hover currents are on */
 #define PATIENCE 3     /* samples in a row in which a current is not what it should be */
 #define CLOSE 0.25     /* [A]; how far a current may be from what it should be, */
@@ -25,7 +26,7 @@ enum { MAGIC = 0x4A4D, HEADER = 20, CRC = 4, TAG = 16, BLOCK = 64 };
 
 const char *const maglev_reasons[MAGLEV_REASONS] = {"short", "magic", "crc", "version", "type", "length", "tag",
                                                     "direction", "session", "old", "inactive", "busy"};
-static const uint8_t SIZES[MAGLEV_TYPES] = {0, 44, 152, 80, 32, 136, 132, 28, 68}; /* of header and body */
+static const uint8_t SIZES[MAGLEV_TYPES] = {0, 44, 160, 80, 32, 136, 132, 28, 68}; /* of header and body */
 
 #ifdef MAGLEV_NO_LIBRARY /* all that a compiler asks of a C library, for a board that has none */
 void *memset(void *start, int value, size_t count);
@@ -183,7 +184,8 @@ static void walk(struct cursor *c, struct maglev_frame *f) {
         u64(c, &f->of.hello_ack.nonce), u8(c, &f->of.hello_ack.status), u8(c, &f->of.hello_ack.lockstep);
         u8(c, &f->of.hello_ack.version), u8(c, &f->of.hello_ack.state), u32(c, &f->of.hello_ack.device);
         hash(c, f->of.hello_ack.calibration), u64(c, &f->of.hello_ack.period), u64(c, &f->of.hello_ack.delay);
-        u64(c, &f->of.hello_ack.watchdog), u64(c, &f->of.hello_ack.enable), u64(c, &f->of.hello_ack.fault_time);
+        u64(c, &f->of.hello_ack.watchdog), u64(c, &f->of.hello_ack.enable), u64(c, &f->of.hello_ack.stale);
+        u64(c, &f->of.hello_ack.fault_time);
         u32(c, &f->of.hello_ack.faults), u32(c, &f->of.hello_ack.first), u32(c, &f->of.hello_ack.frozen);
         f64(c, &f->of.hello_ack.current_limit, 1), f64(c, &f->of.hello_ack.continuous_current, 1);
         f64(c, &f->of.hello_ack.hover_limit, 1), f64(c, &f->of.hello_ack.thermal_time, 1);
@@ -434,7 +436,7 @@ static size_t greet(struct maglev_device *d, uint64_t now, uint64_t nonce, uint8
     struct maglev_frame f = {MAGLEV_HELLO_ACK, status == MAGLEV_WELCOME ? d->session : 0, 0, now, .of.hello_ack = {
         .nonce = nonce, .status = status, .lockstep = p->lockstep, .version = MAGLEV_VERSION, .state = d->state,
         .device = p->device, .period = p->period, .delay = p->delay, .watchdog = p->watchdog, .enable = p->enable,
-        .fault_time = d->fault_time, .faults = d->faults, .first = d->first, .frozen = p->frozen,
+        .stale = p->stale, .fault_time = d->fault_time, .faults = d->faults, .first = d->first, .frozen = p->frozen,
         .current_limit = p->current_limit, .continuous_current = p->continuous_current, .hover_limit = p->hover_limit,
         .thermal_time = p->thermal_time, .spot_limit = p->spot_limit, .spot_speed = p->spot_speed}};
     copy_bytes(f.of.hello_ack.calibration, p->calibration, MAGLEV_HASH);
@@ -475,9 +477,13 @@ static size_t control(struct maglev_device *d, const struct maglev_frame *f, uin
 static size_t obey(struct maglev_device *d, const struct maglev_frame *f, uint64_t now) {
     if (!newer(f->sequence, d->sequence)) return ignore(d, MAGLEV_OLD);
     d->sequence = f->sequence, d->heard = now;
-    uint64_t stale = d->profile->lockstep ? 0 : d->profile->watchdog / d->profile->period;
-    if (d->number - f->of.cmd.answers > stale) return ignore(d, MAGLEV_OLD); /* it lay in a queue, or is yet to come */
+    /* of a sample yet to come, by 2^32 periods: its difference goes round */
+    uint64_t age = (uint64_t)(d->number - f->of.cmd.answers) * d->profile->period;
+    if (!d->profile->lockstep && now > d->sampled) age += now - d->sampled;
+    if (age > (d->profile->lockstep ? 0 : d->profile->stale)) return ignore(d, MAGLEV_OLD);
     d->is_answered = true, d->answered = f->of.cmd.answers;
+    if (d->state == MAGLEV_INACTIVE) /* a host measures the line's delay before takeoff */
+        d->commanded_at = now, d->answers = f->of.cmd.answers;
     if (d->state != MAGLEV_ACTIVE) return ignore(d, MAGLEV_NOT_ACTIVE);
     uint32_t fault = command_fault(d, f->of.cmd.held, f->of.cmd.pulsed, f->of.cmd.width);
     if (fault) return latch(d, fault, now), 0;
@@ -496,11 +502,19 @@ static size_t emergency(struct maglev_device *d, const struct maglev_frame *f, u
 
 static bool positive(double value) { return finite(value) && value > 0.0; }
 
+/* Numbers of which each alone may be, but not with the others: see HELLO_ACK on the protocol's page. Times first, so
+   that twice a period does not overflow. */
+static bool agree(const struct maglev_profile *p) {
+    return p->watchdog <= LONGEST && p->period <= p->watchdog / 2 && p->delay <= 2 * p->period &&
+           p->enable <= p->watchdog && p->stale >= p->period && p->stale <= p->watchdog &&
+           p->hover_limit <= p->continuous_current && p->continuous_current <= p->current_limit;
+}
+
 bool maglev_start(struct maglev_device *d, const struct maglev_profile *p, const struct maglev_hardware *h) {
     bool key = p->key_length == 0 || (p->key_length >= 16 && p->key_length <= MAGLEV_KEY);
-    if (!key || !p->period || !p->watchdog || !p->enable || !positive(p->current_limit) ||
+    if (!key || !p->period || !p->enable || !positive(p->current_limit) ||
         !positive(p->continuous_current) || !positive(p->hover_limit) || !positive(p->thermal_time) ||
-        !positive(p->spot_limit) || !positive(p->spot_speed) ||
+        !positive(p->spot_limit) || !positive(p->spot_speed) || !agree(p) ||
         !h->read || !h->drive || !h->cut || !h->toggle || !h->now || !h->random) return false;
     for (size_t i = 0; i < sizeof *d; i++) ((uint8_t *)d)[i] = 0;
     d->profile = p, d->hardware = h, d->answers = MAGLEV_NONE;

@@ -1,4 +1,4 @@
-/* The device's side of docs/reference/protocol.md, version 2, in freestanding C99: no heap, no library, no clock of its own.
+/* The device's side of docs/reference/protocol.md, version 3, in freestanding C99: no heap, no library, no clock of its own.
 
    A board fills in a profile and a hardware structure, then calls maglev_receive() for each frame that came and
    maglev_sample() once in every sample period; README.md beside this file says from which interrupt, and what each of
@@ -11,7 +11,7 @@
 #include <stdint.h>
 
 enum {
-    MAGLEV_VERSION = 2,
+    MAGLEV_VERSION = 3,
     MAGLEV_COILS = 6,
     MAGLEV_SPOTS = 6,     /* x and y on the first diode, on the second, on the third */
     MAGLEV_HASH = 16,     /* bytes of a calibration's hash */
@@ -50,6 +50,7 @@ struct maglev_profile {
     uint64_t delay;              /* from a command's arrival to its taking effect [ns] */
     uint64_t watchdog;           /* how long it waits for a command [ns] */
     uint64_t enable;             /* how long the enable line may stand still before the amplifiers open [ns] */
+    uint64_t stale;              /* how old the sample may be whose answer is obeyed [ns]; four periods are usual */
     double current_limit;        /* largest current in any coil [A] */
     double continuous_current;   /* that a coil bears for ever [A] */
     double hover_limit;          /* largest current in a coil that ARM's hover may have [A] */
@@ -103,7 +104,7 @@ struct maglev_frame {
             uint8_t status, lockstep, version, state;
             uint32_t device;
             uint8_t calibration[MAGLEV_HASH];
-            uint64_t period, delay, watchdog, enable, fault_time;
+            uint64_t period, delay, watchdog, enable, stale, fault_time;
             uint32_t faults, first, frozen;
             double current_limit, continuous_current, hover_limit, thermal_time, spot_limit, spot_speed;
         } hello_ack;
@@ -132,7 +133,7 @@ struct maglev_device {
     uint64_t fault_time;               /* when the first of the latched faults was raised [ns]; 0 for none */
     uint32_t session;                  /* its number; 0 for none */
     uint32_t faults, first;            /* latched; those of them that the first trip latched */
-    uint32_t answered;                 /* number of the last sample that was answered, where `is_answered` */
+    uint32_t answered;                 /* sample of the newest answer that was taken, where `is_answered` */
     uint32_t counts[MAGLEV_REASONS];   /* frames ignored, by reason */
     uint8_t state;
     bool is_answered, holding;
@@ -155,8 +156,8 @@ struct maglev_device {
 };
 
 /* Begin, inactive and with the currents cut. Return false, and do nothing, where the profile is not one of a device: a
-   time or limit that is not above 0 or not finite, a key of another length, a function that is missing. Profile and
-   hardware are kept by reference. */
+   time or limit that is not above 0 or not finite, or that contradicts another (the protocol's page says which), a key
+   of another length, a function that is missing. Profile and hardware are kept by reference. */
 bool maglev_start(struct maglev_device *device, const struct maglev_profile *profile,
                   const struct maglev_hardware *hardware);
 

@@ -2,14 +2,14 @@
 
        cc -std=c99 -O2 scripts/firmware/simulated_device.c scripts/firmware/maglev_firmware.c -o simulated_device -lm
        simulated_device --plant FILE [--port 0] [--rate 200] [--delay 0.0015] [--watchdog 0.05] [--enable SECONDS]
-                        [--hover-limit 3] [--noise 0] [--lockstep] [--calibration-hash HEX32] [--key FILE] [--device 1]
-                        [--seconds 0] [--fault NAME:K@SECONDS]
+                        [--stale SECONDS] [--hover-limit 3] [--noise 0] [--lockstep] [--calibration-hash HEX32]
+                        [--key FILE] [--device 1] [--seconds 0] [--fault NAME:K@SECONDS]
        simulated_device --golden [--key FILE] < FRAMES
 
    The plant's FILE has five names, each before its numbers: wrench_per_current (36, by rows) [N/A, N m/A], inertia (6:
    the mass three times, then the moments) [kg, kg m^2], gravity (6: accelerations) [m/s^2, rad/s^2], spots_per_pose
    (36, by rows) [1, m], rest (6) [m, rad]. A key's FILE has 32 to 64 hexadecimal digits. --noise [m] is what a spot's
-   reading jitters by; with it 20 equal readings in a row are a fault. --golden reads frames, a line of hexadecimal
+   reading jitters by; with it 30 equal readings in a row are a fault. --golden reads frames, a line of hexadecimal
    digits each, and prints each as it writes what it read. Faults are those of FAULTS below. */
 #define _POSIX_C_SOURCE 200809L
 
@@ -341,11 +341,12 @@ static void listen_on(uint16_t port) {
 static uint64_t nanoseconds(double seconds) { return (uint64_t)(seconds * 1e9 + 0.5); }
 
 int main(int count, char **arguments) {
-    enum { PORT, RATE, DELAY, WATCHDOG, ENABLE, HOVER, NOISE, DEVICE, SECONDS, NUMBERS };
+    enum { PORT, RATE, DELAY, WATCHDOG, ENABLE, STALE, HOVER, NOISE, DEVICE, SECONDS, NUMBERS };
     struct { const char *name; double value, least, most; } numbers[NUMBERS] = {
         {"--port", 0.0, 0.0, 65535.0}, {"--rate", 200.0, 1.0, 1e5}, {"--delay", 0.0015, 0.0, 0.1},
-        {"--watchdog", 0.05, 0.001, 10.0}, {"--enable", 0.0, 0.0, 10.0}, {"--hover-limit", 3.0, 0.001, 10.0},
-        {"--noise", 0.0, 0.0, 0.001}, {"--device", 1.0, 0.0, 4294967295.0}, {"--seconds", 0.0, 0.0, 1e6}};
+        {"--watchdog", 0.05, 0.001, 1.0}, {"--enable", 0.0, 0.0, 1.0}, {"--stale", 0.0, 0.0, 1.0},
+        {"--hover-limit", 3.0, 0.001, 10.0}, {"--noise", 0.0, 0.0, 0.001}, {"--device", 1.0, 0.0, 4294967295.0},
+        {"--seconds", 0.0, 0.0, 1e6}};
     const char *plant_file = NULL;
     int only_golden = 0;
     char rest;
@@ -373,6 +374,11 @@ int main(int count, char **arguments) {
     if (!profile.enable) { /* 3 periods or 10 ms, and at most the watchdog */
         profile.enable = 3 * profile.period > 10000000 ? 3 * profile.period : 10000000;
         if (profile.enable > profile.watchdog) profile.enable = profile.watchdog;
+    }
+    profile.stale = nanoseconds(numbers[STALE].value);
+    if (!profile.stale) { /* 4 periods, and at most the watchdog */
+        profile.stale = 4 * profile.period;
+        if (profile.stale > profile.watchdog) profile.stale = profile.watchdog;
     }
     profile.hover_limit = numbers[HOVER].value, profile.device = (uint32_t)numbers[DEVICE].value;
     profile.frozen = plant.noise > 0.0 ? 30 : 0;

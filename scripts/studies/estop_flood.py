@@ -3,7 +3,7 @@
     python scripts/studies/estop_flood.py [20]
 
 The time is from the first ESTOP leaving its sender to the firmware's cut, and to a sample without current. The twin's
-watchdog waits for 5 s, so that currents flow although the flood drowns the host's commands.
+watchdog waits for 1 s, its longest, so that currents flow although the flood drowns the host's commands.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def device() -> None:
             print(f"cut {time.monotonic_ns()} {int(faults)}", flush=True)
 
     Firmware.trip = told  # type: ignore[assignment, method-assign]
-    main(["twin", "--listen", "udp://127.0.0.1:0", "--watchdog", "5", "--seconds", "20"])
+    main(["twin", "--listen", "udp://127.0.0.1:0", "--watchdog", "1", "--seconds", "20"])
 
 
 def flood(address: str, data: bytes) -> None:

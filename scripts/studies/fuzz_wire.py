@@ -213,7 +213,7 @@ def seeds(codec: Codec) -> list[Frames]:
     ends = [frame(9, Control(2, operation, 0, SIX)) for operation in (*Operation, 3, 99)]
     reset = frame(10, Control(3, Operation.RESET, 0, SIX))
     others: list[Any] = [
-        wire.HelloAck(5, 0, 0, 2, 0, 1, CALIBRATION, PERIOD, 0, 0, 0, 0, 0, 0, 20, 10.0, 3.0, 1.4, 10.0, 0.012, 1.0),
+        wire.HelloAck(5, 0, 0, 3, 0, 1, CALIBRATION, PERIOD, 0, 0, 0, 0, 0, 0, 0, 20, 10.0, 3.0, 1.4, 10.0, 0.012, 1.0),
         wire.ControlAck(1, 1, 0, 0, 0),
         wire.StateReport(SIX, SIX, SIX, 0, 7, 0, 0, 0, 0, 1),
         EstopAck(77, 2, 128, 0, SIX),

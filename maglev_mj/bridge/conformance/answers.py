@@ -21,10 +21,11 @@ def _welcome(t: Tester) -> str:
         "calibration": one.calibration == t.calibration.digest,
         "lockstep": one.lockstep <= 1,
         "period": 10_000 <= period <= 100_000_000,
-        "delay": one.delay <= 100_000_000,
-        "watchdog": 4 * period <= one.watchdog <= 1_000_000_000,
+        "delay": one.delay <= 2 * period,
+        "watchdog": 2 * period <= one.watchdog <= 1_000_000_000,
         "enable": 2 * period <= one.enable <= one.watchdog,
-        "currents": 0.0 < one.hover_limit <= one.continuous_current <= one.current_limit <= 100.0,
+        "stale": period <= one.stale <= one.watchdog,
+        "currents": 0.0 < one.hover_limit <= one.continuous_current <= one.current_limit <= 20.0,
         "hover_limit": max(abs(t.calibration.hover)) <= one.hover_limit,
         "thermal_time": 0.0 < one.thermal_time < math.inf,
         "spots": 0.0 < one.spot_limit < 1.0 and 0.0 < one.spot_speed < 100.0,
@@ -46,9 +47,10 @@ def _hello_again(t: Tester) -> str:
     return t.expect(State.ACTIVE) and f"session {t.session}, sequence numbers kept"
 
 
-@check("any other HELLO gets BUSY, and the session goes on")
+@check("any other HELLO gets BUSY, whatever its calibration, and the session goes on")
 def _busy(t: Tester) -> str:
     t.bring(State.ACTIVE)
+    same("status", t.greet(draw(), flipped(t.calibration.digest, 0)).body.status, HelloStatus.BUSY)
     for peer, nonce in [(0, draw()), *([(1, draw()), (1, t.nonce)] if len(t.links) > 1 else [])]:
         same("status", t.greet(nonce, peer=peer).body.status, HelloStatus.BUSY)
     t.expect(State.ACTIVE)
@@ -246,6 +248,18 @@ def _answered(t: Tester) -> str:
     for frame in t.states(0 if t.welcome.lockstep else 1):
         same("answered, age before any command", (frame.body.answered, frame.body.age), (NEVER, NEVER))
     t.bring(State.ACTIVE)
+    return _recorded(t)
+
+
+@check("while INACTIVE `answered` and `age` are of the newest CMD, whatever is in it")
+def _answered_inactive(t: Tester) -> str:
+    t.law = lambda frame: NAN
+    t.states(1)
+    return _recorded(t)
+
+
+def _recorded(t: Tester) -> str:
+    """Check that each STATE names the answer to the one before."""
     for frame in t.states(5):
         same("answered", frame.body.answered, (frame.sequence - 1) & WRAP)
         if frame.body.age * 1000 > t.welcome.period:

@@ -128,6 +128,7 @@ def ignored(
     *,
     back: int | None = None,
     answers: int = 0,
+    wait: int = 0,
     session: int | None = None,
     peer: int = 0,
 ) -> str:
@@ -141,6 +142,7 @@ def ignored(
         change: Function that makes the flaw in a frame.
         back: Samples by which the sequence number is older than the last; None for the next one.
         answers: Samples by which the answer is older than the last sample.
+        wait: Time between that sample and the answer [ns].
         session: Number of the session; None for the own.
         peer: Index of the sending address.
     """
@@ -156,8 +158,10 @@ def ignored(
         t.states(1)
         t.others.clear()
         t.sequence = (t.sequence + (back is None)) & WRAP
+        last = t.last.sequence
+        t.wait(wait * 1e-9)
         if isinstance(body, wire.Command):
-            body = body._replace(answers=(t.last.sequence - answers) & WRAP)
+            body = body._replace(answers=(last - answers) & WRAP)
         frame = t.encode(body, session=session, sequence=(t.sequence - (back or 0)) & WRAP)
         t.links[peer].send(change(frame))
         t.answering = True

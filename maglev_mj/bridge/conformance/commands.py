@@ -11,7 +11,7 @@ from maglev_mj.bridge import wire
 from maglev_mj.bridge.conformance.check import HALF, NAN, check, close, flipped, ignored, stopped, with_crc, zero
 from maglev_mj.bridge.conformance.tester import Tester, Unexpected, fail, is_off, same, shown
 from maglev_mj.bridge.connection import draw
-from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Flag, Operation, Result, State
+from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Flag, HelloStatus, Operation, Result, State
 from maglev_mj.frames import ZERO
 
 _JUNK = 500
@@ -94,15 +94,28 @@ def _far_ahead(t: Tester) -> str:
     return f"heard; it ended in {end}"
 
 
-@check("a CMD that is late by less than `watchdog` is obeyed", real_time=True)
+@check("a CMD that is late by less than `stale` is obeyed", real_time=True)
 def _late_command(t: Tester) -> str:
     t.bring(State.ACTIVE)
-    behind = t.welcome.watchdog // t.welcome.period - 2
+    behind = t.welcome.stale // t.welcome.period - 1
     t.states(behind)
     t.answering = False
     t.command(late := t.last.sequence - behind, ZERO)
     same("answered", t.states(1)[0].body.answered, late & WRAP)
     return f"{behind} samples late"
+
+
+@check("CMDs that answer samples older than `stale` feed nothing, use up their numbers, show a host", real_time=True)
+def _stale_answers(t: Tester) -> str:
+    one = t.welcome
+    t.bring(State.ACTIVE)
+    t.answering = False
+    for _ in range((one.watchdog + 1_100_000_000) // one.period + 2):
+        t.states(1)
+        t.command(t.last.sequence - one.stale // one.period - 1, ZERO)
+        t.links[0].send(t.encode(wire.Command(t.last.sequence, 0, NAN, NAN, 0.0), sequence=t.sequence))
+    t.expect(State.FAULT, Fault.WATCHDOG)
+    return same("WATCHDOG; status of another host's HELLO", t.greet(draw()).body.status, HelloStatus.BUSY)
 
 
 # frames that are ignored
@@ -126,12 +139,15 @@ _HEADERS: dict[str, tuple[str, Callable[[Tester], Iterable[dict[str, int]]], int
         1,
     ),
     "future": ("that answers a sample yet to come", lambda t: [{"answers": one} for one in (-1000, -HALF)], 1),
-    "stale": (
-        "that answers a sample older than `watchdog`",
-        lambda t: [{"answers": 1 + (0 if t.welcome.lockstep else t.welcome.watchdog // t.welcome.period)}],
-        1,
-    ),
+    "stale": ("that answers a sample older than `stale`", lambda t: _old_answers(t), 1),
 }
+
+
+def _old_answers(t: Tester) -> list[dict[str, int]]:
+    """Return answers that are too old: by samples, and by the time within one."""
+    samples, rest = divmod(0 if t.welcome.lockstep else t.welcome.stale, t.welcome.period)
+    within = {"answers": samples, "wait": rest + t.welcome.period // 4}
+    return [{"answers": 1 + samples}, *([] if t.welcome.lockstep else [within])]
 
 
 def _all_ignored(t: Tester, said: str, headers: Callable[[Tester], Iterable[dict[str, int]]]) -> str:

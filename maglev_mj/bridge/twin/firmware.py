@@ -70,7 +70,7 @@ class Firmware:
 
     Attributes:
         counts: Ignored frames by reason, besides those of the codec.
-        answered: Number of the last sample that was answered; None before any.
+        answered: Number of the sample that the newest answer taken is for; None before any.
         peer: Address of the host in session; None for none.
     """
 
@@ -86,12 +86,12 @@ class Firmware:
         self._hover: Sequence[float] = ZERO
         self._commanded_at, self._answers, self._holding, self._sampled = 0, NEVER, False, 0
         self._thermal = ThermalModel(profile.limits)
-        self._watchdog = round(profile.limits.watchdog * 1e9)
+        self._watchdog = profile.nanoseconds("watchdog")
         self._first, self._fault_time, self._sampled_at = Fault(0), 0, 0
         self._measured: Sequence[float] = ZERO
         self._reset_guards()
-        # how many samples an answer may be behind
-        self._stale = 0 if profile.lockstep else self._watchdog // profile.period
+        # how old the answered sample may be [ns]
+        self._stale = 0 if profile.lockstep else profile.nanoseconds("stale")
 
     def _reset_guards(self) -> None:
         """Reset the guards."""
@@ -209,12 +209,18 @@ class Firmware:
         return self._codec.encode(session, 0, now, body)
 
     def _apply(self, command: Command, now: int) -> None:
-        if (self._sampled - command.answers) & WRAP > self._stale:
+        # of one that is yet to come, by 2³² periods
+        age = ((self._sampled - command.answers) & WRAP) * self.profile.period
+        if not self.profile.lockstep:
+            age += max(now - self._sampled_at, 0)
+        if age > self._stale:
             self.counts["old"] += 1  # delayed in a queue, ahead of its sample, or sent twice
             return
         self.answered = command.answers
         if self.state != State.ACTIVE:
             self.counts["inactive"] += 1
+            if self.state == State.INACTIVE:  # the line's delay is measured before takeoff
+                self._commanded_at, self._answers = now, command.answers
             return
         if wrong := command_fault(self.profile.limits, command.held, command.pulsed, command.width):
             self.trip(wrong, now)
