@@ -112,10 +112,10 @@ def fly(
     folder: Any = "",
     **twin_parameters: Any,
 ) -> Flown:
-    """Fly a scene on a twin; the hand begins after 0.9 s."""
+    """Fly a scene on a twin; the hand begins after 1.3 s."""
     twin = Twin(
         TwinParameters(period=1.0 / rate, seed=seed, **twin_parameters),
-        hand_force=ScriptedHand(hand, name, 0.9),
+        hand_force=ScriptedHand(hand, name, 1.3),
         draw=lambda: 7,
     )
     link = VirtualLink(twin)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import random
+import re
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.fault import load_black_box
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard
 from maglev_mj.bridge.landing import TOLERATED, Leader, Swing
+from maglev_mj.bridge.observer import HandObserver
 from maglev_mj.frames import Command, Sample
 from maglev_mj.session import device_controller
 from maglev_mj.theory.verdict import delay_margins
@@ -240,7 +243,7 @@ def test_a_law_that_fails_has_its_currents_cut_at_once(change: Any, tmp_path: Pa
 @pytest.mark.parametrize(("name", "hand"), [("joystick", "none"), ("drop", "2"), ("six-axes", "2")])
 def test_the_hands_force_is_estimated(name: str, hand: str, rate: int, tmp_path: Path) -> None:
     flown = fly(name, rate=rate, hand=hand, folder=tmp_path, seconds=1.4)
-    steady = (flown.wrenches[:, 0] > 1.3) & (flown.wrenches[:, 0] < 1.9)
+    steady = (flown.wrenches[:, 0] > 1.7) & (flown.wrenches[:, 0] < 2.4)
     error = flown.wrenches[steady, 1:]
     axis, sense = (2, -1) if name == "drop" else (0, 1 if name == "six-axes" else -1)
     error[:, axis] -= sense * (0.0 if hand == "none" else 2.0)
@@ -253,3 +256,51 @@ def test_nothing_is_estimated_unless_the_device_is_active(tmp_path: Path) -> Non
     known = np.isfinite(flown.wrenches[:, 1])
     states = np.interp(flown.wrenches[:, 0], flown.rows[:, 0], flown.rows[:, 14])
     assert known.any() and (states[known] > 0.5).all()
+
+
+# the coils, tried in takeoff
+
+
+def weakened(coil: int, share: float) -> Calibration:
+    known = Calibration.nominal()
+    constants = known.coils.force_constants.copy()
+    constants[coil] *= share
+    return replace(known, coils=replace(known.coils, force_constants=constants))
+
+
+@pytest.mark.parametrize("rate", [200, 1000])
+@pytest.mark.parametrize("coil", range(6))
+def test_a_coil_that_is_not_as_calibrated_is_named_in_takeoff(coil: int, rate: int, tmp_path: Path) -> None:
+    """Weak by a tenth it lands again; dead or reversed it is often lost sooner."""
+    for share, seed in ((0.9, coil), (0.01, coil + 6), (-1.0, coil + 12)):
+        flown = fly("joystick", rate=rate, truth=weakened(coil, share), seed=seed, folder=tmp_path)
+        gain = re.fullmatch(
+            r"PlantError: no flight: coil (\d) gives (-?\d+) % of its calibrated force; .*", flown.outcome
+        )
+        if gain is None:
+            assert share != 0.9 and "NOT_FOLLOWING" in flown.outcome and f"coil {coil} " in flown.outcome
+        else:
+            assert int(gain[1]) == coil and int(gain[2]) == pytest.approx(100.0 * share, abs=2.0)
+            assert flown.speeds(0.0).max() < 0.05 and flown.rows[-1, 14] == 0.0
+
+
+@pytest.mark.parametrize("rate", [200, 1000])
+def test_good_coils_are_not_refused(rate: int, tmp_path: Path) -> None:
+    """Nor is a weight of 35 g on the handle, which all coils seem to share."""
+    heavier = replace(Calibration.nominal(), mass=1.05 * Calibration.nominal().mass)
+    for seed in range(5):
+        for truth in (None, heavier):
+            assert fly("table", rate=rate, seed=seed, truth=truth, seconds=0.1, folder=tmp_path).outcome == "landed"
+
+
+def test_what_is_lost_on_the_way_does_not_look_like_a_coil(tmp_path: Path) -> None:
+    calibration = Calibration.nominal()
+    observer = HandObserver(calibration, 0.005)
+    observer.tries = True
+    hover = Command([*(-calibration.mass * calibration.gravity), 0.0, 0.0, 0.0])
+    for tick in [*range(40), *range(50, 90)]:
+        observer.sampled(tick, 11 if tick == 50 else 1, [0.0] * 6, tick - 1, 0.0015)
+        observer.answered(tick, hover, calibration.hover.tolist(), None, 0.0)
+        if tick in (49, 89):
+            assert observer.wrench == pytest.approx([0.0] * 6, abs=1e-9)
+    assert observer.coils.fault() == ""

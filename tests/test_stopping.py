@@ -148,8 +148,8 @@ def named(value: Any) -> str:
 
 
 LANDING = some(
-    [(signal.SIGINT, 0.02), (signal.SIGINT, 0.58), (signal.SIGTERM, 0.3), (signal.SIGHUP, 1.0)],
-    [(signal.SIGINT, 0.3), (signal.SIGINT, 1.0), (signal.SIGTERM, 1.0), (signal.SIGHUP, 0.3)],
+    [(signal.SIGINT, 0.02), (signal.SIGINT, 1.03), (signal.SIGTERM, 0.3), (signal.SIGHUP, 1.6)],
+    [(signal.SIGINT, 0.3), (signal.SIGINT, 1.6), (signal.SIGTERM, 1.6), (signal.SIGHUP, 0.3)],
 )
 """Signals, and times since the device is active [s]."""
 
@@ -172,10 +172,10 @@ def test_the_first_signal_lands_at_any_time_of_takeoff_and_flight(
     # from where it is, not from the centre
     assert max(one.height for one in twin.moments) < (-0.002 if at < 0.1 else 1e-4)
     assert abs(twin.twin.pose[2] + 0.0045) < 1e-4  # it lies where it lay
-    assert record.exists() == (at > 0.6) or at == 0.58, said  # 20 ms later it flies, and a machine may stall for longer
+    assert record.exists() == (at > 1.05) or at == 1.03, said  # it flies 30 ms later, if the machine does not stall
 
 
-TWICE = some([(0.02, 0.05), (0.3, 0.4), (1.0, 0.05)], [(0.02, 0.4), (0.3, 0.05), (1.0, 0.4)])
+TWICE = some([(0.02, 0.05), (0.3, 0.4), (1.6, 0.05)], [(0.02, 0.4), (0.3, 0.05), (1.6, 0.4)])
 
 
 @pytest.mark.parametrize(("at", "gap"), TWICE)
@@ -193,7 +193,7 @@ def test_a_second_ctrl_c_cuts_now(at: float, gap: float, tmp_path: Path) -> None
     assert status == 1 and "ESTOP" in said, said
     assert (twin.last.state, twin.last.faults) == (State.FAULT, Fault.ESTOP)
     assert after < 0.5  # where nothing else runs 2 to 13 ms
-    assert record.exists() == (at > 0.6), said
+    assert record.exists() == (at > 1.05), said
     (box,) = tmp_path.glob("maglev-fault-*.json")
     assert json.loads(box.read_text())["faults"] == "ESTOP"
 

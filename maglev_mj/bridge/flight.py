@@ -239,7 +239,7 @@ class Flight:
 
     def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
         plant, switch = self._plant, self.switch
-        plant.takeoff(watch=self._watch)
+        plant.takeoff(watch=self._watch, tries=True)
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
         while not self.reason and not switch.landing and (last is None or plant.samples.tick < last):

@@ -14,6 +14,7 @@ import numpy as np
 
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.connection import SampleCounter
+from maglev_mj.bridge.observer import CoilEstimator
 from maglev_mj.bridge.realtime import interrupt, stopping
 from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.control import Bias, Hold
@@ -40,6 +41,10 @@ It is stable up to 59 ms at 200 Hz, 53 ms at 1 kHz.
 
 _DROPPED, _LONG = 0.3, 0.1
 """Speed of a dropped flotor [m/s], and time above it that cuts an early landing [s]."""
+
+_TRY = 0.15
+_TRIES = [7e-4, 0.0, 0.0, 0.0, 0.0, 0.007], [-3.5e-4, 6e-4, 0.0, 0.0, 0.0, -0.007], ZERO
+"""Poses around the centre that need each coil [m, rad], and time to each [s]."""
 
 _ASIDE, _ASKEW = 0.002, math.radians(3.0)
 
@@ -76,6 +81,10 @@ class GuidedPlant(Plant, Protocol):
     guided: bool
     doubt: str
     disarmed: bool
+
+    @property
+    def coils(self) -> CoilEstimator:
+        """Estimator of the coils' gains in takeoff."""
 
     def arm(self) -> None:
         """Switch the currents on."""
@@ -204,29 +213,16 @@ class Leader:
         weight = np.concatenate([-calibration.mass * calibration.gravity, np.zeros(3)])
         hold = Hold.critically_damped(inertia=inertia, period=period, delay=delay)
         self._controller = Controller([Bias(weight), hold], period=period)
-        self.aim(ZERO, ZERO, 1.0)
+        self.aim(straight(ZERO, ZERO, 1.0))
 
-    def aim(
-        self,
-        start: Sequence[float],
-        end: Sequence[float],
-        duration: float,
-        astray: Callable[[Sequence[float]], object] | None = None,
-    ) -> None:
-        """Begin a path between two poses at the next sample.
-
-        Poses are [m, rad], six each.
+    def aim(self, path: Trajectory, astray: Callable[[Sequence[float]], object] | None = None) -> None:
+        """Begin a path at the next sample.
 
         Args:
-            start: First pose.
-            end: Last pose.
-            duration: Time between them [s].
+            path: The path; its times begin there.
             astray: Called with the pose if the flotor does not follow.
-
-        Raises:
-            ParameterError: If the duration is not above 0.
         """
-        self._path = Trajectory([0.0, number("duration", duration, above=0.0)], [list(start), list(end)])
+        self._path = path
         self._astray, self._first = astray, -1
         self.motion = Motion(self.period)
         self._controller.reset()
@@ -243,7 +239,9 @@ class Leader:
         return self._controller.step(Sample(sample.tick, sample.time, off))
 
 
-def take_off(plant: GuidedPlant, leader: Leader, duration: float, watch: Callable[[], object] | None) -> None:
+def take_off(
+    plant: GuidedPlant, leader: Leader, duration: float, watch: Callable[[], object] | None, tries: bool
+) -> None:
     """Check rest, arm, and lead the flotor to the centre; see `RemotePlant.takeoff`."""
     if plant.state is not State.INACTIVE:
         raise PlantError(f"no takeoff: the device is {plant.state.name}, faults {fault_names(plant.faults)}")
@@ -259,23 +257,30 @@ def take_off(plant: GuidedPlant, leader: Leader, duration: float, watch: Callabl
         raise PlantError(f"no takeoff: the flotor is at {shown(rest)}, and must lie on its lower stop")
 
     def astray(pose: Sequence[float]) -> NoReturn:
-        plant.fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(pose)}, not where it is led")
+        why = plant.coils.fault(lost=True)
+        plant.fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(pose)}, not where it is led" + f"; {why}" * bool(why))
 
-    leader.aim(rest, rest, duration)
+    leader.aim(straight(rest, rest, duration))
     loop.cycle(2)  # the device ignores these answers; slow first calls are done
-    leader.aim(rest, ZERO, duration, astray)
+    poses = [rest, ZERO, *(_TRIES if tries else ())]
+    times = [0.0, *(number("duration", duration, above=0.0) + _TRY * leg for leg in range(len(poses) - 1))]
+    leader.aim(Trajectory(times, poses), astray)
     plant.arm()
     plant.rest, plant.guided = rest, True
     try:
-        _lead(plant, loop, duration, watch)
+        ended = _lead(plant, loop, times[-1], watch)
+        why = plant.coils.fault() if tries and not ended else ""
     finally:
         plant.guided = False
+    if why:
+        land(plant, leader, duration, None)
+        raise PlantError(f"no flight: {why}; landed again: keep hands off while it takes off, or calibrate it anew")
 
 
 def land(plant: GuidedPlant, leader: Leader, duration: float, watch: Callable[[], object] | None) -> LandingReport:
     """Lead the flotor back to its rest pose and disarm; see `RemotePlant.land`."""
     loop, plant.guided = ControlLoop(plant, leader), True
-    leader.aim(plant.pose, plant.rest, duration)
+    leader.aim(straight(plant.pose, plant.rest, duration))
     _lead(plant, loop, duration, watch)
     end = plant.samples.tick + round(_SETTLING / plant.period)
     while plant.samples.tick < end and not leader.motion.at_rest:
@@ -286,12 +291,19 @@ def land(plant: GuidedPlant, leader: Leader, duration: float, watch: Callable[[]
     return LandingReport(math.dist(motion.pose[:3], plant.rest[:3]), *motion.speeds, rests)
 
 
-def _lead(plant: GuidedPlant, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> None:
+def straight(start: Sequence[float], end: Sequence[float], duration: float) -> Trajectory:
+    """Return the path between two poses [m, rad] in a time [s]."""
+    return Trajectory([0.0, number("duration", duration, above=0.0)], [list(start), list(end)])
+
+
+def _lead(plant: GuidedPlant, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> bool:
+    """Run a loop for a time [s]; return True if it was ended early."""
     end = plant.samples.tick + max(round(duration / plant.period), 1)
     while plant.samples.tick < end:
         loop.cycle()
         if watch is not None and watch():
-            return
+            return True
+    return False
 
 
 def _observed(plant: GuidedPlant, duration: float) -> Motion:

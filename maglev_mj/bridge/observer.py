@@ -10,17 +10,29 @@ import numpy as np
 
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.control.timeline import Timeline, Timing
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, Command
 
 _CORNER = 31.0
 """Corner of each of two low passes [Hz]; both together pass 20 Hz at -3 dB."""
+
+_LIFTED = 4e-4
+"""Way from the stop from which a flotor is in the air [m]."""
+
+_FEWEST, _MOST = 8, 60
+"""Fewest samples in the air, and most that are fitted."""
+
+_ARM = 0.03
+"""Lever arm by which angles count as paths [m]."""
+
+_NOISE, _CERTAIN, _ASTRAY, _BESIDE = 3e-6, 0.02, 0.07, 0.2
+"""Noise of a pose [m]; errors of a known gain, a fault, and one beside it."""
 
 _UNKNOWN = (math.nan,) * 6
 _KEPT = 64
 
 
 class _Drive(NamedTuple):
-    """Wrench sent in answer to a sample, held and pulsed [N, N m], (6,) each."""
+    """Wrench and currents sent in answer to a sample, held and pulsed, (12,) each."""
 
     held: Array
     pulsed: Array
@@ -40,34 +52,49 @@ class HandObserver:
 
     Attributes:
         wrench: Estimate at the last sample but one [N, N m], six; NaN while it is not known.
+        coils: Estimator of the coils' gains; it is fed while `tries` is True.
+        tries: True in takeoff.
     """
 
     def __init__(self, calibration: Calibration, period: float) -> None:
         self._period = period
         self._keep = math.exp(-2.0 * math.pi * _CORNER * period)
-        self._coils = calibration.coils
+        self._calibration = calibration
         self._body = np.array([*[calibration.mass] * 3, *calibration.inertia]) / period**2
         self._weight = np.concatenate([calibration.mass * calibration.gravity, np.zeros(3)])
         self._sent: dict[int, _Drive] = {}
+        self.tries = False
         self.reset()
 
     def reset(self) -> None:
-        """Forget all; the wrench is not known for the next two samples."""
+        """Forget all; the wrench is not known for the next three samples."""
         self.wrench: Sequence[float] = _UNKNOWN
-        self._timeline = Timeline(Timing(period=self._period, delay=0.0), np.zeros(6))
-        self._known = 0
-        self._low = self._lower = np.zeros(6)
-        self._before = self._last = np.zeros(6)
-        self._moment = np.zeros(6)
+        self.coils = CoilEstimator(self._calibration, self._period)
+        self._timeline = Timeline(Timing(period=self._period, delay=0.0), np.zeros(12))
         self._sent.clear()
+        self._known = 0
+        self._low: Array | None = None
+        self._lower = self._before = self._last = np.zeros(6)
+        self._moment = np.zeros(12)
 
-    def answered(self, tick: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+    def answered(
+        self, tick: int, command: Command, held: Sequence[float], pulsed: Sequence[float] | None, width: float
+    ) -> None:
         """Add the answer sent to a sample.
 
-        Wrenches [N, N m], six each, and the width of the pulse [s].
+        Args:
+            tick: Number of the sample.
+            command: The command, limited.
+            held: Its currents [A], six.
+            pulsed: Those of its pulse; None without one.
+            width: Width of the pulse [s].
         """
-        force = np.array(held)
-        self._sent[tick] = _Drive(force, force if pulsed is None else np.array(pulsed), width)
+        drive = np.array([*command.force, *held])
+        if pulsed is None or command.extra is None:
+            self._sent[tick] = _Drive(drive, drive, 0.0)
+        else:
+            whole = [one + other for one, other in zip(command.force, command.extra)]
+            self._sent[tick] = _Drive(drive, np.array([*whole, *pulsed]), width)
         if len(self._sent) > _KEPT:
             del self._sent[next(iter(self._sent))]
 
@@ -81,28 +108,102 @@ class HandObserver:
             answered: Number of the sample that the newest answer in force answers.
             delay: Time from that sample to the answer's effect [s]; NaN if no new answer has come.
         """
-        if elapsed != 1:
-            self.reset()
-            self._last = np.array(position)
-            return
-        if delay == delay and (drive := self._sent.get(answered)) is not None:
+        if delay == delay and (sent := self._sent.get(answered)) is not None:
             early = tick - 1 - answered  # an effect before the last sample cannot be undone
-            self._timeline.answer(answered, *drive, after=max(delay, early * self._period))
+            self._timeline.answer(answered, *sent, after=max(delay, early * self._period))
+        if elapsed != 1:  # the estimate stays, until it is known again
+            self._known, self.coils = 0, CoilEstimator(self._calibration, self._period)
+            for missed in range(tick - min(elapsed, _KEPT), tick - 1):
+                self._timeline.period(missed)
         now, start = np.array(position), 0.0
-        impulse, moment = np.zeros(6), np.zeros(6)
-        for duration, force in self._timeline.period(tick - 1):
-            impulse = impulse + duration * force
-            moment = moment + (duration * (start + 0.5 * duration)) * force
+        impulse, moment = np.zeros(12), np.zeros(12)
+        for duration, drive in self._timeline.period(tick - 1):
+            impulse = impulse + duration * drive
+            moment = moment + (duration * (start + 0.5 * duration)) * drive
             start += duration
         period = self._period
         acting = (self._moment + period * impulse - moment) / period**2
         bent = now - 2.0 * self._last + self._before
         self._before, self._last, self._moment = self._last, now, moment
         self._known += 1
-        if self._known < 2:
+        if self._known < 3:
             return
-        raw = self._body * bent - acting - self._weight
-        keep = self._keep if self._known > 2 else 0.0
-        self._low = raw + keep * (self._low - raw)
-        self._lower = self._low + keep * (self._lower - self._low)
+        if self.tries:
+            self.coils.add(now, acting[6:])
+        raw = self._body * bent - acting[:6] - self._weight
+        if self._low is None:
+            self._low = self._lower = raw
+        self._low = raw + self._keep * (self._low - raw)
+        self._lower = self._low + self._keep * (self._lower - self._low)
         self.wrench = self._lower.tolist()
+
+
+class CoilEstimator:
+    """Estimator of each coil's gain from a motion without a hand.
+
+    The path that the currents would have given, integrated twice, is fitted to the measured path by the gains, in
+    translation only off the stop. A gain is known where the coil carried current.
+
+    Args:
+        calibration: Calibration of the device.
+        period: Sample period [s].
+    """
+
+    def __init__(self, calibration: Calibration, period: float) -> None:
+        body = np.array([*[calibration.mass] * 3, *calibration.inertia])
+        self._paths = calibration.coils.wrench_per_current * (period**2 / body)[:, None]
+        self._fall = np.concatenate([period**2 * calibration.gravity, np.zeros(3)])
+        self._speeds, self._sums = np.zeros((2, 7))
+        self._rows: list[Array] = []
+
+    def add(self, position: Array, currents: Array) -> None:
+        """Add a pose and the currents around the sample before it [m, rad], [A], (6,) each."""
+        self._speeds[:6] += currents
+        self._speeds[6] += 1.0
+        self._sums += self._speeds
+        self._rows.append(np.concatenate([position, self._sums]))
+
+    def gains(self) -> Array:
+        """Return each coil's gain, (6,): 1 for one as calibrated, NaN for an unknown one."""
+        rows = np.array(self._rows).reshape(-1, 13)
+        lifted = np.flatnonzero(np.abs(rows[:, :3] - rows[:1, :3]).max(axis=1, initial=0.0) > _LIFTED)
+        if not lifted.size or len(rows) - lifted[0] < _FEWEST:
+            return np.full(6, np.nan)
+        matrix, left = self._fit(rows[lifted[0] :], range(6))
+        changes = np.linalg.lstsq(matrix, left, rcond=None)[0]
+        errors = _NOISE * np.sqrt(np.diag(np.linalg.pinv(matrix.T @ matrix)))
+        return np.where(errors < _CERTAIN, 1.0 + changes, np.nan)
+
+    def fault(self, lost: bool = False) -> str:
+        """Return the coils that are not as calibrated, in words; "" if all are.
+
+        A gain that all coils share is no fault of theirs: so does a weight on the handle look.
+
+        Args:
+            lost: True if the flotor does not follow; where no gain is known, the coil that explains most is named.
+        """
+        gains = self.gains()
+        known = gains[np.isfinite(gains)]
+        changes = np.abs(gains - (np.median(known) if known.size else 1.0))
+        wrong = np.flatnonzero(changes > max(_ASTRAY, _BESIDE * np.nan_to_num(changes).max()))
+        if wrong.size:
+            return ", ".join(f"coil {coil} gives {100.0 * gains[coil]:.0f} % of its calibrated force" for coil in wrong)
+        if not lost or len(self._rows) < 3:
+            return ""
+        # on its stop a flotor may turn, which three axes show
+        matrix, left = self._fit(np.array(self._rows), range(3, 6))
+        sizes = (matrix**2).sum(axis=0) + _NOISE**2
+        return f"coil {int(np.argmax((matrix.T @ left) ** 2 / sizes))} explains it best: weak, dead or reversed"
+
+    def _fit(self, rows: Array, axes: Sequence[int]) -> tuple[Array, Array]:
+        """Return how changed gains change the path on some axes, and the path left to explain."""
+        rows = rows[:: max(len(rows) // _MOST, 1)]
+        start = np.stack([np.ones(len(rows)), np.linspace(0.0, 1.0, len(rows))], axis=1)
+        away = np.eye(len(rows)) - start @ np.linalg.pinv(start)  # without what any start and speed explain
+        parts, paths = [], []
+        for axis in axes:
+            size = 1.0 if axis < 3 else _ARM
+            parts.append(size * away @ (rows[:, 6:12] * self._paths[axis]))
+            paths.append(size * away @ (rows[:, axis] - self._fall[axis] * rows[:, 12]))
+        matrix = np.vstack(parts)
+        return matrix, np.concatenate(paths) - matrix.sum(axis=1)

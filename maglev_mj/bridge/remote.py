@@ -14,7 +14,7 @@ from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
 from maglev_mj.bridge.landing import TOLERATED, LandingReport, Leader, Swing, land, shown, take_off
 from maglev_mj.bridge.links import Link, LinkError, open_link
-from maglev_mj.bridge.observer import HandObserver
+from maglev_mj.bridge.observer import CoilEstimator, HandObserver
 from maglev_mj.bridge.safety import (
     WARNING_RISE,
     FlotorGuard,
@@ -193,6 +193,7 @@ class RemotePlant:
         # a sample from before arming need not be ENABLED
         self._open = 0 if report.flags & _ENABLED or report.state != _ACTIVE else self._open + 1
         if active:
+            self._hand.tries = self.guided
             self._hand.sampled(tick, samples.elapsed, position, tick - self._behind, self.newest_delay)
             if self._open > 1:
                 self.fail(Fault.HOST, "the amplifiers are not ENABLED, and the device does not cut the currents")
@@ -215,8 +216,7 @@ class RemotePlant:
         except (PlantError, TypeError) as error:
             self.fail(Fault.INVALID_COMMAND, str(error))
         self._answer(frame, held, pulsed, width)
-        whole = None if command.extra is None else [one + other for one, other in zip(command.force, command.extra)]
-        self._hand.answered(self.samples.tick, command.force, whole, width)
+        self._hand.answered(self.samples.tick, command, held, pulsed, width)
         return command
 
     def drive(self, currents: Sequence[float]) -> None:
@@ -315,7 +315,12 @@ class RemotePlant:
         if self._armed:
             self._fail_if_active(Fault.HOST, reason)
 
-    def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None) -> None:
+    @property
+    def coils(self) -> CoilEstimator:
+        """Estimator of the coils' gains in takeoff."""
+        return self._hand.coils
+
+    def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None, tries: bool = False) -> None:
         """Check rest, arm, and move the flotor to the centre.
 
         Untouched for 0.1 s, it must rest: up to 5 mm/s and 0.1 rad/s. Slow work is done before the currents flow.
@@ -323,13 +328,15 @@ class RemotePlant:
         Args:
             duration: Time of the motion [s].
             watch: Called after each sample of the motion; True ends it early.
+            tries: True to move by 0.7 mm and 7 mrad around the centre in 0.45 s more, which tries each coil.
 
         Raises:
             DeviceFault: If the flotor does not follow, or another fault occurs.
-            PlantError: If the flotor moves, is not on its lower stop or not measured; the device is not armed.
+            PlantError: If the flotor moves, is not on its lower stop or not measured: the device is not armed; or if a
+                coil that was tried is not as calibrated: it has landed.
         """
         self._check_open()
-        take_off(self, self._leader, duration, watch)
+        take_off(self, self._leader, duration, watch, tries)
 
     def land(
         self, duration: float = 0.6, *, watch: Callable[[], object] | None = None, reason: str = ""

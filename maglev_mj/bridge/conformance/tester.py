@@ -16,7 +16,7 @@ from maglev_mj.bridge import wire
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.connection import AGAIN, TAKEOVER, draw, exchange, profile_of
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.landing import Leader, Motion
+from maglev_mj.bridge.landing import Leader, Motion, straight
 from maglev_mj.bridge.landing import shown as pose_shown
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.safety import OFF, OutputLimiter
@@ -322,7 +322,7 @@ class Tester:
                 fail(f"the flotor does not follow: {pose_shown(pose)}")
 
         rest, led = self._rest(), round(1.5 * _LED * 1e9) // one.period
-        leader.aim(rest, ZERO, _LED, astray)
+        leader.aim(straight(rest, ZERO, _LED), astray)
         self.law = law
         try:
             same("state after ARM", self.ask(Operation.ARM, hover=known.hover.tolist()).state, State.ACTIVE)
@@ -331,7 +331,7 @@ class Tester:
             yield
         finally:
             if self.last is not None and self.last.body.state == State.ACTIVE:
-                leader.aim(ZERO, rest, _LED)
+                leader.aim(straight(ZERO, rest, _LED))
                 self.law, self.answering, self.loss = law, True, 0.0
                 with suppress(MaglevError):
                     self.states(led)
