@@ -70,6 +70,7 @@ NEEDS = {
     "compiler": Need("a C compiler", lambda: COMPILER is not None, "gcc libc6-dev"),
     "sanitizers": Need("a C compiler's sanitizers", _has_sanitizers, "gcc libc6-dev"),
     "cross": Need("a compiler for boards", lambda: bool(shutil.which("arm-none-eabi-gcc")), "gcc-arm-none-eabi"),
+    "emulator": Need("an emulator of boards", lambda: bool(shutil.which("qemu-system-arm")), "qemu-system-arm"),
     "spnav": Need("libspnav", lambda: _has_header("spnav.h") and _has_header("X11/Xlib.h"), "libspnav-dev libx11-dev"),
     "linux": Need("Linux", lambda: sys.platform == "linux"),
     "workers": Need("several workers, -n", lambda: "PYTEST_XDIST_WORKER" in os.environ),

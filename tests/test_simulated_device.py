@@ -56,7 +56,7 @@ pytestmark = [
 def built(folder: Path, flags: Sequence[str]) -> Path | None:
     """Return the compiled program; None for unknown flags."""
     program = folder / "simulated_device"
-    sources = [str(FOLDER / name) for name in ("simulated_device.c", "maglev_firmware.c")]
+    sources = [str(FOLDER / name) for name in ("simulated_device.c", "simulated_flotor.c", "maglev_firmware.c")]
     command = [str(COMPILER), *STRICT, *flags, *sources, "-o", str(program), "-lm"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     if done.returncode and flags == ["-O2"]:
@@ -194,6 +194,8 @@ def test_golden_bytes(program: Path, key_file: Path, keyed: bool) -> None:
         ["--fault", "stuck-diode:3@0"],
         ["--fault", "dead-coil:1"],
         ["--fault", "hot-coil:1@2"],
+        ["--hand", "0,0,-5@1:2"],
+        ["--hand", "0,0,-5,0,0,0@2:1"],
         [],
     ],
 )

@@ -1,16 +1,19 @@
 /* The firmware's simulated hardware: UDP on 127.0.0.1, a clock, an amplifier board, and a flotor for small angles.
 
-       cc -std=c99 -O2 scripts/firmware/simulated_device.c scripts/firmware/maglev_firmware.c -o simulated_device -lm
+       cd scripts/firmware
+       cc -std=c99 -O2 simulated_device.c simulated_flotor.c maglev_firmware.c -o simulated_device -lm
        simulated_device --plant FILE [--port 0] [--rate 200] [--delay 0.0015] [--watchdog 0.05] [--enable SECONDS]
                         [--stale SECONDS] [--hover-limit 3] [--noise 0] [--lockstep] [--calibration-hash HEX32]
                         [--key FILE] [--device 1] [--seconds 0] [--fault NAME:K@SECONDS]
+                        [--hand X,Y,Z,RX,RY,RZ@FROM:UNTIL]
        simulated_device --golden [--key FILE] < FRAMES
 
    The plant's FILE has five names, each before its numbers: wrench_per_current (36, by rows) [N/A, N m/A], inertia (6:
    the mass three times, then the moments) [kg, kg m^2], gravity (6: accelerations) [m/s^2, rad/s^2], spots_per_pose
    (36, by rows) [1, m], rest (6) [m, rad]. A key's FILE has 32 to 64 hexadecimal digits. --noise [m] is what a spot's
    reading jitters by; with it 30 equal readings in a row are a fault. --golden reads frames, a line of hexadecimal
-   digits each, and prints each as it writes what it read. Faults are those of FAULTS below. */
+   digits each, and prints each as it writes what it read. Faults are those of FAULTS below.
+   --hand pushes the flotor with a constant wrench [N, N m] between two instants of the device's clock [s]. */
 #define _POSIX_C_SOURCE 200809L
 
 #include <arpa/inet.h>
@@ -26,13 +29,12 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "maglev_firmware.h"
+#include "simulated_flotor.h"
 
 #define AGAIN UINT64_C(20000000)    /* [ns]; lockstep: a STATE is sent again after so long without an answer */
 #define LET_GO UINT64_C(2000000000) /* [ns]; lockstep: and the host is given up after so long */
 
-enum { COILS = MAGLEV_COILS, SWITCHES = 64, WAITING = 4096 };
-enum fault { DEAD_COIL, STUCK_AMPLIFIER, STUCK_DIODE, INVALID_DIODE, STUCK_DIODES, STUCK_COUNTER, NO_FAULT };
+enum { WAITING = 4096 };
 static const struct { const char *name; int count; } FAULTS[NO_FAULT] = {
     {"dead-coil", COILS}, {"stuck-amplifier", COILS}, {"stuck-diode", 3}, {"invalid-diode", 3}, {"stuck-diodes", 1},
     {"stuck-counter", 1}};
@@ -42,124 +44,12 @@ static void fail(const char *what, const char *name) {
     exit(2);
 }
 
-/* ---- the flotor, the amplifier board, the sensors: time in whole nanoseconds, exact between switches ---- */
+struct plant plant = {.fault = NO_FAULT, .random = 1};
+struct maglev_device device;
+struct maglev_profile profile = {.current_limit = 10.0, .continuous_current = 3.0, .thermal_time = 10.0,
+                                 .spot_limit = 0.012, .spot_speed = 1.0};
 
-struct drive { uint64_t at, pulse_end; double held[COILS], pulsed[COILS]; };
-static struct {
-    double wrench[36], inertia[6], gravity[6], slopes[36], rest[6], pose[6], twist[6], noise;
-    uint64_t now, live_until, fault_at;
-    struct drive on, due[SWITCHES];
-    double flowing[COILS], stuck[6], kept;
-    uint32_t number, conversions, random;
-    int waiting, lying, fault, which, has_stuck;
-} plant = {.fault = NO_FAULT, .random = 1};
-
-static struct maglev_device device;
-static struct maglev_profile profile = {.current_limit = 10.0, .continuous_current = 3.0, .thermal_time = 10.0,
-                                        .spot_limit = 0.012, .spot_speed = 1.0};
-
-static int suffers(int fault) { return plant.fault == fault && plant.now >= plant.fault_at; }
-
-/* What flows from now on; the board lets nothing flow where its enable line stands still, whatever it was told. */
-static const double *flow(void) {
-    const double *told = plant.now < plant.on.pulse_end ? plant.on.pulsed : plant.on.held;
-    for (int i = 0; i < COILS; i++) plant.flowing[i] = plant.now < plant.live_until ? told[i] : 0.0;
-    if (suffers(DEAD_COIL)) plant.flowing[plant.which] = 0.0;
-    if (suffers(STUCK_AMPLIFIER)) plant.flowing[plant.which] = plant.kept;
-    plant.kept = plant.flowing[plant.which];
-    return plant.flowing;
-}
-
-static void move(double duration) {
-    const double *currents = flow();
-    double pull[6];
-    maglev_heat(&device, duration, currents);
-    for (int i = 0; i < 6; i++) {
-        double wrench = 0.0;
-        for (int j = 0; j < COILS; j++) wrench += plant.wrench[6 * i + j] * currents[j];
-        pull[i] = wrench / plant.inertia[i] + plant.gravity[i];
-    }
-    if (plant.lying && !(pull[2] > 0.0)) return;
-    plant.lying = 0;
-    for (int i = 0; i < 6; i++) {
-        plant.pose[i] += duration * (plant.twist[i] + 0.5 * duration * pull[i]);
-        plant.twist[i] += duration * pull[i];
-    }
-    if (plant.pose[2] <= plant.rest[2] && plant.twist[2] <= 0.0) { /* it lands, and stays where it is */
-        plant.pose[2] = plant.rest[2], plant.lying = 1;
-        memset(plant.twist, 0, sizeof plant.twist);
-    }
-}
-
-static uint64_t sooner(uint64_t next, uint64_t event) { return plant.now < event && event < next ? event : next; }
-
-static void advance(uint64_t now) {
-    for (;;) {
-        while (plant.waiting && plant.due[0].at <= plant.now) {
-            plant.on = plant.due[0];
-            memmove(plant.due, plant.due + 1, (size_t)--plant.waiting * sizeof *plant.due);
-        }
-        if (plant.now >= now) return;
-        uint64_t next = sooner(sooner(now, plant.live_until), plant.on.pulse_end);
-        if (plant.waiting) next = sooner(next, plant.due[0].at);
-        move((double)(next - plant.now) * 1e-9);
-        plant.now = next;
-    }
-}
-
-/* ---- what the firmware asks of the hardware ---- */
-
-static double jitter(void) { /* even over -1 to 1 */
-    plant.random ^= plant.random << 13, plant.random ^= plant.random >> 17, plant.random ^= plant.random << 5;
-    return (double)plant.random / 2147483648.0 - 1.0;
-}
-
-static void read_sample(void *context, struct maglev_reading *r) {
-    (void)context;
-    r->time = plant.now, r->number = plant.number, r->valid = 7, r->enabled = plant.now <= plant.live_until;
-    if (!suffers(STUCK_COUNTER)) plant.conversions++;
-    r->conversions = plant.conversions;
-    for (int i = 0; i < 6; i++) {
-        for (int j = 0; j < 6; j++) r->spots[i] += plant.slopes[6 * i + j] * plant.pose[j];
-        if (plant.noise > 0.0) r->spots[i] += plant.noise * jitter();
-        int stuck = suffers(STUCK_DIODES) || (suffers(STUCK_DIODE) && i / 2 == plant.which);
-        if (stuck && plant.has_stuck) r->spots[i] = plant.stuck[i];
-    }
-    if (!plant.has_stuck) memcpy(plant.stuck, r->spots, sizeof plant.stuck);
-    plant.has_stuck = suffers(STUCK_DIODES) || suffers(STUCK_DIODE);
-    if (suffers(INVALID_DIODE)) r->valid &= (uint8_t)~(1 << plant.which);
-    memcpy(r->commanded, plant.now < plant.on.pulse_end ? plant.on.pulsed : plant.on.held, sizeof r->commanded);
-    memcpy(r->measured, flow(), sizeof r->measured);
-}
-
-static void drive(void *context, uint64_t now, const double *held, const double *pulsed, double width) {
-    uint64_t at = now + profile.delay;
-    (void)context;
-    while (plant.waiting && plant.due[plant.waiting - 1].at >= at) plant.waiting--;
-    if (plant.waiting == SWITCHES) plant.waiting--; /* more than 64 within the delay: the newest counts */
-    struct drive *next = &plant.due[plant.waiting++];
-    next->at = at, next->pulse_end = at + (uint64_t)(width * 1e9 + 0.5);
-    memcpy(next->held, held, sizeof next->held);
-    memcpy(next->pulsed, pulsed, sizeof next->pulsed);
-}
-
-static void cut(void *context) {
-    (void)context;
-    plant.waiting = 0;
-    memset(&plant.on, 0, sizeof plant.on);
-}
-
-static void toggle(void *context, uint64_t now) {
-    (void)context;
-    plant.live_until = now + profile.enable;
-}
-
-static uint64_t device_now(void *context) {
-    (void)context;
-    return plant.now;
-}
-
-static uint32_t draw(void *context) {
+uint32_t draw(void *context) {
     uint32_t number = 0;
     FILE *source = fopen("/dev/urandom", "rb");
     (void)context;
@@ -167,8 +57,6 @@ static uint32_t draw(void *context) {
     fclose(source);
     return number;
 }
-
-static const struct maglev_hardware hardware = {NULL, read_sample, drive, cut, toggle, device_now, draw};
 
 /* ---- socket and clock ---- */
 
@@ -275,8 +163,7 @@ static void read_plant(const char *path) {
     fclose(file);
     for (int i = 0; i < 6; i++)
         if (!(plant.inertia[i] > 0.0)) fail("must be above 0", names[1]);
-    memcpy(plant.pose, plant.rest, sizeof plant.pose);
-    plant.lying = 1;
+    lay();
 }
 
 /* Return how many bytes hexadecimal digits stand for; 0 where they are none, or more than there is room for. */
@@ -312,6 +199,17 @@ static void read_fault(const char *text) {
     plant.fault_at = (uint64_t)(at * 1e9);
 }
 
+static uint64_t nanoseconds(double seconds) { return (uint64_t)(seconds * 1e9 + 0.5); }
+
+static void read_hand(const char *text) {
+    double *hand = plant.hand, from, until;
+    int last = 0, found = sscanf(text, "%lf,%lf,%lf,%lf,%lf,%lf@%lf:%lf%n", hand, hand + 1, hand + 2, hand + 3,
+                                 hand + 4, hand + 5, &from, &until, &last);
+    if (found != 8 || text[last] || !(from >= 0.0) || !(until >= from) || !(until < 1e9))
+        fail("must be X,Y,Z,RX,RY,RZ@FROM:UNTIL", text);
+    plant.hand_from = nanoseconds(from), plant.hand_until = nanoseconds(until);
+}
+
 static int golden(void) {
     char text[2 * MAGLEV_LARGEST + 1];
     while (scanf("%512s", text) == 1) {
@@ -338,8 +236,6 @@ static void listen_on(uint16_t port) {
     fflush(stdout);
 }
 
-static uint64_t nanoseconds(double seconds) { return (uint64_t)(seconds * 1e9 + 0.5); }
-
 int main(int count, char **arguments) {
     enum { PORT, RATE, DELAY, WATCHDOG, ENABLE, STALE, HOVER, NOISE, DEVICE, SECONDS, NUMBERS };
     struct { const char *name; double value, least, most; } numbers[NUMBERS] = {
@@ -358,6 +254,7 @@ int main(int count, char **arguments) {
         else if (!strcmp(name, "--plant")) plant_file = value;
         else if (!strcmp(name, "--key")) read_key(value);
         else if (!strcmp(name, "--fault")) read_fault(value);
+        else if (!strcmp(name, "--hand")) read_hand(value);
         else if (!strcmp(name, "--calibration-hash")) {
             if (read_hex(profile.calibration, MAGLEV_HASH, value) != MAGLEV_HASH)
                 fail("must be 32 hexadecimal digits", name);

@@ -1,0 +1,104 @@
+"""Build the board's program, with the nominal device's plant and profile.
+
+    python scripts/firmware/boards/mps2_an386/build.py [--key FILE] [--hand X,Y,Z,RX,RY,RZ@FROM:UNTIL] PROGRAM
+
+device.h is written beside the program. The hand pushes the flotor with a constant wrench [N, N m] between two instants
+of the device's clock [s].
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.links import BAUD
+from maglev_mj.bridge.twin.twin import REST, TwinParameters
+
+BOARD = Path(__file__).resolve().parent
+FIRMWARE = BOARD.parent.parent
+SOURCES = [FIRMWARE / "maglev_firmware.c", FIRMWARE / "simulated_flotor.c", BOARD / "board.c"]
+COMPILER = "arm-none-eabi-gcc"
+FLAGS = "-std=c99 -Os -Wall -Wextra -Wpedantic -Werror -ffreestanding -DMAGLEV_NO_LIBRARY -nostdlib -Wl,--fatal-warnings"
+CORTEX_M4 = "-mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard"
+
+
+def plant(hand: str) -> dict[str, object]:
+    """Return the members of the plant; `hand` is as on the command line."""
+    calibration = Calibration.nominal()
+    wrench, start, end = re.split("[@:]", hand)
+    return {
+        "wrench": calibration.coils.wrench_per_current,
+        "inertia": [*[calibration.mass] * 3, *calibration.inertia],
+        "gravity": [*calibration.gravity, 0.0, 0.0, 0.0],
+        "slopes": calibration.beams._spots(np.zeros(6))[1],
+        "rest": REST,
+        "hand": np.array([float(one) for one in wrench.split(",")]).reshape(6),
+        "hand_from": round(float(start) * 1e9),
+        "hand_until": round(float(end) * 1e9),
+    }
+
+
+def profile(key: bytes) -> dict[str, object]:
+    """Return the members of the profile."""
+    profile = TwinParameters(lockstep=True).profile
+    limits = profile.limits
+    return {
+        "period": profile.period,
+        "delay": profile.delay,
+        "watchdog": round(limits.watchdog * 1e9),
+        "enable": round(limits.enable * 1e9),
+        "current_limit": limits.current,
+        "continuous_current": limits.continuous_current,
+        "hover_limit": limits.hover,
+        "thermal_time": limits.thermal_time,
+        "spot_limit": limits.spot,
+        "spot_speed": limits.spot_speed,
+        "device": profile.number,
+        "key_length": len(key),
+        "key": np.frombuffer(key.ljust(32, b"\0"), np.uint8),
+        "calibration": np.frombuffer(profile.calibration, np.uint8),
+        "lockstep": 1,
+    }
+
+
+def initialiser(members: Mapping[str, object]) -> str:
+    """Return the members of a C structure by name."""
+    lines = []
+    for name, value in members.items():
+        numbers = ", ".join(repr(one) for one in np.ravel(np.asarray(value)).tolist())
+        lines.append(f".{name} = {{{numbers}}}" if np.ndim(np.asarray(value)) else f".{name} = {numbers}")
+    return " \\\n    " + ", \\\n    ".join(lines)
+
+
+def build(program: Path, key: bytes = b"", hand: str = "0,0,0,0,0,0@0:0") -> None:
+    """Compile and link the program.
+
+    Raises:
+        CalledProcessError: If the compiler refuses; it has said why.
+    """
+    macros = {"BAUD": str(BAUD), "PLANT": initialiser(plant(hand)), "PROFILE": initialiser(profile(key))}
+    header = "\n".join(f"#define {name} {text}" for name, text in macros.items())
+    (program.parent / "device.h").write_text(header + "\n", encoding="ascii")
+    command = [COMPILER, *FLAGS.split(), *CORTEX_M4.split(), f"-I{FIRMWARE}", f"-I{program.parent}"]
+    command += [*map(str, SOURCES), "-T", str(BOARD / "board.ld"), "-lgcc", "-o", str(program)]
+    subprocess.run(command, check=True)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--key", type=Path, metavar="FILE", help="secret as hexadecimal digits (default: none)")
+    parser.add_argument("--hand", default="0,0,0,0,0,0@0:0", help="wrench and times (default: none)")
+    parser.add_argument("program", type=Path)
+    options = parser.parse_args()
+    secret = bytes.fromhex(options.key.read_text()) if options.key else b""
+    try:
+        build(options.program.resolve(), secret, options.hand)
+    except (subprocess.CalledProcessError, ValueError) as error:
+        sys.exit(f"build.py: {error}")
