@@ -90,14 +90,17 @@ types: $(READY) $(DOCS)
 # the device's firmware for a Cortex-M4, with nothing but the compiler's own arithmetic left to link
 CROSS := arm-none-eabi-
 M4 := -mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard
-firmware:  ## compile the device's firmware for a board, and say how large it is
+firmware:  ## compile the device's firmware for a Cortex-M4, and the emulated board's program; say how large they are
 	@command -v $(CROSS)gcc >/dev/null || { echo 'firmware: skipped, no $(CROSS)gcc (Debian: gcc-arm-none-eabi)'; exit 0; } && \
 	mkdir -p build && \
 	$(CROSS)gcc -std=c99 -ffreestanding -DMAGLEV_NO_LIBRARY -Wall -Wextra -Wpedantic -Werror $(M4) -Os -fstack-usage \
 	  -c scripts/firmware/maglev_firmware.c -o build/maglev_firmware.o && \
 	$(CROSS)size build/maglev_firmware.o && \
 	if $(CROSS)nm --undefined-only build/maglev_firmware.o | grep -v __aeabi_; then \
-	  echo 'firmware: a board would have to bring those'; exit 1; fi
+	  echo 'firmware: a board would have to bring those'; exit 1; fi && \
+	if [ -x $(BIN)/python ]; then \
+	  PYTHONPATH=. $(BIN)/python scripts/firmware/boards/mps2_an386/build.py build/board.elf && $(CROSS)size build/board.elf; \
+	else echo 'firmware: no program for the emulated board, which needs the package (make demo)'; fi
 
 wheel: $(READY)
 	$(BIN)/python -m pip --disable-pip-version-check wheel --quiet --no-deps --wheel-dir dist .

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.conformance import conform
 from maglev_mj.bridge.links import SerialLink
 from maglev_mj.bridge.wire import Codec, Fault, Hello, State
 from maglev_mj.cli import main
@@ -32,17 +33,19 @@ QEMU = "qemu-system-arm -M mps2-an386 -icount shift=6 -nographic -monitor none"
 LINE = "-chardev pty,id=line,mux=on -echr 256 -serial chardev:line"
 LONGEST = 120.0  # [s] that an emulator may live
 INSTRUCTIONS = 40 / 64  # in a count of the board's clock, 40 ns, at 64 ns an instruction
-# without a key and with one; sample and command are maglev_firmware.c's, frame has a HELLO with a number drawn by hashes
+# without a key and with one: those of maglev_firmware.c, but for frame, a HELLO whose number is drawn by a hash
 INSTRUCTIONS_AT_MOST = {"sample": (16_000, 26_000), "command": (7_000, 16_000), "frame": (17_000, 32_000)}
 HARDWARE = 600  # instructions of the simulated hardware in each
 STACK = 2048
 PERIOD = 0.005
 HAND, PRESSED = np.array([4.0, 0.0, -5.0, 0.0, 0.0, 0.0]), (0.85, 1.15)  # [N, N m], [s] of the device's clock
 PUSH = f"{','.join(map(str, HAND))}@{PRESSED[0]}:{PRESSED[1]}"
+CHECKS = ["welcome", "busy", "drawn", "bye", "lockstep", "enabled", "currents", "not-active", "width", "no-tag", "tag"]
+CHECKS += ["direction", "estop", "flight-estop", "frames", "samples", "cut"]  # of conform, in its order
 EDGE = 0.0035  # of the joystick's walls, on either side [m]
 
 pytestmark = [
-    pytest.mark.needs("cross", "emulator", "linux"),
+    pytest.mark.needs("compiler", "cross", "emulator", "linux"),
     pytest.mark.xdist_group("board"),  # one emulator at a time, and the programs are built once
 ]
 
@@ -165,20 +168,15 @@ def test_a_hand_presses_the_wall_and_it_lands(
         assert 0.9 * most < told[name] * INSTRUCTIONS <= most, name
     assert told["stack"] < STACK
 
-
-@pytest.mark.needs("compiler")
-def test_it_flies_as_the_program_of_a_pc_to_the_last_bit(program: Program, start: Starter, tmp_path: Path) -> None:
-    if program.key:
-        pytest.skip("peer of the test without a key")
+    # the same program of a PC flies the same, to the last bit
+    program_of_pc = built(tmp_path, ["-O2"])
+    assert program_of_pc is not None
     plant = write_plant(tmp_path / "plant.txt", Calibration.nominal())
-    path = built(tmp_path, ["-O2"])
-    assert path is not None
-    device = Device(path, plant, "--lockstep", "--hand", PUSH)
-    (on_pc,) = flown(f"udp://127.0.0.1:{device.port}", tmp_path / "pc.npz").stretches
+    device = Device(program_of_pc, plant, "--lockstep", "--hand", PUSH, *program.options)
+    (on_pc,) = flown(f"udp://127.0.0.1:{device.port}", tmp_path / "pc.npz", *program.options).stretches
     device.end()
-    (on_chip,) = flown(start().address, tmp_path / "chip.npz").stretches
     for name in on_pc.arrays.keys() - {"arrival"}:
-        assert np.array_equal(on_pc.arrays[name], on_chip.arrays[name], equal_nan=True), name
+        assert np.array_equal(on_pc.arrays[name], flight.arrays[name], equal_nan=True), name
 
 
 def test_a_killed_host_is_given_up(
@@ -197,12 +195,15 @@ def test_a_killed_host_is_given_up(
     board.wait(state=State.INACTIVE, flows=0, faults=0)
 
 
-def test_it_conforms(program: Program, start: Starter, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("only", [CHECKS, pytest.param(None, marks=pytest.mark.study)], ids=["some", "all"])
+def test_it_conforms(program: Program, start: Starter, only: list[str] | None) -> None:
     board = start()
-    flown_before = board.wait(state=State.INACTIVE)
-    assert main(["conform", board.address, *program.options]) == 0
-    assert ", 0 FAIL, " in capsys.readouterr().out
-    assert board.wait(state=State.INACTIVE, flows=0, faults=0)["number"] > flown_before["number"]
+    with closing(SerialLink(board.path, 921600)) as link:
+        results = conform([link], key=program.key, only=only)
+    assert not [one for one in results if one.passed is False]
+    skipped = {one.name for one in results if one.passed is None}
+    assert skipped & {*CHECKS} == (set() if program.key else {"no-tag", "tag"})
+    board.wait(state=State.INACTIVE, flows=0, faults=0)
 
 
 def test_session_numbers_differ_after_the_same_start(program: Program, start: Starter) -> None:
@@ -221,9 +222,7 @@ def test_session_numbers_differ_after_the_same_start(program: Program, start: St
     assert len(numbers) == 2 and 0 not in numbers
 
 
-def test_an_emulator_that_hangs_is_killed(
-    program: Program, start: Starter, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_emulator_that_hangs_is_killed(program: Program, start: Starter, capsys: pytest.CaptureFixture[str]) -> None:
     board = start()
     os.kill(board.process.pid, signal.SIGSTOP)
     assert main(["bridge", board.address, *program.options]) == 1

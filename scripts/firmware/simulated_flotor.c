@@ -1,4 +1,4 @@
-/* See simulated_flotor.h. Freestanding, as the firmware is. Time in whole nanoseconds; motion exact between switches. */
+/* See simulated_flotor.h. Freestanding as the firmware; time in whole nanoseconds, motion exact between switches. */
 #include "simulated_flotor.h"
 
 static void copy_six(double *to, const double *from) {

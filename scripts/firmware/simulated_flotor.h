@@ -1,5 +1,5 @@
-/* Simulated hardware for the firmware: a flotor for small angles, a hand, an amplifier board, sensors. A program owns the
-   plant, the device and its profile, and draws numbers; it moves simulated time on and counts the samples. */
+/* Simulated hardware for the firmware: a flotor for small angles, a hand, an amplifier board, sensors. A program owns
+   the plant, the device and its profile, and draws numbers; it moves simulated time on and counts the samples. */
 #ifndef SIMULATED_FLOTOR_H
 #define SIMULATED_FLOTOR_H
 
@@ -16,7 +16,7 @@ struct plant {
     double slopes[36];            /* by rows, of the spots per pose [1, m] */
     double rest[6];               /* pose on the lower stop [m, rad] */
     double noise;                 /* that a spot's reading jitters by [m] */
-    double hand[6];               /* wrench of the hand [N, N m], constant between two instants of the plant's time [ns] */
+    double hand[6];               /* its wrench [N, N m] between two instants of the plant's time [ns] */
     uint64_t hand_from, hand_until;
     int fault, which;             /* of enum fault, from an instant on [ns]; number of the coil or diode */
     uint64_t fault_at;

@@ -2,8 +2,8 @@
    simulated flotor on the chip. Simulated time waits for the answer to each sample. README.md says how to build and
    run it, and what a real board must bring instead.
 
-   Interrupts only move bytes and wake the loop in main(), which alone calls the firmware. UART0 is the line to the host;
-   UART1 is the log. */
+   Interrupts only move bytes and wake the loop in main(), which alone calls the firmware. UART0 is the line to the
+   host, UART1 the log. */
 #include "device.h" /* written by build.py */
 #include "simulated_flotor.h"
 

@@ -25,7 +25,8 @@ BOARD = Path(__file__).resolve().parent
 FIRMWARE = BOARD.parent.parent
 SOURCES = [FIRMWARE / "maglev_firmware.c", FIRMWARE / "simulated_flotor.c", BOARD / "board.c"]
 COMPILER = "arm-none-eabi-gcc"
-FLAGS = "-std=c99 -Os -Wall -Wextra -Wpedantic -Werror -ffreestanding -DMAGLEV_NO_LIBRARY -nostdlib -Wl,--fatal-warnings"
+STRICT = "-std=c99 -Os -Wall -Wextra -Wpedantic -Werror -Wl,--fatal-warnings"
+BARE = "-ffreestanding -DMAGLEV_NO_LIBRARY -nostdlib"
 CORTEX_M4 = "-mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard"
 
 
@@ -86,7 +87,7 @@ def build(program: Path, key: bytes = b"", hand: str = "0,0,0,0,0,0@0:0") -> Non
     macros = {"BAUD": str(BAUD), "PLANT": initialiser(plant(hand)), "PROFILE": initialiser(profile(key))}
     header = "\n".join(f"#define {name} {text}" for name, text in macros.items())
     (program.parent / "device.h").write_text(header + "\n", encoding="ascii")
-    command = [COMPILER, *FLAGS.split(), *CORTEX_M4.split(), f"-I{FIRMWARE}", f"-I{program.parent}"]
+    command = [COMPILER, *STRICT.split(), *BARE.split(), *CORTEX_M4.split(), f"-I{FIRMWARE}", f"-I{program.parent}"]
     command += [*map(str, SOURCES), "-T", str(BOARD / "board.ld"), "-lgcc", "-o", str(program)]
     subprocess.run(command, check=True)
 
