@@ -25,7 +25,8 @@ from maglev_mj.cli import main
 from maglev_mj.recording import Recording
 from maglev_mj.scenes.rooms import CENTRING, WEIGHT, Joystick
 from tests.firmware_core import FOLDER
-from tests.test_simulated_device import Device, built, write_plant
+from tests.processes import Program as Child
+from tests.test_simulated_device import PROFILE, built, write_plant
 from tests.test_wire import KEY
 
 BUILD = FOLDER / "boards" / "mps2_an386" / "build.py"
@@ -38,7 +39,7 @@ INSTRUCTIONS_AT_MOST = {"sample": (16_000, 26_000), "command": (7_000, 16_000), 
 HARDWARE = 600  # instructions of the simulated hardware in each
 STACK = 2048
 PERIOD = 0.005
-HAND, PRESSED = np.array([4.0, 0.0, -5.0, 0.0, 0.0, 0.0]), (0.85, 1.15)  # [N, N m], [s] of the device's clock
+HAND, PRESSED = np.array([4.0, 0.0, -5.0, 0.0, 0.0, 0.0]), (1.3, 1.6)  # [N, N m], [s] of the device's clock
 PUSH = f"{','.join(map(str, HAND))}@{PRESSED[0]}:{PRESSED[1]}"
 CHECKS = ["welcome", "busy", "drawn", "bye", "lockstep", "enabled", "currents", "not-active", "width", "no-tag", "tag"]
 CHECKS += ["direction", "estop", "flight-estop", "frames", "samples", "cut"]  # of conform, in its order
@@ -171,10 +172,11 @@ def test_a_hand_presses_the_wall_and_it_lands(
     # the same program of a PC flies the same, to the last bit
     program_of_pc = built(tmp_path, ["-O2"])
     assert program_of_pc is not None
-    plant = write_plant(tmp_path / "plant.txt", Calibration.nominal())
-    device = Device(program_of_pc, plant, "--lockstep", "--hand", PUSH, *program.options)
-    (on_pc,) = flown(f"udp://127.0.0.1:{device.port}", tmp_path / "pc.npz", *program.options).stretches
-    device.end()
+    known = ["--plant", str(write_plant(tmp_path / "plant.txt")), "--seconds", "60", "--lockstep", "--hand", PUSH]
+    known += ["--calibration-hash", Calibration.nominal().digest.hex(), *program.options]
+    with closing(Child(str(program_of_pc), *known, "--hover-limit", str(PROFILE.limits.hover_limit))) as device:
+        port = device.wait_for(r"^listening udp://127\.0\.0\.1:(\d+)$")
+        (on_pc,) = flown(f"udp://127.0.0.1:{port}", tmp_path / "pc.npz", *program.options).stretches
     for name in on_pc.arrays.keys() - {"arrival"}:
         assert np.array_equal(on_pc.arrays[name], flight.arrays[name], equal_nan=True), name
 

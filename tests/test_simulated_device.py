@@ -83,7 +83,11 @@ def key_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def plant_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a file with the program's plant: the nominal device, linearised about its centre."""
+    return write_plant(tmp_path_factory.mktemp("plant") / "plant.txt")
+
+
+def write_plant(path: Path) -> Path:
+    """Write the program's plant: the nominal device, linearised about its centre."""
     rows: dict[str, ArrayLike] = {
         "wrench_per_current": NOMINAL.coils.wrench_per_current,
         "inertia": [*[NOMINAL.mass] * 3, *NOMINAL.inertia],
@@ -91,7 +95,6 @@ def plant_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "spots_per_pose": SLOPES,
         "rest": REST,
     }
-    path = tmp_path_factory.mktemp("plant") / "plant.txt"
     lines = [f"{name} {' '.join(repr(float(one)) for one in np.ravel(values))}" for name, values in rows.items()]
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
     return path
