@@ -59,7 +59,7 @@ def flown(address: str, folder: Path, *options: str) -> Iterator[Program]:
     record = str(folder / "run.npz")
     with started("bridge", address, "--record", record, "--out", str(folder), *options) as host:
         host.wait_for("takes off")
-        time.sleep(1.6)  # twice as long as that
+        time.sleep(2.0)  # nearly twice as long as that
         yield host
 
 
@@ -186,6 +186,7 @@ def test_a_second_host_is_turned_away_and_the_first_flies_on_until_ctrl_c(tmp_pa
 
 def _key(path: Path, byte: str) -> list[str]:
     path.write_text(byte * 32 + "\n")
+    path.chmod(0o600)
     return ["--key", str(path)]
 
 

@@ -64,6 +64,7 @@ def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     """Build the board's program, with a hand that presses."""
     folder = tmp_path_factory.mktemp("board")
     (folder / "key").write_text(KEY.hex(), encoding="ascii")
+    (folder / "key").chmod(0o600)
     options = ["--key", str(folder / "key")] if request.param else []
     command = [sys.executable, str(BUILD), "--hand", PUSH, *options, str(folder / "board.elf")]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)

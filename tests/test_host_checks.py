@@ -12,9 +12,10 @@ import pytest
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.safety import HostLimits, Limits
 from maglev_mj.bridge.twin.simulated_links import Impairment
-from maglev_mj.bridge.wire import Fault, State, StateReport
+from maglev_mj.bridge.wire import Fault, Flag, State, StateReport
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
+from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command
 from maglev_mj.scenes.rooms import WEIGHT
 from tests.test_bridge import CENTRE, Rig
@@ -82,6 +83,7 @@ DISBELIEVED: list[tuple[str, Callable[[StateReport], StateReport], Fault, int]] 
     ("all diodes frozen", repeated("spots"), Fault.SENSOR_FROZEN, Limits().frozen + 1),
     ("one diode frozen", one_diode, Fault.SENSOR_FROZEN, Limits().frozen + 1),
     ("counter stuck", repeated("conversions"), Fault.SENSOR_STOPPED, 2),
+    ("measured, not commanded", put("currents", 3, 0.9), Fault.COIL_NOT_FOLLOWING, 4),
     ("amplifiers open", lambda report: report._replace(flags=0), Fault.HOST, 2),
 ]
 CONTRADICTED: list[tuple[str, Callable[[StateReport], StateReport], Fault, int]] = [
@@ -153,6 +155,8 @@ def test_lost_samples_are_no_speed(missed: int) -> None:
         ([{"flags": 0, "state": State.INACTIVE}] * 2, ""),  # late ones, from before arming
         ([{"faults": 1024}], "^HOST: the device says state ACTIVE with faults CLOCK"),
         ([{"state": State.FAULT}], "^HOST: the device says state FAULT with faults none"),
+        ([{}, {"flags": Flag.HOLDING | Flag.ENABLED}], "^HOST: the device is HOLDING for want of answers, the newest"),
+        ([{"currents": (2.0,) * 6}] * 2, ""),  # the third in a row counts
     ],
 )
 def test_a_device_that_contradicts_itself_is_not_flown(changes: list[dict[str, Any]], says: str) -> None:
@@ -208,3 +212,16 @@ def test_a_sample_from_before_a_stop_does_not_undo_it(monkeypatch: pytest.Monkey
     for _ in range(3):
         rig.plant.read()
         assert (rig.plant.state, rig.plant.faults) == (State.FAULT, Fault.ESTOP)
+
+
+def test_rubbish_without_end_is_no_sample() -> None:
+    rig = Rig()
+    rig.plant.read()
+
+    def rubbish(timeout: float) -> bytes:
+        rig.link.time += 1_000_000
+        return b"rubbish"
+
+    rig.link.receive = rubbish  # type: ignore[method-assign]
+    with pytest.raises(PlantError, match="no sample from the device within 1 s"):
+        rig.plant.read()

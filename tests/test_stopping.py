@@ -402,6 +402,7 @@ def test_estop_stops_whoever_flies_and_the_way_on_is_reset(at: float, tmp_path: 
 def test_estop_that_is_not_confirmed_is_a_failure(tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_text("a7" * 16)
+    key.chmod(0o600)
     status, said = said_by("estop", "udp://127.0.0.1:9")
     assert status == 1 and "not confirmed: cut the power (no answer within 1" in said
     with Watched() as twin:  # it has no key, so it knows no tag

@@ -243,3 +243,12 @@ def test_a_wrong_line_is_status_2_and_one_line_that_names_the_value(line: str, n
 def test_every_command_is_tried_with_several_lines() -> None:
     words = [line.split()[0] for line, _ in LINES]
     assert {command for command in COMMANDS if words.count(command) < 2} == set() and len(LINES) > 160
+
+
+def test_a_key_that_others_can_read_is_refused(refused: Refused, tmp_path: Path) -> None:
+    key = tmp_path / "open.key"
+    key.write_text("a7" * 16)
+    key.chmod(0o644)
+    for command in ("bridge udp://127.0.0.1:9", "twin", "estop udp://127.0.0.1:9"):
+        said = refused(f"{command} --key {key}")
+        assert f"key must be a file that others cannot read: chmod 600 {key}" in said

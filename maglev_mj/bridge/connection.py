@@ -272,7 +272,8 @@ class Connection:
                 return None
             frame = self._sample_in(data)
             self.heard = now = link.now()
-            left = max((end - now) * 1e-9, 0.0)
+            if (left := (end - now) * 1e-9) <= 0.0 and frame is None:  # of frames that are no samples there is no end
+                return None
         # in lockstep there is no newer one: the device waits for the answer to this
         while not self.profile.lockstep and (data := link.receive(0.0)) is not None:
             if (later := self._sample_in(data)) is not None:
@@ -348,6 +349,8 @@ class Connection:
             for reason, count in self.codec.dropped.items()
         )
         reason = f"; frames dropped: {dropped}" if dropped else ""
+        if self.codec.dropped["tag"]:
+            reason += "; the key may be another"
         raise HandshakeError(f"no device answered within {self._patience:g} s{reason}")
 
     def _welcome(self, data: bytes, hello: Hello, versions: set[int]) -> HelloAck | None:

@@ -24,6 +24,8 @@ _ENERGY = 0.045
 
 More than twice the largest of good flights, 18 mJ: 20 N let go after a second against a wall.
 """
+_HEAVY = 1e9
+_AXES = range(6)
 _SIZES = tuple(math.sqrt(own / INERTIA[0]) for own in INERTIA)
 """Radius of gyration of each rotation, 1 for translations [m].
 
@@ -76,34 +78,43 @@ class PowerGuard:
     """
 
     def __init__(self, period: float) -> None:
-        self._keep = math.exp(-period / _MEMORY)
-        self._reversals, self._turns = [0.0] * 6, [0.0] * 6
-        self._last, self._before, self._ways = list(ZERO), [0.0] * 6, [0] * 6
-        self._place: Sequence[float] | None = None
-        self._sums = deque([0.0] * (max(round(_SPAN / period), 1) + 1), maxlen=max(round(_SPAN / period), 1) + 1)
+        self._growth = math.exp(period / _MEMORY)
+        self._weight = 1.0  # of a reversal now: it grows where the older ones would shrink
+        self._reversals, self._turns, self._swings, self._ways = [0.0] * 6, [0.0] * 6, [0.0] * 6, [0] * 6
+        self._place: Sequence[float] = ZERO
+        self._last: Sequence[float] = ZERO
+        span = max(round(_SPAN / period), 1) + 1
+        self._sums = deque([0.0] * span, maxlen=span)
+        self._begun = False
 
     def check(self, position: Sequence[float], force: Sequence[float]) -> str:
         """Add one sample's pose and the laws' answer to it; return what is wrong, or ""."""
-        given = self._sums[-1]
-        if self._place is not None:
-            for size, one, other, acted in zip(_SIZES, position, self._place, self._last):
-                given += size * (one - other) * acted
+        last, place, given = self._last, self._place, self._sums[-1]
+        self._weight = weight = self._weight * self._growth
+        most = 0.0
+        for axis in _AXES:
+            before, part = last[axis], force[axis]
+            if before and self._begun:
+                given += before * (position[axis] - place[axis])
+            if part == before:
+                continue
+            way = 1 if part > before else -1
+            if way != self._ways[axis]:
+                self._ways[axis] = way
+                most = max(most, self._turned(axis, before, weight))
         self._sums.append(given)
-        self._place = position
-        worst = 0.0
-        for axis, (part, size) in enumerate(zip(force, _SIZES)):
-            self._reversals[axis] *= self._keep
-            part /= size
-            step = part - self._last[axis]
-            way = 1 if step > 0.0 else -1 if step < 0.0 else 0  # of numpy numbers too
-            if way and way != self._ways[axis]:
-                swing = abs(self._last[axis] - self._turns[axis])
-                self._reversals[axis] += min(swing, self._before[axis])
-                self._turns[axis], self._before[axis], self._ways[axis] = self._last[axis], swing, way
-            self._last[axis] = part
-            worst = max(worst, self._reversals[axis])
-        if worst > _REVERSALS:
-            return f"the laws vibrate: {worst:.0f} N of reversals in {_MEMORY:g} s, {_REVERSALS:g} N allowed"
+        self._place, self._last, self._begun = position, force, True
+        if weight > _HEAVY:
+            self._reversals, self._weight = [one / weight for one in self._reversals], 1.0
+        if most > _REVERSALS:
+            return f"the laws vibrate: {most:.0f} N of reversals in {_MEMORY:g} s, {_REVERSALS:g} N allowed"
         if (out := given - self._sums[0]) > _ENERGY:
             return f"the laws give out energy: {out * 1e3:.0f} mJ in {_SPAN:g} s, {_ENERGY * 1e3:g} mJ allowed"
         return ""
+
+    def _turned(self, axis: int, force: float, weight: float) -> float:
+        """Add a turning point of a force; return the axis' reversals [N]."""
+        swing = abs(force - self._turns[axis])
+        self._reversals[axis] += weight * min(swing, self._swings[axis])
+        self._turns[axis], self._swings[axis] = force, swing
+        return self._reversals[axis] / weight / _SIZES[axis]

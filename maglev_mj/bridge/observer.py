@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -31,12 +32,18 @@ _UNKNOWN = (math.nan,) * 6
 _KEPT = 64
 
 
-class _Drive(NamedTuple):
-    """Wrench and currents sent in answer to a sample, held and pulsed, (12,) each."""
+_Drive: TypeAlias = tuple[float, ...]
+"""Wrench and currents, twelve numbers."""
 
-    held: Array
-    pulsed: Array
-    width: float
+
+class _Sampled(NamedTuple):
+    """One sample, and the drives since the one before."""
+
+    number: int
+    position: Sequence[float]
+    segments: list[tuple[float, _Drive]]
+    whole: bool
+    """True if no sample is missing before it."""
 
 
 class HandObserver:
@@ -51,7 +58,7 @@ class HandObserver:
         period: Sample period [s].
 
     Attributes:
-        wrench: Estimate at the last sample but one [N, N m], six; NaN while it is not known.
+        currents: Currents that should flow at the last sample [A], six; None if its newest answer is not known.
         coils: Estimator of the coils' gains; it is fed while `tries` is True.
         tries: True in takeoff.
     """
@@ -62,16 +69,19 @@ class HandObserver:
         self._calibration = calibration
         self._body = np.array([*[calibration.mass] * 3, *calibration.inertia]) / period**2
         self._weight = np.concatenate([calibration.mass * calibration.gravity, np.zeros(3)])
-        self._sent: dict[int, _Drive] = {}
+        self._sent: dict[int, tuple[_Drive, _Drive, float]] = {}
         self.tries = False
         self.reset()
 
     def reset(self) -> None:
         """Forget all; the wrench is not known for the next three samples."""
-        self.wrench: Sequence[float] = _UNKNOWN
+        self._wrench: Sequence[float] = _UNKNOWN
+        self.currents: Sequence[float] | None = None
         self.coils = CoilEstimator(self._calibration, self._period)
-        self._timeline = Timeline(Timing(period=self._period, delay=0.0), np.zeros(12))
+        self._timeline = Timeline(Timing(period=self._period, delay=0.0), (0.0,) * 12)
         self._sent.clear()
+        self._waiting: deque[_Sampled] = deque(maxlen=_KEPT)
+        self._number = self._taken = 0
         self._known = 0
         self._low: Array | None = None
         self._lower = self._before = self._last = np.zeros(6)
@@ -89,12 +99,12 @@ class HandObserver:
             pulsed: Those of its pulse; None without one.
             width: Width of the pulse [s].
         """
-        drive = np.array([*command.force, *held])
+        drive = (*command.force, *held)
         if pulsed is None or command.extra is None:
-            self._sent[tick] = _Drive(drive, drive, 0.0)
+            self._sent[tick] = drive, drive, 0.0
         else:
-            whole = [one + other for one, other in zip(command.force, command.extra)]
-            self._sent[tick] = _Drive(drive, np.array([*whole, *pulsed]), width)
+            whole = (one + other for one, other in zip(command.force, command.extra))
+            self._sent[tick] = drive, (*whole, *pulsed), width
         if len(self._sent) > _KEPT:
             del self._sent[next(iter(self._sent))]
 
@@ -108,34 +118,61 @@ class HandObserver:
             answered: Number of the sample that the newest answer in force answers.
             delay: Time from that sample to the answer's effect [s]; NaN if no new answer has come.
         """
-        if delay == delay and (sent := self._sent.get(answered)) is not None:
+        timeline = self._timeline
+        sent = self._sent.get(answered) if delay == delay else None
+        if sent is not None:
             early = tick - 1 - answered  # an effect before the last sample cannot be undone
-            self._timeline.answer(answered, *sent, after=max(delay, early * self._period))
-        if elapsed != 1:  # the estimate stays, until it is known again
-            self._known, self.coils = 0, CoilEstimator(self._calibration, self._period)
-            for missed in range(tick - min(elapsed, _KEPT), tick - 1):
-                self._timeline.period(missed)
-        now, start = np.array(position), 0.0
-        impulse, moment = np.zeros(12), np.zeros(12)
-        for duration, drive in self._timeline.period(tick - 1):
-            impulse = impulse + duration * drive
-            moment = moment + (duration * (start + 0.5 * duration)) * drive
-            start += duration
-        period = self._period
-        acting = (self._moment + period * impulse - moment) / period**2
-        bent = now - 2.0 * self._last + self._before
-        self._before, self._last, self._moment = self._last, now, moment
-        self._known += 1
-        if self._known < 3:
-            return
+            timeline.answer(answered, *sent, after=max(delay, early * self._period))
+        for missed in range(tick - min(elapsed, _KEPT), tick - 1):
+            timeline.period(missed)
+        segments = timeline.period(tick - 1)
+        self._number += 1
+        self._waiting.append(_Sampled(self._number, position, segments, elapsed == 1))
+        self.currents = None if sent is None else timeline.now()[6:]
         if self.tries:
-            self.coils.add(now, acting[6:])
-        raw = self._body * bent - acting[:6] - self._weight
-        if self._low is None:
-            self._low = self._lower = raw
-        self._low = raw + self._keep * (self._low - raw)
-        self._lower = self._low + self._keep * (self._lower - self._low)
-        self.wrench = self._lower.tolist()
+            self._take()
+
+    @property
+    def wrench(self) -> Sequence[float]:
+        """Estimate at the last sample but one [N, N m], six; NaN while unknown.
+
+        It costs nothing while nobody asks.
+        """
+        if self._waiting:
+            self._take()
+        return self._wrench
+
+    def _take(self) -> None:
+        """Take up the samples that wait; across lost ones the estimate stays."""
+        period, keep = self._period, self._keep
+        for number, position, segments, whole in self._waiting:
+            if number != self._taken + 1:  # nobody has asked for long
+                self._low = None
+            if not whole or number != self._taken + 1:
+                self._known, self.coils = 0, CoilEstimator(self._calibration, period)
+            self._taken = number
+            now, start = np.array(position), 0.0
+            impulse, moment = np.zeros(12), np.zeros(12)
+            for duration, drive in segments:
+                acts = duration * np.array(drive)
+                impulse += acts
+                moment += (start + 0.5 * duration) * acts
+                start += duration
+            acting = (self._moment + period * impulse - moment) / period**2
+            bent = now - 2.0 * self._last + self._before
+            self._before, self._last, self._moment = self._last, now, moment
+            self._known += 1
+            if self._known < 3:
+                continue
+            if self.tries:
+                self.coils.add(now, acting[6:])
+            raw = self._body * bent - acting[:6] - self._weight
+            if self._low is None:
+                self._low = self._lower = raw
+            self._low = raw + keep * (self._low - raw)
+            self._lower = self._low + keep * (self._lower - self._low)
+            self._wrench = self._lower.tolist()
+        self._waiting.clear()
 
 
 class CoilEstimator:

@@ -9,6 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn, Self
 
+import numpy as np
+
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
@@ -17,6 +19,7 @@ from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import CoilEstimator, HandObserver
 from maglev_mj.bridge.safety import (
     WARNING_RISE,
+    CoilGuard,
     FlotorGuard,
     HostLimits,
     Limits,
@@ -33,7 +36,7 @@ from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants.sensor import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
-_ENABLED = Flag.ENABLED.value
+_ENABLED, _HOLDING = Flag.ENABLED.value, Flag.HOLDING.value
 _NAN, _UNKNOWN = math.nan, (math.nan,) * 6
 _MOST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
@@ -140,6 +143,7 @@ class RemotePlant:
         self.disarmed = self._armed = self._warned = False
         self.guided = self._owed = False  # an answer is owed to the last sample
         self._behind = 0  # samples since the one that the newest answer answers
+        self._coils = CoilGuard()
         self._open = 0  # samples in a row without ENABLED
         self._sequence, self._located, self.doubt = 0, 0, ""  # last sample, last known pose
         self._frame: Frame | None = None  # the last sample
@@ -195,6 +199,11 @@ class RemotePlant:
         if active:
             self._hand.tries = self.guided
             self._hand.sampled(tick, samples.elapsed, position, tick - self._behind, self.newest_delay)
+            if (flows := self._hand.currents) is not None and self._coils.check(flows, report.currents):
+                amperes = (", ".join(f"{one:.2f}" for one in six) for six in (report.currents, flows))
+                self.fail(Fault.COIL_NOT_FOLLOWING, "the device measures {} A, and was told {} A".format(*amperes))
+            if report.flags & _HOLDING and report.age * 1e-6 < 2.0 * self.period:
+                self.fail(Fault.HOST, f"the device is HOLDING for want of answers, the newest {report.age} µs old")
             if self._open > 1:
                 self.fail(Fault.HOST, "the amplifiers are not ENABLED, and the device does not cut the currents")
             if samples.out_of_step:
@@ -230,6 +239,8 @@ class RemotePlant:
         if command_fault(self.limits, currents, currents, 0.0):
             raise ParameterError(f"currents must be within {self.limits.current_limit:g} A, not {list(currents)}")
         self._answer(frame, currents, None, 0.0)
+        wrench = self.calibration.coils.wrench(np.asarray(currents)).tolist()
+        self._hand.answered(self.samples.tick, Command(wrench), currents, None, 0.0)
 
     def _answered_frame(self, call: str) -> Frame:
         self._check_open()
@@ -278,6 +289,7 @@ class RemotePlant:
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
         self.state, self._armed, self.guided = _ACTIVE, True, False
         self._hand.reset()
+        self._coils = CoilGuard()
 
     def disarm(self) -> None:
         """Switch the currents off."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -173,12 +174,15 @@ def _key(options: argparse.Namespace) -> bytes | None:
     if path is None:
         return None
     try:
+        open_to = path.stat().st_mode & 0o077 if os.name == "posix" else 0
         key = bytes.fromhex(path.read_text(encoding="ascii"))
     except (OSError, ValueError):
-        key = b""
+        key, open_to = b"", 0
     if not LEAST_KEY <= len(key) <= MOST_KEY:
         digits = f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits"
         raise ParameterError(f"key must be a file of {digits}, not {str(path)!r}")
+    if open_to:
+        raise ParameterError(f"key must be a file that others cannot read: chmod 600 {path}")
     return key
 
 
