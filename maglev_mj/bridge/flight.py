@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard
+from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
 from maglev_mj.bridge.landing import LandingReport, StopSwitch
 from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.remote import RemotePlant
@@ -45,6 +45,7 @@ from maglev_mj.theory import stability
 
 _USUAL = 100  # answers whose median is the usual delay: one late answer makes no loop unstable
 _RENEWED = 2_000_000_000  # [ns] the quickest way is looked for in: clocks drift apart by up to 100 µs a second
+_ANSWERS = 64
 _NOTE = "the hand, the rate and the delay are the device's"
 
 LINE_TIME = 1e-3
@@ -70,7 +71,8 @@ class LoopTiming:
     Attributes:
         answer: Time from a sample's arrival to sending its answer.
         age: Time from a sample to sending its answer, beyond the quickest transport of the last seconds: the two clocks
-            have no common zero.
+            have no common zero. It is at most what the device's clock says of the answers that have arrived: a device
+            whose clock stood still is no slow line.
         delay: Time from a sample to its answer's effect, by the device's clock.
         newest_age: Last of the ages [s]; 0 in lockstep.
     """
@@ -79,18 +81,24 @@ class LoopTiming:
         self.answer, self.age, self.delay = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
         self.newest_age = 0.0
         self._least, self._before, self._renewed = math.inf, math.inf, 0
+        self._sent: deque[tuple[int, int]] = deque(maxlen=_ANSWERS)  # sample and its answer's instant by the clocks
 
     def add(self, plant: RemotePlant) -> None:
         """Add the last sample, once it is answered."""
         answer, way, taken = round(plant.answer_latency * 1e9), plant.transport, plant.samples.time
         self.answer.add(answer)
-        if not math.isnan(plant.newest_delay):
-            self.delay.add(round(plant.newest_delay * 1e9))
+        if not math.isnan(delay := plant.newest_delay):
+            self.delay.add(round(delay * 1e9))
         if plant.lockstep:
             return  # the device's time stands still meanwhile
         if taken > self._renewed:
             self._least, self._before, self._renewed = way, self._least, taken + _RENEWED
+        if delay == delay:
+            for sent in [sent for tick, sent in self._sent if tick == plant.answered_tick]:
+                quickest = sent - round((delay - plant.delay) * 1e9)  # the transport, had the way back taken no time
+                self._least, self._before = max(self._least, quickest), max(self._before, quickest)
         self._least = min(self._least, way)
+        self._sent.append((plant.samples.tick, answer + way))
         newest = answer + way - int(min(self._least, self._before))
         self.age.add(newest)
         self.newest_age = newest * 1e-9
@@ -168,7 +176,8 @@ class Flight:
         publishers: Publishers to viewers and other programs; left open.
         warn: Called, once, with the reason if the recording ends.
         step_force: Largest step of force by new settings [N]; see `check_step`.
-        bears: Longest delay from a sample to its answer's effect that the scene bears [s]; see `delay_margins`.
+        bears: Longest delay from a sample to its answer's effect that the scene bears [s]; see `delay_margins`
+            and `late_delay`.
 
     Attributes:
         switch: Switch that ends the flight.
@@ -209,7 +218,8 @@ class Flight:
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
-        self.reason, self._late, self._power = "", DelayGuard(bears), PowerGuard(plant.period)
+        self._late, self._power = DelayGuard(late_delay(bears, plant.period)), PowerGuard(plant.period)
+        self.reason = ""
         if file is not None:
             file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
 
