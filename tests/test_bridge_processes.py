@@ -57,7 +57,7 @@ server.run(60.0)
 def flown(address: str, folder: Path, *options: str) -> Iterator[Program]:
     """Fly a device; yield once it is in the air."""
     record = str(folder / "run.npz")
-    with started("bridge", address, "--record", record, "--out", str(folder), *options) as host:
+    with started("bridge", address, "--anyway", "--record", record, "--out", str(folder), *options) as host:
         host.wait_for("takes off")
         time.sleep(2.0)  # nearly twice as long as that
         yield host
@@ -148,7 +148,7 @@ def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(t
         # it says that the old host is still there until it has been silent for a second
         report = looked_at(address)
         assert (report.state, report.faults, report.currents) == (State.FAULT, Fault.WATCHDOG, (0.0,) * 6)
-        status, said = said_by("bridge", address, "--seconds", "0.5", "--out", str(tmp_path))
+        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5", "--out", str(tmp_path))
         assert status == 1 and "no takeoff: the device is FAULT, faults WATCHDOG" in said
         assert "fault, faults: WATCHDOG" in ended(device)[1]
 
@@ -176,7 +176,7 @@ def test_a_device_that_is_gone_is_a_fault_of_the_host_and_the_recording_is_kept(
 
 def test_a_second_host_is_turned_away_and_the_first_flies_on_until_ctrl_c(tmp_path: Path) -> None:
     with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
-        status, said = said_by("bridge", address, "--seconds", "0.5")
+        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5")
         assert status == 1 and "another host has the device" in said
         status, said = ended(host, signal.SIGINT)
         assert status == 0, said
@@ -194,16 +194,16 @@ def test_a_host_needs_the_devices_key(tmp_path: Path) -> None:
     key, other = _key(tmp_path / "key", "a7"), _key(tmp_path / "other", "b8")
     with twin("--watchdog", "1", *key) as (device, address):
         for wrong, reason in (([], "no device answered"), (other, "no device answered")):
-            status, said = said_by("bridge", address, "--seconds", "0.2", *wrong)
+            status, said = said_by("bridge", address, "--anyway", "--seconds", "0.2", *wrong)
             assert status == 1 and reason in said
-        status, said = said_by("bridge", address, "--seconds", "0.2", *key)
+        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.2", *key)
         assert status == 0, said
         assert re.search(r"frames ignored: .*for length.*for tag", ended(device)[1])
 
 
 def test_a_flight_over_a_serial_line(tmp_path: Path) -> None:
     with twin("--watchdog", "1", listen="pty") as (device, address):
-        status, said = said_by("bridge", address, "--seconds", "1")
+        status, said = said_by("bridge", address, "--anyway", "--seconds", "1")
         counted = re.search(r"(\d+) samples, 0 lost(?:, (\d+) skipped)?", said)
         assert status == 0 and counted and sum(int(count or 0) for count in counted.groups()) >= 200, said
         assert "inactive, faults: none" in ended(device)[1]

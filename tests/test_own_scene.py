@@ -130,7 +130,7 @@ def test_a_run_is_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
 @contextmanager
 def served() -> Iterator[str]:
     """Yield the address of a twin in a thread."""
-    server = TwinServer(Twin(TwinParameters(limits=Limits(watchdog=1.0))), UdpServer("127.0.0.1", 0))
+    server = TwinServer(Twin(TwinParameters(limits=Limits(watchdog=1.0), lockstep=True)), UdpServer("127.0.0.1", 0))
     thread = threading.Thread(target=server.run)
     thread.start()
     try:
@@ -146,8 +146,8 @@ def served() -> Iterator[str]:
 def test_it_is_flown_on_a_twin_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
     with served() as address:
         flight = ["bridge", address, "--scene", "detents.py", "--seconds", "0.5", "--record", "fly.npz"]
-        status, said, wrong = say(*flight, "--stiffness", "3000")
-        assert (status, wrong) == (0, ""), wrong
+        status, said, wrong = say(*flight, "--stiffness", "3000", "--anyway")
+        assert status == 0, wrong
         assert "detents at 200 Hz" in said
     recording = Recording.load(folder / "fly.npz")
     (stretch,) = recording.stretches
@@ -158,7 +158,7 @@ def test_it_is_flown_on_a_twin_recorded_checked_and_analysed(folder: Path, say: 
     assert_checked_with_the_scene_alone(say, "fly.npz")
     with served() as address:
         status, _, wrong = say("bridge", address, *flight[2:4], "--seconds", "0.05", "--stiffness", "9870")
-    assert status == 0 and wrong.startswith("  warning: detents is unstable: the laws on x: 9870 N/m and 50 N s/m")
+    assert status == 1 and "no takeoff: detents bears 0.96 ms" in wrong and "of delay and is UNSTABLE beyond" in wrong
 
 
 TEXT = EXAMPLE.read_text()

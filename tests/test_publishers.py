@@ -276,7 +276,6 @@ def test_settings_are_checked_in_another_process(run: Callable[..., None], monke
     with theory_called() as called:
         unstable_loop(Joystick())
     assert "stability" in called
-    monkeypatch.setattr("maglev_mj.bridge.flight.delay_check", lambda *_: "")  # after landing it is called there
     answers: list[dict[str, Any]] = []
     with closing(LiveServer(0)) as live, theory_called() as called:
         switch = StopSwitch()

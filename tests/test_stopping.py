@@ -116,7 +116,7 @@ class Watched:
 
 @contextmanager
 def flight(twin: Watched, folder: Path, *options: str) -> Iterator[Program]:
-    with running(*within(60.0), "bridge", twin.address, "--out", str(folder), *options) as child:
+    with running(*within(60.0), "bridge", twin.address, "--anyway", "--out", str(folder), *options) as child:
         yield child
 
 

@@ -6,15 +6,15 @@ import json
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from statistics import median
 from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
+from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard
 from maglev_mj.bridge.landing import LandingReport, StopSwitch
-from maglev_mj.bridge.realtime import LatencyHistogram
+from maglev_mj.bridge.line import LoopTiming
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
@@ -22,7 +22,6 @@ from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingError, RecordingFile
-from maglev_mj.result import Table
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import (
@@ -41,106 +40,9 @@ from maglev_mj.session import (
 )
 from maglev_mj.spec import GRAVITY
 from maglev_mj.terminal import wrapped
-from maglev_mj.theory import stability
 
 _USUAL = 100  # answers whose median is the usual delay: one late answer makes no loop unstable
-_RENEWED = 2_000_000_000  # [ns] the quickest way is looked for in: clocks drift apart by up to 100 µs a second
-_ANSWERS = 64
 _NOTE = "the hand, the rate and the delay are the device's"
-
-LINE_TIME = 1e-3
-"""Assumed delay of the line, both ways, and host [s].
-
-By UDP on one machine 99 % take 0.92 ms.
-"""
-
-
-def expected_delay(plant: RemotePlant) -> float:
-    """Return the delay for the check before takeoff [s].
-
-    It lasts from a sample to its answer's effect.
-
-    The line's part cannot be measured before takeoff and is taken as `LINE_TIME`; it is 0 in lockstep.
-    """
-    return plant.delay + (0.0 if plant.lockstep else LINE_TIME)
-
-
-class LoopTiming:
-    """Latency histograms of a control loop over a device.
-
-    Attributes:
-        answer: Time from a sample's arrival to sending its answer.
-        age: Time from a sample to sending its answer, beyond the quickest transport of the last seconds: the two clocks
-            have no common zero. It is at most what the device's clock says of the answers that have arrived: a device
-            whose clock stood still is no slow line.
-        delay: Time from a sample to its answer's effect, by the device's clock.
-        newest_age: Last of the ages [s]; 0 in lockstep.
-    """
-
-    def __init__(self) -> None:
-        self.answer, self.age, self.delay = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
-        self.newest_age = 0.0
-        self._least, self._before, self._renewed = math.inf, math.inf, 0
-        self._sent: deque[tuple[int, int]] = deque(maxlen=_ANSWERS)  # sample and its answer's instant by the clocks
-
-    def add(self, plant: RemotePlant) -> None:
-        """Add the last sample, once it is answered."""
-        answer, way, taken = round(plant.answer_latency * 1e9), plant.transport, plant.samples.time
-        self.answer.add(answer)
-        if not math.isnan(delay := plant.newest_delay):
-            self.delay.add(round(delay * 1e9))
-        if plant.lockstep:
-            return  # the device's time stands still meanwhile
-        if taken > self._renewed:
-            self._least, self._before, self._renewed = way, self._least, taken + _RENEWED
-        if delay == delay:
-            for sent in [sent for tick, sent in self._sent if tick == plant.answered_tick]:
-                quickest = sent - round((delay - plant.delay) * 1e9)  # the transport, had the way back taken no time
-                self._least, self._before = max(self._least, quickest), max(self._before, quickest)
-        self._least = min(self._least, way)
-        self._sent.append((plant.samples.tick, answer + way))
-        newest = answer + way - int(min(self._least, self._before))
-        self.age.add(newest)
-        self.newest_age = newest * 1e-9
-
-    @property
-    def kinds(self) -> Mapping[str, LatencyHistogram]:
-        """Measured latencies by name."""
-        kinds = {
-            "answer, from the sample's arrival": self.answer,
-            "age of the sample when that left": self.age,
-            "delay at the device": self.delay,
-        }
-        return {name: one for name, one in kinds.items() if one.count}
-
-    def table(self, warning: str = "") -> Table:
-        """Return the latencies, with a warning below; empty for a loop that did not run."""
-        rows = [
-            (name, *(f"{part * 1e3:.3f}" for part in (one.p50, one.p99, one.max))) for name, one in self.kinds.items()
-        ]
-        return Table("", ("milliseconds", "median", "99 %", "most"), rows, warning and f"warning: {warning}")
-
-
-def delay_check(timing: LoopTiming, scene: Scene, inertia: Sequence[float], expected: float) -> str:
-    """Return a warning if the measured delay exceeds the expected.
-
-    The text is empty otherwise.
-
-    Args:
-        timing: Measured latencies of the flight.
-        scene: Rendered scene.
-        inertia: Mass and moments of inertia [kg, kg m²], six.
-        expected: The delay checked before takeoff [s].
-    """
-    if not (late := timing.delay.p99) > expected:  # which NaN is not
-        return ""
-    said = f"99 % of delays are below {late * 1e3:.2f} ms, and {expected * 1e3:.2f} ms was checked"
-    try:
-        verdict = stability(scene, inertia=inertia, delay=late)
-    except Exception as error:  # of an own law too, and the flight's own fault is to be reported
-        return f"{said}; stability at {late * 1e3:.2f} ms is not known: {error}"
-    word = {True: "stable", False: "UNSTABLE", None: "perhaps unstable"}[verdict.stable]
-    return f"{said}; held at {late * 1e3:.2f} ms, {scene.name} is {word} (largest root {verdict.modulus:.4f})"
 
 
 class FlightReport(NamedTuple):
@@ -176,14 +78,13 @@ class Flight:
         publishers: Publishers to viewers and other programs; left open.
         warn: Called, once, with the reason if the recording ends.
         step_force: Largest step of force by new settings [N]; see `check_step`.
-        bears: Longest delay from a sample to its answer's effect that the scene bears [s]; see `delay_margins`
-            and `late_delay`.
+        bears: Longest delay from a sample to its answer's effect that the scene bears [s]; see `preflight`.
+        planned: Longest delay after new settings [s], of which it is not known what they bear; 0 for `bears`.
 
     Attributes:
         switch: Switch that ends the flight.
         reason: Why a guard ends the flight; "" if none does.
         timing: Latencies of the loop.
-        warning: Result of `delay_check` after the flight.
 
     Raises:
         ParameterError: If the scene's period is not the device's.
@@ -200,13 +101,14 @@ class Flight:
         warn: Callable[[str], object] | None = None,
         step_force: float = STEP_FORCE,
         bears: float = math.inf,
+        planned: float = 0.0,
     ) -> None:
         if scene.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
         self._plant, self._scene, self._file = plant, scene, file
         self._publishers, self._since = Publishers(publishers), 0
         self._motion, self._note = SampledMotion(), _NOTE
-        self.switch, self.timing, self.warning = switch or StopSwitch(), LoopTiming(), ""
+        self.switch, self.timing = switch or StopSwitch(), LoopTiming()
         self._lost = self._skipped = 0
         self._staged: tuple[ChangeRequest, Controller] | None = None
         self._wanted: tuple[ChangeRequest, Controller] | None = None
@@ -218,8 +120,8 @@ class Flight:
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
-        self._late, self._power = DelayGuard(late_delay(bears, plant.period)), PowerGuard(plant.period)
-        self.reason = ""
+        self.reason, self._late, self._power = "", DelayGuard(bears), PowerGuard(plant.period)
+        self._planned = planned
         if file is not None:
             file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
 
@@ -243,8 +145,8 @@ class Flight:
                 self._file.event("fault", str(error))
             raise
         finally:
-            if self.timing.answer.count:
-                self._compare()
+            if self.timing.answer.count and self._file is not None:
+                self._record_timing(self._file)
         return FlightReport(ticks, *self._missing(), time.monotonic() - start, landing)
 
     def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
@@ -270,18 +172,12 @@ class Flight:
             request.reply("settings are taken in flight, not while it takes off or lands")
         return self.switch.landing
 
-    def _compare(self) -> None:
-        """Check the delay, and record the timing."""
-        self.warning = delay_check(self.timing, self._scene, self._inertia, expected_delay(self._plant))
-        if self._file is None:
-            return
-        lines = [
-            f"{name}: {one.p50 * 1e3:.3f} ms in the median, {one.p99 * 1e3:.3f} at 99 %, {one.max * 1e3:.3f} at most"
-            for name, one in self.timing.kinds.items()
-        ]
-        lines.append("{} samples lost, {} skipped".format(*self._missing()))
-        for line in [*lines, *filter(None, self.warning.split("; "))]:
-            self._file.event("timing", line)
+    def _record_timing(self, file: RecordingFile) -> None:
+        """Record the timing of the flight."""
+        for name, one in self.timing.kinds.items():
+            times = f"{one.p50 * 1e3:.3f} ms in the median, {one.p99 * 1e3:.3f} at 99 %, {one.max * 1e3:.3f} at most"
+            file.event("timing", f"{name}: {times}")
+        file.event("timing", "{} samples lost, {} skipped".format(*self._missing()))
 
     def _stretch(self, last: int | None) -> None:
         """Fly one segment with unchanged parameters."""
@@ -361,6 +257,7 @@ class Flight:
             request.reply(self._note)
         else:
             self._wanted, self._note = (request, controller), _NOTE
+            self._late.bears = min(self._late.bears, self._planned or math.inf)  # more is not known of new settings
 
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None

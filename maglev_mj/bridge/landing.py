@@ -239,12 +239,17 @@ class Leader:
         return self._controller.step(Sample(sample.tick, sample.time, off))
 
 
+def require_inactive(plant: GuidedPlant) -> None:
+    """Refuse a device that is not inactive."""
+    if plant.state is not State.INACTIVE:
+        raise PlantError(f"no takeoff: the device is {plant.state.name}, faults {fault_names(plant.faults)}")
+
+
 def take_off(
     plant: GuidedPlant, leader: Leader, duration: float, watch: Callable[[], object] | None, tries: bool
 ) -> None:
     """Check rest, arm, and lead the flotor to the centre; see `RemotePlant.takeoff`."""
-    if plant.state is not State.INACTIVE:
-        raise PlantError(f"no takeoff: the device is {plant.state.name}, faults {fault_names(plant.faults)}")
+    require_inactive(plant)
     loop = ControlLoop(plant, leader)
     gc.collect()
     motion = _observed(plant, 0.0)

@@ -60,7 +60,7 @@ class RemotePlant:
         period: Sample period [s].
         delay: Time from a command's arrival to its effect [s].
         lockstep: True if the device's time waits for each answer.
-        limits: The smaller of the device's and the host's.
+        limits: The smaller of the device's and the host's; `stated` are the device's.
         latched: One line about faults that were latched in the device at the handshake; empty without faults.
         disarmed: True after this host armed the device and switched the currents off.
         guided: True in takeoff and landing: the default envelope applies if it is the larger.
@@ -115,7 +115,7 @@ class RemotePlant:
         self._line = Connection(link, known.digest, key, patience)
         try:
             self._patience, welcome, profile = patience, self._line.welcome, self._line.profile
-            self.limits = own.narrowed(profile.limits)
+            self.stated, self.limits = profile.limits, own.narrowed(profile.limits)
             if said := weight_fault(weight, self._hover, own, self.limits):
                 raise HandshakeError(f"the device does not carry the flotor: {said}")
             self.period, self.delay = profile.period / 1e9, profile.delay / 1e9
@@ -256,11 +256,6 @@ class RemotePlant:
         else:
             self._output.stay(1, ZERO)
         self._box.keep((frame, self._seen, held, pulsed, width, self.last_delay, self._line.latency))
-
-    @property
-    def answered_tick(self) -> int:
-        """Number of the sample that the newest answer arrived at the device answers."""
-        return self.samples.tick - self._behind
 
     @property
     def report(self) -> StateReport:

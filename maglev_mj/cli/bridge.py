@@ -6,7 +6,7 @@ import argparse
 import itertools
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -18,8 +18,9 @@ from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.bench.identification import collect, excitation
 from maglev_mj.bridge.bench.identification import identify as identify_device
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, fault_meanings
-from maglev_mj.bridge.flight import Flight, expected_delay
+from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import LANDING_TIME, StopSwitch
+from maglev_mj.bridge.line import MARGIN, Preflight, preflight, stiffest_walls
 from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.realtime import interrupt, stopping
 from maglev_mj.bridge.realtime import realtime as scheduled
@@ -38,7 +39,6 @@ from maglev_mj.cli.options import (
     add_scene,
     chosen,
     chosen_scene,
-    warn_of_instability,
 )
 from maglev_mj.cli.output import Progress
 from maglev_mj.cli.peripherals import PageOptions, PublisherOptions
@@ -51,7 +51,11 @@ from maglev_mj.views.remote import Front, RemoteViewer
 
 _IDENTIFYING = 10.0
 _IDENTIFICATION = "identification, instead of a scene"
+_MEASURED = 10.0
 _LIMITS = "limits of the host; the smaller of these and the device's counts"
+
+_TWINS = "udp://127.", "udp://localhost", "udp://[::1]"
+"""Addresses at which a twin of this machine answers."""
 
 _ENDS = f"""\
 how a flight ends, in takeoff, flight and landing alike:
@@ -64,7 +68,8 @@ how a flight ends, in takeoff, flight and landing alike:
                        cuts them from any terminal, whatever this program does
   this program dies    the device's watchdog cuts them
 A cut latches a fault: --reset shows and clears it. None of this replaces a switch
-that cuts the amplifiers. Exit status: 0 landed, 1 cut or failed, 2 bad input,
+that cuts the amplifiers. Exit status: 0 landed, 1 cut, refused or ended
+by a guard, 2 bad input,
 130 stopped before takeoff.
 """
 
@@ -103,6 +108,15 @@ def bridge(
     address: Address,
     scene: _FlownScene,
     reset: Annotated[bool, option("show what is latched in the device, clear it, and end")] = False,
+    check: Annotated[
+        bool, option(f"measure the line for {_MEASURED:g} s without current, say what it bears, and end")
+    ] = False,
+    as_written: Annotated[
+        bool, option(f"the scene's own walls, though they bear less than {MARGIN:g} times the line's delay")
+    ] = False,
+    anyway: Annotated[
+        bool, option("fly what the check before takeoff refuses; on a device with --max-current of at most half")
+    ] = False,
     view: Annotated[bool, option("a window on the device; its hand is at the device")] = False,
     page: PageOptions,
     calibration: CalibrationFile,
@@ -129,7 +143,8 @@ def bridge(
         "spacenav": publishing.spacenav.spacenav,
         "foxglove": publishing.foxglove is not None,
     }
-    _check(reset, identify is not None, mass is not None, [name for name, chosen in flying.items() if chosen])
+    modes = {"reset": reset, "check": check, "identify": identify is not None}
+    _check(modes, mass is not None, [name for name, chosen in flying.items() if chosen])
     front = page.front(view, out, watch=True)
     # publishers first: their errors are reported before the device moves
     with (
@@ -146,28 +161,62 @@ def bridge(
             return 0
         if identify is not None:
             return _identify(plant, identify, mass, realtime)
-        scene = scene.replace(period=plant.period, delay=plant.delay)
-        warn_of_instability(scene, [*[calibration.mass] * 3, *calibration.inertia], expected_delay(plant))
-        flight = _Flown(scene, seconds, record, publishing.step_force, realtime)
-        _fly(plant, flight, front, page.web, publishers, live)
-    return 0
+        if check:
+            return _checked_line(plant, scene)
+        print("  measuring the line, and computing what the scene bears", flush=True)
+        found = preflight(plant, scene, as_written=as_written)
+        _may_fly(plant, address, found, anyway)
+        if found.softened:
+            print("\n".join(wrapped(found.softened)), flush=True)
+        flight = _Flown(found, seconds, record, publishing.step_force, realtime)
+        return _fly(plant, flight, front, page.web, publishers, live)
 
 
-def _check(reset: bool, identify: bool, mass: bool, flying: Sequence[str]) -> None:
+def _check(modes: Mapping[str, bool], mass: bool, flying: Sequence[str]) -> None:
     """Check which options are given together, as far as possible without the device."""
-    if mass and not identify:
+    if mass and not modes["identify"]:
         raise ParameterError("mass is for --identify")
-    for mode, active in (("identify", identify), ("reset", reset)):
-        if active and flying:
-            raise ParameterError(f"{flying[0]} is for scenes, not for --{mode}")
-    if reset and identify:
+    active = [mode for mode, on in modes.items() if on]
+    if active and flying:
+        raise ParameterError(f"{flying[0]} is for scenes, not for --{active[0]}")
+    if modes["reset"] and modes["identify"]:
         raise ParameterError("identify flies, and --reset does not: two commands")
+    if len(active) > 1:
+        raise ParameterError(f"{active[0]} and {active[1]} are two commands")
+
+
+def _checked_line(plant: RemotePlant, scene: Scene) -> int:
+    """Print what the line takes and bears; return the exit status."""
+    print(f"  measuring the line for {_MEASURED:g} s, without current", flush=True)
+    found = preflight(plant, scene, duration=_MEASURED)
+    print(found.report.table())
+    walls = (
+        f"{hand} {stiffness:.0f} N/m with {damping:.0f} N s/m"
+        for hand, (stiffness, damping) in stiffest_walls(found.report, plant).items()
+    )
+    bears = f"the stiffest wall at {found.report.planned * 1e3:.2f} ms ({MARGIN:g} times the line), by hand"
+    print("\n".join(wrapped(f"{bears}: {', '.join(walls)}")))
+    verdict = found.problem or found.softened or f"{scene.name} bears {found.bears * 1e3:.2f} ms: it may fly"
+    print("\n".join(wrapped(verdict)))
+    return 1 if found.problem else 0
+
+
+def _may_fly(plant: RemotePlant, address: str, found: Preflight, anyway: bool) -> None:
+    """Refuse what the check before takeoff has found, or say it."""
+    if not found.problem:
+        return
+    if not anyway:
+        raise PlantError(f"no takeoff: {found.problem}; --anyway flies it")
+    half = 0.5 * plant.stated.current_limit
+    if not address.startswith(_TWINS) and plant.limits.current_limit > half:
+        raise PlantError(f"no takeoff: --anyway needs --max-current of at most {half:g} A on a device: {found.problem}")
+    _warn(f"warning: {found.problem}")
 
 
 class _Flown(NamedTuple):
     """Chosen flight of a scene."""
 
-    scene: Scene
+    found: Preflight
     seconds: float | None
     record: Path | None
     step_force: float
@@ -181,12 +230,15 @@ def _fly(
     watch: bool,
     publishers: Sequence[Publisher],
     live: RecordingFile | None,
-) -> None:
-    """Fly a scene; then disarm the device and close recordings.
+) -> int:
+    """Fly a scene; then disarm the device and close recordings; return the exit status.
 
     In this order, at any end of the flight.
     """
-    scene, switch = flown.scene, StopSwitch()
+    found, switch = flown.found, StopSwitch()
+    scene = found.scene
+    # what flies all the same is landed where the line becomes twice as slow as it was
+    bears = 2.0 * found.report.planned if found.problem else found.bears
     with ExitStack() as last:
         last.enter_context(switch.signals())
         viewer = None
@@ -206,6 +258,8 @@ def _fly(
             publishers=publishers,
             warn=_warn,
             step_force=flown.step_force,
+            bears=bears,
+            planned=min(found.report.planned, bears),
         )
         if viewer is not None:
             viewer.on_close, viewer.on_emergency = switch.land, switch.cut
@@ -215,11 +269,12 @@ def _fly(
             try:
                 report = flight.run(flown.seconds)
             except BaseException:
-                if text := str(flight.timing.table(flight.warning)):
+                if text := str(flight.timing.table()):
                     with suppress(OSError):  # a closed output must not hide the fault
                         print(text, flush=True)
                 raise
-            print(report, flight.timing.table(flight.warning), sep="\n", flush=True)
+            print(report, flight.timing.table(), sep="\n", flush=True)
+    return 1 if report.landing.reason else 0
 
 
 def _latched(plant: RemotePlant) -> str:
