@@ -41,7 +41,7 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
     publishers = ("--foxglove", "0", "--spacenav", "--socket", str(tmp_path / "s"))
     with twin("--watchdog", "1") as (device, address):
         options = ("--scene", "table", "--record", str(record), "--out", str(tmp_path), *publishers)
-        with started("bridge", address, *options) as host:
+        with started("bridge", address, "--as-written", "--anyway", *options) as host:
             with LiveClient(host.wait_for(r"ws://[\d.:]+"), {"/maglev/sample"}) as client:
                 while client.parameters().get("state") != "flying":
                     time.sleep(0.1)

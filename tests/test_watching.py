@@ -137,7 +137,17 @@ def flying(screen: VirtualScreen, folder: Path, look: str, *options: str) -> Ite
     address = ["--listen", "udp://127.0.0.1:0", "--watchdog", "1"]
     with started("twin", *address, *views["twin"], env=screen.environment) as twin:
         place = twin.wait_for(r"udp://\S+:\d+")
-        with started("bridge", place, "--out", str(folder), *options, *views["bridge"], env=screen.environment) as host:
+        with started(
+            "bridge",
+            place,
+            "--as-written",
+            "--anyway",
+            "--out",
+            str(folder),
+            *options,
+            *views["bridge"],
+            env=screen.environment,
+        ) as host:
             window = screen.window("MuJoCo")
             host.wait_for("takes off")
 
