@@ -4,7 +4,7 @@ import ctypes
 import gc
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -162,23 +162,45 @@ def test_no_lateness_is_no_number() -> None:
 class Sampled:
     """Plant at one sample with given times.
 
-    Time by the device's clock, arrival, and latency of its answer [ns].
+    Number, time by the device's clock, arrival, and latency of its answer [ns]; the delay is of the answer before.
     """
 
-    def __init__(self, taken: int, came: int, answer: int, delay: float = math.nan, lockstep: bool = False) -> None:
-        self.samples, self.transport = SimpleNamespace(time=taken), came - taken
+    delay = 0.0015
+
+    def __init__(
+        self, tick: int, taken: int, came: int, answer: int, delay: float = math.nan, lockstep: bool = False
+    ) -> None:
+        self.samples, self.transport = SimpleNamespace(tick=tick, time=taken), came - taken
+        self.answered_tick = tick - 1
         self.answer_latency, self.newest_delay, self.lockstep = answer * 1e-9, delay, lockstep
+
+
+def aged(late: Sequence[int], *, still: int = -1) -> list[float]:
+    """Return the ages [s] of samples that come late [ns].
+
+    The device's clock stands still once for 9 ms.
+    """
+    timing, zero, found = LoopTiming(), 5_000_000_000, []
+    for tick, more in enumerate(late):
+        taken = tick * 5_000_000
+        came = zero + taken + 40_000 + more + 9_000_000 * (0 <= still <= tick)
+        before = late[tick - 1] + 100_000 if tick else 0
+        timing.add(Sampled(tick, taken, came, 100_000, 0.0015 + before * 1e-9))  # type: ignore[arg-type]
+        found.append(timing.newest_age)
+    return found
 
 
 def test_the_age_of_a_sample_counts_transport_queueing_and_the_answer() -> None:
     timing = LoopTiming()
     zero = 5_000_000_000  # between the clocks
+    before = 0
     for tick, late in enumerate((0, 0, 300_000, 0, 2_000_000)):
-        taken = tick * 5_000_000
-        timing.add(Sampled(taken, zero + taken + 40_000 + late, 100_000, 0.0015 + late * 1e-9))  # type: ignore[arg-type]
+        taken, delay = tick * 5_000_000, 0.0015 + before * 1e-9
+        timing.add(Sampled(tick, taken, zero + taken + 40_000 + late, 100_000, delay))  # type: ignore[arg-type]
+        before = late + 100_000
     assert timing.age.worst == 2_100_000 and timing.answer.worst == 100_000
     assert timing.age.p50 == pytest.approx(1e-4)
-    assert timing.delay.count == 5 and timing.delay.max == pytest.approx(3.5e-3)
+    assert timing.delay.count == 5 and timing.delay.max == pytest.approx(1.9e-3)
     assert list(timing.kinds) == [
         "answer, from the sample's arrival",
         "age of the sample when that left",
@@ -186,19 +208,24 @@ def test_the_age_of_a_sample_counts_transport_queueing_and_the_answer() -> None:
     ]
 
 
+def test_a_device_whose_clock_stood_still_is_no_slow_line() -> None:
+    assert [round(age * 1e3, 3) for age in aged([0] * 12, still=5)] == [0.1] * 5 + [9.1] + [0.1] * 6
+    assert [round(age * 1e3, 3) for age in aged([0] * 5 + [9_000_000] * 7)] == [0.1] * 5 + [9.1] * 7  # this one is
+
+
 @pytest.mark.parametrize("drift", [-1e-4, 1e-4])
 def test_clocks_that_drift_apart_make_no_age(drift: float) -> None:
     timing = LoopTiming()
     for tick in range(20_000):  # 100 s: 10 ms apart at the end
         taken = tick * 5_000_000
-        timing.add(Sampled(taken, round(taken * (1.0 + drift)), 100_000))  # type: ignore[arg-type]
+        timing.add(Sampled(tick, taken, round(taken * (1.0 + drift)), 100_000))  # type: ignore[arg-type]
     assert 1e-4 <= timing.age.max < 6e-4
     assert not timing.delay.count and "delay at the device" not in timing.kinds
 
 
 def test_a_device_in_lockstep_has_no_age_of_samples() -> None:
     timing = LoopTiming()
-    timing.add(Sampled(0, 7, 100_000, lockstep=True))  # type: ignore[arg-type]
+    timing.add(Sampled(0, 0, 7, 100_000, lockstep=True))  # type: ignore[arg-type]
     assert list(timing.kinds) == ["answer, from the sample's arrival"]
 
 

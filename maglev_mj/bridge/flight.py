@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard
+from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
 from maglev_mj.bridge.landing import LandingReport, StopSwitch
 from maglev_mj.bridge.line import LoopTiming
 from maglev_mj.bridge.remote import RemotePlant
@@ -78,7 +78,8 @@ class Flight:
         publishers: Publishers to viewers and other programs; left open.
         warn: Called, once, with the reason if the recording ends.
         step_force: Largest step of force by new settings [N]; see `check_step`.
-        bears: Longest delay from a sample to its answer's effect that the scene bears [s]; see `preflight`.
+        bears: Longest delay from a sample to its answer's effect that the scene bears [s]; see `preflight` and
+            `late_delay`.
         planned: Longest delay after new settings [s], of which it is not known what they bear; 0 for `bears`.
 
     Attributes:
@@ -120,8 +121,8 @@ class Flight:
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
-        self.reason, self._late, self._power = "", DelayGuard(bears), PowerGuard(plant.period)
-        self._planned = planned
+        self._late, self._power = DelayGuard(late_delay(bears, plant.period)), PowerGuard(plant.period)
+        self.reason, self._planned = "", planned
         if file is not None:
             file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
 

@@ -8,9 +8,25 @@ from collections.abc import Sequence
 
 from maglev_mj.frames import ZERO
 from maglev_mj.spec import INERTIA
+from maglev_mj.theory.closed_loop import MOST_PERIODS
 
-_RECENT, _LATE = 16, 8
-_NEWEST, _FAR, _BEYOND = 5, 3, 3.0
+_BORNE = 0.8
+"""Share of what laws bear from which answers are late.
+
+Near what it bears, a loop swings long after a tap.
+"""
+_SURE = 0.005
+"""Delay up to which laws are taken to bear the whole [s].
+
+Usual delays leave no room for a share.
+"""
+_LONGEST = 0.03
+"""Longest delay to which margins are known [s]."""
+_RULES = (3, 5, 3.0), (8, 16, 1.25), (48, 64, 1.0)
+"""Late answers, of how many, beyond how much of the delay from which they are late.
+
+A busy machine has answers a little late for a tenth of a second; a loop swings up slowly there.
+"""
 _MEMORY = 0.2
 """Time constant in which reversals are forgotten [s]."""
 _REVERSALS = 260.0
@@ -33,14 +49,26 @@ A torque over it is a force, an angle times it a path.
 """
 
 
+def late_delay(bears: float, period: float) -> float:
+    """Return the delay from which answers are late [s].
+
+    Args:
+        bears: Longest delay that the laws bear [s], as `delay_margins` returns it: NaN or infinity if it is not known.
+        period: Sample period [s].
+    """
+    longest = min(_LONGEST, MOST_PERIODS * period)
+    known = bears if bears < longest else longest  # which NaN is not
+    return max(_BORNE * known, min(known, _SURE))
+
+
 class DelayGuard:
     """Detector of answers later than the rendered laws bear.
 
-    A single late answer makes no loop unstable: it takes 8 of the last 16 samples beyond what the laws bear, or 3 of
-    the last 5 beyond three times that.
+    A single late answer makes no loop unstable, nor do some that are a little late: it takes 48 of the last 64 samples
+    beyond what the laws bear, 8 of 16 beyond 1.25 times that, or 3 of 5 beyond three times.
 
     Args:
-        bears: Longest delay from a sample to its answer's effect that the laws bear [s].
+        bears: Longest delay from a sample to its answer's effect that the laws bear [s]; see `late_delay`.
 
     Attributes:
         bears: As given; it may be changed.
@@ -48,7 +76,8 @@ class DelayGuard:
 
     def __init__(self, bears: float) -> None:
         self.bears = bears
-        self._delays = deque([0.0] * _RECENT, maxlen=_RECENT)
+        most = max(last for _, last, _ in _RULES)
+        self._delays = deque([0.0] * most, maxlen=most)
 
     def check(self, delay: float) -> str:
         """Add the delay of one sample [s]; return what is wrong, or ""."""
@@ -57,10 +86,11 @@ class DelayGuard:
         if delay <= bears:
             return ""
         recent = list(delays)
-        for newest, most, bound in ((recent[-_NEWEST:], _FAR, _BEYOND * bears), (recent, _LATE, bears)):
-            if (late := sum(one > bound for one in newest)) >= most:
+        for most, last, share in _RULES:
+            bound = share * bears
+            if delay > bound and (late := sum(one > bound for one in recent[-last:])) >= most:
                 return (
-                    f"the line is slower than the scene bears: {late} of the last {len(newest)} delays are above "
+                    f"the line is slower than the scene bears: {late} of the last {last} delays are above "
                     f"{bound * 1e3:.2f} ms, the newest {delay * 1e3:.2f} ms"
                 )
         return ""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,6 +23,7 @@ from maglev_mj.session import device_controller
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.verdict import delay_margins, judge, stated_gains
 
+_ANSWERS = 64
 _RENEWED = 2_000_000_000  # [ns] the quickest way is looked for in: clocks drift apart by up to 100 µs a second
 
 MARGIN = 1.5
@@ -43,7 +45,8 @@ class LoopTiming:
     Attributes:
         answer: Time from a sample's arrival to sending its answer.
         age: Time from a sample to sending its answer, beyond the quickest transport of the last seconds: the two clocks
-            have no common zero.
+            have no common zero. It is at most what the device's clock says of the answers that have arrived: a device
+            whose clock stood still is no slow line.
         delay: Time from a sample to its answer's effect, by the device's clock.
         newest_age: Last of the ages [s]; 0 in lockstep.
     """
@@ -52,18 +55,24 @@ class LoopTiming:
         self.answer, self.age, self.delay = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
         self.newest_age = 0.0
         self._least, self._before, self._renewed = math.inf, math.inf, 0
+        self._sent: deque[tuple[int, int]] = deque(maxlen=_ANSWERS)  # sample and its answer's instant by the clocks
 
     def add(self, plant: RemotePlant) -> None:
         """Add the last sample, once it is answered."""
         answer, way, taken = round(plant.answer_latency * 1e9), plant.transport, plant.samples.time
         self.answer.add(answer)
-        if not math.isnan(plant.newest_delay):
-            self.delay.add(round(plant.newest_delay * 1e9))
+        if not math.isnan(delay := plant.newest_delay):
+            self.delay.add(round(delay * 1e9))
         if plant.lockstep:
             return  # the device's time stands still meanwhile
         if taken > self._renewed:
             self._least, self._before, self._renewed = way, self._least, taken + _RENEWED
+        if delay == delay:
+            for sent in [sent for tick, sent in self._sent if tick == plant.answered_tick]:
+                quickest = sent - round((delay - plant.delay) * 1e9)  # the transport, had the way back taken no time
+                self._least, self._before = max(self._least, quickest), max(self._before, quickest)
         self._least = min(self._least, way)
+        self._sent.append((plant.samples.tick, answer + way))
         newest = answer + way - int(min(self._least, self._before))
         self.age.add(newest)
         self.newest_age = newest * 1e-9

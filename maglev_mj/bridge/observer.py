@@ -58,7 +58,8 @@ class HandObserver:
         period: Sample period [s].
 
     Attributes:
-        currents: Currents that should flow at the last sample [A], six; None if its newest answer is not known.
+        currents: Currents that should flow at the last sample [A], six; None if its newest answer is not known, or one
+            may flow that another has overtaken.
         coils: Estimator of the coils' gains; it is fed while `tries` is True.
         tries: True in takeoff.
     """
@@ -82,6 +83,7 @@ class HandObserver:
         self._sent.clear()
         self._waiting: deque[_Sampled] = deque(maxlen=_KEPT)
         self._number = self._taken = 0
+        self._answered, self._sure = 0, 0.0  # newest answer, and instant from which no earlier one flows [s]
         self._known = 0
         self._low: Array | None = None
         self._lower = self._before = self._last = np.zeros(6)
@@ -123,12 +125,16 @@ class HandObserver:
         if sent is not None:
             early = tick - 1 - answered  # an effect before the last sample cannot be undone
             timeline.answer(answered, *sent, after=max(delay, early * self._period))
+            if answered - self._answered > 1:  # of two answers within a period the device reports the newer
+                self._sure = answered * self._period + delay
+            self._answered = answered
         for missed in range(tick - min(elapsed, _KEPT), tick - 1):
             timeline.period(missed)
         segments = timeline.period(tick - 1)
         self._number += 1
         self._waiting.append(_Sampled(self._number, position, segments, elapsed == 1))
-        self.currents = None if sent is None else timeline.now()[6:]
+        sure = sent is not None and tick * self._period >= self._sure
+        self.currents = timeline.now()[6:] if sure else None
         if self.tries:
             self._take()
 

@@ -258,6 +258,11 @@ class RemotePlant:
         self._box.keep((frame, self._seen, held, pulsed, width, self.last_delay, self._line.latency))
 
     @property
+    def answered_tick(self) -> int:
+        """Number of the sample that the newest answer arrived at the device answers."""
+        return self.samples.tick - self._behind
+
+    @property
     def report(self) -> StateReport:
         """Device's report at the last sample; PlantError before the first."""
         if self._frame is None:

@@ -1,0 +1,287 @@
+"""Flights of a twin over a line of scheduled delay, with a scripted hand."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+import random
+from collections.abc import Callable, Iterator
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from maglev_mj import find_scene
+from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.flight_guards import PowerGuard
+from maglev_mj.bridge.landing import LandingReport
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.control.controller import Controller
+from maglev_mj.errors import MaglevError
+from maglev_mj.frames import Array, Command, Sample
+from maglev_mj.scenes import Scene
+from maglev_mj.session import device_controller
+from maglev_mj.theory.verdict import delay_margins
+
+_NEVER = 1 << 62
+_STOP = 0.0044
+
+HAND_BEGINS = 1.3
+"""Begin of a hand, soon after takeoff [s]."""
+
+PUSHES = {"drop": (2, -1), "press": (2, -1), "wall": (2, -1), "joystick": (0, -1), "box": (0, -1), "corner": (0, -1)}
+"""Axis and sense in which a hand presses on a scene's wall; +x for the others."""
+
+SHAPES: dict[str, Callable[[float, float, random.Random], float]] = {
+    "step": lambda size, since, _: size * (since >= 0.0),
+    "ramp": lambda size, since, _: size * min(max(since, 0.0), 1.0),
+    "burst": lambda size, since, _: size * (0.0 <= since < 0.2),
+    "jitter": lambda size, since, draw: size * draw.random() * (since >= 0.0),
+}
+"""Delay each way at a time since its begin [s]."""
+
+
+class Line:
+    """Line of a `VirtualLink` with a given delay each way at each time [s]."""
+
+    to_host, to_device = "to host", "to device"
+
+    def __init__(self, delay: Callable[[float], float]) -> None:
+        self._delay, self._order = delay, itertools.count()
+        self._frames: list[tuple[int, int, str, bytes]] = []
+        self.delays: list[tuple[float, float]] = []  # time sent and delay of each frame [s]
+
+    def send(self, way: str, data: bytes, now: int) -> None:
+        """Send one frame one way at `now` [ns]."""
+        delay = max(self._delay(now * 1e-9), 0.0)
+        self.delays.append((now * 1e-9, delay))
+        due = now + round(delay * 1e9)
+        heapq.heappush(self._frames, (due, next(self._order), way, data))
+
+    @property
+    def due(self) -> int:
+        """Instant of the next arrival [ns]."""
+        return self._frames[0][0] if self._frames else _NEVER
+
+    def arrived(self, now: int) -> Iterator[tuple[str, bytes]]:
+        """Yield way and content of each frame that has arrived."""
+        while self.due <= now:
+            yield heapq.heappop(self._frames)[2:]
+
+
+class ScriptedHand:
+    """Hand that presses with a force [N], taps with 20 N, or is "none"."""
+
+    def __init__(self, kind: str, scene: str, begin: float) -> None:
+        self._kind, self._begin = kind, begin
+        self._axis, self._sense = PUSHES.get(scene, (0, 1))
+
+    def wrench(self, time: float) -> list[float]:
+        """Return its wrench at a time [N, N m], six."""
+        wrench, since = [0.0] * 6, float(time) - self._begin
+        if self._kind == "none" or since < 0.0:
+            return wrench
+        tapped = 20.0 * (since % 0.5 < 0.03)
+        force = tapped if self._kind == "tap" else float(self._kind) * min(since / 0.1, 1.0)
+        wrench[self._axis] = self._sense * force
+        return wrench
+
+    def __call__(self, tick: int, time: float, state: Any) -> list[float]:
+        """Return its wrench for the plant [N, N m], six."""
+        return self.wrench(time)
+
+
+class ChangedLaw:
+    """Controller whose answers are changed from a time after takeoff on.
+
+    Args:
+        controller: The controller.
+        period: Sample period [s].
+        change: Returns the force to add along an axis for the number of a sample and the laws' own force there [N].
+        after: Time from takeoff to the change [s].
+        axis: Number of that axis.
+    """
+
+    def __init__(
+        self,
+        controller: Controller,
+        period: float,
+        change: Callable[[int, float], float],
+        after: float = 0.5,
+        axis: int = 0,
+    ) -> None:
+        self._controller, self._period, self._change, self._ticks = controller, period, change, 0
+        self._after, self._axis = after, axis
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._controller, name)
+
+    def step(self, sample: Sample) -> Command:
+        """Answer one sample."""
+        command, self._ticks = self._controller.step(sample), self._ticks + 1
+        if self._ticks * self._period < self._after:
+            return command
+        force, axis = list(command.force), self._axis
+        force[axis] += self._change(self._ticks, force[axis] - float(self._controller.carried[axis]))
+        return Command(force, command.extra, command.pulse_width)
+
+
+class NotedPower(PowerGuard):
+    """Guard that keeps the largest of its sums.
+
+    Attributes:
+        reversals: Largest reversals [N].
+        energy: Largest energy given out within a second [J].
+    """
+
+    reversals = energy = 0.0
+
+    def check(self, position: Any, force: Any) -> str:
+        """Add one sample; return what is wrong, or ""."""
+        said = super().check(position, force)
+        self.energy = max(self.energy, self._sums[-1] - self._sums[0])
+        return said
+
+    def _turned(self, axis: int, force: float, weight: float) -> float:
+        found = super()._turned(axis, force, weight)
+        self.reversals = max(self.reversals, found)
+        return found
+
+
+class Flown(NamedTuple):
+    """Outcome of a flight, by the twin's truth."""
+
+    outcome: str
+    """Why it ended: "landed", the reason of an early landing, or the fault."""
+    rows: Array
+    """Time [s], pose, twist, largest current [A], and state, at each sample, (N, 15)."""
+    wrenches: Array
+    """Time of each sample [s], and the hand's wrench by the host's estimate, (N, 7)."""
+    began: float
+    """Time at which the scene was first rendered [s]."""
+    ended: float
+    """Time at which it began to land, or was cut [s]."""
+    delays: list[tuple[float, float]]
+    """Time sent and delay of each frame [s]."""
+    bears: float
+    """Longest delay that the scene bears [s]."""
+    reversals: float
+    """Largest reversals of the laws' force, by the guard's sum [N]."""
+    energy: float
+    """Largest energy that the laws gave out in a second, by the guard's sum [J]."""
+
+    def after(self, time: float) -> Array:
+        """Return the rows from a time on."""
+        return self.rows[self.rows[:, 0] >= time]
+
+    def speeds(self, time: float) -> Array:
+        """Return the speeds from a time on [m/s]."""
+        return np.asarray(np.linalg.norm(self.after(time)[:, 7:10], axis=1))
+
+    def at_stop(self, time: float) -> float:
+        """Return the largest speed at a stop from a time on [m/s]."""
+        touching = np.abs(self.after(time)[:, 1:4]).max(axis=1) > _STOP
+        return float(self.speeds(time)[touching].max(initial=0.0))
+
+
+@cache
+def margin(name: str, rate: int, delay: float) -> float:
+    """Return the longest delay that a scene of the package bears, untouched [s]."""
+    scene = find_scene(name)().replace(period=1.0 / rate, delay=delay)
+    return delay_margins(device_controller(scene), ["none"], pose=scene.start().pose)["none"]
+
+
+def fly(
+    name: str,
+    *,
+    rate: int = 200,
+    hand: str = "none",
+    delay: Callable[[float], float] = lambda time: 0.0,
+    seconds: float = 2.0,
+    seed: int = 0,
+    scene: Scene | None = None,
+    law: Callable[[Controller, float], Any] | None = None,
+    bears: float | None = None,
+    prepare: Callable[[Twin, VirtualLink], object] | None = None,
+    folder: Any = "",
+    **twin_parameters: Any,
+) -> Flown:
+    """Fly a scene on a twin in simulated time.
+
+    Args:
+        name: Name of the scene, and of where the hand presses.
+        rate: Samples a second.
+        hand: See `ScriptedHand`; it begins after 1.3 s.
+        delay: Delay of a frame sent at a time [s], each way.
+        seconds: Time of the rendering [s].
+        seed: Seed of the sensor's noise.
+        scene: The scene; the package's of that name by default.
+        law: Makes the flown controller from the scene's and the period.
+        bears: Longest delay that the scene bears [s]; by linearisation by default.
+        prepare: Called with twin and link before the flight.
+        folder: Folder of black box files.
+        **twin_parameters: Of the twin.
+    """
+    twin = Twin(
+        TwinParameters(period=1.0 / rate, seed=seed, **twin_parameters),
+        hand_force=ScriptedHand(hand, name, HAND_BEGINS),
+        draw=lambda: 7,
+    )
+    link = VirtualLink(twin)
+    line = Line(delay)
+    link._line = line  # type: ignore[assignment]
+    if prepare is not None:
+        prepare(twin, link)
+    rows: list[Array] = []
+    wrenches: list[Array] = []
+    take = twin.sample
+
+    def sample() -> bytes | None:
+        frame = take()
+        pose, twist = twin.plant.state()
+        current = float(np.abs(twin.plant.currents).max())
+        rows.append(np.array([twin.tick / rate, *pose, *twist, current, twin.firmware.state]))
+        return frame
+
+    twin.sample = sample  # type: ignore[method-assign]
+    plant = RemotePlant(link, folder=folder)
+    if bears is None:
+        bears = margin(name, rate, plant.delay)
+    scene = (scene or find_scene(name)()).replace(period=plant.period, delay=plant.delay)
+    flight = Flight(plant, scene, bears=bears)
+    flight._power = power = NotedPower(plant.period)
+    if law is not None:
+        flight._controller = law(flight._controller, plant.period)
+    read = plant.read
+
+    def noted() -> Any:
+        got = read()
+        wrenches.append(np.array([plant.samples.time * 1e-9, *plant.hand_wrench]))  # the host counts from its first
+        return got
+
+    plant.read = noted  # type: ignore[method-assign]
+    take_off, land = plant.takeoff, plant.land
+    began, ended = [math.nan], [math.nan]
+
+    def taken_off(*arguments: Any, **options: Any) -> None:
+        take_off(*arguments, **options)
+        began[0] = twin.tick / rate
+
+    def landing_began(*arguments: Any, **options: Any) -> LandingReport:
+        ended[0] = twin.tick / rate
+        return land(*arguments, **options)
+
+    plant.takeoff = taken_off  # type: ignore[method-assign]
+    plant.land = landing_began  # type: ignore[method-assign]
+    try:
+        landing = flight.run(seconds).landing
+        outcome = landing.reason or "landed"
+    except (MaglevError, ArithmeticError) as error:
+        outcome = f"{type(error).__name__}: {error}"
+        ended[0] = twin.tick / rate if math.isnan(ended[0]) else ended[0]
+    for _ in range(round(0.4 * rate)):  # it falls, or rests
+        twin.sample()
+    found = np.array(rows), np.array(wrenches)
+    return Flown(outcome, *found, began[0], ended[0], line.delays, bears, power.reversals, power.energy)
