@@ -148,6 +148,21 @@ def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: 
         assert row["modulus"] < 1.0 and row["growing"] == [0, 0]
 
 
+def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Path, run_script: Script) -> None:
+    def run(*arguments: str) -> str:
+        return run_script("studies/flight_safety.py", *arguments, "--out", str(tmp_path))
+
+    for number in ("1", "3"):
+        run("product", "--number", number)
+        assert len((tmp_path / "product.jsonl").read_text().splitlines()) == int(number)
+    run("laws", "--number", "1")
+    (tmp_path / "delays.json").write_text(json.dumps({"busy 200": [400, 900], "quiet 200": [400, 900]}))
+    run("good", "--number", "1", "--seconds", "0.4")
+    out = run("tables")
+    assert "3 flights, 0 exceed" in out and "| sign error |" in out and "1 flights, 0.00 hours; {'landed': 1}" in out
+    assert "| attack |" in run("attacks")
+
+
 @pytest.mark.parametrize("wrong", [("--repeats", "0"), ("--tables", "no.json"), ("--tables", __file__)])
 def test_bench_refuses_what_it_cannot_do(
     wrong: tuple[str, str], run_script: Script, capsys: pytest.CaptureFixture[str]

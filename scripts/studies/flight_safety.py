@@ -1,0 +1,651 @@
+"""Slow lines and bad laws in flight: the time to their end, and the flotor's speed.
+
+    python scripts/studies/flight_safety.py product --number 2000
+    python scripts/studies/flight_safety.py laws
+    python scripts/studies/flight_safety.py record
+    python scripts/studies/flight_safety.py good --number 2000
+    python scripts/studies/flight_safety.py attacks
+    python scripts/studies/flight_safety.py tables
+
+Flights of the twin in simulated time, by the twin's truth. `record` measures delays of this machine in real time, over
+UDP, which `good` flies again. Each flight is a line of a file in `--out`; a second call goes on where the first ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import random
+import re
+import subprocess
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache, partial
+from itertools import combinations, product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maglev_mj import find_scene, judge
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.line import LoopTiming
+from maglev_mj.bridge.links import open_link
+from maglev_mj.bridge.realtime import realtime
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.errors import MaglevError
+from maglev_mj.scenes import Scene
+from maglev_mj.session import device_controller
+from maglev_mj.spec import Spec
+from slow_lines import HAND_BEGINS, PUSHES, SHAPES, ChangedLaw, Flown, ScriptedHand, fly, margin
+
+Row = dict[str, Any]
+
+SCENES = ("joystick", "drop", "press", "table", "box", "corner", "stick-slip", "six-axes")
+FACTORS: dict[str, tuple[Any, ...]] = {
+    "delay": (0, 1, 2, 3, 4, 5, 7, 10, 15, 20, 30, 45, 60),
+    "shape": tuple(SHAPES),
+    "scene": SCENES,
+    "hand": ("none", "5", "8", "tap"),
+    "moment": (0.3, 0.7, 1.1),
+    "rate": (200, 1000),
+}
+"""Values of each factor.
+
+Delay each way [ms], its begin after the hand's [s], samples a second.
+"""
+
+_TOLD = (0,), (1,), (2,), (3, 4, 5), (7, 10), (15, 20), (30, 45, 60)
+"""Delays each way of the lines of a table [ms]."""
+
+FREE, PRESSED, LONG = 0.30, 0.40, 0.15
+"""Largest speed asked for, untouched and pressed [m/s], and longest time above the first [s]."""
+
+_TAKEOFF, _DELAY = 1.15, Spec.transport_delay.value
+_STOP_REACHED = 0.0042
+
+
+# flights as lines of a file
+
+
+def key(row: Row) -> str:
+    """Return the text that tells a flight from others."""
+    return json.dumps(row["cell"], sort_keys=True)
+
+
+def read_rows(path: Path) -> list[Row]:
+    """Return the flights of a file; none without it."""
+    if not path.exists():
+        return []
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}")]
+
+
+def go_on(path: Path, cells: Iterable[Row], evaluate: Callable[[Row], Row]) -> None:
+    """Fly the cells that are not in the file, and add them."""
+    known = {key(row) for row in read_rows(path)}
+    for cell in cells:
+        if key({"cell": cell}) not in known:
+            row = json.dumps({"cell": cell, **evaluate(cell)})
+            with path.open("a", encoding="utf-8") as file:
+                file.write(row + "\n")
+
+
+def rounded(value: float, digits: int = 4) -> float | None:
+    """Return a rounded number, None for NaN."""
+    return None if math.isnan(value) else round(float(value), digits)
+
+
+def outcome_kind(outcome: str) -> str:
+    """Return the rule or fault that ended a flight."""
+    rules = {
+        "of the last 64": "48 of 64 late",
+        "of the last 16": "8 of 16 late",
+        "of the last 5": "3 of 5 late",
+        "vibrate": "reversals",
+        "give out energy": "energy",
+    }
+    swung = "swing in landing" if "in the landing it still moved" in outcome else ""
+    found = next((name for text, name in rules.items() if text in outcome), "")
+    if not found:
+        names = re.findall(r"\b[A-Z]{3,}(?:_[A-Z]+)*\b", outcome)
+        found = "landed" if outcome == "landed" else " ".join(dict.fromkeys(names)) or outcome[:60]
+    return f"{found}, {swung}" if swung else found
+
+
+def figures(flown: Flown, since: float) -> Row:
+    """Return the figures of a flight from a time on, or from its end."""
+    since = min(since, flown.ended)
+    rate = 1.0 / float(np.median(np.diff(flown.rows[:, 0])))
+    rows, speeds = flown.after(since), flown.speeds(since)
+    off = rows[rows[:, 14] != 1.0, 0]
+    contact = np.abs(rows[:, 1:4]).max(axis=1) > _STOP_REACHED
+    fastest = int(speeds.argmax())
+    active = speeds[rows[:, 14] == 1.0]
+    return {
+        "outcome": outcome_kind(flown.outcome),
+        "speed": rounded(speeds.max()),
+        "active": rounded(active.max(initial=0.0)),
+        "fastest_at": rounded(rows[fastest, 0]),
+        "fastest_active": bool(rows[fastest, 14] == 1.0),
+        "at_stop": rounded(flown.at_stop(since)),
+        "above": rounded((speeds > FREE).sum() / rate),
+        "current": rounded(rows[:, 13].max(), 3),
+        "ended": rounded(flown.ended),
+        "off": rounded(float(off[0]) if off.size else math.nan),
+        "touched": rounded(float(rows[contact, 0][0]) if contact.any() else math.nan),
+        "reversals": rounded(flown.reversals, 2),
+        "energy": rounded(flown.energy, 5),
+        "bears": rounded(flown.bears, 5) if math.isfinite(flown.bears) else None,
+    }
+
+
+# 1. the product of delays, scenes, hands, moments and rates
+
+
+def pairwise(factors: dict[str, tuple[Any, ...]], draw: random.Random) -> Iterator[Row]:
+    """Yield cells that hold every pair of values, greedily."""
+    names = list(factors)
+    open_pairs = {
+        (one, first, other, second)
+        for one, other in combinations(names, 2)
+        for first, second in product(factors[one], factors[other])
+    }
+
+    def pairs(cell: Row) -> set[tuple[str, Any, str, Any]]:
+        return {(one, cell[one], other, cell[other]) for one, other in combinations(names, 2)}
+
+    while open_pairs:
+        one, first, other, second = min(open_pairs, key=repr)
+        tries = [{name: draw.choice(factors[name]) for name in names} | {one: first, other: second} for _ in range(60)]
+        best = max(tries, key=lambda cell: len(pairs(cell) & open_pairs))
+        open_pairs -= pairs(best)
+        yield best
+
+
+def product_cells(number: int, seed: int = 33) -> Iterator[Row]:
+    """Yield the pairwise cells, then random ones of the full product."""
+    draw, flown, seen = random.Random(seed), 0, set[str]()
+    cells = list(pairwise(FACTORS, draw))
+    rest = [dict(zip(FACTORS, values)) for values in product(*FACTORS.values())]
+    draw.shuffle(rest)
+    for cell in [*cells, *rest]:
+        text = json.dumps(cell, sort_keys=True)
+        if text in seen:
+            continue
+        if flown >= number:
+            return
+        seen.add(text)
+        flown += 1
+        yield cell | {"seed": 70_000 + flown}
+
+
+def fly_product(cell: Row) -> Row:
+    """Fly a cell of the product; one that exceeds also without the delay."""
+    rate, hand, draw = cell["rate"], cell["hand"], random.Random(cell["seed"])
+    moment = HAND_BEGINS + cell["moment"]
+    size, shape = cell["delay"] * 1e-3, SHAPES[cell["shape"]]
+    seconds = moment - _TAKEOFF + (1.3 if cell["shape"] == "ramp" else 0.9)
+    with tempfile.TemporaryDirectory() as folder:
+        options: Row = {"rate": rate, "hand": hand, "seconds": seconds, "seed": cell["seed"], "folder": folder}
+        flown = fly(cell["scene"], delay=lambda time: shape(size, time - moment, draw), **options)
+        found = figures(flown, moment)
+        spare = (flown.bears - _DELAY) / 2.0
+        late = [time for time, delay in flown.delays if time >= moment and delay > spare]
+        found["late"] = rounded(late[0]) if late else None
+        if found["speed"] > FREE:
+            found["alone"] = figures(fly(cell["scene"], **options), moment)["speed"]
+    return found
+
+
+# 2. laws
+
+
+@cache
+def wall_of(name: str, rate: int, modulus: float) -> float:
+    """Return the stiffness at which a scene's largest root has a modulus [N/m]."""
+    scene = find_scene(name)().replace(period=1.0 / rate, delay=_DELAY)
+    low, high = 1.0, 1e8  # of the logarithm's middle
+    for _ in range(60):
+        middle = math.sqrt(low * high)
+        root = judge(device_controller(scene.replace(stiffness=middle)), delay=_DELAY).modulus
+        low, high = (middle, high) if root < modulus else (low, middle)
+    return high
+
+
+LAW_SCENES = ("joystick", "drop", "corner")
+LAWS: dict[str, tuple[Any, ...]] = {
+    "sign error": (0,),
+    "chatter, each sample": (5, 10, 25),
+    "chatter, each 2nd sample": (5, 10, 25),
+    "chatter, each 5th sample": (5, 10, 25),
+    "constant push": (5, 10, 20, 30),
+    "wall of root": (1.02, 1.1, 1.3),
+    "NaN": (0,),
+    "raises": (0,),
+    "sleeps once [ms]": (20, 40, 100),
+    "sleeps at each sample [ms]": (20, 40),
+    "spins": (0,),
+}
+
+
+def law_cells(seeds: Sequence[int]) -> Iterator[Row]:
+    """Yield the cells of laws."""
+    for kind, sizes in LAWS.items():
+        hands = ("none", "5") if kind in ("sign error", "wall of root") else ("none",)
+        for size, name, rate, seed, hand in product(sizes, LAW_SCENES, (200, 1000), seeds, hands):
+            yield {"law": kind, "size": size, "scene": name, "rate": rate, "seed": seed, "hand": hand}
+
+
+def pass_time(link: Any, seconds: float) -> None:
+    """Let a host do nothing while the device samples."""
+    end = link.time + round(seconds * 1e9)
+    while (due := min(link._next_sample(), link._line.due)) <= end:
+        link.time = max(link.time, due)
+        if link._next_sample() <= link.time:
+            link._sample()
+        link._deliver()
+    link.time = end
+
+
+def fly_law(cell: Row) -> Row:
+    """Fly a bad law, 0.5 s after takeoff; walls from the first contact on."""
+    kind, size, name, rate = cell["law"], cell["size"], cell["scene"], cell["rate"]
+    axis, sense = PUSHES[name]
+    links: list[Any] = []
+    begun: list[float] = []
+
+    def sleep(seconds: float) -> float:
+        pass_time(links[0], seconds)
+        return 0.0
+
+    def spin() -> float:
+        sleep(1.0)
+        raise RuntimeError("it spun for a second")
+
+    def raised() -> float:
+        raise RuntimeError("it raises")
+
+    every = {"each sample": 1, "each 2nd sample": 2, "each 5th sample": 5}.get(kind.partition(", ")[2], 1)
+    once = round(0.5 * rate) + 1
+    acts: dict[str, Callable[[int, float], float]] = {
+        "sign error": lambda tick, own: -2.0 * own,
+        "chatter": lambda tick, own: size * (-1.0) ** (tick // every),
+        "constant push": lambda tick, own: float(size * sense),
+        "NaN": lambda tick, own: math.nan,
+        "raises": lambda tick, own: raised(),
+        "sleeps once [ms]": lambda tick, own: sleep(size * 1e-3) if tick == once else 0.0,
+        "sleeps at each sample [ms]": lambda tick, own: sleep(size * 1e-3),
+        "spins": lambda tick, own: spin(),
+    }
+    act = acts.get(kind.partition(",")[0])
+
+    def change(tick: int, own: float) -> float:
+        if not begun:
+            begun.append(links[0].time * 1e-9)
+        assert act is not None
+        return act(tick, own)
+
+    scene: Scene | None = None
+    if kind == "wall of root":
+        scene = find_scene(name)().replace(stiffness=wall_of(name, rate, size))
+    law = None if act is None else partial(ChangedLaw, change=change, axis=axis)
+    with tempfile.TemporaryDirectory() as folder:
+        options: Row = {"rate": rate, "hand": cell["hand"], "seed": cell["seed"], "folder": folder}
+        seconds = 1.6 if rate == 1000 else 2.0
+        bears = margin(name, rate, _DELAY)
+        flown = fly(
+            name,
+            scene=scene,
+            law=law,
+            bears=bears,
+            seconds=seconds,
+            prepare=lambda twin, link: links.append(link),
+            **options,
+        )
+    since = begun[0] if begun else flown.began
+    found = figures(flown, since)
+    return {"begun": rounded(since), **found}
+
+
+# 3. good flights, over delays of a real machine
+
+
+def record_delays(path: Path, seconds: float) -> None:
+    """Fly a twin over UDP in real time, at both rates; keep each sample's delay.
+
+    Quiet as the machine is, then with every core busy. A flight that a stall of the machine ends is flown on.
+    """
+    print("| load, samples a second | samples | median [ms] | 99 % | largest |\n|---|---|---|---|---|", flush=True)
+    found: dict[str, list[int]] = {}
+    for load, rate in product(("quiet", "busy"), (200, 1000)):
+        cores = range(os.cpu_count() or 1) if load == "busy" else ()
+        busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in cores]
+        name = f"{load} {rate}"
+        delays = found.setdefault(name, [])
+        try:
+            for _ in range(20):
+                if len(delays) < seconds * rate:
+                    delays += real_delays(rate, seconds - len(delays) / rate)
+        finally:
+            for one in busy:
+                one.kill()
+                one.wait()
+        median, most, largest = np.quantile(delays, (0.5, 0.99, 1.0)) * 1e-3
+        print(f"| {name} | {len(delays)} | {median:.2f} | {most:.2f} | {largest:.2f} |", flush=True)
+    path.write_text(json.dumps(found), encoding="utf-8")
+
+
+def real_delays(rate: int, seconds: float) -> list[int]:
+    """Return the delays of one flight in real time, beyond the device's own [µs]."""
+    delays: list[int] = []
+
+    class Timing(LoopTiming):
+        def add(self, plant: RemotePlant) -> None:
+            super().add(plant)
+            late = max(plant.lateness - plant.delay, self.newest_age)
+            delays.append(round(max(late, 0.0) * 1e6))
+
+    command = [sys.executable, "-m", "maglev_mj", "twin", "--listen", "udp://127.0.0.1:0", "--rate", str(rate)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child, tempfile.TemporaryDirectory() as folder:
+        assert child.stdout is not None
+        address = re.findall(r"udp://[^\s,]+", child.stdout.readline())[0]
+        try:
+            with realtime("ignore"), RemotePlant(open_link(address), folder=folder) as plant:
+                scene = find_scene("joystick")().replace(period=plant.period, delay=plant.delay)
+                flight = Flight(plant, scene)
+                flight.timing = Timing()
+                flight.run(seconds)
+        except MaglevError as error:  # a stall of this machine ends the flight
+            print(f"after {len(delays) / rate:.1f} s: {error}", file=sys.stderr)
+        finally:
+            child.terminate()
+            child.stdout.read()
+    return delays
+
+
+GOOD_HANDS = ("none", "2", "5", "8", "12", "20", "tap")
+
+
+def good_cells(number: int, seconds: float) -> Iterator[Row]:
+    """Yield random flights of all scenes, hands, rates and loads."""
+    draw = random.Random(34)
+    choices = list(product(SCENES, GOOD_HANDS, (200, 200, 200, 1000), ("quiet", "busy")))
+    for index in range(number):
+        if index % len(choices) == 0:
+            draw.shuffle(choices)
+        name, hand, rate, load = choices[index % len(choices)]
+        yield {"scene": name, "hand": hand, "rate": rate, "load": load, "seconds": seconds, "seed": 80_000 + index}
+
+
+def residual(flown: Flown, name: str, hand: str, rate: int) -> tuple[list[float], list[float]]:
+    """Return errors of the hand's force and torque, rms and largest, away from the stops.
+
+    The true wrench, held from sample to sample, is taken as the estimate is: weighted by a triangle of two periods,
+    then through the same low pass.
+    """
+    period, keep = 1.0 / rate, math.exp(-2.0 * math.pi * 31.0 / rate)
+    script = ScriptedHand(hand, name, HAND_BEGINS)
+    low = lower = np.zeros(6)
+    errors: list[Any] = []
+    reach = np.abs(flown.rows[:, 1:4]) + period * np.abs(flown.rows[:, 7:10])  # a tap is at the stop within a sample
+    touched = flown.rows[reach.max(axis=1) > _STOP_REACHED, 0]
+    known = flown.wrenches[flown.wrenches[:, 0] < flown.ended]
+    for time, *estimate in known[known[:, 0] > flown.began - 0.1]:
+        before, at = (np.array(script.wrench(time - since * period)) for since in (2, 1))
+        true = 0.5 * (before + at)
+        low = true + keep * (low - true)
+        lower = low + keep * (lower - low)
+        clear = not touched.size or not ((touched > time - 0.15) & (touched <= time)).any()
+        if clear and math.isfinite(estimate[0]) and time > flown.began:
+            errors.append(np.array(estimate) - lower)
+    if not errors:
+        return [], []
+    found = np.array(errors)
+    norms = np.linalg.norm(found[:, :3], axis=1), np.linalg.norm(found[:, 3:], axis=1)
+    return (
+        [rounded(math.sqrt(float((one**2).mean())), 6) or 0.0 for one in norms],
+        [rounded(float(one.max()), 6) or 0.0 for one in norms],
+    )
+
+
+def fly_good(delays: dict[str, list[int]], cell: Row) -> Row:
+    """Fly a good flight over recorded delays, from a random place of the recording on."""
+    rate, recorded = cell["rate"], delays.get(f"{cell['load']} {cell['rate']}", [0])
+    start = random.Random(cell["seed"]).randrange(len(recorded))
+
+    def delay(time: float) -> float:
+        return recorded[(start + int(time * rate)) % len(recorded)] * 0.5e-6
+
+    with tempfile.TemporaryDirectory() as folder:
+        flown = fly(
+            cell["scene"],
+            rate=rate,
+            hand=cell["hand"],
+            delay=delay,
+            seconds=cell["seconds"],
+            seed=cell["seed"],
+            folder=folder,
+        )
+    rms, largest = residual(flown, cell["scene"], cell["hand"], rate)
+    return figures(flown, flown.began) | {"time": rounded(float(flown.rows[-1, 0])), "rms": rms, "largest": largest}
+
+
+# 4. attacks of an earlier check, again
+
+
+def frozen_spots(twin: Any, link: Any) -> None:
+    """Freeze the spots 0.5 s after the hand's begin, but for a toggling last step."""
+    read, seen = twin._read, list[list[float]]()
+
+    def frozen(position: Any) -> list[float]:
+        spots = list(read(position))
+        if twin.tick * twin.parameters.period < HAND_BEGINS + 0.5:
+            return spots
+        seen.append(spots)
+        return [spot + Spec.spot_resolution.value * (len(seen) % 2) for spot in seen[0]]
+
+    twin._read = frozen
+
+
+ATTACKS: dict[str, Row] = {
+    "10 ms each way, untouched": {"delay": lambda time: 0.010 * (time >= HAND_BEGINS + 0.5)},
+    "20 ms each way, untouched": {"delay": lambda time: 0.020 * (time >= HAND_BEGINS + 0.5)},
+    "4 ms each way, 8 N hand": {"delay": lambda time: 0.004 * (time >= HAND_BEGINS + 0.5), "hand": "8"},
+    "spots frozen but for a toggling bit, untouched": {"prepare": frozen_spots},
+    "spots frozen but for a toggling bit, 5 N hand": {"prepare": frozen_spots, "hand": "5"},
+}
+
+
+def print_attacks() -> None:
+    """Fly the attacks on the default scene, and print what they meet."""
+    rows = []
+    for name, options in ATTACKS.items():
+        with tempfile.TemporaryDirectory() as folder:
+            flown = fly("joystick", seed=91_000, folder=folder, **options)
+        found = figures(flown, HAND_BEGINS + 0.5)
+        after = [found[end] and round(1e3 * (found[end] - HAND_BEGINS - 0.5)) for end in ("ended", "off")]
+        rows.append((name, flown.outcome.partition("; the last cycles")[0], *after, found["speed"], found["current"]))
+    print_table("attack", "end", "found [ms]", "no current [ms]", "speed [m/s]", "current [A]", rows=rows)
+
+
+# tables
+
+
+def print_table(*head: str, rows: Iterable[Sequence[object]]) -> None:
+    """Print a table as Markdown."""
+    print("\n| " + " | ".join(head) + " |\n|" + "---|" * len(head))
+    for row in rows:
+        print("| " + " | ".join(str(part) for part in row) + " |")
+
+
+def largest(rows: Iterable[Row], name: str, digits: int = 2) -> str:
+    """Return the largest figure of that name as text."""
+    found = [row[name] for row in rows if row[name] is not None]
+    return f"{max(found):.{digits}f}" if found else ""
+
+
+def spread(values: Sequence[float]) -> str:
+    """Return median and largest of times [ms] as text."""
+    return f"{1e3 * float(np.median(values)):.0f}, {1e3 * max(values):.0f}" if values else ""
+
+
+def exceeds(row: Row) -> bool:
+    """Return True if a flight of the product was faster than asked for."""
+    if row["cell"]["hand"] == "none":
+        return bool(row["speed"] > FREE)
+    return bool(row["speed"] > PRESSED or row["above"] > LONG)
+
+
+def is_cut(row: Row) -> bool:
+    """Return True if a fault ended a flight."""
+    return bool(re.search(r"[A-Z]{4}|swing", row["outcome"]))
+
+
+def print_product(rows: list[Row]) -> None:
+    """Print the product's tables."""
+    print(f"\n{len(rows)} flights, {sum(map(exceeds, rows))} exceed")
+    by_hand = [
+        (
+            hand,
+            len(own),
+            sum("late" in row["outcome"] and not is_cut(row) for row in own),
+            sum(map(is_cut, own)),
+            largest(own, "active", 3),
+            largest(own, "speed", 3),
+            largest(own, "at_stop", 3),
+            largest(own, "above", 3),
+            largest(own, "current", 1),
+            sum(map(exceeds, own)),
+        )
+        for hand in FACTORS["hand"]
+        if (own := [row for row in rows if row["cell"]["hand"] == hand])
+    ]
+    speeds = "speed with current [m/s]", "and after", "at the stop", "above 0.30 m/s [s]"
+    print_table("hand", "flights", "landed early", "cut", *speeds, "current [A]", "exceed", rows=by_hand)
+    by_delay = []
+    for rate, delays in product(FACTORS["rate"], _TOLD):
+        own = [row for row in rows if row["cell"]["delay"] in delays and row["cell"]["rate"] == rate]
+        ended = [row for row in own if row["outcome"] != "landed" and row["late"] is not None]
+        found = [min(row["ended"], row["off"]) - row["late"] for row in ended]
+        off = [row["off"] - row["late"] for row in ended]
+        hands = [
+            largest([row for row in own if row["cell"]["hand"] in kinds], "speed", 3)
+            for kinds in (["none"], ["5", "8"], ["tap"])
+        ]
+        on, cut = sum(row["outcome"] == "landed" for row in own), sum(map(is_cut, own))
+        told = ", ".join(map(str, delays))
+        by_delay.append((rate, told, len(own), on, len(own) - on - cut, cut, spread(found), spread(off), *hands))
+    head = "rate", "each way [ms]", "flights", "flown on", "landed", "cut", "found [ms]", "no current [ms]"
+    print_table(*head, "untouched [m/s]", "pressed", "tapped", rows=by_delay)
+    counts = Counter(row["outcome"] for row in rows)
+    print_table("end", "flights", rows=counts.most_common())
+    faster = sorted(filter(exceeds, rows), key=lambda row: (row["cell"]["hand"], -row["speed"]))
+    print_table(
+        *FACTORS,
+        "end",
+        "speed",
+        "with current",
+        "above 0.30 m/s [s]",
+        "without delay",
+        rows=(
+            (
+                *(row["cell"][name] for name in FACTORS),
+                *(row[name] for name in ("outcome", "speed", "active", "above")),
+                row.get("alone", ""),
+            )
+            for row in faster
+        ),
+    )
+
+
+def print_laws(rows: list[Row]) -> None:
+    """Print the table of laws."""
+    table = []
+    for kind, sizes in LAWS.items():
+        for size in sizes:
+            line: list[str] = []
+            names: Counter[str] = Counter()
+            for rate in FACTORS["rate"]:
+                own = [
+                    row for row in rows if [row["cell"][name] for name in ("law", "size", "rate")] == [kind, size, rate]
+                ]
+                found = [row for row in own if row["outcome"] != "landed"]
+                names.update(row["outcome"] for row in found)
+                times = spread([min(row["ended"], row["off"]) - row["begun"] for row in found])
+                line += [f"{len(found)} of {len(own)}", times, largest(own, "active")]
+            if any(line):
+                table.append((kind, size or "", ", ".join(names), *line))
+    head = (f"{name}, {rate} Hz" for rate in FACTORS["rate"] for name in ("ended", "after [ms]", "speed [m/s]"))
+    print_table("law", "size", "by", *head, rows=table)
+
+
+def print_good(rows: list[Row]) -> None:
+    """Print the tables of good flights, and of the estimated hand."""
+    hours = sum(row["time"] for row in rows) / 3600.0
+    ended = Counter(row["outcome"] for row in rows)
+    print(f"\n{len(rows)} flights, {hours:.2f} hours; {dict(ended)}")
+    table, errors = [], []
+    for rate, hand in product((200, 1000), GOOD_HANDS):
+        own = [row for row in rows if (row["cell"]["rate"], row["cell"]["hand"]) == (rate, hand)]
+        if not own:
+            continue
+        early = sum(row["outcome"] != "landed" for row in own)
+        sums = largest(own, "reversals", 1), f"{1e3 * max(row['energy'] for row in own):.1f}"
+        table.append((rate, hand, len(own), early, *sums, largest(own, "active"), largest(own, "above", 3)))
+        known = [row for row in own if row["rms"]]
+        parts = [(*row["rms"], *row["largest"]) for row in known]
+        if parts:
+            force, torque, most, turned = np.array(parts).max(axis=0)
+            middle = np.median([row["rms"][0] for row in known])
+            figures = f"{middle:.3f}", f"{force:.3f}", f"{most:.3f}", f"{1e3 * torque:.2f}", f"{1e3 * turned:.2f}"
+            errors.append((rate, hand, len(known), *figures))
+    head = "flights", "ended early", "reversals [N]", "energy [mJ]", "speed [m/s]", "above 0.30 m/s [s]"
+    print_table("rate", "hand", *head, rows=table)
+    head = "flights", "rms [N], median", "rms, worst", "largest [N]", "rms [mN m], worst", "largest [mN m]"
+    print_table("rate", "hand", *head, rows=errors)
+
+
+def print_tables(folder: Path) -> None:
+    """Print the tables of all parts that were flown."""
+    parts = {"product": print_product, "laws": print_laws, "good": print_good}
+    for name, printed in parts.items():
+        if rows := read_rows(folder / f"{name}.jsonl"):
+            printed(rows)
+
+
+def main() -> None:
+    """Fly one part of the study, or print its tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", choices=("product", "laws", "record", "good", "attacks", "tables"))
+    parser.add_argument("--number", type=int, default=2000, help="flights, those of before too")
+    parser.add_argument(
+        "--seconds", type=float, default=2.0, help="rendering in a good flight, or recorded in real time"
+    )
+    parser.add_argument("--seeds", type=int, default=2, help="flights of each law, scene and rate")
+    parser.add_argument("--out", type=Path, default=Path("figures/flight_safety"))
+    given = parser.parse_args()
+    folder: Path = given.out
+    folder.mkdir(parents=True, exist_ok=True)
+    delays = folder / "delays.json"
+    if given.part == "product":
+        go_on(folder / "product.jsonl", product_cells(given.number), fly_product)
+    elif given.part == "laws":
+        cells = list(law_cells(range(90_000, 90_000 + given.seeds)))
+        go_on(folder / "laws.jsonl", cells[: given.number], fly_law)
+    elif given.part == "record":
+        record_delays(delays, given.seconds)
+    elif given.part == "good":
+        recorded = json.loads(delays.read_text(encoding="utf-8")) if delays.exists() else {}
+        go_on(folder / "good.jsonl", good_cells(given.number, given.seconds), partial(fly_good, recorded))
+    elif given.part == "attacks":
+        print_attacks()
+    else:
+        print_tables(folder)
+
+
+if __name__ == "__main__":
+    main()
