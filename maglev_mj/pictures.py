@@ -33,6 +33,17 @@ A page shows no more than 8.6 (830 px), so that letters keep their size.
 FORMATS = "png", "pdf", "svg"
 """Formats of pictures."""
 
+_DASHES: Sequence[Any] = (
+    "-",
+    (0, (4, 1.5)),
+    (0, (5, 1.5, 1, 1.5)),
+    (0, (1.5, 1)),
+    (0, (7, 1.5)),
+    (0, (4, 1, 1, 1, 1, 1)),
+    (0, (1, 2.2)),
+    (0, (3, 1, 3, 1, 1, 1)),
+)
+
 _COLUMNS = 3  # of a grid
 _SHOWN = 100.0  # resolution in a notebook [dots per inch]
 _WORDS = 9.0  # size of a legend's words [pt]
@@ -124,6 +135,19 @@ def axis_label(name: str, unit: str | None) -> str:
     return f"{name.replace('_', ' ')} ({unit})" if unit else name.replace("_", " ")
 
 
+def line_style(index: int) -> dict[str, Any]:
+    """Return colour and dash of a curve, which differ from those of 55 others.
+
+    The first eight have dashes of their own, for a print without colour.
+
+    Example:
+        >>> from maglev_mj.pictures import line_style
+        >>> line_style(0)["linestyle"]
+        '-'
+    """
+    return {"color": SERIES[index % len(SERIES)], "linestyle": _DASHES[index % len(_DASHES)]}
+
+
 @overload
 def save(figure: Any, path: Path) -> Path: ...
 
@@ -187,7 +211,7 @@ def _columns(names: Sequence[str], width: float) -> int:
 
     Columns are of about the same length.
     """
-    lengths = np.array([len(name) * 0.54 * _WORDS / 72.0 + 0.52 for name in names])  # each with its mark
+    lengths = np.array([len(name) * 0.54 * _WORDS / 72.0 + 0.57 for name in names])  # each with its mark
     counts = range(len(names), 0, -1)
     fitting = (count for count in counts if sum(part.max() for part in np.array_split(lengths, count)) <= width)
     rows = -(-len(names) // next(fitting, 1))

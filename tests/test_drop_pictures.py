@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from maglev_mj.colours import SERIES
 from maglev_mj.control import AxisLaw, Law, gain
 from maglev_mj.parameters import param
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.pictures import drop_phases, phase_plane, time_series
+from maglev_mj.scenes.pictures import drop_phases, figure_6, phase_plane, series, spread, time_series
+from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.run import run, run_phases, run_variants
 from maglev_mj.scenes.scene import Scene
@@ -89,8 +91,29 @@ def test_laws_of_ones_own_have_lines_of_their_own_beside_published_ones(draw: An
         assert [panel.get_title(loc="left") for panel in figure.axes] == [""] * len(figure.axes)
 
 
+@pytest.mark.parametrize("draw", [time_series, phase_plane, drop_phases, series, spread, figure_6])
+def test_eight_variants_differ_in_their_dashes_and_so_without_colour(draw: Any) -> None:
+    scene = Press(hits=1) if draw is figure_6 else DROP.replace(duration=0.1)
+    pulses = {f"pulse {pulse:g}": scene.replace(pulse=pulse) for pulse in (220.0, 140.0, 100.0, 60.0)}
+    plain = {f"damping {value:g}": scene.replace(pulse=0.0, damping=value) for value in (80.0, 70.0, 60.0, 50.0)}
+    found = run_variants(pulses | plain, plant="exact", phases=None if draw is figure_6 else 3)
+    drawn = {label: line for panel in draw(found).axes for label, line in lines(panel).items() if label in found.runs}
+    assert drawn.keys() == found.runs.keys()
+    assert len({str(line._unscaled_dash_pattern) for line in drawn.values()}) == 8
+    assert len({(line.get_color(), str(line._unscaled_dash_pattern)) for line in drawn.values()}) == 8
+    assert len({line.get_color() for line in drawn.values()}) == len(SERIES)
+
+
+def test_a_press_is_titled_by_gains_only_if_all_its_walls_have_them() -> None:
+    scene = Press(hits=1, pulse=0.0)
+    for other, said in ({"pulse": 100.0}, True), ({"stiffness": 3000.0}, False):
+        found = run_variants({"one": scene, "other": scene.replace(**other)}, plant="exact")
+        assert ("6000 N/m" in figure_6(found).axes[0].get_title(loc="left")) == said
+
+
 def test_a_scene_is_titled_by_its_own_docstring() -> None:
-    assert Scene.describe(Beside()) == "My wall beside published ones"
+    said = "Wall of one's own beside published ones, without the pulse of the scene's parameter"
+    assert Scene.describe(Beside()) == said
     assert Scene.describe(Drop()) == "Drop the flotor on a stiff wall (figures 3 and 4)"
     assert Scene.describe(type("Bare", (Drop,), {})()) == Scene.describe(Drop())
     assert Scene.describe(type("Bare", (Scene,), {})()) == "bare"

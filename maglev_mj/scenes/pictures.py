@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from maglev_mj.colours import REFERENCE, SERIES, STUCK
+from maglev_mj.colours import REFERENCE, STUCK
 from maglev_mj.control import Wall
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.pictures import (
     FIRST,
-    SECOND,
     SHADE,
     TITLE,
     axis_label,
+    line_style,
     name_curves,
     new_figure,
     new_grid,
@@ -87,7 +86,7 @@ def series(variants: Variants) -> Any:
     for panel, name in zip(panels, names, strict=True):
         step = "steps-post" if "force" in name else "default"
         for place, (label, values) in enumerate(shown.items()):
-            panel.plot(values["time"], values[name], color=SERIES[place % len(SERIES)], drawstyle=step, label=label)
+            panel.plot(values["time"], values[name], drawstyle=step, label=label, **line_style(place))
         panel.set_ylabel(axis_label(_NAMES.get(name, name), units.get(name)))
     panels[-1].set_xlabel("time (s)")
     panels[-1].set_xlim(0.0, max(float(first["time"][-1]), _FINE))
@@ -115,7 +114,7 @@ def spread(variants: Variants) -> Any:
     for panel, (name, one) in zip(panels, scene.figures.items()):
         for place, (label, sweep) in enumerate(variants.phases.items()):
             values = np.asarray(sweep.figures[name], dtype=np.float64).reshape(len(sweep.phases), -1) * one.scale
-            lines = panel.plot(sweep.phases, values, color=SERIES[place % len(SERIES)])
+            lines = panel.plot(sweep.phases, values, **line_style(place))
             lines[0].set_label(label)
         panel.set_title(axis_label(name, unit_of(one.unit, scene.axis, one.along)), **TITLE)
         panel.set_xlim(0.0, 1.0)
@@ -210,7 +209,7 @@ def drop_phases(variants: Variants) -> Any:
     if not shown:
         raise ParameterError("phases must be run for their picture: see run_phases")
     figure, panels = new_figure(1, 3, 3.6, sharex=True)
-    styles = _styles({label: sweep.scene for label, sweep in shown.items()})
+    styles = _styles(shown)
     for label, sweep in shown.items():
         style = styles[label]
         for panel, name in zip(panels, ("penetration", "rebound", "peak_force"), strict=True):
@@ -225,9 +224,6 @@ def drop_phases(variants: Variants) -> Any:
     return figure
 
 
-_PULSED = FIRST, *SERIES[2:4]
-_PLAIN = SECOND, *SERIES[4:]
-_DASHES = "--", "-.", (0, (7, 2)), (0, (4, 1, 1, 1, 1, 1))
 _IDEAL: dict[str, Any] = {"color": REFERENCE, "linestyle": ":", "linewidth": 1.8}
 _ANALOG: dict[str, Any] = _IDEAL | {"label": "analog wall, 10 kHz filter"}
 _LIMIT: dict[str, Any] = {
@@ -238,7 +234,7 @@ _LIMIT: dict[str, Any] = {
 }
 
 
-def _published(scene: Drop) -> tuple[float, float, float] | None:
+def _published(scene: Any) -> tuple[float, float, float] | None:
     """Return stiffness, damping and pulse of the published wall; None for another law."""
     for law in scene.laws():
         if isinstance(law, Wall) and not any(map(np.ndim, gains := (law.stiffness, law.damping, law.pulse))):
@@ -247,16 +243,19 @@ def _published(scene: Drop) -> tuple[float, float, float] | None:
     return None
 
 
-def _styles(scenes: Mapping[str, Drop]) -> dict[str, dict[str, Any]]:
-    """Return the line style of each drop by label, those without a pulse dashed."""
-    styles, counts = {}, Counter[bool]()
-    for label, scene in scenes.items():
-        pulsed = (_published(scene) or (0.0,))[-1] > 0.0
-        colours, dashes = (_PULSED, ("-",)) if pulsed else (_PLAIN, _DASHES)
-        place, counts[pulsed] = counts[pulsed], counts[pulsed] + 1
-        line = {"color": colours[place % len(colours)], "linestyle": dashes[place % len(dashes)], "linewidth": 1.8}
-        styles[label] = line | {"zorder": 4 if pulsed else 3, "label": label}
-    return styles
+def _common_gains(scenes: Iterable[Any]) -> str:
+    """Return stiffness and damping where all scenes have the published wall with the same ones."""
+    walls = {(_published(scene) or ())[:2] for scene in scenes}
+    common = walls.pop() if len(walls) == 1 else ()
+    return "wall of {:g} N/m and {:g} N s/m, ".format(*common) if common else ""
+
+
+def _styles(labels: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return the line style of each drop by label, the first in front."""
+    return {
+        label: {**line_style(place), "linewidth": 1.8, "zorder": 4.0 - 0.01 * place, "label": label}
+        for place, label in enumerate(labels)
+    }
 
 
 def _times(variants: Variants) -> Array:
@@ -283,11 +282,12 @@ def _columns(variants: Variants, time: Array) -> list[list[_Drop]]:
     """Return the drops of each column, pulsed ones first."""
     pulsed: list[_Drop] = []
     plain: list[_Drop] = []
-    styles = _styles({label: result.scene for label, result in variants.runs.items()})
+    styles = _styles(variants.runs)
     for label, result in variants.runs.items():
         band = _shown(variants.bands[label], time) if label in variants.bands else None
         drop = _Drop(result.scene, styles[label], _shown(result, time), band)
-        (pulsed if styles[label]["linestyle"] == "-" else plain).append(drop)
+        has_pulse = (_published(result.scene) or (0.0,))[-1] > 0.0
+        (pulsed if has_pulse else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
 
 
@@ -314,9 +314,7 @@ def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]
         if wall is not None and (wall[2] > 0.0 or not others):  # else the legend names them all
             panel.set_title(f"{drop.style['label']}: {wall[1] + wall[2]:g} N s/m", fontweight="bold", **TITLE)
     p, label = columns[0][0].scene, columns[0][0].style["label"]
-    walls = {(_published(one.scene) or ())[:2] for column in columns for one in column}
-    common = walls.pop() if len(walls) == 1 else ()
-    gains = "{:g} N/m and {:g} N s/m, ".format(*common) if common else ""
+    gains = _common_gains(one.scene for column in columns for one in column)
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
     result, shaded = variants.runs[label], ""
     if (band := variants.bands.get(label)) is not None:
@@ -332,12 +330,14 @@ def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]
     )
 
 
-def _describe(result: RunResult) -> str:
-    p = result.scene
+def _describe(variants: Variants) -> str:
+    """Return hand, gains common to all walls, and timing."""
+    p = variants.first.scene
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
+    gains = _common_gains(one.scene for one in variants.runs.values())
     return (
-        f"hand {p.hand}, {p.press:g} N in the end\nwall of {p.stiffness:g} N/m and {p.damping:g} N s/m, "
-        f"{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit} ({result.plant})"
+        f"hand {p.hand}, {p.press:g} N in the end\n{gains}{1.0 / p.period:g} Hz, "
+        f"delay {p.delay * 1e3:g} ms{limit} ({variants.first.plant})"
     )
 
 
@@ -354,7 +354,7 @@ def figure_6(variants: Variants) -> Any:
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     first = variants.first
-    styles = _styles({label: result.scene for label, result in variants.runs.items()})
+    styles = _styles(variants.runs)
     for label, result in variants.runs.items():
         motion, style = result.series(_FINE), styles[label] | {"linewidth": 1.4}
         upper.plot(motion["time"], motion["z"] * 1e3, **style)
@@ -377,7 +377,7 @@ def figure_6(variants: Variants) -> Any:
     lower.set_xlabel("time (s)")
     lower.set_xlim(0.0, p.end)
     name_curves(figure, [upper])
-    upper.set_title(_describe(first), **TITLE)
+    upper.set_title(_describe(variants), **TITLE)
     return figure
 
 
