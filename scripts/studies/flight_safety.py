@@ -4,6 +4,7 @@
     python scripts/studies/flight_safety.py laws
     python scripts/studies/flight_safety.py record
     python scripts/studies/flight_safety.py good --number 2000
+    python scripts/studies/flight_safety.py takeoffs
     python scripts/studies/flight_safety.py attacks
     python scripts/studies/flight_safety.py tables
 
@@ -24,6 +25,7 @@ import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from itertools import combinations, product
 from pathlib import Path
@@ -32,16 +34,31 @@ from typing import Any
 import numpy as np
 
 from maglev_mj import find_scene, judge
+from maglev_mj.bridge import Twin, TwinParameters
+from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.line import LoopTiming
+from maglev_mj.bridge.line import LoopTiming, preflight
 from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.errors import MaglevError
 from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller
 from maglev_mj.spec import Spec
-from slow_lines import HAND_BEGINS, PUSHES, SHAPES, ChangedLaw, Flown, ScriptedHand, fly, margin
+from slow_lines import (
+    HAND_BEGINS,
+    PUSHES,
+    SHAPES,
+    STOP_REACHED,
+    ChangedLaw,
+    Flown,
+    Line,
+    fly,
+    margin,
+    residual,
+    rounded,
+)
 
 Row = dict[str, Any]
 
@@ -66,7 +83,6 @@ FREE, PRESSED, LONG = 0.30, 0.40, 0.15
 """Largest speed asked for, untouched and pressed [m/s], and longest time above the first [s]."""
 
 _TAKEOFF, _DELAY = 1.15, Spec.transport_delay.value
-_STOP_REACHED = 0.0042
 
 
 # flights as lines of a file
@@ -94,11 +110,6 @@ def go_on(path: Path, cells: Iterable[Row], evaluate: Callable[[Row], Row]) -> N
                 file.write(row + "\n")
 
 
-def rounded(value: float, digits: int = 4) -> float | None:
-    """Return a rounded number, None for NaN."""
-    return None if math.isnan(value) else round(float(value), digits)
-
-
 def outcome_kind(outcome: str) -> str:
     """Return the rule or fault that ended a flight."""
     rules = {
@@ -122,7 +133,7 @@ def figures(flown: Flown, since: float) -> Row:
     rate = 1.0 / float(np.median(np.diff(flown.rows[:, 0])))
     rows, speeds = flown.after(since), flown.speeds(since)
     off = rows[rows[:, 14] != 1.0, 0]
-    contact = np.abs(rows[:, 1:4]).max(axis=1) > _STOP_REACHED
+    contact = np.abs(rows[:, 1:4]).max(axis=1) > STOP_REACHED
     fastest = int(speeds.argmax())
     active = speeds[rows[:, 14] == 1.0]
     return {
@@ -317,15 +328,16 @@ def fly_law(cell: Row) -> Row:
 def record_delays(path: Path, seconds: float) -> None:
     """Fly a twin over UDP in real time, at both rates; keep each sample's delay.
 
-    Quiet as the machine is, then with every core busy. A flight that a stall of the machine ends is flown on.
+    Quiet as the machine is, then with every core busy. A flight that a stall of the machine ends is flown on; delays of
+    an earlier call stay.
     """
     print("| load, samples a second | samples | median [ms] | 99 % | largest |\n|---|---|---|---|---|", flush=True)
-    found: dict[str, list[int]] = {}
+    found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     for load, rate in product(("quiet", "busy"), (200, 1000)):
         cores = range(os.cpu_count() or 1) if load == "busy" else ()
         busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in cores]
         name = f"{load} {rate}"
-        delays = found.setdefault(name, [])
+        delays: list[int] = []
         try:
             for _ in range(20):
                 if len(delays) < seconds * rate:
@@ -334,6 +346,7 @@ def record_delays(path: Path, seconds: float) -> None:
             for one in busy:
                 one.kill()
                 one.wait()
+        found[name] = found.get(name, []) + delays
         median, most, largest = np.quantile(delays, (0.5, 0.99, 1.0)) * 1e-3
         print(f"| {name} | {len(delays)} | {median:.2f} | {most:.2f} | {largest:.2f} |", flush=True)
     path.write_text(json.dumps(found), encoding="utf-8")
@@ -373,68 +386,79 @@ GOOD_HANDS = ("none", "2", "5", "8", "12", "20", "tap")
 def good_cells(number: int, seconds: float) -> Iterator[Row]:
     """Yield random flights of all scenes, hands, rates and loads."""
     draw = random.Random(34)
-    choices = list(product(SCENES, GOOD_HANDS, (200, 200, 200, 1000), ("quiet", "busy")))
+    choices = list(product(SCENES, GOOD_HANDS, (*[200] * 11, 1000), ("quiet", "busy")))
     for index in range(number):
         if index % len(choices) == 0:
             draw.shuffle(choices)
         name, hand, rate, load = choices[index % len(choices)]
-        yield {"scene": name, "hand": hand, "rate": rate, "load": load, "seconds": seconds, "seed": 80_000 + index}
-
-
-def residual(flown: Flown, name: str, hand: str, rate: int) -> tuple[list[float], list[float]]:
-    """Return errors of the hand's force and torque, rms and largest, away from the stops.
-
-    The true wrench, held from sample to sample, is taken as the estimate is: weighted by a triangle of two periods,
-    then through the same low pass.
-    """
-    period, keep = 1.0 / rate, math.exp(-2.0 * math.pi * 31.0 / rate)
-    script = ScriptedHand(hand, name, HAND_BEGINS)
-    low = lower = np.zeros(6)
-    errors: list[Any] = []
-    reach = np.abs(flown.rows[:, 1:4]) + period * np.abs(flown.rows[:, 7:10])  # a tap is at the stop within a sample
-    touched = flown.rows[reach.max(axis=1) > _STOP_REACHED, 0]
-    known = flown.wrenches[flown.wrenches[:, 0] < flown.ended]
-    for time, *estimate in known[known[:, 0] > flown.began - 0.1]:
-        before, at = (np.array(script.wrench(time - since * period)) for since in (2, 1))
-        true = 0.5 * (before + at)
-        low = true + keep * (low - true)
-        lower = low + keep * (lower - low)
-        clear = not touched.size or not ((touched > time - 0.15) & (touched <= time)).any()
-        if clear and math.isfinite(estimate[0]) and time > flown.began:
-            errors.append(np.array(estimate) - lower)
-    if not errors:
-        return [], []
-    found = np.array(errors)
-    norms = np.linalg.norm(found[:, :3], axis=1), np.linalg.norm(found[:, 3:], axis=1)
-    return (
-        [rounded(math.sqrt(float((one**2).mean())), 6) or 0.0 for one in norms],
-        [rounded(float(one.max()), 6) or 0.0 for one in norms],
-    )
+        yield {"scene": name, "hand": hand, "rate": rate, "load": load, "seconds": seconds, "seed": 100_000 + index}
 
 
 def fly_good(delays: dict[str, list[int]], cell: Row) -> Row:
-    """Fly a good flight over recorded delays, from a random place of the recording on."""
-    rate, recorded = cell["rate"], delays.get(f"{cell['load']} {cell['rate']}", [0])
-    start = random.Random(cell["seed"]).randrange(len(recorded))
+    """Fly a good flight as `bridge` does, over recorded delays from a random place of the recording on.
+
+    The line is measured for the first second; the scene flown is what the check before takeoff makes of it.
+    """
+    rate, seed = cell["rate"], cell["seed"]
+    recorded = delays.get(f"{cell['load']} {rate}", [0])
+    start = random.Random(seed).randrange(len(recorded))
 
     def delay(time: float) -> float:
         return recorded[(start + int(time * rate)) % len(recorded)] * 0.5e-6
 
     with tempfile.TemporaryDirectory() as folder:
+        link = VirtualLink(Twin(TwinParameters(period=1.0 / rate, seed=seed), draw=lambda: 7))
+        link._line = Line(delay)  # type: ignore[assignment]
+        with RemotePlant(link, folder=folder) as plant:
+            found = preflight(plant, find_scene(cell["scene"])())
+        told = {"usual": rounded(found.report.usual, 6), "softened": bool(found.softened)}
+        if found.problem:
+            return {"refused": found.problem, **told}
         flown = fly(
             cell["scene"],
             rate=rate,
             hand=cell["hand"],
-            delay=delay,
+            delay=lambda time: delay(time + 1.0),
             seconds=cell["seconds"],
-            seed=cell["seed"],
+            seed=seed,
+            scene=found.scene,
+            bears=found.bears,
             folder=folder,
         )
     rms, largest = residual(flown, cell["scene"], cell["hand"], rate)
-    return figures(flown, flown.began) | {"time": rounded(float(flown.rows[-1, 0])), "rms": rms, "largest": largest}
+    time = rounded((flown.rows[:, 14] == 1.0).sum() / rate)
+    return figures(flown, flown.began) | {"time": time, "rms": rms, "largest": largest, **told}
 
 
-# 4. attacks of an earlier check, again
+# 4. the check of the coils in takeoff
+
+NOISES = (TwinParameters().noise, 5e-6)
+GAINS = {0.9: "at 90 %", 1e-3: "dead", -1.0: "reversed"}
+
+
+def takeoff_cells() -> Iterator[Row]:
+    """Yield takeoffs with good coils, then each coil weak, dead and reversed."""
+    good = product((1.0,), (0,), SCENES, FACTORS["rate"], NOISES, range(7))
+    bad = product(GAINS, range(6), ("joystick",), FACTORS["rate"], NOISES, range(20))
+    names = "gain", "coil", "scene", "rate", "noise"
+    for seed, values in enumerate([*good, *bad], 110_000):
+        yield dict(zip(names, values)) | {"seed": seed}
+
+
+def fly_takeoff(cell: Row) -> Row:
+    """Take off with a coil of another gain, and land at once."""
+    truth = Calibration.nominal()
+    constants = truth.coils.force_constants.copy()
+    constants[cell["coil"]] *= cell["gain"]
+    truth = replace(truth, coils=replace(truth.coils, force_constants=constants))
+    with tempfile.TemporaryDirectory() as folder:
+        options = {name: cell[name] for name in ("rate", "seed", "noise")}
+        flown = fly(cell["scene"], truth=truth, seconds=0.05, bears=math.inf, folder=folder, **options)
+    named = re.findall(r"coil (\d)", flown.outcome)
+    return figures(flown, 0.0) | {"said": flown.outcome[:200], "named": named == [str(cell["coil"])]}
+
+
+# 5. attacks of an earlier check, again
 
 
 def frozen_spots(twin: Any, link: Any) -> None:
@@ -585,9 +609,11 @@ def print_laws(rows: list[Row]) -> None:
 
 def print_good(rows: list[Row]) -> None:
     """Print the tables of good flights, and of the estimated hand."""
-    hours = sum(row["time"] for row in rows) / 3600.0
+    refused = sum("refused" in row for row in rows)
+    rows = [row for row in rows if "refused" not in row]
+    soft, hours = sum(row["softened"] for row in rows), sum(row["time"] for row in rows) / 3600.0
     ended = Counter(row["outcome"] for row in rows)
-    print(f"\n{len(rows)} flights, {hours:.2f} hours; {dict(ended)}")
+    print(f"\n{refused} refused; {len(rows)} flights, {soft} softened, {hours:.2f} hours; {dict(ended)}")
     table, errors = [], []
     for rate, hand in product((200, 1000), GOOD_HANDS):
         own = [row for row in rows if (row["cell"]["rate"], row["cell"]["hand"]) == (rate, hand)]
@@ -609,9 +635,23 @@ def print_good(rows: list[Row]) -> None:
     print_table("rate", "hand", *head, rows=errors)
 
 
+def print_takeoffs(rows: list[Row]) -> None:
+    """Print the table of takeoffs."""
+    table = []
+    for gain, rate, noise in product((1.0, *GAINS), FACTORS["rate"], NOISES):
+        names = {"gain": gain, "rate": rate, "noise": noise}.items()
+        own = [row for row in rows if names <= row["cell"].items()]
+        refused, lost = (sum(text in row["said"] for row in own) for text in ("no flight", "NOT_FOLLOWING"))
+        missed = Counter(row["cell"]["coil"] for row in own if not row["named"])
+        counts = len(own), refused, lost, sum(row["named"] for row in own), dict(missed) if gain < 1.0 else ""
+        table.append((GAINS.get(gain, "good"), rate, f"{noise * 1e6:g}", *counts, largest(own, "speed")))
+    head = "takeoffs", "refused", "lost", "the coil named", "not named", "speed [m/s]"
+    print_table("coil", "rate", "noise [µm]", *head, rows=table)
+
+
 def print_tables(folder: Path) -> None:
     """Print the tables of all parts that were flown."""
-    parts = {"product": print_product, "laws": print_laws, "good": print_good}
+    parts = {"product": print_product, "laws": print_laws, "good": print_good, "takeoffs": print_takeoffs}
     for name, printed in parts.items():
         if rows := read_rows(folder / f"{name}.jsonl"):
             printed(rows)
@@ -620,11 +660,12 @@ def print_tables(folder: Path) -> None:
 def main() -> None:
     """Fly one part of the study, or print its tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=("product", "laws", "record", "good", "attacks", "tables"))
+    parser.add_argument("part", choices=("product", "laws", "record", "good", "takeoffs", "attacks", "tables"))
     parser.add_argument("--number", type=int, default=2000, help="flights, those of before too")
     parser.add_argument(
         "--seconds", type=float, default=2.0, help="rendering in a good flight, or recorded in real time"
     )
+    parser.add_argument("--rate", type=int, default=0, help="samples a second of the good flights; 0 for both")
     parser.add_argument("--seeds", type=int, default=2, help="flights of each law, scene and rate")
     parser.add_argument("--out", type=Path, default=Path("figures/flight_safety"))
     given = parser.parse_args()
@@ -640,7 +681,10 @@ def main() -> None:
         record_delays(delays, given.seconds)
     elif given.part == "good":
         recorded = json.loads(delays.read_text(encoding="utf-8")) if delays.exists() else {}
-        go_on(folder / "good.jsonl", good_cells(given.number, given.seconds), partial(fly_good, recorded))
+        cells = [cell for cell in good_cells(given.number, given.seconds) if given.rate in (0, cell["rate"])]
+        go_on(folder / "good.jsonl", cells, partial(fly_good, recorded))
+    elif given.part == "takeoffs":
+        go_on(folder / "takeoffs.jsonl", list(takeoff_cells())[: given.number], fly_takeoff)
     elif given.part == "attacks":
         print_attacks()
     else:

@@ -28,6 +28,9 @@ from maglev_mj.theory.verdict import delay_margins
 _NEVER = 1 << 62
 _STOP = 0.0044
 
+STOP_REACHED = 0.0042
+"""Coordinate from which a stop acts on the flotor [m]."""
+
 HAND_BEGINS = 1.3
 """Begin of a hand, soon after takeoff [s]."""
 
@@ -285,3 +288,39 @@ def fly(
         twin.sample()
     found = np.array(rows), np.array(wrenches)
     return Flown(outcome, *found, began[0], ended[0], line.delays, bears, power.reversals, power.energy)
+
+
+def rounded(value: float, digits: int = 4) -> float | None:
+    """Return a rounded number, None for NaN."""
+    return None if math.isnan(value) else round(float(value), digits)
+
+
+def residual(flown: Flown, name: str, hand: str, rate: int) -> tuple[list[float], list[float]]:
+    """Return errors of the hand's force and torque, rms and largest, away from the stops.
+
+    The true wrench, held from sample to sample, is taken as the estimate is: weighted by a triangle of two periods,
+    then through the same low pass.
+    """
+    period, keep = 1.0 / rate, math.exp(-2.0 * math.pi * 31.0 / rate)
+    script = ScriptedHand(hand, name, HAND_BEGINS)
+    low = lower = np.zeros(6)
+    errors: list[Any] = []
+    reach = np.abs(flown.rows[:, 1:4]) + period * np.abs(flown.rows[:, 7:10])  # a tap is at the stop within a sample
+    touched = flown.rows[reach.max(axis=1) > STOP_REACHED, 0]
+    known = flown.wrenches[flown.wrenches[:, 0] < flown.ended]
+    for time, *estimate in known[known[:, 0] > flown.began - 0.1]:
+        before, at = (np.array(script.wrench(time - since * period)) for since in (2, 1))
+        true = 0.5 * (before + at)
+        low = true + keep * (low - true)
+        lower = low + keep * (lower - low)
+        clear = not touched.size or not ((touched > time - 0.15) & (touched <= time)).any()
+        if clear and math.isfinite(estimate[0]) and time > flown.began:
+            errors.append(np.array(estimate) - lower)
+    if not errors:
+        return [], []
+    found = np.array(errors)
+    norms = np.linalg.norm(found[:, :3], axis=1), np.linalg.norm(found[:, 3:], axis=1)
+    return (
+        [rounded(math.sqrt(float((one**2).mean())), 6) or 0.0 for one in norms],
+        [rounded(float(one.max()), 6) or 0.0 for one in norms],
+    )
