@@ -395,9 +395,10 @@ def good_cells(number: int, seconds: float) -> Iterator[Row]:
 
 
 def fly_good(delays: dict[str, list[int]], cell: Row) -> Row:
-    """Fly a good flight as `bridge` does, over recorded delays from a random place of the recording on.
+    """Fly a good flight over recorded delays, after the check before takeoff.
 
-    The line is measured for the first second; the scene flown is what the check before takeoff makes of it.
+    The delays begin at a random place of the recording. The line is measured for the first second; the scene flown is
+    what the check before takeoff makes of it.
     """
     rate, seed = cell["rate"], cell["seed"]
     recorded = delays.get(f"{cell['load']} {rate}", [0])
