@@ -64,7 +64,11 @@ def analysed(stretch: Stretch, **keywords: Any) -> StretchReport:
 def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parameters: float) -> Stretch:
     """Return two seconds of a joystick on a twin, whose mass may differ from the calibration's."""
     truth = replace(Calibration.nominal(), mass=mass)
-    holder = SpringHand(target=TOUR) if hand else None
+    spring = SpringHand(target=Trajectory(np.asarray(TOUR.times) + 0.6, TOUR.poses))
+
+    def holder(tick: int, time: Any, state: Any) -> Any:
+        return spring(tick, time, state) if hand and time > 1.3 else ZERO  # hands off in takeoff
+
     twin = Twin(TwinParameters(truth=truth, **parameters), hand_force=holder, draw=lambda: 7)  # type: ignore[arg-type]
     with RemotePlant(VirtualLink(twin, Impairment(loss=loss))) as plant:
         file = ArrayFile()
@@ -508,16 +512,15 @@ def test_a_flight_is_recorded_with_the_mass_of_its_calibration() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".npz"])
-def test_the_hand_on_a_device_is_not_known_and_taken_for_none(suffix: str, tmp_path: Path, capsys: Any) -> None:
+def test_the_hand_on_a_device_is_an_estimate_and_taken_for_none(suffix: str, tmp_path: Path, capsys: Any) -> None:
     path, file = tmp_path / f"flight{suffix}", open_recording(tmp_path / f"flight{suffix}", wait=True)
     with RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7))) as plant:
         Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(0.5)
     file.close()
     recording = Recording.load(path)
     (stretch,) = recording.stretches
-    assert np.isnan(stretch.hand).all() and not stretch.known_hand.any() and len(stretch) == 100
-    if suffix == ".mcap":
-        assert np.isnan(stretch.hand_work).all() and np.isfinite(stretch.taken).all()
+    assert np.isfinite(stretch.hand).all() and stretch.hand.any() and not stretch.metadata.hand_recorded
+    assert not stretch.known_hand.any() and len(stretch) == 100
     found, before = (analysed(one) for one in (stretch, stretch.replace(hand=0.0)))
     assert str(found.table()) == str(before.table())
     assert found.recorded.motion.trace.pose.tobytes() == before.recorded.motion.trace.pose.tobytes()
@@ -525,8 +528,16 @@ def test_the_hand_on_a_device_is_not_known_and_taken_for_none(suffix: str, tmp_p
         assert main([command[0], str(path), *command[1:]]) == 0
     assert "nan" not in capsys.readouterr().out
     header, *rows = csv.reader((tmp_path / "flight.csv").read_text(encoding="utf-8").splitlines())
-    assert {row[header.index("hand.x [N]")] for row in rows} == {"nan"}
+    assert [float(row[header.index("hand.x [N]")]) for row in rows] == stretch.hand[:, 0].tolist()
     replay = Replay(recording)
+    replay.tick(0.4)
+    shown = replay.snapshot()
+    assert shown.hand_estimated and "N (estimated)" in panel._words(shown, False)
+    assert "hand, estimated" in plots.drawn(Charts(100).of(shown, 0)[1])
+
+
+def test_a_hand_that_is_not_known_is_not_drawn() -> None:
+    replay = Replay(Recording([flown().replace(hand=math.nan)]))
     replay.tick(0.4)
     shown = replay.snapshot()
     assert np.isnan(shown.hand).all() and math.isnan(shown.work)

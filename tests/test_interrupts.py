@@ -51,7 +51,7 @@ EARLY = [("maglev_mj.cli.", 1), ("numpy", 60), ("", 250)]
 
 @pytest.mark.parametrize(
     ("command", "module", "number"),
-    [*((name, "maglev_mj.", 40) for name in COMMANDS), *(("drop", *moment) for moment in EARLY), ("page", "numpy", 1)],
+    [*((name, "maglev_mj.", 30) for name in COMMANDS), *(("drop", *moment) for moment in EARLY), ("page", "numpy", 1)],
 )
 def test_no_traceback_while_a_command_loads(command: str, module: str, number: int, tmp_path: Path) -> None:
     done = run(sys.executable, "-c", PROGRAM, module, str(number), *COMMANDS[command].split(), cwd=tmp_path)

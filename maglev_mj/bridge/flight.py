@@ -153,6 +153,7 @@ class Flight:
     def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
         plant, switch = self._plant, self.switch
         plant.takeoff(watch=self._watch, tries=True)
+        self._force = plant.calibration.coils.wrench(np.array(plant.last_currents)).tolist()
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
         while not self.reason and not switch.landing and (last is None or plant.samples.tick < last):
@@ -275,6 +276,7 @@ class Flight:
             pose=pose,
             force=force,
             hand=np.array(plant.hand_wrench),
+            hand_estimated=True,
             currents=np.array(plant.last_currents),
             faces=faces,
             anchors=anchors,

@@ -33,6 +33,7 @@ from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Flag, Frame, Operation, St
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.parameters import flag
 from maglev_mj.plants.sensor import PoseTracker
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
@@ -352,6 +353,7 @@ class RemotePlant:
             PlantError: If the flotor moves, is not on its lower stop or not measured: the device is not armed; or if a
                 coil that was tried is not as calibrated: it has landed.
         """
+        flag("tries", tries)
         self._check_open()
         take_off(self, self._leader, duration, watch, tries)
 

@@ -70,7 +70,10 @@ _STRETCH_FIELDS = {
     },
     "name": {"type": "string", "description": "what to call the run"},
     "axis": {"type": "string", "description": "the axis that matters most"},
-    "hand_recorded": {"type": "boolean", "description": "whether `hand` is what the hand exerts"},
+    "hand_recorded": {
+        "type": "boolean",
+        "description": "whether `hand` is what the hand exerts; else it is estimated, or not known",
+    },
     "hand_acts_on_flotor": {"type": "boolean", "description": "whether it acts there, not on a hand in a soft grip"},
 }
 _EVENT_FIELDS = {

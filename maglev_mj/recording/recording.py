@@ -96,8 +96,8 @@ class Stretch:
 
     @property
     def known_hand(self) -> Array:
-        """Hand's wrench [N, N m], (N, 6); zero if unknown."""
-        return np.nan_to_num(self.hand)
+        """Hand's wrench [N, N m], (N, 6); zero where it is unknown or estimated."""
+        return np.nan_to_num(self.hand * self.metadata.hand_recorded)
 
     def replace(self, **values: ArrayLike) -> Stretch:
         """Return a copy with other values of some fields, one for each sample or for all."""

@@ -96,7 +96,13 @@ FIELDS: Sequence[Field] = (
     Field("pulse", _WRENCH, "what it answered, for as long as a pulse", "command.extra or ZERO", "command"),
     Field("applied", _WRENCH, "the command after the plant's limits", "applied.force", "applied"),
     Field("applied_pulse", _WRENCH, "the pulse after the plant's limits", "applied.extra or ZERO", "applied"),
-    Field("hand", _WRENCH, "what the hand exerts from the sample on, if known", "plant.hand_wrench", unknown=True),
+    Field(
+        "hand",
+        _WRENCH,
+        "what the hand exerts from the sample on, if known; a device's is estimated",
+        "plant.hand_wrench",
+        unknown=True,
+    ),
     Field(
         "pulse_width",
         "s",
@@ -275,7 +281,7 @@ class RunMetadata:
         faces: All planes of walls.
         name: Name of the run.
         axis: Name of the axis that matters most.
-        hand_recorded: True if the hand's wrench was recorded.
+        hand_recorded: True if the hand's wrench was recorded; False if it is estimated or not known.
         hand_acts_on_flotor: True if the recorded hand acts on the flotor directly, not through a soft grip.
 
     Raises:

@@ -58,7 +58,7 @@ _OBJECTS = ("timing", "sensor", "hand", "hand_force", "path")
 _OWN_SLOTS = ("laws", "velocity")
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
 _INVALID = MaglevError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError
-_MOST, _LONGEST_LIST, _MOST_LAWS, _LEAST_STEP = 1e12, 100_000, 100, 1e-5
+_MOST, _LONGEST_LIST, _MOST_LAWS, _LEAST_STEP = 1e15, 100_000, 100, 1e-5
 
 
 class OwnCodeError(InvalidRecordingError):

@@ -520,6 +520,7 @@ class Replay:
             pose=np.array(samples["position"][row]),
             force=samples["applied"][row] - now.carried,
             hand=np.array(samples["hand"][row]),
+            hand_estimated=now.stretch.setup["kind"] == "device",
             currents=_current_per_wrench() @ samples["applied"][row],
             faces=now.faces,
             anchors=now.anchors(row),

@@ -74,6 +74,7 @@ class Snapshot:
         pose: Pose of the flotor [m, rad], (6,).
         force: Held wrench of the device, limited, without pulses and weight compensation [N, N m], (6,).
         hand: Wrench of the hand [N, N m], (6,); zeros if not measured.
+        hand_estimated: True if that is a device's estimate.
         stops: Wrench of the metal stops [N, N m], (6,); zeros if not measured.
         target: Pose of the hand's spring [m, rad]; None if released, or if it follows a path.
         hand_stiffness: Stiffness of that spring [N/m].
@@ -107,6 +108,7 @@ class Snapshot:
     pose: Array = field(default_factory=_zeros)
     force: Array = field(default_factory=_zeros)
     hand: Array = field(default_factory=_zeros)
+    hand_estimated: bool = False
     stops: Array = field(default_factory=_zeros)
     target: Sequence[float] | None = None
     hand_stiffness: float = SpringHand.stiffness

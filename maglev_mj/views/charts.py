@@ -214,7 +214,7 @@ class Charts:
                 places,
             ),
             Chart(
-                [(kind, None), ("device", DEVICE), ("hand", HAND)],
+                [(kind, None), ("device", DEVICE), ("hand, estimated" if snapshot.hand_estimated else "hand", HAND)],
                 [Line(DEVICE, time, device, dot=True), Line(HAND, time, hand, dot=True)],
                 across,
                 self._forces(device, hand, [0.0]),

@@ -135,7 +135,9 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
         Reading("rate", f"{1.0 / scene.period:.0f} Hz, delay {scene.delay * 1e3:.1f} ms"),
         *(() if early else (time,)),
         Reading("position", ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", place)) + " mm"),
-        *map(_force, FORCES, (snapshot.hand, snapshot.force, snapshot.stops), (HAND, DEVICE, STOP)),
+        _force("hand", snapshot.hand, HAND, " (estimated)" * snapshot.hand_estimated),
+        _force("device", snapshot.force, DEVICE),
+        _force("stops", snapshot.stops, STOP),
         Reading("energy", _energy(snapshot), BAD if _makes_energy(snapshot) else None),
         Reading("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} missed" if snapshot.cost else ""),
     ]
@@ -148,10 +150,10 @@ def _time(snapshot: Snapshot) -> str:
     return ", ".join(filter(None, (f"{snapshot.time:.1f}{whole} s", pace(snapshot))))
 
 
-def _force(name: str, wrench: Array, colour: Colour) -> Reading:
+def _force(name: str, wrench: Array, colour: Colour, note: str = "") -> Reading:
     """Return a force's size, if known."""
     known = np.isfinite(wrench).all()
-    return Reading(name, f"{np.linalg.norm(wrench[:3]):.1f} N" if known else "", colour)
+    return Reading(name, f"{np.linalg.norm(wrench[:3]):.1f} N{note}" if known else "", colour)
 
 
 def _makes_energy(snapshot: Snapshot) -> bool:
