@@ -143,6 +143,16 @@ def test_one_hard_blow_is_no_vibration_and_slow_swings_are_none() -> None:
         assert not any(guard.check([0.0] * 6, [0.0, 0.0, force, 0.0, 0.0, 0.0]) for force in forces)
 
 
+def test_weak_vibrations_are_found_and_a_blow_that_rings_is_none() -> None:
+    weak, blow = PowerGuard(0.005), PowerGuard(0.005)
+    swings = [5.0 if tick // 2 % 2 else -5.0 for tick in range(150)]
+    said = [weak.check([0.0] * 6, [force, 0.0, 0.0, 0.0, 0.0, 0.0]) for force in swings]
+    assert "190 N of reversals of at most 10 N each in 0.2 s, 190 N allowed" in next(filter(None, said))
+    assert not any(said[:90])
+    ringing = [60.0, -60.0, 30.0, -30.0, 10.0, -10.0, 5.0, -5.0, *[0.0] * 92] * 3
+    assert not any(blow.check([0.0] * 6, [0.0, 0.0, force, 0.0, 0.0, 0.0]) for force in ringing)
+
+
 @pytest.mark.parametrize("period", [0.005, 0.001])
 def test_energy_is_force_times_path_over_the_last_second(period: float) -> None:
     """10 N along 4 mm give 40 mJ; once more within the second, too much."""

@@ -149,6 +149,7 @@ def figures(flown: Flown, since: float) -> Row:
         "off": rounded(float(off[0]) if off.size else math.nan),
         "touched": rounded(float(rows[contact, 0][0]) if contact.any() else math.nan),
         "reversals": rounded(flown.reversals, 2),
+        "small": rounded(flown.small, 2),
         "energy": rounded(flown.energy, 5),
         "bears": rounded(flown.bears, 5) if math.isfinite(flown.bears) else None,
     }
@@ -621,7 +622,7 @@ def print_good(rows: list[Row]) -> None:
         if not own:
             continue
         early = sum(row["outcome"] != "landed" for row in own)
-        sums = largest(own, "reversals", 1), f"{1e3 * max(row['energy'] for row in own):.1f}"
+        sums = largest(own, "reversals", 1), largest(own, "small", 1), f"{1e3 * max(row['energy'] for row in own):.1f}"
         table.append((rate, hand, len(own), early, *sums, largest(own, "active"), largest(own, "above", 3)))
         known = [row for row in own if row["rms"]]
         parts = [(*row["rms"], *row["largest"]) for row in known]
@@ -630,10 +631,10 @@ def print_good(rows: list[Row]) -> None:
             middle = np.median([row["rms"][0] for row in known])
             figures = f"{middle:.3f}", f"{force:.3f}", f"{most:.3f}", f"{1e3 * torque:.2f}", f"{1e3 * turned:.2f}"
             errors.append((rate, hand, len(known), *figures))
-    head = "flights", "ended early", "reversals [N]", "energy [mJ]", "speed [m/s]", "above 0.30 m/s [s]"
+    head = "flights", "ended early", "reversals [N]", "of 10 N", "energy [mJ]", "speed [m/s]", "above 0.30 m/s [s]"
     print_table("rate", "hand", *head, rows=table)
-    head = "flights", "rms [N], median", "rms, worst", "largest [N]", "rms [mN m], worst", "largest [mN m]"
-    print_table("rate", "hand", *head, rows=errors)
+    errors_head = "rms [N], median", "rms, worst", "largest [N]", "rms [mN m], worst", "largest [mN m]"
+    print_table("rate", "hand", "flights", *errors_head, rows=errors)
 
 
 def print_takeoffs(rows: list[Row]) -> None:

@@ -136,10 +136,11 @@ class NotedPower(PowerGuard):
 
     Attributes:
         reversals: Largest reversals [N].
+        small: Largest reversals of up to 10 N each [N].
         energy: Largest energy given out within a second [J].
     """
 
-    reversals = energy = 0.0
+    reversals = small = energy = 0.0
 
     def check(self, position: Any, force: Any) -> str:
         """Add one sample; return what is wrong, or ""."""
@@ -147,10 +148,10 @@ class NotedPower(PowerGuard):
         self.energy = max(self.energy, self._sums[-1] - self._sums[0])
         return said
 
-    def _turned(self, axis: int, force: float, weight: float) -> float:
-        found = super()._turned(axis, force, weight)
-        self.reversals = max(self.reversals, found)
-        return found
+    def _turned(self, axis: int, force: float, weight: float) -> tuple[float, float]:
+        found, small = super()._turned(axis, force, weight)
+        self.reversals, self.small = max(self.reversals, found), max(self.small, small)
+        return found, small
 
 
 class Flown(NamedTuple):
@@ -172,6 +173,8 @@ class Flown(NamedTuple):
     """Longest delay that the scene bears [s]."""
     reversals: float
     """Largest reversals of the laws' force, by the guard's sum [N]."""
+    small: float
+    """Largest reversals of up to 10 N each, by the guard's sum [N]."""
     energy: float
     """Largest energy that the laws gave out in a second, by the guard's sum [J]."""
 
@@ -287,7 +290,7 @@ def fly(
     for _ in range(round(0.4 * rate)):  # it falls, or rests
         twin.sample()
     found = np.array(rows), np.array(wrenches)
-    return Flown(outcome, *found, began[0], ended[0], line.delays, bears, power.reversals, power.energy)
+    return Flown(outcome, *found, began[0], ended[0], line.delays, bears, power.reversals, power.small, power.energy)
 
 
 def rounded(value: float, digits: int = 4) -> float | None:
