@@ -226,6 +226,34 @@ def test_what_balances_is_drawn_as_long_on_both_sides() -> None:
     assert scenery.model.vis.rgba.constraint[:3] == pytest.approx(HAND)
 
 
+@pytest.mark.parametrize("meshes", [True, False])
+def test_windings_are_drawn_once_at_their_coils_and_lit_by_their_current(
+    shot: Snapshot, meshes: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As turns of the scene's mesh; as simple shapes where a model has none.
+    if not meshes:
+        monkeypatch.setattr(Joystick, "model", "maglev")
+    scenery = Scenery(Joystick)
+    currents = np.array([10.0, 5.0, 0.0, 0.0, -10.0, 2.0])
+    turned = replace(shot, faces=[], currents=currents, pose=np.array([1e-3, 0.0, 2e-3, 0.02, 0.0, 0.05]))
+    scene = mujoco.MjvScene(scenery.model, 500)
+    scenery.place(turned)
+    scenery.decorate(scene, turned)
+    mesh, model = int(mujoco.mjtGeom.mjGEOM_MESH), scenery.model
+    windings = [geom for geom in scene.geoms[: scene.ngeom] if geom.type in (mesh, int(mujoco.mjtGeom.mjGEOM_CAPSULE))]
+    assert len(windings) == (18 if meshes else 24)
+    places = scenery.data.site_xpos[model.actuator_trnid[:6, 0]]
+    found: list[Any] = [[] for _ in range(6)]
+    for geom in windings:
+        found[np.linalg.norm(places - geom.pos, axis=1).argmin()].append(geom)
+    for place, current, own in zip(places, currents, found, strict=True):
+        assert np.allclose(np.mean([geom.pos for geom in own], axis=0), place, atol=1.5e-3)
+        for geom in own:
+            assert geom.emission == pytest.approx(0.08 * abs(current)) and (geom.rgba[1] < 0.1) is (abs(current) == 10)
+    simple = model.geom_group == 2
+    assert simple.sum() == 48 and (model.geom_rgba[simple, 3] == 0.0).all() == meshes
+
+
 def test_no_stop_is_named_where_none_is_met(shot: Snapshot) -> None:
     assert met_stops(shot).words == "" and met_stops(shot).faces == ()
 

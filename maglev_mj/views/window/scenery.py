@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -120,16 +120,35 @@ def _zoom(view: Area, free: Area) -> float:
     return max(_HIGH * view.height / max(free.height, 1), _WIDE * view.height / max(free.width, 1))
 
 
-_WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.22), (*TOUCHED, 0.42), (*STUCK, 0.40), (*STOP, 0.55)
+_WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), (*STUCK, 0.40), (*STOP, 0.40)
+_EDGE = 0.6  # of a wall's colour: glass is faint, so that colours behind it stay what they are
 _COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
 _MOST = Spec.peak_current.value
-_GLOW, _GHOST_SIZE, _AXIS = 1.12, 1.08, 30
-_SLICES = 32, 16
+_GLOW, _GHOST_SIZE, _AXIS = 1.06, 1.08, 30
+_SLICES = 40, 16
+_SIMPLE = 2
+"""Group of the device's shapes that a scene's meshes stand in for."""
+
+_TURNS, _UPRIGHT = (-0.0015, 0.0, 0.0015), np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+"""Turns of a winding along its axis [m], and the turn of a vertical coil's from lying."""
+
 _IDENTITY = np.eye(3).ravel()
 _SPHERE, _UNSEEN = int(mujoco.mjtGeom.mjGEOM_SPHERE), (0.0, 0.0, 0.0, 0.0)
 
 _Shade: TypeAlias = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
+
+
+class _Winding(NamedTuple):
+    """One shape of a coil's winding, in the frame of the coil's site."""
+
+    coil: int
+    site: int
+    kind: int
+    size: Array
+    mesh: int
+    place: Array
+    turn: Array
 
 
 class Scenery:
@@ -216,38 +235,53 @@ class Scenery:
             ) is not None:
                 shape.label = name
 
-    def _find_windings(self) -> list[tuple[int, int]]:
-        """Return winding shapes with their coil numbers."""
-        model = self.model
-        copper = model.material("copper").id
-        shapes = np.flatnonzero(model.geom_matid == copper)
-        places = self.data.site_xpos[model.actuator_trnid[: len(COILS), 0]]
-        away = np.linalg.norm(self.data.geom_xpos[shapes][:, None] - places, axis=-1)
-        return list(zip(shapes.tolist(), away.argmin(axis=1).tolist(), strict=True))
+    def _find_windings(self) -> list[_Winding]:
+        """Return the windings: turns of the scene's mesh, or the device's simple shapes where there is none."""
+        model, data = self.model, self.data
+        sites = model.actuator_trnid[: len(COILS), 0]
+        mesh = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_MESH, "winding")
+        if mesh >= 0:
+            model.geom_rgba[model.geom_group == _SIMPLE] = 0.0
+            own, none = np.zeros(9), np.zeros(3)
+            mujoco.mju_quat2Mat(own, model.mesh_quat[mesh])
+            turns = [_UPRIGHT if name.startswith("vertical") else np.eye(3) for name in COILS]
+            kind = int(mujoco.mjtGeom.mjGEOM_MESH)
+            return [
+                _Winding(coil, sites[coil], kind, none, 2 * mesh, along * turn[:, 2], turn @ own.reshape(3, 3))
+                for coil, turn in enumerate(turns)
+                for along in _TURNS
+            ]
+        found = []
+        for shape in np.flatnonzero(model.geom_matid == model.material("copper").id):
+            coil = int(np.linalg.norm(data.site_xpos[sites] - data.geom_xpos[shape], axis=1).argmin())
+            back = data.site_xmat[sites[coil]].reshape(3, 3).T
+            place, turn = data.geom_xpos[shape] - data.site_xpos[sites[coil]], data.geom_xmat[shape].reshape(3, 3)
+            kind, size = int(model.geom_type[shape]), _GLOW * model.geom_size[shape]
+            found.append(_Winding(coil, sites[coil], kind, size, -1, back @ place, back @ turn))
+        return found
 
     def _draw_coils(self, scene: Any, snapshot: Snapshot) -> None:
         """Draw the windings, coloured by their current.
 
         The colour goes from copper over yellow to red at the limit.
         """
-        for shape, coil in self._windings:
+        for coil, site, kind, size, mesh, place, turn in self._windings:
             share = min(abs(float(snapshot.currents[coil])) / _MOST, 1.0)
             colour = _LIMIT if share > 0.999 else _COLD + share * (_WARM - _COLD)
-            _add(
-                scene,
-                int(self.model.geom_type[shape]),
-                self.model.geom_size[shape] * [_GLOW, 1.0, 1.0],
-                self.data.geom_xpos[shape],
-                self.data.geom_xmat[shape],
-                (*colour.tolist(), 1.0),
-                emission=0.2 + 0.6 * share,
-            )
+            frame = self.data.site_xmat[site].reshape(3, 3)
+            at, matrix = self.data.site_xpos[site] + frame @ place, (frame @ turn).ravel()
+            shape = _add(scene, kind, size, at, matrix, (*colour.tolist(), 1.0), emission=0.8 * share)
+            if shape is not None:
+                shape.dataid = mesh
 
     def _draw_plate(self, scene: Any, face: tuple[int, float, float], colour: _Shade) -> None:
         """Draw a wall's plane; rotations have none."""
         if (plate := wall_plate(face)) is not None:
             centre, size = plate
             _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour)
+            red, green, blue, _ = colour
+            edge = _EDGE * red, _EDGE * green, _EDGE * blue, 1.0
+            _add(scene, int(mujoco.mjtGeom.mjGEOM_LINEBOX), size, centre, _IDENTITY, edge)
 
     def _draw_ring(self, scene: Any, pose: Array, colour: _Shade) -> None:
         """Highlight the knob's rim, for a rotation stop."""
