@@ -236,7 +236,7 @@ class Scenery:
                 shape.label = name
 
     def _find_windings(self) -> list[_Winding]:
-        """Return the windings: turns of the scene's mesh, or the device's simple shapes where there is none."""
+        """Return the windings: turns of the scene's mesh, else the device's simple shapes."""
         model, data = self.model, self.data
         sites = model.actuator_trnid[: len(COILS), 0]
         mesh = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_MESH, "winding")
