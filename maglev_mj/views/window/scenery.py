@@ -130,7 +130,7 @@ _SIMPLE = 2
 """Group of the device's shapes that a scene's meshes stand in for."""
 
 _TURNS, _UPRIGHT = (-0.0015, 0.0, 0.0015), np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-"""Turns of a winding along its axis [m], and the turn of a vertical coil's from lying."""
+"""Offsets of a winding's turns along its axis [m], and the rotation of a vertical coil."""
 
 _IDENTITY = np.eye(3).ravel()
 _SPHERE, _UNSEEN = int(mujoco.mjtGeom.mjGEOM_SPHERE), (0.0, 0.0, 0.0, 0.0)
