@@ -71,6 +71,7 @@ Stability and design:
 Studies:
 
     sweep                    runs a scene over a grid of parameters
+    compare                  laws of a wall side by side in one scene
     run_cells                runs a function of your own over a grid
     local_workers            processes of this machine
     dask_workers             workers of a Dask cluster

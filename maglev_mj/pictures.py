@@ -33,16 +33,7 @@ A page shows no more than 8.6 (830 px), so that letters keep their size.
 FORMATS = "png", "pdf", "svg"
 """Formats of pictures."""
 
-_DASHES: Sequence[Any] = (
-    "-",
-    (0, (4, 1.5)),
-    (0, (5, 1.5, 1, 1.5)),
-    (0, (1.5, 1)),
-    (0, (7, 1.5)),
-    (0, (4, 1, 1, 1, 1, 1)),
-    (0, (1, 2.2)),
-    (0, (3, 1, 3, 1, 1, 1)),
-)
+_DASHES = (), (4, 1.5), (5, 1.5, 1, 1.5), (1.5, 1), (7, 1.5), (4, 1, 1, 1, 1, 1), (1, 2.2), (3, 1, 3, 1, 1, 1)
 
 _COLUMNS = 3  # of a grid
 _SHOWN = 100.0  # resolution in a notebook [dots per inch]
@@ -145,7 +136,8 @@ def line_style(index: int) -> dict[str, Any]:
         >>> line_style(0)["linestyle"]
         '-'
     """
-    return {"color": SERIES[index % len(SERIES)], "linestyle": _DASHES[index % len(_DASHES)]}
+    dashes = _DASHES[index % len(_DASHES)]
+    return {"color": SERIES[index % len(SERIES)], "linestyle": (0, dashes) if dashes else "-"}
 
 
 @overload
@@ -259,31 +251,17 @@ def small_multiples(panels: Sequence[Panel], path: Path) -> Path:
     figure, axes = new_figure(rows, 2, rows * (3.3 + 0.19 * lines))
     for axis, panel in zip(axes, panels):
         for index, (label, x, y) in enumerate(panel.curves):
-            color = SERIES[index % len(SERIES)]
-            axis.plot(
-                x,
-                y,
-                label=label,
-                color=color,
-                linewidth=1.7,
-                linestyle=("-", "--", "-.", ":")[index // 2 % 4],
-                marker="o" if panel.marked else None,
-                markersize=4,
-            )
+            style = line_style(index) | {"marker": "o" if panel.marked else None, "markersize": 4}
+            axis.plot(x, y, label=label, linewidth=1.7, **style)
             if panel.outside and np.any(hollow := np.asarray(panel.outside[index])):
-                style = {"color": color, "markersize": 6, "markerfacecolor": "white", "linestyle": "none"}
-                axis.plot(np.asarray(x)[hollow], np.asarray(y)[hollow], marker="o", **style)
-        if "x" in panel.log:
-            axis.set_xscale("log")
-        if "y" in panel.log:
-            axis.set_yscale("log")
+                style |= {"marker": "o", "markersize": 6, "markerfacecolor": "white", "linestyle": "none"}
+                axis.plot(np.asarray(x)[hollow], np.asarray(y)[hollow], **style)
+        axis.set(**{f"{name}scale": "log" for name in panel.log}, xlabel=panel.labels[0], ylabel=panel.labels[1])
         if panel.level is not None:
             axis.axhline(panel.level, color=REFERENCE, linewidth=1.0, linestyle=":")
         if panel.top is not None:
             axis.set_ylim(-0.02 * panel.top if "y" not in panel.log else None, panel.top)
         axis.set_title(panel.title, **TITLE)
-        axis.set_xlabel(panel.labels[0])
-        axis.set_ylabel(panel.labels[1])
         if any(np.any(hollow) for hollow in panel.outside):
             hollow_point = {"color": REFERENCE, "markersize": 6, "markerfacecolor": "white"}
             axis.plot([], [], "o", label="hollow: leaves the device's range", **hollow_point)

@@ -11,7 +11,7 @@ from maglev_mj.colours import SERIES
 from maglev_mj.control import AxisLaw, Law, gain
 from maglev_mj.parameters import param
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.pictures import drop_phases, figure_6, phase_plane, series, spread, time_series
+from maglev_mj.scenes.pictures import figure_6, phase_plane, series, spread, time_series
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.run import run, run_phases, run_variants
@@ -78,20 +78,20 @@ class Beside(Drop):
         return {"mine": self, "published": published, "soft": published.replace(stiffness=3000.0)}
 
 
-@pytest.mark.parametrize("draw", [time_series, phase_plane, drop_phases])
+@pytest.mark.parametrize("draw", [time_series, phase_plane, spread])
 def test_laws_of_ones_own_have_lines_of_their_own_beside_published_ones(draw: Any) -> None:
     found = drops(Beside(), bands=20)
     figure = draw(found)
     drawn = lines(figure.axes[0])
     assert len({drawn[label].get_color() for label in found.runs}) == 3
     assert len({str(drawn[label]._unscaled_dash_pattern) for label in found.runs}) == 3
-    if draw is not drop_phases:
+    if draw is not spread:
         said = figure.get_suptitle()
         assert "shaded: all of 20 phases" in said and "N/m" not in said and "N s/m" not in said
         assert [panel.get_title(loc="left") for panel in figure.axes] == [""] * len(figure.axes)
 
 
-@pytest.mark.parametrize("draw", [time_series, phase_plane, drop_phases, series, spread, figure_6])
+@pytest.mark.parametrize("draw", [time_series, phase_plane, series, spread, figure_6])
 def test_eight_variants_differ_in_their_dashes_and_so_without_colour(draw: Any) -> None:
     scene = Press(hits=1) if draw is figure_6 else DROP.replace(duration=0.1)
     pulses = {f"pulse {pulse:g}": scene.replace(pulse=pulse) for pulse in (220.0, 140.0, 100.0, 60.0)}

@@ -155,7 +155,7 @@ def test_an_error_in_a_file_is_one_line_and_leaves_nothing(source: str, words: s
         with pytest.raises(ParameterError) as refused:
             find_scene(str(push))
         said = str(refused.value)
-        assert said.startswith(f"scene my_push.py cannot be read: {words}") and "\n" not in said
+        assert said.startswith(f"file my_push.py cannot be read: {words}") and "\n" not in said
     assert sys.path == path and set(sys.modules) == modules
     push.write_text(PUSH)
     assert find_scene(str(push)).name == "push"

@@ -154,7 +154,7 @@ def test_a_file_that_needs_its_neighbour_is_refused_by_a_worker_in_one_line(file
     )
     cls = find_scene(str(file))
     assert len(sweep(cls, GRID, plant="exact").results) == 6  # this process has read both
-    with pytest.raises(ParameterError, match=r"scene Magnet.py cannot be read: ModuleNotFoundError: No module named"):
+    with pytest.raises(ParameterError, match=r"file Magnet.py cannot be read: ModuleNotFoundError: No module named"):
         sweep(cls, GRID, plant="exact", workers=1)
 
 

@@ -221,17 +221,18 @@ def write_results(
 
 
 def write_result(json: str | None, result: Result, pictures: PictureFolder | None = None, picture: str = "") -> None:
-    """Write a result as JSON and picture if chosen, and print its table.
+    """Write a result as JSON and pictures if chosen, and print its table.
 
     Args:
         json: File of the JSON, or "-"; None for none.
         result: The result.
-        pictures: Folder of the picture; None for none.
-        picture: Name of the picture's file, without an ending.
+        pictures: Folder of the pictures; None for none.
+        picture: Name of the picture's file, without an ending; empty for all `pictures` of the result, by name.
     """
 
     def draw() -> Sequence[Path]:
-        return () if pictures is None else [result.plot(pictures.path(picture))]
+        named = {picture: {}} if picture else {name: {"picture": name} for name in getattr(result, "pictures", ())}
+        return [] if pictures is None else [result.plot(pictures.path(name), **one) for name, one in named.items()]
 
     write_results(json, result.as_json, lambda: str(result.table()), draw)
 

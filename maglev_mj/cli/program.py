@@ -47,6 +47,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "run": Command("run any scene: of this package, or a file of yours", "twist --plant exact --json run.json"),
         "stability": Command("where a wall is stable (figure 2), or a scene", "--hand arm --delay 0.002 --grid 20"),
         "design": Command("the stiffest wall for what is uncertain", "--mass 0.56:0.84 --hand arm,stylus"),
+        "compare": Command("your law of a wall beside published ones", "drop --law pd --law observer --out figures"),
         "sweep": Command("any scene over a grid of its parameters", "drop --vary height=1e-3:4e-3:4 --workers 2"),
         "fidelity": Command("the cheapest model that will do for a scene", "let-go --duration 0.02 --phases 2"),
         "info": Command("Table 1 of the paper, and what the model yields", "--json table1.json"),
@@ -73,7 +74,7 @@ MODULES: Mapping[str, str] = {
     name: module
     for module, names in {
         "scenes": "view tour render serve-spacenav drop press stick-slip run",
-        "studies": "stability design sweep fidelity",
+        "studies": "stability design compare sweep fidelity",
         "twin": "twin",
         "bridge": "bridge",
         "device": "info estop commission conform",

@@ -17,10 +17,12 @@ import numpy as np
 from maglev_mj.cli.declare import Option, Parser, Shared, declare, declared, option
 from maglev_mj.cli.options import (
     Json,
+    Pictures,
     add_parameters,
     add_phase,
     add_scene,
     chosen,
+    chosen_scene,
     described,
     given,
     json_of,
@@ -37,6 +39,8 @@ from maglev_mj.plants.hand import HANDS
 from maglev_mj.result import plain
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.cells import Record, StudyInterrupted, Workers, WorkersError, dask_workers, local_workers
+from maglev_mj.studies.compare import LAWS
+from maglev_mj.studies.compare import compare as compare_laws
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
 from maglev_mj.studies.drop_map import PART, DropMapParameters, run_drop_map
 from maglev_mj.studies.fidelity import (
@@ -196,6 +200,25 @@ def _values(cls: type[Scene], name: str, text: str) -> list[Any]:
         raise ParameterError(f"{name} must vary as LOW:HIGH:COUNT, A,B,C or A;B;C, not {text!r}")
     value_of(cls, name, parts[0])  # is there such a parameter, and is it a number?
     return [float(value) for value in np.linspace(low, high, count)]
+
+
+def compare(
+    *,
+    scene: Annotated[Scene, Shared(add_scene, chosen_scene)],
+    law: Annotated[
+        list[str], option(f"{', '.join(LAWS)}, or one's own, which is run: FILE.py, FILE.py:CLASS", "laws", "LAW")
+    ],
+    phases: Annotated[int, option("phases of the samples, evenly spread over a period")] = 100,
+    phase: Annotated[float, option("phase of the motion that is drawn")] = 0.5,
+    plant: Annotated[str, option("exact, or mujoco", metavar="NAME")] = "exact",
+    json: Json = None,
+    pictures: Pictures,
+) -> int:
+    """Laws of a wall side by side in a scene: contact over the phases, noise, margins. Repeat --law for each."""
+    with Progress(f"compare {scene.name}") as progress:
+        result = compare_laws(scene, law, phases=phases, phase=phase, plant=plant, progress=progress)
+    write_result(json, result, pictures)
+    return 0
 
 
 _WALL = "parameters of a wall"

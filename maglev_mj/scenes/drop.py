@@ -31,7 +31,7 @@ class Drop(WallScene):
     plots: ClassVar[Mapping[str, str]] = {
         "drop_time": "maglev_mj.scenes.pictures:time_series",
         "drop_phase_plane": "maglev_mj.scenes.pictures:phase_plane",
-        "drop_phases": "maglev_mj.scenes.pictures:drop_phases",
+        "drop_phases": "maglev_mj.scenes.pictures:spread",
     }
     drawn_phases: ClassVar[int] = 100
 

@@ -327,6 +327,10 @@ def _ripple(result: RunResult) -> Any:
     return np.ptp(result.line.at(np.linspace(max(end - 0.05, 0.0), end, 501))[0][..., 0], axis=0)
 
 
+def _hardness(result: RunResult) -> Any:
+    return perceived_hardness(result.trace, 0.005, axis=result.scene.axis_index).extended
+
+
 def _press_name(name: str) -> str:
     return f"hit_{name}" if name in HIT_FIGURES else name if name == "absorbed" else f"press_{name}"
 
@@ -339,6 +343,7 @@ STOCK: Mapping[str, Figure] = {
         Figure("peak_force", _bounce("peak_force"), "N", "largest force of the actuators", late=True),
         Figure("settling_time", _bounce("settling_time"), "ms", "time until within 2 % of rest", 1e3, late=True),
         Figure("final_z", _bounce("final_z"), "mm", "height at the end", 1e3, late=True),
+        Figure("hardness", _hardness, "kN/m", "fastest rise of the force over 5 ms, by speed of impact", 1e-3),
         Figure("peak_speed", _peak_speed, "mm/s", "greatest speed", 1e3),
         Figure("stick_time", _stick_time, "ms", "when it last stuck", 1e3, batched=False),
         Figure(

@@ -12,12 +12,14 @@ from importlib.util import decode_source
 from pathlib import Path
 from traceback import walk_tb
 from types import ModuleType
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 from maglev_mj.errors import ParameterError, check_instance, not_one_of, one_line
 from maglev_mj.scenes.names import BUILT_IN, installed_scenes, scene_names
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.versions import TEXT, file_of, hash_of
+
+T = TypeVar("T")
 
 _OWN = "maglev_mj_scene_"
 
@@ -42,9 +44,8 @@ def find_scene(text: str) -> type[Scene]:
     check_instance("scene", text, str, "a name, FILE.py or FILE.py:CLASS")
     if text in BUILT_IN:
         return _in_module(BUILT_IN[text])
-    path, _, wanted = text.partition(".py:") if ".py:" in text else (text.removesuffix(".py"), "", "")
-    if path != text:
-        return _of_file(Path(f"{path}.py"), wanted)
+    if text.endswith(".py") or ".py:" in text:
+        return class_in_file(text, Scene)
     for entry in installed_scenes():
         if entry.name == text:  # loaded on demand: a broken package breaks only its own scene
             return _installed(entry)
@@ -181,27 +182,37 @@ def _installed(entry: Any) -> type[Scene]:
     return found
 
 
-def _of_file(path: Path, wanted: str) -> type[Scene]:
+def class_in_file(text: str, base: type[T]) -> type[T]:
+    """Return the class of a kind in a file, which is run, as Python would run it.
+
+    Args:
+        text: FILE.py, or FILE.py:CLASS if the file has several.
+        base: Its base class, such as `Scene` or `Law`.
+
+    Raises:
+        ParameterError: If there is no such class, or the file cannot be read or fails.
+    """
+    name, _, wanted = text.partition(".py:") if ".py:" in text else (text.removesuffix(".py"), "", "")
+    path, kind = Path(f"{name}.py"), base.__name__
     if not path.is_file():
-        raise ParameterError(f"scene must be a file that is there, not {str(path)!r}")
-    module = _run(path.resolve(), path.stat().st_mtime_ns)
-    found = _scenes_of(module)
+        raise ParameterError(f"{kind.lower()} must be a file that is there, not {str(path)!r}")
+    found = _classes_of(_run(path.resolve(), path.stat().st_mtime_ns), base)
     if wanted:
         if wanted not in found:
-            raise ParameterError(not_one_of(f"scene of {path.name}", found or ["none"], wanted))
+            raise ParameterError(not_one_of(f"{kind.lower()} of {path.name}", found or ["none"], wanted))
         return found[wanted]
     if len(found) != 1:
-        several = f"has {', '.join(found)}: name one as {path.name}:CLASS" if found else "has no class of Scene"
-        raise ParameterError(f"scene must be one of its file, but {path.name} {several}")
+        several = f"has {', '.join(found)}: name one as {path.name}:CLASS" if found else f"has no class of {kind}"
+        raise ParameterError(f"{kind.lower()} must be one of its file, but {path.name} {several}")
     return next(iter(found.values()))
 
 
-def _scenes_of(module: ModuleType) -> dict[str, type[Scene]]:
-    """Return the scene classes that a module defines, by name."""
+def _classes_of(module: ModuleType, base: type[T]) -> dict[str, type[T]]:
+    """Return the classes of a kind that a module defines, by name."""
     return {
         value.__name__: value
         for value in vars(module).values()
-        if isinstance(value, type) and issubclass(value, Scene) and value.__module__ == module.__name__
+        if isinstance(value, type) and issubclass(value, base) and value.__module__ == module.__name__
     }
 
 
@@ -229,13 +240,13 @@ def _made(name: str, text: str | bytes, file: str) -> ModuleType:
         text = text if isinstance(text, str) else decode_source(text)
         setattr(module, TEXT, text)
         exec(compile(text, file, "exec"), module.__dict__)
-        for cls in _scenes_of(module).values():
+        for cls in _classes_of(module, Scene).values():
             copyreg.pickle(cls, _reduced)  # no other process has this module
     except Exception as error:
         del sys.modules[name]
         if before is not None:  # whose scenes go on
             sys.modules[name] = before
-        raise ParameterError(f"scene {Path(file).name} cannot be read: {_said(error)}") from error
+        raise ParameterError(f"file {Path(file).name} cannot be read: {_said(error)}") from error
     return module
 
 

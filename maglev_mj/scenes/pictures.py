@@ -92,7 +92,8 @@ def series(variants: Variants) -> Any:
     panels[-1].set_xlim(0.0, max(float(first["time"][-1]), _FINE))
     scene = result.scene
     panels[0].set_title(
-        f"{scene.name}, axis {scene.axis}, {1.0 / scene.period:g} Hz, delay {scene.delay * 1e3:g} ms ({result.plant})",
+        f"{scene.name}, axis {scene.axis}, {1.0 / scene.period:g} Hz, delay {scene.delay * 1e3:g} ms"
+        f"{f', phase {result.phase:g}' * scene.takes_phase} ({result.plant})",
         **TITLE,
     )
     if len(shown) > 1:
@@ -104,22 +105,26 @@ def spread(variants: Variants) -> Any:
     """Draw each figure over the sampling phase.
 
     Args:
-        variants: The runs, with their phases.
+        variants: The runs, with their phases or bands.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
+        ParameterError: If there are neither phases nor bands.
     """
     scene = variants.first.scene
+    shown = variants.phases or {label: band.over_phases() for label, band in variants.bands.items()}
+    if not shown:
+        raise ParameterError("phases must be run for their picture: see run_phases")
     figure, panels = new_grid(len(scene.figures), 0.6, sharex=True)
     for panel, (name, one) in zip(panels, scene.figures.items()):
-        for place, (label, sweep) in enumerate(variants.phases.items()):
+        for place, (label, sweep) in enumerate(shown.items()):
             values = np.asarray(sweep.figures[name], dtype=np.float64).reshape(len(sweep.phases), -1) * one.scale
             lines = panel.plot(sweep.phases, values, **line_style(place))
             lines[0].set_label(label)
         panel.set_title(axis_label(name, unit_of(one.unit, scene.axis, one.along)), **TITLE)
         panel.set_xlim(0.0, 1.0)
         panel.set_xlabel("phase of the first sample")
-    if len(variants.phases) > 1:
+    if len(shown) > 1:
         name_curves(figure, panels[:1])
     return figure
 
@@ -195,35 +200,6 @@ def phase_plane(variants: Variants) -> Any:
     return figure
 
 
-def drop_phases(variants: Variants) -> Any:
-    """Draw penetration, rebound and peak force over the phase.
-
-    Args:
-        variants: The drops, with their phases or bands.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
-        ParameterError: If there are neither phases nor bands.
-    """
-    shown = variants.phases or {label: band.over_phases() for label, band in variants.bands.items()}
-    if not shown:
-        raise ParameterError("phases must be run for their picture: see run_phases")
-    figure, panels = new_figure(1, 3, 3.6, sharex=True)
-    styles = _styles(shown)
-    for label, sweep in shown.items():
-        style = styles[label]
-        for panel, name in zip(panels, ("penetration", "rebound", "peak_force"), strict=True):
-            panel.plot(sweep.phases, sweep.figures[name] * sweep.scene.figures[name].scale, **style)
-    for panel, name in zip(panels, ("penetration (mm)", "rebound (mm)", "peak force (N)"), strict=True):
-        panel.set_title(name, **TITLE)
-        panel.set_ylim(bottom=0.0)
-        panel.set_xlim(0.0, 1.0)
-        panel.set_xlabel("phase of the first sample\n(periods)")
-    panels[2].axhline(Spec.largest_vertical_force.value, **_LIMIT)
-    name_curves(figure, panels[2:])
-    return figure
-
-
 _IDEAL: dict[str, Any] = {"color": REFERENCE, "linestyle": ":", "linewidth": 1.8}
 _ANALOG: dict[str, Any] = _IDEAL | {"label": "analog wall, 10 kHz filter"}
 _LIMIT: dict[str, Any] = {
@@ -250,14 +226,6 @@ def _common_gains(scenes: Iterable[Any]) -> str:
     return "wall of {:g} N/m and {:g} N s/m, ".format(*common) if common else ""
 
 
-def _styles(labels: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Return the line style of each drop by label, the first in front."""
-    return {
-        label: {**line_style(place), "linewidth": 1.8, "zorder": 4.0 - 0.01 * place, "label": label}
-        for place, label in enumerate(labels)
-    }
-
-
 def _times(variants: Variants) -> Array:
     """Return the times to draw [s].
 
@@ -282,10 +250,10 @@ def _columns(variants: Variants, time: Array) -> list[list[_Drop]]:
     """Return the drops of each column, pulsed ones first."""
     pulsed: list[_Drop] = []
     plain: list[_Drop] = []
-    styles = _styles(variants.runs)
-    for label, result in variants.runs.items():
+    for place, (label, result) in enumerate(variants.runs.items()):
+        style = line_style(place) | {"label": label, "linewidth": 1.8, "zorder": 4.0 - 0.01 * place}
         band = _shown(variants.bands[label], time) if label in variants.bands else None
-        drop = _Drop(result.scene, styles[label], _shown(result, time), band)
+        drop = _Drop(result.scene, style, _shown(result, time), band)
         has_pulse = (_published(result.scene) or (0.0,))[-1] > 0.0
         (pulsed if has_pulse else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
@@ -354,9 +322,9 @@ def figure_6(variants: Variants) -> Any:
     """
     figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     first = variants.first
-    styles = _styles(variants.runs)
-    for label, result in variants.runs.items():
-        motion, style = result.series(_FINE), styles[label] | {"linewidth": 1.4}
+    for place, (label, result) in enumerate(variants.runs.items()):
+        motion = result.series(_FINE)
+        style = line_style(place) | {"label": label, "linewidth": 1.4, "zorder": 4.0 - 0.01 * place}
         upper.plot(motion["time"], motion["z"] * 1e3, **style)
         lower.step(motion["time"], motion["force"], where="post", **style)
     bottom, top = upper.get_ylim()
@@ -373,9 +341,7 @@ def figure_6(variants: Variants) -> Any:
     upper.set_ylim(bottom, top)
     upper.text(0.008, 0.02, "wall", transform=upper.transAxes, color=REFERENCE, fontsize=9.0)
     upper.set_ylabel("height above the wall (mm)")
-    lower.set_ylabel("control force (N)")
-    lower.set_xlabel("time (s)")
-    lower.set_xlim(0.0, p.end)
+    lower.set(xlabel="time (s)", ylabel="control force (N)", xlim=(0.0, p.end))
     name_curves(figure, [upper])
     upper.set_title(_describe(variants), **TITLE)
     return figure
@@ -402,9 +368,7 @@ def stick_slip(variants: Variants) -> Any:
     lower.plot(time, motion["velocity"] * 1e3, color=FIRST, linewidth=1.5)
     lower.plot(time, exact.velocity * 1e3, **_IDEAL)
     upper.set_ylabel(f"position along {p.axis} ({length})")
-    lower.set_ylabel(f"velocity ({length}/s)")
-    lower.set_xlabel("time (s)")
-    lower.set_xlim(0.0, max(float(time[-1]), 1e-3))
+    lower.set(xlabel="time (s)", ylabel=f"velocity ({length}/s)", xlim=(0.0, max(float(time[-1]), 1e-3)))
     name_curves(figure, [upper])
     upper.set_title(
         f"spring {p.spring:.4g}, breakaway {p.breakaway:.4g}, stiffness {p.stiffness:.4g}, damping {p.damping:.4g} "

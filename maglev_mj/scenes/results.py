@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -19,7 +19,7 @@ from maglev_mj.spec import RANGE, Spec
 
 _MOST_SHOWN = 4
 _SHARES = 50.0, 5.0, 95.0
-_SMALLER = {1.0: "", 1e3: "m", 1e6: "µ"}
+_PREFIXES = {1e-3: "k", 1.0: "", 1e3: "m", 1e6: "µ"}
 _STEP = 1e-3
 _ROUNDING = 1.0 + 1e-9
 _UNITS = {"time": "s", "position": "m", "velocity": "m/s", "force": "N", "z": "m", "target": "m", "stick_position": "m"}
@@ -68,7 +68,7 @@ class Figure:
     @property
     def si_unit(self) -> str:
         """SI unit of the function's values; empty if not known."""
-        prefix = _SMALLER.get(self.scale)
+        prefix = _PREFIXES.get(self.scale)
         return "" if prefix is None else self.unit.removeprefix(prefix)
 
     def text(self, value: Any, *bounds: Any) -> str:
@@ -83,13 +83,12 @@ class Figure:
         around = [self._number(bound) for bound in bounds]
         return f"{text} ({around[0]} to {around[1]})" if len(set(around)) > 1 else text
 
-    def spread(self, values: Any) -> str:
-        """Return median and 5 to 95 % over phases.
+    def spread(self, values: Any, shares: Iterable[float] = _SHARES) -> str:
+        """Return median and 5 to 95 %, or other percentiles, over phases.
 
         Several hits are pooled.
         """
-        pooled = np.ravel(values) if np.ndim(values) > 1 else values
-        return self.text(*(self.percentile(pooled, share) for share in _SHARES))
+        return self.text(*(self.percentile(np.ravel(values), share) for share in shares))
 
     def _number(self, value: float) -> str:
         return number_text(value * self.scale, 3, 2) if self.unit else number_text(value, 6)

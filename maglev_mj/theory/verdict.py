@@ -486,6 +486,43 @@ def _grouped(loops: Sequence[_Loop]) -> Iterator[_Group]:
         yield different, systems, axes
 
 
+def axis_loop(
+    controller: Controller, axis: int, *, pose: ArrayLike, delay: float, inertia: Array, hand: Hand | None = None
+) -> tuple[float, float]:
+    """Return static stiffness and largest modulus of one axis' loop at a pose, by linearisation.
+
+    Args:
+        controller: The controller, of laws for one device; it is not changed.
+        axis: Index into AXES; the other axes are left out.
+        pose: Pose [m, rad], (6,).
+        delay: Transport delay [s], up to 10 periods.
+        inertia: Mass and moments of inertia [kg, kg m²], (6,).
+        hand: The hand on the axis; None for a free flotor.
+
+    Returns:
+        Stiffness [N/m, N m/rad], infinite for an integrator, and modulus, below 1 for a stable loop; NaN if not known.
+
+    Raises:
+        MaglevError: If a law fails at the pose.
+
+    Example:
+        >>> import numpy as np
+        >>> from maglev_mj import Controller, Wall
+        >>> from maglev_mj.spec import INERTIA
+        >>> wall = Controller([Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)], period=0.005)
+        >>> inside, body = (0, 0, -1e-3, 0, 0, 0), np.array(INERTIA)
+        >>> stiffness, modulus = axis_loop(wall, 2, pose=inside, delay=0.0015, inertia=body)
+        >>> round(stiffness), round(modulus, 3)
+        (6000, 0.877)
+    """
+    (near,) = linearise(controller, pose)
+    loop = _loop(near, (axis,), near.scaled(inertia)[:, axis : axis + 1, axis : axis + 1], [])
+    if near.jumps[axis] or (loop.system is None and not loop.settles):
+        return math.nan, math.nan
+    ((_, roots),) = _roots(_grouped([loop]), delay, inertia, hand)
+    return float(loop.gains(inertia)[0][axis, axis]), _own_modulus(roots, loop.still)
+
+
 def delay_margins(
     controller: Controller, hands: Sequence[str], *, pose: ArrayLike = ZERO, inertia: ArrayLike = INERTIA
 ) -> dict[str, float]:

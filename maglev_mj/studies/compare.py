@@ -1,0 +1,224 @@
+"""Laws of a wall side by side in one scene: contact over the sampler's phases, noise and margins at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from inspect import Parameter, signature
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from maglev_mj.control import Law, ObserverWall, PredictiveWall, Wall
+from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.result import Table, plain, with_unit
+from maglev_mj.scenes.bench import WallScene, along
+from maglev_mj.scenes.find import SceneLike, class_in_file, get_scene
+from maglev_mj.scenes.results import Variants
+from maglev_mj.scenes.run import run_variants
+from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.studies.designed_wall import hum
+from maglev_mj.theory.boundary import colgate
+from maglev_mj.theory.closed_loop import bisect
+from maglev_mj.theory.verdict import axis_loop, inertia_of
+
+_SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
+_BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple"}
+"""Figures that a table leaves out: they tell more of hand and weight than of the law."""
+_PICTURES = "maglev_mj.scenes.pictures"
+_TICKS, _STEP, _MOST, _HALVINGS = 800, 1.2, 20, 13
+"""Samples of a noise; step of a gain's factor, most steps, and halvings of the last."""
+
+LawMaker = Callable[..., Law]
+"""Class of a law, or function that returns one, of numbers that `compare` gives by name."""
+
+
+def _pd(wall: Wall) -> Wall:
+    return replace(wall, pulse=0.0)
+
+
+LAWS: Mapping[str, LawMaker] = {
+    "pd": _pd,
+    "pulse": lambda wall: wall,
+    "half-sample": PredictiveWall,
+    "observer": ObserverWall,
+    "disturbance-observer": partial(ObserverWall, disturbance=True),
+    "colgate": partial(_pd),
+}
+"""Published laws by name; colgate is pd at the largest passive stiffness, without damping."""
+
+
+_MARGINS = {"stiffness": "N/m", "noise": "N", "modulus": "", "stiffest": "N/m", "margin": ""}
+"""Unit of each figure of `Comparison.margins`."""
+_AT_REST = "at rest in the wall: static stiffness and force noise, largest root, stiffest stable gain and its margin"
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison(Variants):
+    """Laws of a wall in one scene: runs and phases of `Variants` by law.
+
+    Attributes:
+        margins: Figures of each law at rest in the wall, in the scene's hand: `stiffness` against a slow push [N/m];
+            `noise`, the standard deviation of the force over a quantized sensor [N], see `hum`; `modulus`, the largest
+            of the wall's own eigenvalues, below 1 for a stable wall; `stiffest`, the stiffness gain at which that
+            changes, the other gains as they are [N/m]; and `margin`, that over the law's own gain. The last two are
+            NaN for a law without a stiffness.
+        scene: The scene with its own wall.
+    """
+
+    margins: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    scene: Any = None
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return a row for each law: median, 10th and 90th percentile of each figure, hits pooled; margins."""
+        columns: dict[str, NDArray[Any]] = {"law": np.array(list(self.phases))}
+        for name, one in self.first.scene.figures.items():
+            for end, share in _SHARES.items():
+                each = [one.percentile(np.ravel(phases.figures[name]), share) for phases in self.phases.values()]
+                columns[name + end] = np.array(each)
+        return columns | {name: np.array([one[name] for one in self.margins.values()]) for name in _MARGINS}
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        units = {name + end: one.si_unit for name, one in self.first.scene.figures.items() for end in _SHARES}
+        return units | _MARGINS
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the columns, and the figures of each law at each phase, ready for JSON."""
+        head = {"scene": self.scene.name, "plant": self.first.plant, "parameters": self.scene.as_json()}
+        return {**head, "columns": plain(self.columns()), "laws": plain(self.phases)}
+
+    def table(self) -> Table:
+        """Return a row for each law, of its contact and below of its rest in the wall."""
+        shown = {name: one for name, one in self.first.scene.figures.items() if name not in _BESIDE}
+        rows = [
+            [label, *(one.spread(phases.figures[name], _SHARES.values()) for name, one in shown.items())]
+            for label, phases in self.phases.items()
+        ]
+        head = [with_unit(name.replace("_", " "), one.unit) for name, one in shown.items()]
+        still = ["law", *map(with_unit, _MARGINS, _MARGINS.values())]
+        below = Table(_AT_REST, still, [[label, *one.values()] for label, one in self.margins.items()])
+        count = len(next(iter(self.phases.values())).phases)
+        over = f"plant {self.first.plant}: median (10 to 90 %) over {count} phases"
+        return Table(f"{self.scene.describe()}, {over}", ["law", *head], rows, below=[below])
+
+
+def compare(
+    scene: SceneLike,
+    laws: Collection[str | LawMaker] | Mapping[str, str | LawMaker],
+    *,
+    phases: int | ArrayLike = 100,
+    phase: float = 0.5,
+    plant: str = "exact",
+    progress: Callable[[int, int], object] | None = None,
+) -> Comparison:
+    """Run laws in place of a scene's wall and compare their contact, noise and margins.
+
+    A law of one's own is a class, or a function that returns one. It gets the numbers of the scene that its arguments
+    name: any parameter, such as stiffness, damping, period, delay and mass; axes; lower, the edge of the wall; inertia;
+    force_limit, infinite without a limit; and wall, the scene's own `Wall`. Other arguments need defaults.
+
+    Args:
+        scene: A scene with a wall, such as drop or press; see `run`.
+        laws: Names from `LAWS`, files as FILE.py or FILE.py:CLASS, which are run, classes or functions; a mapping gives
+            their labels.
+        phases: See `run_phases`.
+        phase: Phase at which the motion is kept, for a picture.
+        plant: Name from PLANTS.
+        progress: See `run_phases`.
+
+    Raises:
+        ParameterError: If the scene has no wall, there is no such law, or it needs a number that is not there.
+        DivergenceError: If a flotor leaves its range by a wide margin.
+
+    Example:
+        >>> from maglev_mj import compare
+        >>> found = compare("drop", ["pd", "pulse"], phases=8)
+        >>> (1e3 * found.columns()["penetration"]).round(2).tolist()  # [mm]
+        [2.91, 1.71]
+    """
+    chosen = get_scene(scene)
+    if not isinstance(chosen, WallScene) or not isinstance(chosen.laws()[0], Wall) or not chosen.stiffness:
+        raise ParameterError(f"scene must be one whose first law is a wall, such as drop or press, not {chosen.name}")
+    named = [(label, _named(law)[1]) for label, law in laws.items()] if isinstance(laws, Mapping) else map(_named, laws)
+    variants = {label: _with_law(chosen, label, law) for label, law in named}
+    if len(variants) < max(len(laws), 1):
+        raise ParameterError(f"law must be given, each once, and not be {', '.join(variants) or 'none'} alone")
+    margins = {label: _margins(variant) for label, variant in variants.items()}
+    found = run_variants(variants, plant=plant, phase=phase, phases=phases, progress=progress)
+    return Comparison(found.runs, found.phases, margins=margins, scene=chosen)
+
+
+def _named(law: str | LawMaker) -> tuple[str, LawMaker]:
+    """Return the label of a law and the law."""
+    if isinstance(law, str) and ".py" not in law:
+        check_one_of("law", LAWS, law, ", or a class of Law as FILE.py:CLASS")
+        return law, LAWS[law]
+    own = class_in_file(law, Law) if isinstance(law, str) else law
+    return getattr(own, "__name__", str(own)), own
+
+
+def _with_law(scene: WallScene, label: str, maker: LawMaker) -> WallScene:
+    """Return a scene with another law in place of its wall, and perceived hardness among its figures."""
+    cls = type(scene)
+
+    def laws(self: WallScene) -> list[Any]:
+        return [_made(label, maker, self, one) if isinstance(one, Wall) else one for one in cls.laws(self)]
+
+    figures, kept = {**cls.figures, "hardness": "hardness"}, {name: getattr(cls, name) for name in ("name", "title")}
+    plots = {f"compare_{cls.name}": f"{_PICTURES}:series", f"compare_{cls.name}_phases": f"{_PICTURES}:spread"}
+    own: type[WallScene] = type(cls.__name__, (cls,), {"laws": laws, "figures": figures, "plots": plots, **kept})
+    return own(**scene.independent_values() | (_passive(scene) if maker is LAWS["colgate"] else {}))
+
+
+def _passive(scene: WallScene) -> dict[str, float]:
+    """Return the gains of the stiffest passive wall, the delay counted as half of a further period."""
+    hand = _hand(scene)
+    damping = 0.0 if hand is None else hand.grip_damping if hand.soft else hand.damping  # next to the flotor
+    stiffness = float(colgate(0.0, period=scene.period + 2.0 * scene.delay, physical_damping=damping))
+    if not stiffness:
+        raise ParameterError("law colgate must have a hand with damping: without one, no stiffness is passive but 0")
+    return {"stiffness": stiffness, "damping": 0.0, "pulse": 0.0}
+
+
+def _hand(scene: WallScene) -> Any:
+    return getattr(scene.scripted_hand(), "hand", None)
+
+
+def _made(label: str, maker: LawMaker, scene: WallScene, wall: Wall) -> Law:
+    """Return a maker's law for the numbers of a scene."""
+    numbers = scene.independent_values() | {"axes": scene.axis, "lower": 0.0, "inertia": scene.mass, "wall": wall}
+    numbers["force_limit"] = math.inf if scene.force_limit is None else scene.force_limit
+    takes, fixed = signature(maker).parameters, getattr(maker, "keywords", {})
+    for name, one in takes.items():
+        if one.default is Parameter.empty and name not in numbers:
+            raise ParameterError(f"law {label} must have a default for {name}: {scene.name} has {', '.join(numbers)}")
+    return maker(**{name: value for name, value in numbers.items() if name in takes and name not in fixed})
+
+
+def _margins(scene: WallScene) -> dict[str, float]:
+    """Return the figures of a scene's first law at the depth at which its wall would bear the weight."""
+    body, place = inertia_of(scene), along("z", -scene.mass * GRAVITY / scene.stiffness)
+
+    def loop(scale: float) -> tuple[float, float]:
+        controller = scene.replace(stiffness=scale * scene.stiffness).controller()
+        return axis_loop(controller, 2, pose=place, delay=scene.delay, inertia=body, hand=_hand(scene))
+
+    def changed(scale: Any) -> Any:
+        return (loop(float(scale))[1] < 1.0) != (modulus < 1.0)
+
+    stiffness, modulus = loop(1.0)
+    factors = (_STEP if modulus < 1.0 else 1.0 / _STEP) ** np.arange(_MOST)
+    last = next((index for index, factor in enumerate(factors[1:]) if changed(factor)), None)
+    margin = math.nan if last is None else float(bisect(changed, factors[last], factors[last + 1], _HALVINGS))
+    law: Any = scene.laws()[0]
+    around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
+    around |= {"hand": _hand(scene), "quantum": scene.quantize or Spec.translation_resolution.value}
+    rest = stiffness if 1.0 < stiffness < 1e9 else scene.stiffness
+    noise = hum(0.0, law=law, stiffness=rest, duration=_TICKS * scene.period, **around).force.item()
+    gain = margin * float(getattr(law, "stiffness", math.nan))
+    return dict(zip(_MARGINS, (stiffness, noise, modulus, gain, margin), strict=True))

@@ -1,0 +1,260 @@
+"""Laws of a wall side by side: the figures of single studies, margins of theory, errors."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import cli
+from maglev_mj.control import Hold, ObserverWall, Wall
+from maglev_mj.errors import ParameterError
+from maglev_mj.plants.hand import get_hand
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.figures import perceived_hardness
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.run import run, run_phases
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.studies.compare import _MARGINS, LAWS, Comparison, compare
+from maglev_mj.studies.designed_wall import hum
+from maglev_mj.theory.boundary import boundary_of, largest_stable_stiffness
+from maglev_mj.theory.closed_loop import SampledLoop, largest_modulus
+
+OWN = """
+from maglev_mj import AxisLaw, Law, gain
+
+
+class Mine(AxisLaw):
+    stiffness: float = gain("stiffness", "N/m")
+    damping: float = gain("damping", "N s/m")
+    share: float = gain("share of the force", default=1.0)
+
+    def force(self, x, v, gains, state):
+        return (x <= 0.0) * -(gains.share * (gains.stiffness * x + gains.damping * v))
+
+
+class Needy(Law):
+    def __init__(self, temperature):
+        self.temperature = temperature
+
+
+class Other:
+    pass
+"""
+pytestmark = pytest.mark.xdist_group("compare")  # they share what two fixtures ran
+
+BARE = Press(hits=2, pulse=0.0)
+PASSIVE = {"stiffness": 6.45 / 0.004, "damping": 0.0, "pulse": 0.0}
+PHASES = 9
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.py"
+    path.write_text(OWN)
+    return path
+
+
+@pytest.fixture(scope="module")
+def drops() -> Comparison:
+    return compare("drop", ["pd", "pulse", "half-sample", "observer", "disturbance-observer"], phases=PHASES)
+
+
+@pytest.fixture(scope="module")
+def presses() -> Comparison:
+    return compare(BARE.replace(pulse=220.0), ["pd", "pulse", "colgate"], phases=3)
+
+
+def test_figures_are_those_of_the_single_studies_to_the_last_bit(drops: Comparison, presses: Comparison) -> None:
+    pulsed = BARE.replace(pulse=220.0)
+    singles: list[tuple[Comparison, str, Scene]] = [
+        (drops, "pd", Drop(pulse=0.0)),
+        (drops, "pulse", Drop()),
+        (presses, "pd", BARE),
+        (presses, "pulse", pulsed),
+        (presses, "colgate", pulsed.replace(**PASSIVE)),
+    ]
+    for found, label, scene in singles:
+        alone = run_phases(scene, len(found.phases[label].phases), plant="exact").figures
+        assert alone.keys() == found.phases[label].figures.keys() - {"hardness"}
+        for name, values in alone.items():
+            np.testing.assert_array_equal(found.phases[label].figures[name], values)
+
+
+@pytest.mark.usefixtures("no_margins")
+@pytest.mark.parametrize("scene", ["drop", "press"])
+def test_the_command_gives_the_numbers_of_the_scenes_own(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--phases", "3", "--plant", "exact", "--json", "-"]
+    assert cli.main([scene, *options]) == 0
+    alone = json.loads(capsys.readouterr().out)["sweep"]["phases"]
+    assert cli.main(["compare", scene, *options, "--law", "pulse", "--law", "half-sample"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    found = [{name: row[name] for name in row if name != "hardness"} for row in data["laws"]["pulse"]["phases"]]
+    assert found == alone and data["scene"] == scene
+    assert data["columns"]["law"] == ["pulse", "half-sample"] == list(data["laws"])
+
+
+def test_hardness_is_that_of_the_motion(drops: Comparison) -> None:
+    trace = run(Drop(pulse=0.0), plant="exact", phase=2 / PHASES).trace
+    assert drops.phases["pd"].figures["hardness"][2] == perceived_hardness(trace, 0.005).extended
+
+
+def test_margins_are_those_of_the_exact_closed_loop(drops: Comparison, presses: Comparison) -> None:
+    observer = ObserverWall(axes="z", stiffness=1.0, damping=80.0, inertia=0.7, period=0.005, delay=0.0015)
+    loops: dict[str, Any] = {
+        "pd": {},
+        "pulse": {},
+        "half-sample": {"prediction": 0.004},
+        "observer": {"design": lambda stiffness, damping, period: observer.linear(stiffness, damping)},
+    }
+    for label, more in loops.items():
+        loop: dict[str, Any] = {"period": 0.005, "delay": 0.0015, "mass": 0.7, **more}
+        found = drops.margins[label]
+        assert found["modulus"] == pytest.approx(float(largest_modulus(6000.0, 80.0, **loop)), abs=1e-6)
+        stiffest = float(boundary_of(SampledLoop(**loop), np.array(80.0)))
+        assert found["stiffest"] == pytest.approx(stiffest, rel=5e-5)
+        assert found["margin"] == pytest.approx(stiffest / 6000.0, rel=5e-5)
+    held: dict[str, Any] = {"period": 0.005, "delay": 0.0015, "mass": 0.7, "hand": "arm"}
+    for label, damping in {"pd": 80.0, "colgate": 0.0}.items():
+        found, stiffness = presses.margins[label], 6000.0 if damping else PASSIVE["stiffness"]
+        assert found["modulus"] == pytest.approx(float(largest_modulus(stiffness, damping, **held)), abs=1e-6)
+        stiffest = float(largest_stable_stiffness(damping, **held))
+        assert found["stiffest"] == pytest.approx(stiffest, rel=5e-5)
+        assert found["stiffness"] == pytest.approx(stiffness, rel=1e-6)
+    assert presses.margins["colgate"]["modulus"] < 1.0
+
+
+def test_the_margin_of_an_unstable_wall_is_below_one() -> None:
+    found = compare(Drop(stiffness=12000.0, duration=0.1), ["pd"], phases=1).margins["pd"]
+    stiffest = float(largest_stable_stiffness(80.0, period=0.005, delay=0.0015, mass=0.7))
+    assert found["modulus"] > 1.0
+    assert found["margin"] == pytest.approx(stiffest / 12000.0, rel=5e-5)
+
+
+def test_noise_is_that_of_a_flotor_at_rest_in_the_scenes_hand(drops: Comparison, presses: Comparison) -> None:
+    assert drops.margins["pd"]["noise"] == pytest.approx(hum(0.0).force.item(), rel=1e-6)
+    arm = get_hand("arm")
+    assert presses.margins["pd"]["noise"] == pytest.approx(hum(0.0, hand=arm).force.item(), rel=1e-6)
+    observer = ObserverWall(axes="z", stiffness=6e3, damping=80.0, inertia=0.7, period=0.005, delay=0.0015)
+    rest = drops.margins["observer"]["stiffness"]
+    assert rest == pytest.approx(4002.9, abs=0.1)
+    assert drops.margins["observer"]["noise"] == hum(0.0, law=observer, stiffness=rest).force.item()
+
+
+def test_a_law_of_ones_own_stands_in_the_place_of_the_wall(own: Path) -> None:
+    laws = compare("drop", ["pd", f"{own}:Mine"], phases=3)
+    for name, values in laws.phases["pd"].figures.items():
+        np.testing.assert_array_equal(laws.phases["Mine"].figures[name], values)
+    assert laws.margins["pd"] == pytest.approx(laws.margins["Mine"], rel=1e-6)
+    kept = laws.phases["Mine"].scene.laws()
+    assert type(kept[0]).__name__ == "Mine" and isinstance(kept[1], Hold) and len(kept) == 2
+
+
+def test_laws_have_the_labels_and_numbers_of_a_mapping() -> None:
+    def twice(wall: Wall, stiffness: float, mass: float) -> Wall:
+        assert mass == 0.7 and wall.stiffness == stiffness
+        return Wall(axes="z", lower=0.0, stiffness=2.0 * stiffness, damping=80.0)
+
+    slow = partial(ObserverWall, stiffness=9000.0, pole=0.4)
+    found = compare(Drop(stiffness=3000.0), {"twice": twice, "slow": slow, "published": "pd"}, phases=2)
+    assert list(found.phases) == ["twice", "slow", "published"]
+    same = run_phases(Drop(pulse=0.0), 2, plant="exact").figures["penetration"]
+    np.testing.assert_array_equal(found.phases["twice"].figures["penetration"], same)
+    law = found.phases["slow"].scene.laws()[0]
+    assert (law.stiffness, law.damping, law.pole) == (9000.0, 80.0, 0.4)
+    assert np.isnan(found.margins["slow"]["margin"])  # its stiffness is not the scene's
+
+
+def test_an_observer_knows_the_force_limit() -> None:
+    found = compare(Drop(force_limit=60.0), ["observer"], phases=1)
+    assert found.phases["observer"].scene.laws()[0].force_limit == 60.0
+
+
+@pytest.fixture
+def no_margins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave out the search of the margins, which takes most of the time."""
+    monkeypatch.setattr("maglev_mj.studies.compare._margins", lambda scene: dict.fromkeys(_MARGINS, 1.0))
+
+
+@pytest.mark.usefixtures("no_margins")
+def test_the_table_fits_and_names_every_law(drops: Comparison, presses: Comparison) -> None:
+    eight = {f"a law called number {place}": "pd" for place in range(8)}
+    for found in (drops, presses, compare(Drop(duration=0.1), eight, phases=2)):
+        lines = str(found.table()).splitlines()
+        assert max(map(len, lines)) <= 100
+        for label in found.phases:
+            assert sum(line.strip().startswith(f"{label} ") for line in lines) >= 3
+    depths = 1e3 * drops.phases["pd"].figures["penetration"]
+    low, middle, high = (f"{value:.2f}" for value in np.percentile(depths, [10, 50, 90]))
+    assert f"{middle} ({low} to {high})" in str(drops.table())
+
+
+def test_a_data_frame_has_a_row_for_each_law(drops: Comparison) -> None:
+    pytest.importorskip("pandas")
+    frame = drops.to_pandas()
+    assert list(frame["law"]) == list(drops.phases)
+    depths = drops.phases["pulse"].figures["penetration"]
+    row = frame[frame["law"] == "pulse"].iloc[0]
+    assert [row["penetration_10"], row["penetration"], row["penetration_90"]] == np.percentile(
+        depths, [10.0, 50.0, 90.0]
+    ).tolist()
+    assert frame.attrs["units"]["penetration_10"] == "m" and frame.attrs["units"]["hardness"] == "N/m"
+    assert frame.attrs["units"]["noise"] == "N"
+
+
+@pytest.mark.usefixtures("no_margins")
+def test_pictures_tell_eight_laws_apart_with_and_without_colour(tmp_path: Path) -> None:
+    laws = {f"law {place}": "pd" for place in range(7)} | {"pulse": "pulse"}
+    found = compare(Drop(duration=0.1), laws, phases=2)
+    assert list(found.pictures) == ["compare_drop", "compare_drop_phases"]
+    for name in found.pictures:
+        figure = found.plot(picture=name)
+        (legend,) = figure.legends
+        assert [text.get_text() for text in legend.get_texts()] == list(laws)
+        handles = [(line.get_color(), str(line._unscaled_dash_pattern)) for line in legend.legend_handles]
+        assert len(set(handles)) == 8 and len({dash for _, dash in handles}) == 8
+    assert "phase 0.5" in found.plot().axes[0].get_title(loc="left")
+
+
+@pytest.mark.usefixtures("no_margins")
+def test_the_command_draws_and_prints(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    laws = ["--law", "pd", "--law", f"{own}:Mine"]
+    assert cli.main(["compare", "drop", "--stiffness", "4000", *laws, "--phases", "2", "--out", str(tmp_path)]) == 0
+    out = capsys.readouterr().out
+    assert "a wall of 4000 N/m" in out and "  Mine " in out and "over 2 phases" in out
+    assert all(f"wrote {tmp_path / name}.png" in out for name in ("compare_drop", "compare_drop_phases"))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("drop --law pdd", "law must be one of pd, pulse, half-sample, observer, disturbance-observer, colgate, or a"),
+        ("drop --law pdd", "not 'pdd'; did you mean pd?"),
+        ("drop --law none.py:Mine", "law must be a file that is there, not 'none.py'"),
+        ("drop --law FILE:Other", "law of mine.py must be one of Mine, Needy, not 'Other'"),
+        ("drop --law FILE", "law must be one of its file, but mine.py has Mine, Needy: name one as mine.py:CLASS"),
+        ("drop --law FILE:Needy", "law Needy must have a default for temperature: drop has period, delay, stiffness"),
+        ("drop --law pd --law pd", "law must be given, each once, and not be pd alone"),
+        ("drop", "law must be given, each once, and not be none alone"),
+        ("drop --law colgate", "law colgate must have a hand with damping"),
+        ("drop --law pd --plant moon", "plant must be one of exact, mujoco, not 'moon'"),
+        ("drop --law pd --phases 0", "phases must be at least 1 and at most 10000, not 0"),
+        ("twist --law pd", "scene must be one whose first law is a wall, such as drop or press, not twist"),
+    ],
+)
+def test_wrong_laws_are_refused_in_one_line(
+    words: str, said: str, own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["compare", *words.replace("FILE", str(own)).split()]) == 2
+    err = capsys.readouterr().err
+    assert said in err and err.count("\n") == 1
+
+
+def test_laws_in_python_are_checked() -> None:
+    with pytest.raises(ParameterError, match="law must be one of pd"):
+        compare("drop", ["pid"])
+    assert set(LAWS) == {"pd", "pulse", "half-sample", "observer", "disturbance-observer", "colgate"}
