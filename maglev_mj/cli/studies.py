@@ -214,7 +214,10 @@ def compare(
     json: Json = None,
     pictures: Pictures,
 ) -> int:
-    """Laws of a wall side by side in a scene: contact over the phases, noise, margins. Repeat --law for each."""
+    """Laws of a wall side by side in a scene: contact, noise and margins.
+
+    Repeat --law for each law. A figure of the contact is its median, and 10 to 90 %, over phases of the samples.
+    """
     with Progress(f"compare {scene.name}") as progress:
         result = compare_laws(scene, law, phases=phases, phase=phase, plant=plant, progress=progress)
     write_result(json, result, pictures)

@@ -183,7 +183,9 @@ def _installed(entry: Any) -> type[Scene]:
 
 
 def class_in_file(text: str, base: type[T]) -> type[T]:
-    """Return the class of a kind in a file, which is run, as Python would run it.
+    """Return the class of a kind in a file.
+
+    The file is run, as Python would run it.
 
     Args:
         text: FILE.py, or FILE.py:CLASS if the file has several.

@@ -1,4 +1,7 @@
-"""Laws of a wall side by side in one scene: contact over the sampler's phases, noise and margins at rest."""
+"""Laws of a wall side by side in one scene.
+
+Figures: contact over the sampler's phases, force noise and stability margins at rest in the wall.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ from maglev_mj.theory.verdict import axis_loop, inertia_of
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
 _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple"}
-"""Figures that a table leaves out: they tell more of hand and weight than of the law."""
+"""Figures that a table leaves out; they describe hand and weight more than the law."""
 _PICTURES = "maglev_mj.scenes.pictures"
 _TICKS, _STEP, _MOST, _HALVINGS = 800, 1.2, 20, 13
 """Samples of a noise; step of a gain's factor, most steps, and halvings of the last."""
@@ -73,7 +76,10 @@ class Comparison(Variants):
     scene: Any = None
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Return a row for each law: median, 10th and 90th percentile of each figure, hits pooled; margins."""
+        """Return a row for each law, in SI units.
+
+        Median, 10th and 90th percentile of each figure, its hits pooled, and the margins.
+        """
         columns: dict[str, NDArray[Any]] = {"law": np.array(list(self.phases))}
         for name, one in self.first.scene.figures.items():
             for end, share in _SHARES.items():
@@ -93,7 +99,7 @@ class Comparison(Variants):
         return {**head, "columns": plain(self.columns()), "laws": plain(self.phases)}
 
     def table(self) -> Table:
-        """Return a row for each law, of its contact and below of its rest in the wall."""
+        """Return a row for each law: its contact, and below its rest in the wall."""
         shown = {name: one for name, one in self.first.scene.figures.items() if name not in _BESIDE}
         rows = [
             [label, *(one.spread(phases.figures[name], _SHARES.values()) for name, one in shown.items())]
@@ -163,7 +169,7 @@ def _named(law: str | LawMaker) -> tuple[str, LawMaker]:
 
 
 def _with_law(scene: WallScene, label: str, maker: LawMaker) -> WallScene:
-    """Return a scene with another law in place of its wall, and perceived hardness among its figures."""
+    """Return a scene with another law as its wall, and perceived hardness among its figures."""
     cls = type(scene)
 
     def laws(self: WallScene) -> list[Any]:
@@ -176,7 +182,10 @@ def _with_law(scene: WallScene, label: str, maker: LawMaker) -> WallScene:
 
 
 def _passive(scene: WallScene) -> dict[str, float]:
-    """Return the gains of the stiffest passive wall, the delay counted as half of a further period."""
+    """Return the gains of the stiffest passive wall.
+
+    The delay counts as half of a longer period, K (T/2 + T_d) = b.
+    """
     hand = _hand(scene)
     damping = 0.0 if hand is None else hand.grip_damping if hand.soft else hand.damping  # next to the flotor
     stiffness = float(colgate(0.0, period=scene.period + 2.0 * scene.delay, physical_damping=damping))
@@ -201,7 +210,10 @@ def _made(label: str, maker: LawMaker, scene: WallScene, wall: Wall) -> Law:
 
 
 def _margins(scene: WallScene) -> dict[str, float]:
-    """Return the figures of a scene's first law at the depth at which its wall would bear the weight."""
+    """Return the figures of a scene's first law at rest.
+
+    It rests at the depth at which the scene's own wall bears the weight.
+    """
     body, place = inertia_of(scene), along("z", -scene.mass * GRAVITY / scene.stiffness)
 
     def loop(scale: float) -> tuple[float, float]:
