@@ -46,7 +46,6 @@ _ENERGY = 0.045
 More than twice the largest of good flights, 18 mJ: 20 N let go after a second against a wall.
 """
 _HEAVY = 1e9
-_AXES = range(6)
 _SIZES = tuple(math.sqrt(own / INERTIA[0]) for own in INERTIA)
 """Radius of gyration of each rotation, 1 for translations [m].
 
@@ -121,16 +120,14 @@ class PowerGuard:
         self._last: Sequence[float] = ZERO
         span = max(round(_SPAN / period), 1) + 1
         self._sums = deque([0.0] * span, maxlen=span)
-        self._begun = False
 
     def check(self, position: Sequence[float], force: Sequence[float]) -> str:
         """Add one sample's pose and the laws' answer to it; return what is wrong, or ""."""
         last, place, given = self._last, self._place, self._sums[-1]
         self._weight = weight = self._weight * self._growth
         most = capped = 0.0
-        for axis in _AXES:
-            before, part = last[axis], force[axis]
-            if before and self._begun:
+        for axis, (before, part) in enumerate(zip(last, force)):
+            if before:
                 given += before * (position[axis] - place[axis])
             if part == before:
                 continue
@@ -140,7 +137,7 @@ class PowerGuard:
                 whole, small = self._turned(axis, before, weight)
                 most, capped = max(most, whole), max(capped, small)
         self._sums.append(given)
-        self._place, self._last, self._begun = position, force, True
+        self._place, self._last = position, force
         if weight > _HEAVY:
             self._reversals, self._small = ([one / weight for one in six] for six in (self._reversals, self._small))
             self._weight = 1.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -55,7 +54,7 @@ class LoopTiming:
         self.answer, self.age, self.delay = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
         self.newest_age = 0.0
         self._least, self._before, self._renewed = math.inf, math.inf, 0
-        self._sent: deque[tuple[int, int]] = deque(maxlen=_ANSWERS)  # sample and its answer's instant by the clocks
+        self._sent: dict[int, int] = {}  # instants of the newest answers by the clocks, by their samples
 
     def add(self, plant: RemotePlant) -> None:
         """Add the last sample, once it is answered."""
@@ -67,12 +66,13 @@ class LoopTiming:
             return  # the device's time stands still meanwhile
         if taken > self._renewed:
             self._least, self._before, self._renewed = way, self._least, taken + _RENEWED
-        if delay == delay:
-            for sent in [sent for tick, sent in self._sent if tick == plant.answered_tick]:
-                quickest = sent - round((delay - plant.delay) * 1e9)  # the transport, had the way back taken no time
-                self._least, self._before = max(self._least, quickest), max(self._before, quickest)
+        if delay == delay and (sent := self._sent.get(plant.answered_tick)) is not None:
+            quickest = sent - round((delay - plant.delay) * 1e9)  # the transport, had the way back taken no time
+            self._least, self._before = max(self._least, quickest), max(self._before, quickest)
         self._least = min(self._least, way)
-        self._sent.append((plant.samples.tick, answer + way))
+        self._sent[plant.samples.tick] = answer + way
+        if len(self._sent) > _ANSWERS:
+            del self._sent[next(iter(self._sent))]
         newest = answer + way - int(min(self._least, self._before))
         self.age.add(newest)
         self.newest_age = newest * 1e-9
