@@ -256,6 +256,29 @@ def test_work_is_metered_whatever_else_pushes() -> None:
     assert abs(account.taken) > 1e-3
 
 
+@pytest.mark.parametrize("way", [(1.0, 0.0, 0.0), (0.0, -0.8, 0.6), (0.0, 0.0, -1.0)])
+def test_a_drag_however_far_rests_in_the_joysticks_wall_and_not_at_its_stop(way: tuple[float, ...]) -> None:
+    session = Session()
+    for tick in range(200):
+        reach = 0.1 * min(tick / 60.0, 1.0)  # over the whole screen in 0.3 s
+        session.hand.target = [*(reach * part for part in way), 0.0, 0.0, 0.0]
+        session.tick(0.005)
+        shown = session.snapshot()
+        assert not shown.stops.any()
+    assert np.linalg.norm(shown.force[:3]) == pytest.approx(7.0, abs=0.1) and shown.taken > 0.0
+
+
+def test_the_hand_lifts_the_flotors_weight() -> None:
+    session = Session(Joystick(weightless=False))
+    for _ in range(200):
+        session.tick(0.005)
+    fallen = session.snapshot().pose[2]
+    session.hand.target = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
+    for _ in range(200):
+        session.tick(0.005)
+    assert fallen < -4e-3 and session.snapshot().pose[2] > 0.0
+
+
 def test_what_was_recorded_before_a_run_is_stopped_is_kept(tmp_path: Path) -> None:
     session = made(Drop(stiffness=40000.0, damping=87.0), folder=tmp_path)
     session.act("record")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import http.client
+import json
 import os
 import signal
 import socket
@@ -29,10 +30,11 @@ from websockets.typing import Origin, Subprotocol
 
 from maglev_mj.cli import main
 from maglev_mj.cli.peripherals import PageOptions
+from maglev_mj.colours import BAD, TOUCHED, hex_of
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import Turn, param
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.plants.shapes import GRIP, Shape, shapes
+from maglev_mj.plants.shapes import GRIP, KNOB, Shape, shapes
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
@@ -144,6 +146,18 @@ def test_a_token_is_shown_once_and_kept_as_a_cookie_that_scripts_and_other_sites
             connect(f"ws://127.0.0.1:{server.get_port()}/?token={TOKEN}", origin=Origin(server_url(server)))
 
 
+def test_the_page_has_a_title_an_icon_and_a_layout_of_its_own() -> None:
+    with served(token=TOKEN) as server:
+        for path in ("/", "/index.html"):
+            page = ask(server, f"{path}?token={TOKEN}", **{"Accept-Encoding": "gzip"})
+            head = page.text[: page.text.index("</style>")]
+            assert "<title>maglev-mj</title>" in head and "<title>Viser" not in page.text
+            assert (
+                head.count('<link rel="icon"') == 1 and f'button[style*="{hex_of(BAD)}"]' in head
+            )  # the stop's colour
+            assert int(page.headers["Content-Length"]) == len(page.text.encode())
+
+
 def test_a_server_that_starts_without_the_door_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     # As another version of viser might: the process that serves the page ends.
     monkeypatch.setattr(viser.ViserServer, "__init__", lambda self, **options: None)
@@ -238,12 +252,20 @@ def test_a_device_is_few_meshes() -> None:
     import trimesh
 
     found = shapes("scenes/joystick")
+    assert {shape.part for shape in found} == {"", "handle", *(f"coil{coil}" for coil in range(6))}
+    assert all(shape.moves for shape in found if shape.part)
+    looks: dict[float, Any] = {}
     for moves in (True, False):
         scene: Any = trimesh.load(
             trimesh.util.wrap_as_stream(glb([shape for shape in found if shape.moves == moves])), file_type="glb"
         )
         assert len(scene.geometry) <= 8
         assert scene.bounds[1, 2] < 0.1 and sum(len(mesh.faces) for mesh in scene.geometry.values()) < 25_000
+        for mesh in scene.geometry.values():
+            look = mesh.visual.material
+            looks[float(look.metallicFactor)] = look
+            assert np.ptp(np.array(look.baseColorFactor[:3]) / 255.0) < 0.25  # greys: a colour means something
+    assert looks[0.0].roughnessFactor > 0.7 and looks[0.9].roughnessFactor < 0.4  # rubber and metal
 
 
 def test_a_chart_holds_its_points_and_says_no_markup() -> None:
@@ -275,6 +297,65 @@ class Recorder:
         return self.shown
 
     def close(self) -> None: ...
+
+
+@contextmanager
+def page_of(**parts: Any) -> Iterator[tuple[Page, Recorder]]:
+    """Yield the page of a joystick's snapshot."""
+    source = Recorder(Snapshot(scene=Joystick(), **parts))
+    with served() as server:
+        yield Page(server, source), source
+
+
+def shown(page: Page, source: Recorder, **parts: Any) -> Any:
+    """Return a page's stage after it has shown a changed snapshot."""
+    source.shown = replace(source.shown, **parts)
+    page._stage.show(source.shown)
+    return page._stage
+
+
+def test_magnified_the_handle_moves_further_among_its_walls_and_a_drag_asks_for_less() -> None:
+    pose, faces = np.array([1e-3, 0.0, 2e-3, 0.0, 0.0, 0.0]), [(0, -1.0, 3.5e-3), (2, -1.0, 2e-3)]
+    with page_of(pose=pose, faces=faces) as (page, source):
+        page._panel._motion.value = "x5"
+        asyncio.run(page._panel._larger(None))
+        stage = shown(page, source)
+        assert stage._handle.position.tolist() == [5e-3, 0.0, 0.01] and stage._flotor.position.tolist() == [
+            1e-3,
+            0.0,
+            2e-3,
+        ]
+        assert stage._word.text == "drag the knob, motion x5"
+        touched = {plate.position[axis]: plate.color for (axis, _, _), (plate, _) in stage._walls.items()}
+        assert list(touched.values()).count(tuple(round(255 * part) for part in TOUCHED)) == 1  # that along z
+        assert 5.0 * 3.5e-3 in {round(place - KNOB[0] - 2e-4, 9) for place in touched}
+        assert page._grab is not None and page._grab._pose(np.array([0.01, 0.0, 0.0]))[0] == pytest.approx(2e-3)
+        source.shown = replace(source.shown, target=[0.0] * 6)
+        page._show()
+        assert page._stage.hint == ""  # it was dragged
+        shown(page, source, faces=[])
+        assert stage._walls == {} and stage._word.text == "motion x5"
+
+
+def test_coils_are_coloured_by_their_currents() -> None:
+    currents = np.array([0.0, 5.0, -5.0, 10.0, -40.0, np.nan])
+    with page_of(currents=currents) as (page, _):
+        colours = [page._stage._coils[coil].color for coil in range(6)]
+    assert colours[0] == colours[5] and colours[1] == colours[2] and colours[3] == colours[4] == (255, 13, 13)
+    assert len(set(colours)) == 3 and colours[0][0] < colours[1][0] and colours[0][1] < colours[1][1]
+
+
+def test_of_a_slider_that_is_dragged_the_newest_value_is_taken() -> None:
+    with page_of() as (page, source):
+        uuid = next(each for each, _ in page._panel._followed if each.name == "stiffness").handle._impl.uuid
+        url = f"ws://127.0.0.1:{page._server.get_port()}"
+        with connect(url, origin=Origin(url.replace("ws", "http")), subprotocols=VERSION) as line:
+            line.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage", **CAMERA}))
+            for value in range(1000):
+                update = {"type": "GuiUpdateMessage", "uuid": uuid, "updates": {"value": 2000.0 + value}}
+                line.send(msgspec.msgpack.encode(update))
+            until(page, lambda: source.asked and source.asked[-1] == {"stiffness": 2999.0})
+    assert len(source.asked) < 100
 
 
 @pytest.mark.parametrize("name", [*BUILT_IN, "detents.py"])
@@ -441,15 +522,17 @@ def test_plots_of_a_page_go_on_after_a_scene_has_started_again() -> None:
     assert page.snapshot().history[:, 0].tolist() == [0.005, 0.01, 0.015, 0.02]
 
 
+CAMERA: dict[str, Any] = {
+    **{"wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 0.0, 0.0], "fov": 1.0, "near": 0.01, "far": 10.0},
+    **{"image_height": 100, "image_width": 100, "look_at": [0.0, 0.0, 0.0], "up_direction": [0.0, 0.0, 1.0]},
+}
 FROZEN = """
-import sys, msgspec
+import json, sys, msgspec
 from websockets.sync.client import connect
-port, version = sys.argv[1:]
+port, version, camera = sys.argv[1:]
 line = connect(f"ws://127.0.0.1:{port}", origin=f"http://127.0.0.1:{port}", subprotocols=[f"viser-v{version}"])
-camera = {"wxyz": [1.0, 0.0, 0.0, 0.0], "position": [1.0, 0.0, 0.0], "fov": 1.0, "near": 0.01, "far": 10.0,
-    "image_height": 100, "image_width": 100, "look_at": [0.0, 0.0, 0.0], "up_direction": [0.0, 0.0, 1.0]}
-line.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage", **camera}))
-drag = {"phase": "start", "name": "/flotor/knob", "instance_index": None, "start_position": [0.0, 0.0, 0.08],
+line.send(msgspec.msgpack.encode({"type": "ViewerCameraMessage", **json.loads(camera)}))
+drag = {"phase": "start", "name": "/handle/knob", "instance_index": None, "start_position": [0.0, 0.0, 0.08],
     "start_screen_pos": [0.5, 0.5], "end_position": [0.001, 0.0, 0.08], "end_screen_pos": [0.5, 0.5],
     "button": "left", "modifier": None, "owner": ""}
 line.send(msgspec.msgpack.encode({"type": "SceneNodeDragMessage", **drag}))
@@ -464,7 +547,7 @@ def test_the_first_browser_has_the_hand_and_one_that_does_not_answer_loses_it() 
     source = Recorder(Snapshot(scene=Joystick()))
     with served() as server, contextlib.ExitStack() as last:
         page = Page(server, source, drag=True, settings=True)
-        words = [sys.executable, "-c", FROZEN, str(server.get_port()), viser.__version__]
+        words = [sys.executable, "-c", FROZEN, str(server.get_port()), viser.__version__, json.dumps(CAMERA)]
         children = []
         for place in range(2):
             child = last.enter_context(subprocess.Popen(words, stdout=subprocess.PIPE, text=True))

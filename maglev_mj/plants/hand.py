@@ -344,6 +344,8 @@ class SpringHand:
     It is the hand of the mouse. Force and torque at the flotor's centre, within their limits, are held from sample to
     sample. A period T reduces the damping by K T / 2; the damping must be larger than that.
 
+    The default force limit lifts the flotor, 6.9 N, and rests in the joystick's walls: its stop is met from 7.4 N on.
+
     Args:
         stiffness: Stiffness of the translations [N/m].
         damping: Damping of the translations [N s/m].
@@ -370,7 +372,7 @@ class SpringHand:
     damping: float = 10.0
     turning_stiffness: float = 0.6
     turning_damping: float = 0.02
-    force_limit: float = 20.0
+    force_limit: float = 7.0
     torque_limit: float = 0.4
     target: Sequence[float] | Trajectory | None = None
     device_target: Sequence[float] | None = None

@@ -58,6 +58,8 @@ class Shape(NamedTuple):
         position: Position of its centre, from the flotor's [m], (3,).
         turn: Unit quaternion (w, x, y, z).
         colour: Red, green, blue, opacity, each from 0 to 1.
+        material: Name of its material; empty for none.
+        part: "handle", or "coil0" to "coil5" for a winding; empty for the rest.
     """
 
     moves: bool
@@ -66,6 +68,8 @@ class Shape(NamedTuple):
     position: Array
     turn: Sequence[float]
     colour: Sequence[float]
+    material: str = ""
+    part: str = ""
 
 
 def shapes(model: Model) -> list[Shape]:
@@ -80,7 +84,7 @@ def shapes(model: Model) -> list[Shape]:
     compiled, data = device.model, mujoco.MjData(device.model)
     mujoco.mj_kinematics(compiled, data)
     origin, turn, found = data.xpos[device.flotor], np.zeros(4), []
-    moving = {device.flotor}
+    moving, coils = {device.flotor}, data.site_xpos[compiled.actuator_trnid[: len(COILS), 0]]
     for body in range(compiled.nbody):  # parents come first
         moving |= {body} if int(compiled.body_parentid[body]) in moving else set()
     for geom in range(compiled.ngeom):
@@ -91,7 +95,11 @@ def shapes(model: Model) -> list[Shape]:
         moves = int(compiled.geom_bodyid[geom]) in moving
         mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
         place, (radius, half, third) = data.geom_xpos[geom] - origin, compiled.geom_size[geom]
-        about = turn.tolist(), colour.tolist()
+        name = "" if material < 0 else compiled.material(material).name
+        part = "handle" if compiled.body(compiled.geom_bodyid[geom]).name == "handle" else ""
+        if name == "copper":
+            part = f"coil{np.linalg.norm(coils - data.geom_xpos[geom], axis=1).argmin()}"
+        about = turn.tolist(), colour.tolist(), name, part
         if kind in ("cylinder", "capsule"):
             found.append(Shape(moves, "cylinder", np.array([radius, radius, half]), place, *about))
             along = half * data.geom_xmat[geom][2::3]

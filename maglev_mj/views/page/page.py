@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -37,6 +38,9 @@ _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
 
 Another page could lure a click to it.
 """
+
+_TITLE, _HEAD = b"<title>Viser</title>", Path(__file__).with_name("head.html").read_bytes()
+"""Title of viser's page, and what stands in its place: title, icon, layout, and scripts."""
 
 
 @dataclass(frozen=True)
@@ -110,8 +114,13 @@ def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
             if why := door.refusal(request.path, request.headers):
                 text = Headers({"Content-Type": "text/plain; charset=utf-8"})
                 return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", text, f"{why}\n".encode())
-            answer: Response | None = process_request(connection, request)
+            page = "Upgrade" not in request.headers
+            # without its headers it is answered uncompressed, so that its head can be ours
+            answer: Response | None = process_request(connection, Request(request.path, Headers()) if page else request)
             if answer is not None:
+                answer.body = answer.body.replace(_TITLE, _HEAD, 1)
+                del answer.headers["Content-Length"]
+                answer.headers["Content-Length"] = str(len(answer.body))
                 answer.headers["Content-Security-Policy"] = _FRAMES
                 answer.headers["Referrer-Policy"] = "no-referrer"
                 if door.token is not None:
@@ -176,7 +185,8 @@ class Page:
         gui.main_panel.dock_right()
         self._stage = Stage(server, snapshot)
         self._grab = Grab(server, self._stage.knob, partial(self._inbox.put, "hand")) if drag else None
-        self._panel = Panel(server, snapshot, self._inbox.put, settings)
+        self._stage.hint = "drag the knob" if drag else ""
+        self._panel = Panel(server, snapshot, self._inbox.put, self._magnify, settings)
         panel = gui.add_panel()
         with panel.add_tab("plots"):
             self._plots = Plots(gui, snapshot.scene)
@@ -201,10 +211,17 @@ class Page:
             else:
                 self._source.change(value)
 
+    def _magnify(self, factor: float) -> None:
+        self._stage.factor = factor
+        if self._grab is not None:
+            self._grab.factor = factor
+
     def _show(self) -> None:
         snapshot = self._source.snapshot()
         if self._grab is not None:
             self._grab.pose = snapshot.pose
+        if snapshot.target is not None:
+            self._stage.hint = ""
         if not self._server.get_clients():  # the next one is told all at once
             return
         with self._server.atomic():

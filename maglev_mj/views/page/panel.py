@@ -17,6 +17,7 @@ from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot
 from maglev_mj.session.changes import actions
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.views.charts import round_up
+from maglev_mj.views.magnifier import MAGNIFICATIONS
 from maglev_mj.views.page.stage import VIEWS, look, update
 from maglev_mj.views.words import FORCES, Banner, Reading, banner, readings
 
@@ -226,12 +227,7 @@ _ROWS = {
 _SCENE = "scene "
 _USUAL_STIFFNESS, _MOST_STIFFNESS = 200.0, 5000.0  # of the hand [N/m]
 _INPUTS = "gains", "on"
-_FIXED = '.mantine-Paper-root[style*="position: fixed"]'
-_SHEET = (
-    f"<style>@media(max-width:36em){{{_FIXED}{{width:100%!important;max-height:48%!important}}"
-    f'{_FIXED} div[style*="width: 20em"]{{width:100%!important}}}}</style>'
-)
-"""Style of the panel on a phone: a full-width sheet."""
+_MOTIONS = {f"x{factor}": factor for factor in MAGNIFICATIONS}
 _PAUSED: Colour = (0.25, 0.28, 0.33)
 
 
@@ -242,16 +238,18 @@ class Panel:
         server: viser's.
         snapshot: What is shown at first.
         ask: Told what a person wants.
+        magnify: Told how far motion is magnified.
         settings: Whether parameters can be changed.
     """
 
-    def __init__(self, server: Any, snapshot: Snapshot, ask: Ask, settings: bool) -> None:
-        self._ask, self._settings = ask, flag("settings", settings)
+    def __init__(
+        self, server: Any, snapshot: Snapshot, ask: Ask, magnify: Callable[[float], object], settings: bool
+    ) -> None:
+        self._ask, self._magnify, self._settings = ask, magnify, flag("settings", settings)
         gui = self._gui = server.gui
         self._actions: tuple[str, ...] | None = None
         self._scene: Any = None
         self._banner, self._words = gui.add_html("", order=0.0), gui.add_html("", order=0.1)
-        gui.add_html(_SHEET, order=9.0)
         self._buttons, self._parameters = gui.add_folder(None), gui.add_folder(None)
         self._followed: list[tuple[Control, Callable[[Snapshot], Any]]] = []
         self._time: Slider | None = None
@@ -308,6 +306,13 @@ class Panel:
             look(event.client, views.value)
 
         views.on_click(chosen)
+        self._motion = self._gui.add_button_group(
+            "motion", tuple(_MOTIONS), order=4.1, hint="of the handle, as it is drawn"
+        )
+        self._motion.on_click(self._larger)
+
+    async def _larger(self, _: Any) -> None:
+        self._magnify(_MOTIONS.get(self._motion.value, 1))  # a browser may say anything
 
     def _make_controls(self, snapshot: Snapshot) -> None:
         """Make the controls of scene, live parameters and hand."""

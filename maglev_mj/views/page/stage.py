@@ -18,31 +18,44 @@ from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, Shape, arrow_start, shapes, wall_plate
 from maglev_mj.session import Snapshot
+from maglev_mj.spec import Spec
+from maglev_mj.views.magnifier import magnified, motion_words, true_pose
 from maglev_mj.views.remote import SILENCE
 from maglev_mj.views.words import banner
 
-_METALLIC, _ROUGHNESS = 0.1, 0.45
+_LOOKS = {"frame": (0.9, 0.38), "steel": (0.7, 0.4), "base": (0.25, 0.45), "psd": (0.2, 0.08), "grip": (0.0, 0.75)}
+_LOOK = 0.5, 0.35
+"""Metallic and roughness factors of the model's materials, and of others."""
+
+_TINT = 0.2  # what the device keeps of its colours, so that a colour means an arrow, a wall or a current
 _GAMMA = 2.2  # glTF's colours are linear
 _FEWEST, _PER_METRE, _MOST = 8, 2000.0, 48
 """Sides of round shapes: even, and more for larger shapes."""
 
 
 def glb(shapes: Sequence[Shape]) -> bytes:
-    """Return shapes as binary glTF, one mesh a colour."""
-    scene = trimesh.Scene()
-    for colour in sorted({tuple(shape.colour) for shape in shapes}):
-        mesh = _joined([solid(shape) for shape in shapes if tuple(shape.colour) == colour])
+    """Return shapes as binary glTF, one mesh a material."""
+    scene, looks = trimesh.Scene(), [(shape.material, tuple(shape.colour)) for shape in shapes]
+    for look in sorted(set(looks)):
+        mesh = _joined([solid(shape) for shape, its in zip(shapes, looks) if its == look])
+        (metallic, roughness), colour = _LOOKS.get(look[0], _LOOK), _grey(look[1])
         mesh.visual = TextureVisuals(
             material=PBRMaterial(
                 baseColorFactor=[*np.power(colour[:3], _GAMMA), colour[3]],
-                metallicFactor=_METALLIC,
-                roughnessFactor=_ROUGHNESS,
+                metallicFactor=metallic,
+                roughnessFactor=roughness,
                 alphaMode="OPAQUE" if colour[3] == 1.0 else "BLEND",
             )
         )
         scene.add_geometry(mesh)
     made: bytes = scene.export(file_type="glb")
     return made
+
+
+def _grey(colour: Sequence[float]) -> list[float]:
+    """Return a colour and its opacity, with little of its hue."""
+    light = 0.3 * colour[0] + 0.59 * colour[1] + 0.11 * colour[2]
+    return [*(light + _TINT * (part - light) for part in colour[:3]), colour[3]]
 
 
 def solid(shape: Shape) -> trimesh.Trimesh:
@@ -85,6 +98,7 @@ class Grab:
 
     Attributes:
         pose: Where the flotor is [m, rad], (6,).
+        factor: How much further from the centre the knob is drawn.
     """
 
     def __init__(self, server: Any, knob: Any, aim: Aim) -> None:
@@ -92,6 +106,7 @@ class Grab:
         self._holder: int | None = None
         self._listening: asyncio.Task[None] | None = None
         self._tilts = self._silent = False
+        self.factor = 1.0
         self.pose = self._from = np.zeros(6)
         self._start, self._target = np.zeros(3), [0.0] * 6
         for modifier in (None, "shift"):
@@ -112,8 +127,8 @@ class Grab:
             self._aim(self._target)
 
     def _pose(self, moved: Array) -> Array:
-        """Return the target pose for a knob displacement [m], (3,)."""
-        place, turn = self._from[:3], self._from[3:]
+        """Return the target pose for a drawn displacement of the knob [m], (3,)."""
+        place, turn, moved = self._from[:3], self._from[3:], true_pose(moved, self.factor)
         if self._tilts:
             return np.concatenate([place, turn + np.cross(GRIP, moved) / (GRIP @ GRIP)])
         return np.concatenate([place + moved, turn])
@@ -155,7 +170,7 @@ class Grab:
 
 
 VIEWS = {
-    "home": ((0.17, -0.27, 0.21), (0.0, 0.0, 0.028)),
+    "home": ((0.18, -0.286, 0.21), (0.0, 0.0, 0.028)),
     "front": ((0.0, -0.36, 0.05), (0.0, 0.0, 0.02)),
     "side": ((0.36, 0.0, 0.05), (0.0, 0.0, 0.02)),
     "top": ((0.0, -0.02, 0.40), (0.0, 0.0, 0.03)),
@@ -163,17 +178,17 @@ VIEWS = {
 }
 """Camera presets: position and point looked at [m]."""
 
-_PHONE = 576
-"""Screen width below which the panel covers half [px]."""
-
-_WIDE = 0.15  # of the device, with some room [m]
+_WIDE = 0.175  # of the device, with some room [m]
 FIELD = 0.62
 """Angle of view, up [rad]."""
-_FAINT, _LIT = 0.18, 0.45
+_FAINT, _LIT = 0.07, 0.22
+_COLD, _WARM, _LIMIT = np.array([0.66, 0.30, 0.10]), np.array([1.0, 0.88, 0.25]), (1.0, 0.05, 0.05)
 _FLOOR = -0.0552
 _REACH = 0.021  # of the ball by which the knob is taken hold of [m]
 _LONGEST = 0.12  # of an arrow [m]
 _SWOLLEN = 1.06
+_TRAVEL, _EDGE = 0.0042, 0.0006
+"""Growth of a wall with the magnified motion, and the thickness of its edge [m]."""
 _RIM = 0.0118, 0.0012
 """Radius and half height of the rotation-stop ring [m].
 
@@ -201,7 +216,7 @@ def look(client: Any, view: str) -> None:
 def placed(view: str, width: int, height: int) -> tuple[Array, Array]:
     """Return position and target of a camera [m], (3,) each.
 
-    On a phone the target is in the middle of the upper half.
+    Far enough that the device fits into a narrow picture.
 
     Args:
         view: One of VIEWS.
@@ -209,13 +224,9 @@ def placed(view: str, width: int, height: int) -> tuple[Array, Array]:
         height: Its height.
     """
     place, target = np.array(VIEWS[view])
-    if width > _PHONE:
-        return place, target
-    back, rise = place - target, np.tan(0.5 * FIELD)
-    back = back * max(_WIDE / (2.0 * np.linalg.norm(back) * rise * width / height), 1.0)
-    across = np.cross([0.0, 0.0, 1.0], back)
-    target = target - 0.5 * rise * np.cross(back, across) / np.linalg.norm(across)
-    return target + back, target
+    back = place - target
+    seen = 2.0 * np.linalg.norm(back) * np.tan(0.5 * FIELD) * width / max(height, 1)
+    return target + back * max(_WIDE / max(seen, 1e-3), 1.0), target
 
 
 class Stage:
@@ -227,50 +238,64 @@ class Stage:
 
     Attributes:
         knob: What can be taken hold of.
+        factor: How much further from the centre the handle is drawn; the walls, too.
+        hint: Words over the knob; empty for none.
     """
 
     def __init__(self, server: Any, snapshot: Snapshot) -> None:
         self._server, scene = server, server.scene
         server.initial_camera.position, server.initial_camera.look_at = VIEWS["home"]
         server.initial_camera.fov, server.initial_camera.near = FIELD, 0.005
-        scene.configure_environment_map("studio", environment_intensity=0.3)
-        scene.configure_default_lights(cast_shadow=False)
+        scene.configure_environment_map("studio", environment_intensity=0.4)
+        scene.configure_default_lights(False)
+        scene.add_light_directional("/light", intensity=1.6, position=(0.3, -0.4, 0.8))
+        scene.set_background_image(_backdrop(), format="png")
+        scene.add_image("/shadow", _shadow(), 0.24, 0.24, position=(0.0, 0.0, _FLOOR + 2e-4), **_PLAIN)
         scene.add_grid(
             "/floor",
-            width=0.4,
-            height=0.4,
+            width=1.0,
+            height=1.0,
             cell_size=0.01,
             section_size=0.05,
-            cell_color=(228, 230, 233),
-            section_color=(205, 208, 212),
+            cell_color=(214, 218, 224),
+            section_color=(196, 201, 208),
+            fade_distance=0.62,
+            fade_strength=1.5,
             position=(0.0, 0.0, _FLOOR),
         )
-        self._flotor = scene.add_frame("/flotor", show_axes=False)
-        grip = tuple(GRIP.tolist())
-        self.knob = scene.add_icosphere(
-            "/flotor/knob", _REACH, _bytes(HAND), subdivisions=2, opacity=0.0, position=grip, **_PLAIN
-        )
+        self._flotor, self._handle = (scene.add_frame(name, show_axes=False) for name in ("/flotor", "/handle"))
+        # as glTF, for viser's own sphere would hide the walls behind it, though it is not seen itself
+        ball = Shape(True, "ellipsoid", np.full(3, _REACH), GRIP, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
+        self.knob = scene.add_glb("/handle/knob", glb([ball]), **_PLAIN)
         size = _SWOLLEN * KNOB[0], _SWOLLEN * KNOB[0], _SWOLLEN * KNOB[1]
         self._ghost = scene.add_icosphere(
             "/stuck", 1.0, _bytes(STUCK), scale=size, opacity=0.45, visible=False, **_PLAIN
         )
         rim = 0.0, 0.0, UNDER_KNOB + _RIM[1]
         self._rim = scene.add_cylinder(
-            "/flotor/rim", _RIM[0], 2.0 * _RIM[1], _bytes(TOUCHED), position=rim, visible=False, **_PLAIN
+            "/handle/rim", _RIM[0], 2.0 * _RIM[1], _bytes(TOUCHED), position=rim, visible=False, **_PLAIN
         )
         self._arrows = [_Arrow(scene, name, colour) for name, colour in _FORCES.items()]
-        self._walls: dict[tuple[int, float, float], Any] = {}
-        self._word = scene.add_label("/word", "", position=(0.0, 0.0, 0.135), anchor="bottom-center", visible=False)
+        self._walls: dict[tuple[int, float, float], tuple[Any, Any]] = {}
+        self._word = scene.add_label("/word", "", position=(0.0, 0.0, 0.116), anchor="bottom-center", visible=False)
         self._model: Any = None
+        self._coils: dict[int, Any] = {}
+        self.factor, self.hint = 1.0, ""
         self.show(snapshot)
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot."""
         if snapshot.scene.model != self._model:
             self._load(snapshot)
-        pose, turn = snapshot.pose, rotation_matrix(snapshot.pose[3:])
-        update(self._flotor, position=np.round(pose[:3], 6), wxyz=np.round(quaternion(pose[3:]), 6))
-        knob = pose[:3] + turn @ GRIP
+        shares = np.nan_to_num(np.abs(snapshot.currents) / Spec.peak_current.value)
+        for coil, winding in self._coils.items():
+            share = round(float(shares[coil]), 2)
+            update(winding, color=_bytes(_COLD + share * (_WARM - _COLD) if share < 1.0 else _LIMIT))
+        self._place(self._flotor, snapshot.pose)
+        snapshot = magnified(snapshot, self.factor)
+        pose = snapshot.pose
+        self._place(self._handle, pose)
+        knob = pose[:3] + rotation_matrix(pose[3:]) @ GRIP
         for arrow, wrench in zip(self._arrows, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
             arrow.show(knob, wrench[:3])
         self._show_walls(snapshot)
@@ -278,38 +303,57 @@ class Stage:
         stuck = not np.isnan(anchors).all()
         if stuck:
             place = np.where(np.isnan(anchors), pose, anchors)
-            at = place[:3] + rotation_matrix(place[3:]) @ GRIP
-            update(self._ghost, position=np.round(at, 6), wxyz=np.round(quaternion(place[3:]), 6))
+            self._place(self._ghost, np.concatenate([place[:3] + rotation_matrix(place[3:]) @ GRIP, place[3:]]))
         update(self._ghost, visible=stuck)
         said = banner(snapshot)
-        update(self._word, visible=said is not None, text="" if said is None else said.text.split(":")[0])
+        words = self.hint if said is None else said.text.split(":")[0]
+        words = ", ".join(filter(None, (words, motion_words(self.factor))))
+        update(self._word, visible=bool(words), text=words)
+
+    def _place(self, node: Any, pose: Array) -> None:
+        update(node, position=np.round(pose[:3], 6), wxyz=np.round(quaternion(pose[3:]), 6))
 
     def _load(self, snapshot: Snapshot) -> None:
         """Show another device."""
-        self._model, found = snapshot.scene.model, shapes(snapshot.scene.model)
-        for name, moves in (("/device", False), ("/flotor/body", True)):
-            mesh = glb([shape for shape in found if shape.moves == moves])
-            self._server.scene.add_glb(name, mesh, cast_shadow=False, receive_shadow=False)
+        self._model, scene = snapshot.scene.model, self._server.scene
+        nodes: dict[str, list[Shape]] = {}
+        for shape in shapes(self._model):
+            nodes.setdefault(shape.part or ("rest" if shape.moves else "device"), []).append(shape)
+        for winding in self._coils.values():
+            winding.remove()
+        self._coils = {}
+        for name, parts in nodes.items():
+            if name.startswith("coil"):
+                mesh, coil = _joined([solid(shape) for shape in parts]), int(name[4:])
+                self._coils[coil] = scene.add_mesh_simple(f"/flotor/{name}", mesh.vertices, mesh.faces, **_PLAIN)
+            else:
+                node = {"rest": "/flotor/rest", "handle": "/handle/body"}.get(name, "/device")
+                scene.add_glb(node, glb(parts), **_PLAIN)
 
     def _show_walls(self, snapshot: Snapshot) -> None:
         faces = {(axis, normal, round(edge, 6)) for axis, normal, edge in snapshot.faces}
+        for face in self._walls.keys() - faces:
+            self._walls.pop(face)[0].remove()  # with its edge
         for face in faces - self._walls.keys():
             if (plate := wall_plate(face)) is not None:
-                centre, half = plate
-                self._walls[face] = self._server.scene.add_box(
-                    f"/walls/{len(self._walls)}",
-                    dimensions=tuple(2.0 * half),
-                    position=tuple(centre),
-                    side="double",
-                    opacity=_FAINT,
-                    **_PLAIN,
-                )
-        met = {face for face in faces | self._walls.keys() if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
-        update(self._rim, visible=any(axis > 2 for axis, _, _ in faces & met))
-        for face, plate in self._walls.items():
-            touched = face in met
-            colour, opacity = (TOUCHED, _LIT) if touched else (WALL, _FAINT)
-            update(plate, visible=face in faces, color=_bytes(colour), opacity=opacity)
+                self._walls[face] = self._wall(face, *plate)
+        met = {face for face in faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
+        update(self._rim, visible=any(axis > 2 for axis, _, _ in met))
+        for face, (plate, edge) in self._walls.items():
+            colour, opacity = (TOUCHED, _LIT) if face in met else (WALL, _FAINT)
+            update(plate, color=_bytes(colour), opacity=opacity)
+            update(edge, colors=np.array(_bytes(colour), np.uint8))
+
+    def _wall(self, face: tuple[int, float, float], centre: Array, half: Array) -> tuple[Any, Any]:
+        """Add the glass of a wall, and its edge; larger where the handle's motion is."""
+        scene, name, across = self._server.scene, "/walls/{}{:+.0f}{:g}".format(*face), np.delete(np.eye(3), face[0], 0)
+        half = half + (self.factor - 1.0) * _TRAVEL * across.sum(axis=0)
+        corners = half * (np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) @ across)
+        plate = scene.add_box(
+            name, dimensions=tuple(2.0 * half), position=tuple(centre), side="double", opacity=_FAINT, **_PLAIN
+        )
+        lines = np.stack([corners, np.roll(corners, 1, axis=0)], axis=1).astype(np.float32)
+        return plate, scene.add_line_segments(f"{name}/edge", lines, _bytes(WALL), thickness=_EDGE)
 
 
 class _Arrow:
@@ -335,6 +379,21 @@ _FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}
 _PLAIN = {"cast_shadow": False, "receive_shadow": False}
 
 
-def _bytes(colour: Sequence[float]) -> tuple[int, int, int]:
+def _backdrop() -> Any:
+    """Return a soft background, grey-blue above and white below, (H, W, 3)."""
+    down = np.linspace(0.0, 1.0, 256)[:, None, None]
+    shades = (1.0 - down) * [206.0, 213.0, 224.0] + down * [247.0, 248.0, 250.0]
+    return np.broadcast_to(shades, (256, 8, 3)).astype(np.uint8)
+
+
+def _shadow() -> Any:
+    """Return the soft shadow of the base on the floor, (H, W, 4)."""
+    across = np.linspace(-0.12, 0.12, 128)
+    shade = np.full((128, 128, 4), (30.0, 36.0, 46.0, 130.0))
+    shade[..., 3] /= 1.0 + np.exp((np.hypot(across, across[:, None]) - 0.074) / 0.0075)
+    return shade.astype(np.uint8)
+
+
+def _bytes(colour: Sequence[float] | Array) -> tuple[int, int, int]:
     red, green, blue = (round(255 * part) for part in colour)
     return red, green, blue
