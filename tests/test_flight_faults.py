@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ import pytest
 from maglev_mj import cli
 from maglev_mj.bridge.fault import DeviceFault, load_black_box
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.line import LoopTiming, Preflight, measure_line
+from maglev_mj.bridge.line import LineReport, LoopTiming, Preflight, measure_line
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
@@ -219,3 +221,28 @@ def test_the_command_says_in_one_line_what_happened_and_how_to_go_on(
     assert "answer, from the sample's arrival" in said.out
     twin.sample()  # without currents
     assert cli.main(shlex.split(again)[1:]) == 0 and twin.firmware.state == State.INACTIVE
+
+
+@pytest.mark.parametrize("mode", [("--seconds", "0.2"), ("--check",)])
+def test_the_line_is_measured_as_it_is_flown_in_real_time(
+    mode: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy machine other scheduling made the line look twice as slow."""
+    inside: list[str] = []
+    measured: list[list[str]] = []
+
+    @contextmanager
+    def scheduled(policy: str) -> Iterator[list[str]]:
+        inside.append(policy)
+        yield []
+        inside.pop()
+
+    def measure(plant: RemotePlant, *_: float) -> LineReport:
+        measured.append([*inside])
+        return measure_line(plant, 0.1)
+
+    monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(Twin(TwinParameters())), folder=tmp_path))
+    monkeypatch.setattr(bridge, "scheduled", scheduled)
+    monkeypatch.setattr(bridge, "measure_line", measure)
+    assert cli.main(["bridge", "udp://127.0.0.1:1", *mode]) == 0
+    assert measured == [["ignore"]] and not inside

@@ -96,7 +96,7 @@ def test_walls_are_softened_to_what_the_line_bears(name: str, tmp_path: Path) ->
     scene = find_scene(name)()
     for way in (0.0, 0.0006, 0.0012):
         with device(tmp_path, way) as plant:
-            found = preflight(plant, scene, duration=0.2)
+            found = preflight(plant, scene, report=measure_line(plant, 0.2))
         margins = delay_margins(device_controller(found.scene), list(HANDS), pose=scene.start().pose)
         assert found.bears == pytest.approx(min(margins.values()))
         if found.softened:
@@ -138,7 +138,7 @@ def test_what_should_not_fly_is_said_in_one_line(
         scene = scene.replace(stiffness=60_000.0)
     options = {key: value for key, value in line.items() if key != "as_written"}
     with device(tmp_path, **options) as plant:
-        found = preflight(plant, scene, as_written=as_written, duration=0.5)
+        found = preflight(plant, scene, as_written=as_written, report=measure_line(plant, 0.5))
     assert says in found.problem and bool(says) == bool(found.problem) and "\n" not in found.problem
 
 

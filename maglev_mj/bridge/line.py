@@ -235,7 +235,9 @@ class Preflight(NamedTuple):
     softened: str
 
 
-def preflight(plant: RemotePlant, scene: Scene, *, as_written: bool = False, duration: float = 1.0) -> Preflight:
+def preflight(
+    plant: RemotePlant, scene: Scene, *, as_written: bool = False, report: LineReport | None = None
+) -> Preflight:
     """Measure the line, and check that a scene bears it.
 
     Args:
@@ -243,13 +245,13 @@ def preflight(plant: RemotePlant, scene: Scene, *, as_written: bool = False, dur
         scene: Scene to be rendered.
         as_written: True to leave the scene as it is. Else walls that do not bear 1.5 times the line are softened: to
             the stiffest that do, for a scene with `stiffness` and `damping` whose laws state their gains.
-        duration: Time of the measurement [s].
+        report: The line as measured with the flight's scheduling; measured for a second by default.
 
     Raises:
         PlantError: If the device is not inactive.
         MaglevError: If a law fails.
     """
-    report = measure_line(plant, duration)
+    report = report or measure_line(plant)
     scene = scene.replace(period=plant.period, delay=plant.delay)
     inertia = np.array([*[plant.calibration.mass] * 3, *plant.calibration.inertia])
     bears, softened = _bears(scene, inertia), ""

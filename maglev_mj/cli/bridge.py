@@ -20,7 +20,7 @@ from maglev_mj.bridge.bench.identification import identify as identify_device
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, fault_meanings
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import LANDING_TIME, StopSwitch
-from maglev_mj.bridge.line import MARGIN, Preflight, preflight, stiffest_walls
+from maglev_mj.bridge.line import MARGIN, Preflight, measure_line, preflight, stiffest_walls
 from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.realtime import interrupt, stopping
 from maglev_mj.bridge.realtime import realtime as scheduled
@@ -162,9 +162,11 @@ def bridge(
         if identify is not None:
             return _identify(plant, identify, mass, realtime)
         if check:
-            return _checked_line(plant, scene)
+            return _checked_line(plant, scene, realtime)
         print("  measuring the line, and computing what the scene bears", flush=True)
-        found = preflight(plant, scene, as_written=as_written)
+        with scheduled(realtime):  # as the flight, which says what is refused
+            report = measure_line(plant)
+        found = preflight(plant, scene, as_written=as_written, report=report)
         _may_fly(plant, address, found, anyway)
         if found.softened:
             print("\n".join(wrapped(found.softened)), flush=True)
@@ -185,10 +187,12 @@ def _check(modes: Mapping[str, bool], mass: bool, flying: Sequence[str]) -> None
         raise ParameterError(f"{active[0]} and {active[1]} are two commands")
 
 
-def _checked_line(plant: RemotePlant, scene: Scene) -> int:
+def _checked_line(plant: RemotePlant, scene: Scene, policy: Literal["enforce", "ignore"]) -> int:
     """Print what the line takes and bears; return the exit status."""
     print(f"  measuring the line for {_MEASURED:g} s, without current", flush=True)
-    found = preflight(plant, scene, duration=_MEASURED)
+    with _punctual(policy):
+        report = measure_line(plant, _MEASURED)
+    found = preflight(plant, scene, report=report)
     print(found.report.table())
     walls = (
         f"{hand} {stiffness:.0f} N/m with {damping:.0f} N s/m"
