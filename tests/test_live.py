@@ -648,7 +648,7 @@ def test_a_program_that_comes_late_to_a_pause_sees_the_scene_and_sets_it(live: L
         with LiveClient(url(live)) as client:
             heard = list(client.messages(1.0))
             assert {one.fields["name"] for one in heard if one.topic == "/maglev/stretch"} == {"scene joystick"}
-            scenes = [message.fields for message in heard if message.topic == "/maglev/scene"]  # arrows may follow
+            scenes = [message.fields for message in heard if message.topic == "/maglev/shapes"]
             assert {"stator", "flotor", "walls"} <= {entity.id for scene in scenes for entity in scene.entities}
             assert client.set(walls=[["y", 1, -0.001]])["reason"] == ""
             assert client.parameters()["walls"] == [["y", 1, -0.001]] and client.parameters()["state"] == "paused"

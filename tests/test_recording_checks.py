@@ -291,7 +291,7 @@ def test_samples_that_are_laid_out_otherwise_are_refused(change: Any, words: str
 
 
 @pytest.mark.parametrize("beside", [True, False], ids=["with frames", "samples in a row"])
-@pytest.mark.parametrize(("topic", "place"), [(SAMPLE, 10), ("/tf", 3), ("/maglev/scene", 3), (SAMPLE, 16)])
+@pytest.mark.parametrize(("topic", "place"), [(SAMPLE, 10), ("/tf", 3), ("/maglev/arrows", 3), (SAMPLE, 16)])
 def test_a_message_that_is_missing_is_noticed_on_any_topic(
     topic: str, place: int, beside: bool, tmp_path: Path
 ) -> None:

@@ -76,7 +76,7 @@ def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(tm
         reader = make_reader(file)
         summary, about = reader.get_summary(), {one.name: one.metadata for one in reader.iter_metadata()}
     assert summary is not None and summary.statistics is not None
-    topics = {"/maglev/stretch", "/maglev/sample", "/tf", "/maglev/scene", "/log"}
+    topics = {"/maglev/stretch", "/maglev/sample", "/tf", "/maglev/shapes", "/maglev/arrows", "/log"}
     assert {channel.topic for channel in summary.channels.values()} == topics
     units = json.loads(about["maglev_mj"]["units"])
     assert [units[f"{name}.{axis}"] for name in ("position", "hand") for axis in ("z", "rx")] == [

@@ -1,5 +1,6 @@
 """Contents of recordings for other programs: topics by their schemas, frames, scene, log."""
 
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session.replay import write_run
 from tests.recorded import decoder, messages_in
 
-TOPICS = ("/maglev/stretch", "/maglev/sample", "/maglev/event", "/tf", "/maglev/scene", "/log")
+TOPICS = ("/maglev/stretch", "/maglev/sample", "/maglev/event", "/tf", "/maglev/shapes", "/maglev/arrows", "/log")
 
 
 def found_in(path: Path) -> dict[str, list[dict[str, Any]]]:
@@ -122,7 +123,8 @@ def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path
     path = tmp_path / "run.mcap"
     write_run(path, Press(hits=1), plant="exact")
     (stretch,) = Recording.load(path).stretches
-    first, *updates = found_in(path)["/maglev/scene"]
+    found = found_in(path)
+    (first,), updates = found["/maglev/shapes"], found["/maglev/arrows"]
     entities = {entity["id"]: entity for entity in first["entities"]}
     drawn, counts = shapes("maglev"), {"box": "cubes", "cylinder": "cylinders", "ellipsoid": "spheres"}
     for frame, moves in (("stator", False), ("flotor", True)):
@@ -150,6 +152,19 @@ def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path
                 assert near < 1e-9
                 most += 1
     assert most > 20
+
+
+def test_a_seek_shows_device_walls_and_arrows(tmp_path: Path) -> None:
+    # A viewer that seeks shows the last message of each topic.
+    from mcap.reader import make_reader
+
+    path = tmp_path / "run.mcap"
+    write_run(path, Press(hits=1), plant="exact")
+    with path.open("rb") as file:
+        times = [(message.log_time, channel.topic) for _, channel, message in make_reader(file).iter_messages()]
+    for seek in np.linspace(times[0][0], times[-1][0], 20):
+        before = Counter(topic for time, topic in times if time <= seek)
+        assert before["/maglev/shapes"] == 1 and before["/tf"] == before["/maglev/arrows"] >= 1
 
 
 def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
@@ -192,7 +207,7 @@ def test_who_comes_later_is_told_what_began_and_what_there_is_to_draw(tmp_path: 
     writer.close()
     found = found_in(path)
     assert len(found["/maglev/stretch"]) == 2 and found["/maglev/stretch"][0] == found["/maglev/stretch"][1]
-    one, other = ([entity["id"] for entity in update["entities"]] for update in found["/maglev/scene"])
+    one, other = ([entity["id"] for entity in update["entities"]] for update in found["/maglev/shapes"])
     assert one == other == ["stator", "flotor", "walls"]
 
 

@@ -37,7 +37,7 @@ from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start
 from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, STRETCH, STRETCH_NUMBER, descriptor, packed
 from maglev_mj.recording.sample import FIELDS, Field, Row, RunMetadata, Setup, Totals, as_rows, schema
 
-FRAMES, SCENE, LOG = "/tf", "/maglev/scene", "/log"
+FRAMES, SHAPES, ARROWS, LOG = "/tf", "/maglev/shapes", "/maglev/arrows", "/log"
 
 _SHOWN = 60.0  # poses to look at in a second
 _WALL, _HAND, _DEVICE = (0.25, 0.47, 0.85, 0.16), (0.13, 0.62, 0.30, 1.0), (0.80, 0.16, 0.14, 1.0)
@@ -109,7 +109,9 @@ class Messages:
         sample = Schema(name=NAME, encoding="protobuf", data=descriptor())
         self._sample = Channel(SAMPLE, message_encoding="protobuf", schema=sample, context=context).base
         self._frames = FrameTransformsChannel(FRAMES, context=context)
-        self._scene = SceneUpdateChannel(SCENE, context=context)
+        # a viewer that seeks shows the last message of each topic: what stands still must not share one with arrows
+        self._shapes = SceneUpdateChannel(SHAPES, context=context)
+        self._arrows = SceneUpdateChannel(ARROWS, context=context)
         self._log = LogChannel(LOG, context=context)
         self._device = _device(shapes(model))
         self._stretch, self._tick = -1, 0
@@ -150,7 +152,7 @@ class Messages:
         """
         if self._begun:
             self._send(self._stretch_channel, self._begun)
-            self._draw(self._drawn)
+            self._draw(self._shapes, self._drawn)
 
     def stick(self, position: Sequence[float] | None) -> None:
         """Set the stick position [m, rad], six.
@@ -214,9 +216,10 @@ class Messages:
         self._frames.log(FrameTransforms(transforms=transforms), log_time=self._now)
         knob = np.array(position[:3]) + rotation_matrix(np.array(position[3:])) @ GRIP
         forces = ("force of the hand", values["hand"], _HAND), ("force of the device", values["applied"], _DEVICE)
-        self._draw([("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces])
+        arrows = [("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces]
+        self._draw(self._arrows, arrows)
 
-    def _draw(self, entities: Sequence[tuple[str, str, Mapping[str, Any]]]) -> None:
+    def _draw(self, channel: SceneUpdateChannel, entities: Sequence[tuple[str, str, Mapping[str, Any]]]) -> None:
         """Log drawn entities: frame, name and shapes of each.
 
         An entity replaces the former one of its name.
@@ -228,7 +231,7 @@ class Messages:
             )
             for frame, name, primitives in entities
         ]
-        self._scene.log(SceneUpdate(entities=drawn), log_time=self._now)
+        channel.log(SceneUpdate(entities=drawn), log_time=self._now)
 
 
 def _stamp(now: int) -> Timestamp:
