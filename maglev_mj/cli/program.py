@@ -63,7 +63,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
     "recordings": {
         "replay": Command("show a recording, or check it bit for bit", "run.mcap --check"),
         "analyse": Command("figures of a recording beside its simulation", "run.mcap --from 0.1 --out figures"),
-        "export": Command("a recording as a table for other programs", "run.mcap --to csv"),
+        "export": Command("a recording as a table or sound, for other programs", "run.mcap --to csv"),
     },
 }
 """Commands in the order of the help."""

@@ -259,10 +259,12 @@ def _draw(analysed: StretchReport, axis: int, pictures: PictureFolder, stem: str
 
 def export(
     file: Annotated[Path, option("a recording, .mcap or .npz", "", "FILE")],
-    to: Annotated[Literal["npz", "csv", "parquet"], option("what kind of table", "output")],
+    to: Annotated[
+        Literal["npz", "csv", "parquet", "wav"], option("what kind of table; wav is the force as sound", "output")
+    ],
     out: Annotated[Path | None, option("where to (default: beside the recording)", "output")] = None,
 ) -> int:
-    """A recording as a table for other programs."""  # noqa: D401
+    """A recording as a table for other programs, or as sound."""  # noqa: D401
     from maglev_mj.recording import Recording
     from maglev_mj.recording.recording import export
 

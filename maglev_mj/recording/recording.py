@@ -6,6 +6,7 @@ import base64
 import csv
 import json
 import os
+import wave
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -426,9 +427,9 @@ _BLOCK = 1 << 14
 
 
 def export(recording: Recording, kind: str, path: Path | str) -> None:
-    """Write a recording as a table, one row per sample.
+    """Write a recording as a table, one row per sample, or as sound.
 
-    All other content goes with it.
+    All other content goes with a table.
 
     Args:
         recording: The recording.
@@ -436,7 +437,7 @@ def export(recording: Recording, kind: str, path: Path | str) -> None:
         path: Path of the new file.
 
     Raises:
-        ParameterError: If the kind is not known.
+        ParameterError: If the kind is not known, or there are no samples for a sound.
         MissingPackageError: If the package for Parquet is needed and not installed.
         OSError: If it cannot be written; an existing file then stays.
 
@@ -507,10 +508,47 @@ def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
     parquet.write_table(pyarrow.table([*columns.values()], schema=pyarrow.schema(fields, metadata=about)), partial)
 
 
+_SOUND_RATE, _LOWEST, _LOUDEST = 48_000, 20.0, (50.0, 1.0)
+"""Frames a second, lowest frequency [Hz] and full scale [N, N m] of a recording as sound."""
+
+
+def _as_wav(recording: Recording, partial: Path, _path: Path) -> None:
+    """Write the force that the coils hold from sample to sample, on the axis where it changes most."""
+    stretches = recording.stretches
+    if not recording.ticks:
+        raise InvalidRecordingError("there is nothing to hear: the recording has no samples")
+    turns = AXES.index(stretches[0].metadata.axis) > 2
+    forces = [np.nan_to_num(one.applied[:, 3:] if turns else one.applied[:, :3]) for one in stretches]
+    axis = int(np.argmax(sum(np.square(np.diff(force, axis=0)).sum(axis=0) for force in forces)))
+    with partial.open("wb") as file, wave.open(file, "wb") as sound:
+        sound.setnchannels(1)
+        sound.setsampwidth(2)
+        sound.setframerate(_SOUND_RATE)
+        for stretch, force in zip(stretches, forces, strict=True):
+            period = stretch.metadata.period
+            heard = _without_slow(force[:, axis], period) / _LOUDEST[turns]
+            frames = np.round(np.clip(heard, -1.0, 1.0) * 32767).astype("<i2")
+            edges = np.round(np.arange(len(frames) + 1) * (period * _SOUND_RATE)).astype(np.int64)
+            for first in range(0, len(frames), _BLOCK):  # an hour is 350 MB
+                held = np.diff(edges[first : first + _BLOCK + 1])
+                sound.writeframes(np.repeat(frames[first : first + _BLOCK], held).tobytes())
+
+
+def _without_slow(values: Array, period: float) -> Array:
+    """Return values (N,) through a high-pass of first order, which starts at rest."""
+    kept, state = float(np.exp(-2.0 * np.pi * _LOWEST * period)), 0.0
+    out = []
+    for change in np.diff(values, prepend=values[:1]).tolist():
+        state = kept * (state + change)
+        out.append(state)
+    return np.array(out)
+
+
 EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {
     "npz": lambda recording, partial, _: recording.save(partial),
     "csv": _as_csv,
     "parquet": _as_parquet,
+    "wav": _as_wav,
 }
 """Export functions by format name.
 

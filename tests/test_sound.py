@@ -1,0 +1,83 @@
+"""Recordings as sound: `maglev-mj export --to wav`."""
+
+from __future__ import annotations
+
+import wave
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import export, record_run
+from maglev_mj.cli import main
+from maglev_mj.recording import Recording
+from maglev_mj.scenes.drop import Drop
+
+PERIOD = 0.001
+
+
+def recording_of(force: Any, axis: int = 2) -> Recording:
+    """Return a recording at 1 kHz with a force [N] on one axis, (N,)."""
+    (stretch,) = record_run(Drop(period=PERIOD, delay=0.0, duration=0.1), plant="exact").stretches
+    rows = len(force)
+    assert abs(stretch.metadata.period - PERIOD) < 1e-12
+    arrays = {name: np.resize(values, (rows, *values.shape[1:])) for name, values in stretch.arrays.items()}
+    arrays["applied"] = np.zeros((rows, 6))
+    arrays["applied"][:, axis] = force
+    return Recording([replace_arrays(stretch, arrays)])
+
+
+def replace_arrays(stretch: Any, arrays: dict[str, Any]) -> Any:
+    """Return a stretch with other arrays."""
+    return type(stretch)(setup=stretch.setup, arrays=arrays, gaps=())
+
+
+def heard(recording: Recording, path: Path) -> tuple[int, Any]:
+    """Return rate and values between -1 and 1 of a recording's sound."""
+    export(recording, "wav", path)
+    with wave.open(str(path)) as sound:
+        assert (sound.getnchannels(), sound.getsampwidth()) == (1, 2)
+        return sound.getframerate(), np.frombuffer(sound.readframes(sound.getnframes()), "<i2") / 32767
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_sine_of_force_is_heard_at_its_frequency_and_on_the_stated_scale(axis: int, tmp_path: Path) -> None:
+    time = np.arange(20_000) * PERIOD  # more than one block
+    recording = recording_of(7.0 + 20.0 * np.sin(2 * np.pi * 125.0 * time), axis)
+    rate, sound = heard(recording, tmp_path / "sine.wav")
+    assert rate == 48_000 and len(sound) == 20 * rate
+    spectrum = np.abs(np.fft.rfft(sound[rate:])) * 2 / (19 * rate)
+    assert np.argmax(spectrum) / 19 == 125.0
+    turn, kept = np.exp(-2j * np.pi * 125 * PERIOD), np.exp(-2 * np.pi * 20 * PERIOD)
+    passed = abs(kept * (1 - turn) / (1 - kept * turn)) * np.sinc(125 * PERIOD)  # high-pass, and each sample held
+    assert abs(spectrum.max() * 50 / (20 * passed) - 1) < 0.001
+
+
+def test_a_force_at_rest_is_silent_and_a_slow_one_is_faint(tmp_path: Path) -> None:
+    assert not heard(recording_of(np.full(500, 7.0)), tmp_path / "rest.wav")[1].any()
+    slow = 20.0 * np.sin(2 * np.pi * 1.0 * np.arange(4000) * PERIOD)
+    assert np.abs(heard(recording_of(slow), tmp_path / "slow.wav")[1]).max() < 0.06 * 20 / 50
+
+
+def test_each_force_is_held_and_one_beyond_the_scale_is_cut(tmp_path: Path) -> None:
+    sound = heard(recording_of(np.where(np.arange(100) % 2, 200.0, -200.0)), tmp_path / "loud.wav")[1]
+    held = sound.reshape(-1, 48)
+    assert (held == held[:, :1]).all() and set(held[40:, 0]) == {-1.0, 1.0}
+
+
+def test_a_wall_that_buzzes_is_louder_than_one_that_does_not(tmp_path: Path) -> None:
+    loud, calm = (
+        heard(record_run(Drop(stiffness=stiffness, pulse=0.0), plant="exact"), tmp_path / "drop.wav")[1]
+        for stiffness in (12_000.0, 4000.0)
+    )
+    assert np.std(loud[-9600:]) > 10 * np.std(calm[-9600:])
+
+
+def test_an_empty_and_a_wrong_file_are_refused_in_one_line(tmp_path: Path, capsys: Any) -> None:
+    Recording([]).save(tmp_path / "empty.npz")
+    (tmp_path / "wrong.npz").write_bytes(b"no recording")
+    for name, words in {"empty": "nothing to hear", "wrong": "wrong.npz"}.items():
+        assert main(["export", str(tmp_path / f"{name}.npz"), "--to", "wav"]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert words in line and not (tmp_path / f"{name}.wav").exists()
