@@ -509,11 +509,11 @@ def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
 
 
 _SOUND_RATE, _LOWEST, _LOUDEST = 48_000, 20.0, (50.0, 1.0)
-"""Frames a second, lowest frequency [Hz] and full scale [N, N m] of a recording as sound."""
+"""Frames a second, lowest frequency [Hz] and full scale [N, N m] of a sound."""
 
 
 def _as_wav(recording: Recording, partial: Path, _path: Path) -> None:
-    """Write the force that the coils hold from sample to sample, on the axis where it changes most."""
+    """Write the held force on the axis where it changes most."""
     stretches = recording.stretches
     if not recording.ticks:
         raise InvalidRecordingError("there is nothing to hear: the recording has no samples")
