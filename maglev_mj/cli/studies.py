@@ -209,7 +209,6 @@ def compare(
         list[str], option(f"{', '.join(LAWS)}, or one's own, which is run: FILE.py, FILE.py:CLASS", "laws", "LAW")
     ],
     phases: Annotated[int, option("phases of the samples, evenly spread over a period")] = 100,
-    phase: Annotated[float, option("phase of the motion that is drawn")] = 0.5,
     plant: Annotated[str, option("exact, or mujoco", metavar="NAME")] = "exact",
     json: Json = None,
     pictures: Pictures,
@@ -219,7 +218,7 @@ def compare(
     Repeat --law for each law. A figure of the contact is its median, and 10 to 90 %, over phases of the samples.
     """
     with Progress(f"compare {scene.name}") as progress:
-        result = compare_laws(scene, law, phases=phases, phase=phase, plant=plant, progress=progress)
+        result = compare_laws(scene, law, phases=phases, plant=plant, progress=progress)
     write_result(json, result, pictures)
     return 0
 

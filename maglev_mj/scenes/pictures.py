@@ -88,8 +88,7 @@ def series(variants: Variants) -> Any:
         for place, (label, values) in enumerate(shown.items()):
             panel.plot(values["time"], values[name], drawstyle=step, label=label, **line_style(place))
         panel.set_ylabel(axis_label(_NAMES.get(name, name), units.get(name)))
-    panels[-1].set_xlabel("time (s)")
-    panels[-1].set_xlim(0.0, max(float(first["time"][-1]), _FINE))
+    panels[-1].set(xlabel="time (s)", xlim=(0.0, max(float(first["time"][-1]), _FINE)))
     scene = result.scene
     panels[0].set_title(
         f"{scene.name}, axis {scene.axis}, {1.0 / scene.period:g} Hz, delay {scene.delay * 1e3:g} ms"
@@ -98,6 +97,21 @@ def series(variants: Variants) -> Any:
     )
     if len(shown) > 1:
         name_curves(figure, panels[:1])
+    return figure
+
+
+def first_contact(variants: Variants) -> Any:
+    """Draw each series around the first contact with a wall at 0, one line a run.
+
+    Args:
+        variants: The runs.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    figure = series(variants)
+    begin = min(float(one.line.time[np.argmax(one.line.pose[:, 0] <= 0.0)]) for one in variants.runs.values())
+    figure.axes[0].set_xlim(max(begin - 0.01, 0.0), begin + 0.15)
     return figure
 
 
@@ -122,8 +136,7 @@ def spread(variants: Variants) -> Any:
             lines = panel.plot(sweep.phases, values, **line_style(place))
             lines[0].set_label(label)
         panel.set_title(axis_label(name, unit_of(one.unit, scene.axis, one.along)), **TITLE)
-        panel.set_xlim(0.0, 1.0)
-        panel.set_xlabel("phase of the first sample")
+        panel.set(xlim=(0.0, 1.0), xlabel="phase of the first sample")
     if len(shown) > 1:
         name_curves(figure, panels[:1])
     return figure

@@ -20,8 +20,9 @@ from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.result import Table, plain, with_unit
 from maglev_mj.scenes.bench import WallScene, along
 from maglev_mj.scenes.find import SceneLike, class_in_file, get_scene
-from maglev_mj.scenes.results import Variants
+from maglev_mj.scenes.results import Figure, Variants
 from maglev_mj.scenes.run import run_variants
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory.boundary import colgate
@@ -29,10 +30,10 @@ from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.verdict import axis_loop, inertia_of
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
-_BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple"}
-"""Figures that a table leaves out; they describe hand and weight more than the law."""
+_BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple", "force_ripple"}
+"""Figures left out; they describe hand, weight or sensor more than the law."""
 _PICTURES = "maglev_mj.scenes.pictures"
-_TICKS, _STEP, _MOST, _HALVINGS = 800, 1.2, 20, 13
+_TICKS, _STEP, _MOST, _HALVINGS = 800, 1.2, 14, 13
 """Samples of a noise; step of a gain's factor, most steps, and halvings of the last."""
 
 LawMaker = Callable[..., Law]
@@ -68,7 +69,7 @@ class Comparison(Variants):
             `noise`, the standard deviation of the force over a quantized sensor [N], see `hum`; `modulus`, the largest
             of the wall's own eigenvalues, below 1 for a stable wall; `stiffest`, the stiffness gain at which that
             changes, the other gains as they are [N/m]; and `margin`, that over the law's own gain. The last two are
-            NaN for a law without a stiffness.
+            NaN if it does not change up to tenfold, and for a law without a stiffness.
         scene: The scene with its own wall.
     """
 
@@ -100,12 +101,12 @@ class Comparison(Variants):
 
     def table(self) -> Table:
         """Return a row for each law: its contact, and below its rest in the wall."""
-        shown = {name: one for name, one in self.first.scene.figures.items() if name not in _BESIDE}
+        figures: Mapping[str, Figure] = self.first.scene.figures
         rows = [
-            [label, *(one.spread(phases.figures[name], _SHARES.values()) for name, one in shown.items())]
+            [label, *(one.spread(phases.figures[name], _SHARES.values()) for name, one in figures.items())]
             for label, phases in self.phases.items()
         ]
-        head = [with_unit(name.replace("_", " "), one.unit) for name, one in shown.items()]
+        head = [with_unit(name.replace("_", " "), one.unit) for name, one in figures.items()]
         still = ["law", *map(with_unit, _MARGINS, _MARGINS.values())]
         below = Table(_AT_REST, still, [[label, *one.values()] for label, one in self.margins.items()])
         count = len(next(iter(self.phases.values())).phases)
@@ -175,9 +176,10 @@ def _with_law(scene: WallScene, label: str, maker: LawMaker) -> WallScene:
     def laws(self: WallScene) -> list[Any]:
         return [_made(label, maker, self, one) if isinstance(one, Wall) else one for one in cls.laws(self)]
 
-    figures, kept = {**cls.figures, "hardness": "hardness"}, {name: getattr(cls, name) for name in ("name", "title")}
-    plots = {f"compare_{cls.name}": f"{_PICTURES}:series", f"compare_{cls.name}_phases": f"{_PICTURES}:spread"}
-    own: type[WallScene] = type(cls.__name__, (cls,), {"laws": laws, "figures": figures, "plots": plots, **kept})
+    figures = {name: one for name, one in cls.figures.items() if name not in _BESIDE} | {"hardness": "hardness"}
+    plots = {f"compare_{cls.name}": f"{_PICTURES}:first_contact", f"compare_{cls.name}_phases": f"{_PICTURES}:spread"}
+    kept: Any = {"name": cls.name, "title": cls.title, "series": Scene.series, "figures": figures, "plots": plots}
+    own: type[WallScene] = type(cls.__name__, (cls,), {"laws": laws, **kept})
     return own(**scene.independent_values() | (_passive(scene) if maker is LAWS["colgate"] else {}))
 
 
@@ -221,7 +223,8 @@ def _margins(scene: WallScene) -> dict[str, float]:
         return axis_loop(controller, 2, pose=place, delay=scene.delay, inertia=body, hand=_hand(scene))
 
     def changed(scale: Any) -> Any:
-        return (loop(float(scale))[1] < 1.0) != (modulus < 1.0)
+        # NaN, not known, is no change
+        return loop(float(scale))[1] >= 1.0 if modulus < 1.0 else loop(float(scale))[1] < 1.0
 
     stiffness, modulus = loop(1.0)
     factors = (_STEP if modulus < 1.0 else 1.0 / _STEP) ** np.arange(_MOST)

@@ -233,9 +233,7 @@ def fidelity(result: FidelityResult) -> Any:
     allowed = 1e6 * result.tolerance / MARGIN
     panel.axvline(allowed, color=REFERENCE, linestyle="--", label=f"tolerance by the margin, {allowed:g} µm")
     panel.set_yticks(range(len(names)), names)
-    panel.set_ylim(len(names) - 0.5, -0.5)
-    panel.set_xscale("log")
-    panel.set_xlabel("distance from the levels above (µm)")
+    panel.set(ylim=(len(names) - 0.5, -0.5), xscale="log", xlabel="distance from the levels above (µm)")
     panel.set_title(result.preset.name, **TITLE)
     name_curves(panel)
     return figure

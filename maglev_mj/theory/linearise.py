@@ -408,9 +408,10 @@ def realise(response: Array) -> StateSpace | None:
     seen, reached = to[:, :states] * root, root[:, None] * come[:states]
     advance = np.linalg.lstsq(seen[:-n], seen[n:], rcond=None)[0]
     state, fits = reached[:, :n], 0.0
-    for answer in later:
-        fits = max(fits, float(np.abs(seen[:n] @ state - answer).max()))
-        state = advance @ state
+    with np.errstate(over="ignore", invalid="ignore"):  # of a system that grows
+        for answer in later:
+            fits = max(fits, float(np.abs(seen[:n] @ state - answer).max()))
+            state = advance @ state
     if not fits <= _FIT * np.abs(response).max():
         return None
     return StateSpace(advance, reached[:, :n], seen[:n], direct)

@@ -30,9 +30,7 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
         poles = loop.eigenvalues[chosen]
         if poles.size:
             panel.plot(poles.real, poles.imag, "x", color=color, markersize=9, markeredgewidth=2.0, label=label)
-    panel.set_aspect("equal")
-    panel.set_xlabel("real part")
-    panel.set_ylabel("imaginary part")
+    panel.set(aspect="equal", xlabel="real part", ylabel="imaginary part")
     panel.set_title(f"largest modulus {loop.modulus:.4g}", **TITLE)
     name_curves(figure, [panel])
     return figure
