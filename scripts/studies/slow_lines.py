@@ -312,7 +312,8 @@ def residual(flown: Flown, name: str, hand: str, rate: int) -> tuple[list[float]
     touched = flown.rows[reach.max(axis=1) > STOP_REACHED, 0]
     known = flown.wrenches[flown.wrenches[:, 0] < flown.ended]
     for time, *estimate in known[known[:, 0] > flown.began - 0.1]:
-        before, at = (np.array(script.wrench(time - since * period)) for since in (2, 1))
+        tick = round(time * rate)  # as the twin counts its hand's time
+        before, at = (np.array(script.wrench((tick - since) * period)) for since in (2, 1))
         true = 0.5 * (before + at)
         low = true + keep * (low - true)
         lower = low + keep * (lower - low)
