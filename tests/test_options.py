@@ -124,6 +124,7 @@ NEEDED = {
     "run": "drop",
     "stability": "drop",
     "sweep": "drop",
+    "compare": "drop",
     "fidelity": "drop",
     "bridge": "udp://127.0.0.1:9",
     "estop": "udp://127.0.0.1:9",
@@ -134,7 +135,7 @@ NEEDED = {
     "analyse": "a.mcap",
     "export": "a.mcap --to csv",
 }
-TIMED = set("view render serve-spacenav drop press stick-slip run stability design fidelity twin".split())
+TIMED = set("view render serve-spacenav drop press stick-slip run stability design compare fidelity twin".split())
 
 
 @pytest.mark.parametrize("command", COMMANDS)
