@@ -68,3 +68,12 @@ def test_every_link_of_a_lesson_leads_somewhere(name: str) -> None:
     assert len(links) >= 2
     for link in links:
         assert (FOLDER / link).exists(), f"{name}: {link}"
+
+
+@pytest.mark.parametrize("name", LESSONS)
+def test_a_slider_computes_where_it_is_released_and_not_on_its_way(name: str) -> None:
+    code = [cell["source"] for cell in cells(name) if cell["cell_type"] == "code"]
+    for source in code:
+        if re.search(r"^@?interact\(", source, re.MULTILINE):
+            assert not re.search(r"=\(", source)  # a range alone is a slider that computes all the way
+            assert "slide = partial(FloatSlider, continuous_update=False)" in "\n".join(code)

@@ -329,9 +329,9 @@ def test_magnified_the_handle_moves_further_among_its_walls_and_a_drag_asks_for_
         touched = {plate.position[axis]: plate.color for (axis, _, _), (plate, _) in stage._walls.items()}
         assert list(touched.values()).count(tuple(round(255 * part) for part in TOUCHED)) == 1  # that along z
         assert 5.0 * 3.5e-3 in {round(place - KNOB[0] - 2e-4, 9) for place in touched}
-        assert page._grab is not None and page._grab._pose(np.array([0.01, 0.0, 0.0]))[0] == pytest.approx(2e-3)
         source.shown = replace(source.shown, target=[0.0] * 6)
         page._show()
+        assert page._grab is not None and page._grab._pose(np.array([0.01, 0.0, 0.0]))[0] == pytest.approx(2e-3)
         assert page._stage.hint == ""  # it was dragged
         shown(page, source, faces=[])
         assert stage._walls == {} and stage._word.text == "motion x5"

@@ -44,6 +44,7 @@ class Run:
 
     Args:
         source: The source.
+        token: That of its address; None for none.
         options: Of the page.
 
     Attributes:
@@ -52,9 +53,9 @@ class Run:
         recordings: Files written.
     """
 
-    def __init__(self, source: Any, **options: Any) -> None:
+    def __init__(self, source: Any, token: str | None = None, **options: Any) -> None:
         listener = listen(0)
-        door = Door("127.0.0.1", listener.getsockname()[1])
+        door = Door("127.0.0.1", listener.getsockname()[1], token)
         self.url, self._over = door.url, threading.Event()
         self._session = source
         self.shown: Snapshot = self._session.snapshot()
@@ -269,3 +270,74 @@ def choose(tab: Any, scene: str) -> None:
     """Choose a scene in the list."""
     tab.get_by_label("scene").click()
     tab.get_by_role("option", name=scene, exact=True).click()
+
+
+WIDTHS = (1400, 304, 324, 420), (900, 304, 324, 420), (700, 0, 320, 420), (390, 0, 0, 210)
+"""Width of the page, widths of its panels, and height of the scene between them [px]."""
+
+
+def test_at_any_width_the_device_is_seen_between_the_panels(run: Run, browser: Any) -> None:
+    tab = opened(browser, run, viewport={"width": 1400, "height": 420})
+    for width, left, right, height in WIDTHS:
+        tab.set_viewport_size({"width": width, "height": 420})
+        tab.wait_for_function(
+            """([x, width, height]) => {
+                const box = [...document.querySelectorAll("canvas")].at(-1).getBoundingClientRect();
+                return [box.x - x, box.y, box.width - width, box.height - height].every((off) => Math.abs(off) < 8);
+            }""",
+            arg=[left, width - left - right, height],
+        )
+        press(tab, run)  # the knob is drawn where the camera of this width has it
+        tab.mouse.up()
+        run.until(lambda shown: shown.target is None)
+    tab.context.close()
+
+
+def test_on_a_phone_the_stop_is_in_reach_and_all_is_for_a_finger(run: Run, browser: Any) -> None:
+    phone = opened(browser, run, viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
+    phone.locator("[role=slider]").last.scroll_into_view_if_needed()
+    stop = phone.get_by_role("button", name="emergency stop", exact=True)
+    box = stop.bounding_box()
+    assert (box["x"], box["y"] + box["height"], box["width"]) == (0.0, 800.0, 390.0)
+    sizes = ".mantine-Button-root, .mantine-Input-input, .mantine-Checkbox-input, .mantine-Slider-trackContainer"
+    boxes = [one.bounding_box() for one in phone.locator(sizes).all() if one.is_visible()]
+    assert len(boxes) > 15 and min(one["height"] for one in boxes) >= 44.0
+    plots = phone.get_by_role("button", name="Expand panel plots")
+    assert plots.bounding_box()["height"] >= 44.0
+    plots.click()
+    phone.get_by_text("force on x").wait_for()
+    stop.click()
+    run.until(lambda shown: shown.state == "stopped")
+    phone.get_by_role("button", name="centre", exact=True).click()
+    run.until(lambda shown: shown.state == "running")
+    phone.context.close()
+
+
+NO_WEBGL = """
+const context = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+    return kind.includes("webgl") ? null : context.call(this, kind, ...more);
+};
+"""
+
+
+def test_without_webgl_and_after_the_token_has_left_the_address_all_but_the_picture_works(browser: Any) -> None:
+    run = Run(Session(), token="a-token-of-some-length")
+    try:
+        tab = browser.new_context().new_page()
+        tab.add_init_script(NO_WEBGL)
+        tab.goto(run.url, wait_until="domcontentloaded")
+        for _ in range(2):
+            tab.wait_for_selector("text=no WebGL")
+            tab.wait_for_selector("text=joystick")
+            assert tab.url == run.url.split("?")[0] and tab.title() == "maglev-mj"
+            tab.reload(wait_until="domcontentloaded")
+        tab.locator("[role=slider]").first.focus()
+        tab.keyboard.press("ArrowRight")
+        run.until(lambda shown: stiffness(shown) > 6000.0)
+        tab.get_by_role("button", name="emergency stop", exact=True).click()
+        run.until(lambda shown: shown.state == "stopped")
+        tab.wait_for_selector("[role=alert]:has-text('STOPPED')")
+        tab.context.close()
+    finally:
+        run.close()

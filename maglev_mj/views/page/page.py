@@ -186,7 +186,8 @@ class Page:
         self._stage = Stage(server, snapshot)
         self._grab = Grab(server, self._stage.knob, partial(self._inbox.put, "hand")) if drag else None
         self._stage.hint = "drag the knob" if drag else ""
-        self._panel = Panel(server, snapshot, self._inbox.put, self._magnify, settings)
+        magnify = partial(setattr, self._stage, "factor")
+        self._panel = Panel(server, snapshot, self._inbox.put, magnify, settings)
         panel = gui.add_panel()
         with panel.add_tab("plots"):
             self._plots = Plots(gui, snapshot.scene)
@@ -211,15 +212,10 @@ class Page:
             else:
                 self._source.change(value)
 
-    def _magnify(self, factor: float) -> None:
-        self._stage.factor = factor
-        if self._grab is not None:
-            self._grab.factor = factor
-
     def _show(self) -> None:
         snapshot = self._source.snapshot()
         if self._grab is not None:
-            self._grab.pose = snapshot.pose
+            self._grab.pose, self._grab.factor = snapshot.pose, self._stage.factor
         if snapshot.target is not None:
             self._stage.hint = ""
         if not self._server.get_clients():  # the next one is told all at once

@@ -183,6 +183,8 @@ FIELD = 0.62
 """Angle of view, up [rad]."""
 _FAINT, _LIT = 0.07, 0.22
 _COLD, _WARM, _LIMIT = np.array([0.66, 0.30, 0.10]), np.array([1.0, 0.88, 0.25]), (1.0, 0.05, 0.05)
+_SKY = (206.0, 213.0, 224.0), (247.0, 248.0, 250.0)
+"""Colours of the background, above and below."""
 _FLOOR = -0.0552
 _REACH = 0.021  # of the ball by which the knob is taken hold of [m]
 _LONGEST = 0.12  # of an arrow [m]
@@ -249,7 +251,7 @@ class Stage:
         scene.configure_environment_map("studio", environment_intensity=0.4)
         scene.configure_default_lights(False)
         scene.add_light_directional("/light", intensity=1.6, position=(0.3, -0.4, 0.8))
-        scene.set_background_image(_backdrop(), format="png")
+        scene.set_background_image(np.linspace(*_SKY, 256).astype(np.uint8)[:, None], format="png")
         scene.add_image("/shadow", _shadow(), 0.24, 0.24, position=(0.0, 0.0, _FLOOR + 2e-4), **_PLAIN)
         scene.add_grid(
             "/floor",
@@ -377,13 +379,6 @@ class _Arrow:
 
 _FORCES = {"hand": HAND, "device": DEVICE, "stops": STOP}
 _PLAIN = {"cast_shadow": False, "receive_shadow": False}
-
-
-def _backdrop() -> Any:
-    """Return a soft background, grey-blue above and white below, (H, W, 3)."""
-    down = np.linspace(0.0, 1.0, 256)[:, None, None]
-    shades = (1.0 - down) * [206.0, 213.0, 224.0] + down * [247.0, 248.0, 250.0]
-    return np.broadcast_to(shades, (256, 8, 3)).astype(np.uint8)
 
 
 def _shadow() -> Any:
