@@ -17,7 +17,7 @@ demo: $(DEMO)  ## drop the flotor: a summary here, pictures in figures/
 	$(BIN)/maglev-mj drop --phases 100 --out figures
 	@printf '%s\n' '' 'Next, for example:'; \
 	if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then printf '%s\n' \
-	  '  $(BIN)/maglev-mj view                       feel it in a window: Ctrl and the right button pull'; fi; \
+	  '  $(BIN)/maglev-mj view                       feel it in a window: drag the knob'; fi; \
 	printf '%s\n' \
 	  '  $(BIN)/maglev-mj view --web                 feel it in a browser: the mouse is the hand' \
 	  '  $(BIN)/maglev-mj press --out figures        a hand hits the wall' \

@@ -32,7 +32,8 @@ from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import EMERGENCY_STOP, device_actions
 from maglev_mj.session import Session as LiveSession
 from maglev_mj.session.replay import rebuild
-from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, SCREENSHOT, help_rows, key_of, keys_of
+from maglev_mj.views.window.grab import fitted_size
+from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT, help_rows, key_of, keys_of
 from maglev_mj.views.window.layout import Area
 from maglev_mj.views.window.scenery import Framing, Scenery
 from maglev_mj.views.window.screen import Screen
@@ -44,8 +45,9 @@ pytestmark = pytest.mark.xdist_group("realtime")
 needs_screen = pytest.mark.needs("screen", "xdotool")
 
 SCREEN = 900, 600
+VIEW = Area(0, 0, *fitted_size(*SCREEN))
 SAMPLE, RATE = "/maglev/sample", 200
-DRAG = 16
+DRAG = 8
 """Pixels."""
 
 FRAME = 0.25
@@ -155,12 +157,16 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
             assert found
             scene, window = Watched(found[0]), screen.window("joystick")
             scene.later(1.0)
-            middle = SCREEN[0] // 3, SCREEN[1] // 3
+            geometry = dict(line.split("=") for line in screen.xdotool("getwindowgeometry", "--shell", window).split())
+            assert (int(geometry["WIDTH"]), int(geometry["HEIGHT"])) == fitted_size(*SCREEN)
+            camera, _ = framed(Joystick(), VIEW)
+            right, up = Framing(Scenery(Joystick).model).seen(camera, VIEW, GRIP)[0]
+            middle = int(geometry["X"]) + round(right), int(geometry["Y"]) + VIEW.height - round(up)
             screen.xdotool("mousemove", *middle)  # keys go to the window under the mouse
             time.sleep(0.5)
             screen.xdotool("key", "F10")
             waited(lambda: list(folder.glob("*.mcap")), PATIENCE)
-            screen.xdotool("keydown", "ctrl", "mousemove", *middle, "mousedown", 3)
+            screen.xdotool("mousemove", *middle, "mousedown", 1)
             time.sleep(1.5)  # a slow frame that sees the press with the first move takes the drag for shorter
             for step in range(1, 5):
                 screen.xdotool("mousemove", middle[0] + DRAG * step // 4, middle[1])
@@ -175,10 +181,21 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Session]:
                 return any(getattr(sample.hand, axis) for axis in AXES)
 
             scene.until(lambda sample: at_rest(sample) and held(sample), round(1.5 * RATE))
-            screen.xdotool("mouseup", 3, "keyup", "ctrl")
+            screen.xdotool("mouseup", 1)
             scene.until(lambda sample: at_rest(sample) and not held(sample), round(1.0 * RATE))
             screen.xdotool("key", "F10")
             waited(lambda: whole(folder), PATIENCE)
+            aside = middle[0] - 150, middle[1] + 40
+            screen.xdotool("mousemove", *aside, "mousedown", 1)  # beside the knob: the engine turns its camera
+            time.sleep(2.0 * FRAME)
+            screen.xdotool("mousemove", aside[0] + 20, aside[1], "mouseup", 1)
+            scene.until(lambda sample: not held(sample), round(0.5 * RATE))
+            screen.xdotool("keydown", "ctrl", "mousemove", *aside, "mousedown", 3)  # the engine's own hand
+            time.sleep(1.0)
+            screen.xdotool("mousemove", aside[0] + DRAG, aside[1])
+            scene.until(held)
+            screen.xdotool("mouseup", 3, "keyup", "ctrl", "key", "Page_Down")
+            scene.until(lambda sample: at_rest(sample) and not held(sample), round(1.0 * RATE))
             time.sleep(1.1)  # names go by the second
             screen.xdotool("key", "6", "key", "F10")  # the wall is back for the keys' own turn
             waited(lambda: len(list(folder.glob("*.mcap"))) == 2, PATIENCE)
@@ -245,7 +262,7 @@ def test_a_drag_moves_the_flotor_as_the_hands_stiffness_says(session: Session) -
     hand = np.concatenate([stretch.hand for stretch in recording.stretches])
     held = np.flatnonzero(np.abs(hand).max(axis=1) > 0.0)
     assert held.size > 100
-    drawn = camera_drag(Joystick(), DRAG, Area(0, 0, SCREEN[0] * 2 // 3, SCREEN[1] * 2 // 3))
+    drawn = camera_drag(Joystick(), DRAG, VIEW)
     stiffness = SpringHand().stiffness
     expected = drawn * stiffness / (stiffness + CENTRING)
     settled = position[held[-20:], :3].mean(axis=0)
@@ -292,15 +309,22 @@ def test_a_screenshot_is_taken(session: Session) -> None:
     assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 
 
+def framed(scene: Scene, view: Area) -> tuple[Any, Area]:
+    """Return the camera of a window on a scene, and its free area."""
+    session, framing, camera = LiveSession(scene), Framing(Scenery(scene).model), mujoco.MjvCamera()
+    free = Screen().draw(session.snapshot(), view, 100).layout.handle
+    session.close()
+    framing.reset(camera)
+    framing.follow(camera, view, free)
+    return camera, free
+
+
 def camera_drag(scene: Scene, pixels: int, view: Area) -> Array:
     """Return the grip's motion for a drag right [m], (3,).
 
     By the camera of a window alone.
     """
-    session, framing, camera = LiveSession(scene), Framing(Scenery(scene).model), mujoco.MjvCamera()
-    framing.reset(camera)
-    framing.follow(camera, view, Screen().draw(session.snapshot(), view, 100).layout.handle)
-    session.close()
+    camera, _ = framed(scene, view)
     azimuth, elevation = math.radians(camera.azimuth), math.radians(camera.elevation)
     forward = np.array(
         [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
@@ -325,7 +349,7 @@ def test_every_key_is_in_the_overlay_and_none_is_the_viewers_own() -> None:
 
 def test_there_are_keys_only_for_what_can_be_done() -> None:
     # A replay or a device shows only what does something there.
-    own = {AXIS, CAMERA, KEYS, SCREENSHOT}
+    own = {AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT}
     for actions in (("pause", "step", "step back"), device_actions(Joystick), (EMERGENCY_STOP,), ()):
         assert {*keys_of(actions).values()} == {*actions, *own} - {"damping"}
         assert len(help_rows(actions, hand=False)) <= len(keys_of(actions))

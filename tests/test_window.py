@@ -18,15 +18,17 @@ import pytest
 
 from maglev_mj.colours import BAD, GOOD, HAND, STOP
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array
+from maglev_mj.frames import Array, rotation_matrix
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import CENTRING, Joystick
-from maglev_mj.session import Note, Pacer, Session, Snapshot, device_actions
+from maglev_mj.session import Note, Pacer, Session, Snapshot, TourLine, device_actions
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
 from maglev_mj.views.charts import SteadyRange, fitted_range, margin
-from maglev_mj.views.window.keys import AXIS, KEYS, help_rows
+from maglev_mj.views.window.grab import Grab, fitted_size
+from maglev_mj.views.window.keys import AXIS, KEYS, MAGNIFY, help_rows
 from maglev_mj.views.window.layout import Area, Font, Layout, arrange
 from maglev_mj.views.window.scenery import Framing, Scenery, directions
 from maglev_mj.views.window.screen import Screen, shown_colour, status_rows
@@ -156,6 +158,10 @@ def test_the_knob_is_in_the_free_part_of_the_picture(name: str, shot: Snapshot) 
             points = seen(model, camera, view, KNOB + place)
             assert (points >= (free.left, free.bottom)).all() and (points <= (free.right, free.top)).all(), view
         middle = seen(model, camera, view, GRIP[None, :])[0]
+        place, right, up = framing.seen(camera, view, GRIP)
+        assert place == pytest.approx(middle)
+        moved = seen(model, camera, view, (GRIP + 7.0 * right - 5.0 * up)[None, :])[0]
+        assert moved - middle == pytest.approx([7.0, -5.0], abs=1e-6)
         assert abs(middle[0] - free.centre[0]) < 0.1 * free.width
         other = Framing(model)
         other.reset(fresh)
@@ -271,6 +277,7 @@ def test_ranges_fit_the_data_and_do_not_jitter() -> None:
         assert bottom / step == pytest.approx(round(bottom / step), abs=1e-3)
     assert fitted_range(np.array([0.1, 4.4]), 1.0) == (0.0, 5.0)
     assert fitted_range(np.zeros(3), 2.0) == (-1.0, 1.0) and fitted_range(np.array([np.nan]), 2.0) == (-1.0, 1.0)
+    assert SteadyRange(1.0)([-4.0, 5.0]) == (-5.0, 5.0) and SteadyRange(1.0)([-0.2, 7.0]) == (-7.0, 7.0)
     steady = SteadyRange(1.0)
     ranges = {steady(np.array([0.0, 3.0 + 0.05 * np.sin(turn)])) for turn in np.linspace(0.1, 6.0, 50)}
     assert ranges == {(0.0, 4.0)}
@@ -352,6 +359,117 @@ def test_keys_and_label_only_where_they_do_something(shot: Snapshot) -> None:
     replayed = screen.draw(replace(shot, actions=("pause",), duration=3.0), view, 100).layout
     assert replayed.label is None
     assert Screen(keys=False).draw(shot, view, 100).layout.label is None  # nobody presses keys in a picture
+
+
+def test_the_task_stays_while_its_keys_are_looked_up(shot: Snapshot) -> None:
+    # A step of the tour is two rows; in a narrow window the keys used to take their place.
+    toured = replace(shot, tour=TourLine(1, 8, "a text", "a deed", False))
+    for size in ((736, 528), (900, 600), (1177, 704), (1280, 800)):
+        screen, view = Screen(), Area(0, 0, *size)
+        if screen.draw(toured, view, 100).layout.keys is None:
+            screen.press(KEYS, shot.scene)
+        layout = screen.draw(toured, view, 100).layout
+        assert layout.keys is not None and layout.status is not None
+        assert list(layout.status.rows[:2]) == [("1 of 8", "a text"), ("do", "a deed")]
+
+
+def test_a_line_says_how_to_pull_until_the_first_drag(shot: Snapshot) -> None:
+    screen, view = Screen(), Area(0, 0, 1280, 800)
+
+    def said(shown: Snapshot, by: Screen = screen) -> bool:
+        layout = by.draw(shown, view, 100).layout
+        assert layout.status is not None
+        return any(name == "mouse" and "drag the knob" in words for name, words in layout.status.rows)
+
+    assert said(shot) and not said(replace(shot, duration=2.0)) and not said(shot, Screen(keys=False))
+    screen.dragged = True
+    assert not said(shot)
+
+
+@pytest.mark.parametrize(("screen", "size"), [((800, 600), (736, 528)), ((1280, 800), (1177, 704))])
+def test_the_window_fits_its_screen(screen: tuple[int, int], size: tuple[int, int]) -> None:
+    assert fitted_size(*screen) == size
+    assert fitted_size(1920, 1080) == (1280, 800) and fitted_size(3840, 2160) == (2560, 1440)
+
+
+def test_a_key_draws_the_handle_and_its_walls_further_out_and_says_so(shot: Snapshot) -> None:
+    screen, view = Screen(), Area(0, 0, 1280, 800)
+    pose = np.array([1e-3, -5e-4, 2e-3, 0.01, 0.0, 0.02])
+    shown, scenery = replace(shot, pose=pose), Scenery(Joystick)
+    scene = mujoco.MjvScene(scenery.model, 500)
+    box = int(mujoco.mjtGeom.mjGEOM_BOX)
+    grip = scenery.model.geom_bodyid == scenery.model.body("handle").id
+    scenery.place(shown)
+    true, turned = scenery.data.geom_xpos.copy(), scenery.data.geom_xmat.copy()
+    for factor in (1, 3, 5):
+        assert screen.factor == factor
+        layout = screen.draw(shown, view, 100).layout
+        assert layout.status is not None
+        assert any(f"motion x{factor}" in words for _, words in layout.status.rows) is (factor > 1)
+        scenery.place(shown, factor)
+        assert scenery.data.xpos[scenery.flotor] == pytest.approx(pose[:3])
+        assert (scenery.data.geom_xpos[~grip] == true[~grip]).all() and (
+            scenery.data.geom_xmat[~grip] == turned[~grip]
+        ).all()
+        other = Scenery(Joystick)
+        other.place(replace(shown, pose=factor * pose))
+        assert np.allclose(scenery.data.geom_xpos[grip], other.data.geom_xpos[grip], atol=1e-12)
+        assert np.allclose(scenery.data.geom_xmat[grip], other.data.geom_xmat[grip], atol=1e-12)
+        scene.ngeom = 0
+        scenery.decorate(scene, shown, factor)
+        walls = [geom.pos for geom in scene.geoms[: scene.ngeom] if geom.type == box]
+        assert max(wall[0] for wall in walls) == pytest.approx(factor * 3.5e-3 + 0.0165, abs=3e-4)
+        screen.press(MAGNIFY, shot.scene)
+    assert screen.factor == 1
+
+
+@pytest.mark.parametrize("factor", [1, 3])
+def test_a_plain_drag_is_the_hand_and_a_magnified_one_is_divided(shot: Snapshot, factor: int) -> None:
+    window: Any = _Window.__new__(_Window)
+    hand, start = SpringHand(), np.array([1e-3, 0.0, 0.0, 0.0, 0.01, 0.0])
+    shown = [replace(shot, pose=start)]
+    session = SimpleNamespace(snapshot=lambda: shown[0], hand=hand)
+    none = SimpleNamespace(pushes=False, twists=False)
+    window.__dict__ |= {"_session": session, "_screen": Screen(), "_grab": Grab(), "_mouse": none, "_from": None}
+    window._screen.factor = factor
+    window._guide_hand()
+    assert hand.target is None and not window._screen.dragged
+    window._grab.moved = np.array([3e-3, 0.0, 6e-3])
+    for _ in range(2):  # the second time it has moved, and is drawn from its start on
+        window._guide_hand()
+        assert hand.target == pytest.approx([1e-3 + 3e-3 / factor, 0.0, 6e-3 / factor, *shown[0].pose[3:]])
+        shown[0] = replace(shot, pose=2.0 * start)
+    assert window._screen.dragged
+    window._grab.moved, window._mouse = None, none
+    window._guide_hand()
+    assert hand.target is None and window._from is None
+    grip = 2.0 * start[:3] + rotation_matrix(2.0 * start[3:]) @ GRIP
+    window._mouse = SimpleNamespace(
+        pushes=True, twists=False, place=grip + 3e-3 * np.eye(3)[0]
+    )  # the engine's own drag
+    window._guide_hand()
+    assert hand.target == pytest.approx([2e-3 + 3e-3 / factor, 0.0, 0.0, *shown[0].pose[3:]])
+
+
+@pytest.mark.parametrize("scene", [Joystick, find_scene("box")])
+def test_the_default_hand_meets_the_wall_and_not_the_stop(scene: type[Scene]) -> None:
+    # However far it is pulled, along each axis and across.
+    for way in (*np.eye(3), *-np.eye(3), (0.7, 0.7, 0.0), (0.6, 0.6, -0.5)):
+        session = Session(scene(), pacer=Pacer(budget=60.0, patience=3600.0))
+        session.hand.target = [*(0.1 * np.array(way)), 0.0, 0.0, 0.0]
+        for _ in range(30):
+            session.tick(0.05)
+            shown = session.snapshot()
+            assert not met_stops(shown).words, way
+        session.close()
+        assert any(normal * (shown.pose[axis] - edge) <= 0.0 for axis, normal, edge in shown.faces)
+        assert dict(status_rows(shown))["energy"].startswith("hand gave ") and shown.taken > -5e-5
+
+
+def test_the_energy_says_who_gave_and_who_took(shot: Snapshot) -> None:
+    for taken, words in ((2e-3, "device took 2.0 mJ"), (-2e-3, "device added 2.0 mJ: its forces come late")):
+        shown = replace(shot, work=3e-3, taken=taken)
+        assert dict(status_rows(shown))["energy"] == f"hand gave 3.0 mJ, {words}"
 
 
 def test_shadows_go_once_when_a_second_of_frames_was_slow() -> None:

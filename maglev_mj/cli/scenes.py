@@ -242,6 +242,9 @@ def render(
     size: Annotated[str, option("pixels", "output", "WxH")] = "1200x750",
     fps: Annotated[int, option("pictures a second", "output", at_least=1, at_most=50)] = 20,
     plain: Annotated[bool, option("leave plots and words out", "output")] = False,
+    magnify: Annotated[
+        int, option("draw the handle's motion so many times as large: 1, 3 or 5", "output", at_least=1, at_most=5)
+    ] = 1,
 ) -> int:
     """A picture or a clip of a scene, without a window."""  # noqa: D401
     # imported here: it loads the libraries that draw
@@ -258,6 +261,7 @@ def render(
             height=height,
             rate=fps,
             plots=not plain,
+            magnify=magnify,
             progress=progress,
         )
     print(f"wrote {out}" + (f", {frames} pictures" if frames > 1 else ""))
@@ -334,7 +338,8 @@ def _hand(scene: Scene) -> HandForce:
 
     if scene.name == _SCENE:
         path = deflections()
-        return _Again(SpringHand(stiffness=1000.0, turning_stiffness=3.0, target=path), path.end)
+        hand = SpringHand(stiffness=1000.0, turning_stiffness=3.0, force_limit=20.0, torque_limit=0.4, target=path)
+        return _Again(hand, path.end)
     script = scene.scripted_hand()
     return SpringHand() if script is None else _Again(script, scene.end)
 

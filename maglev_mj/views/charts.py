@@ -270,6 +270,8 @@ class SteadyRange:
         It is narrower than the last only if that is twice as wide.
         """
         found = fitted_range(np.concatenate([np.ravel(some) for some in values]), self._least)
+        if found[0] < 0.0 < found[1]:  # alike on both sides, so that zero has the middle tick
+            found = -max(-found[0], found[1]), max(-found[0], found[1])
         last = self._last
         if last is None or found[0] < last[0] or found[1] > last[1] or found[1] - found[0] <= 0.5 * (last[1] - last[0]):
             self._last = found

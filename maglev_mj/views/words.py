@@ -161,10 +161,11 @@ def _makes_energy(snapshot: Snapshot) -> bool:
 
 
 def _energy(snapshot: Snapshot) -> str:
-    """Return the hand's and the environment's energy, if known."""
-    made = "MADE" if _makes_energy(snapshot) else "took"
-    parts = {"hand gave": snapshot.work, f"world {made}": abs(snapshot.taken)}
-    return ", ".join(f"{name} {value * 1e3:.1f} mJ" for name, value in parts.items() if not math.isnan(value))
+    """Return the energy of the hand and of the computed forces, if known."""
+    added = _makes_energy(snapshot)
+    parts = {"hand gave": snapshot.work, f"device {'added' if added else 'took'}": abs(snapshot.taken)}
+    words = ", ".join(f"{name} {value * 1e3:.1f} mJ" for name, value in parts.items() if not math.isnan(value))
+    return f"{words}: its forces come late" if added else words
 
 
 def _gain(one: Parameter, value: float | None, axis: str) -> str:

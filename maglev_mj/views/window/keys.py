@@ -10,7 +10,7 @@ import glfw
 from maglev_mj.parameters import flag
 from maglev_mj.session import EMERGENCY_STOP
 
-SCREENSHOT, AXIS, CAMERA, KEYS = "screenshot", "axis of the plots", "camera", "keys"
+SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY = "screenshot", "axis of the plots", "camera", "keys", "magnify motion"
 """Actions of every window."""
 
 
@@ -53,6 +53,7 @@ _KEYS = (
     Key(glfw.KEY_F12, "F12", SCREENSHOT, "files"),
     Key(glfw.KEY_GRAVE_ACCENT, "Backquote `", AXIS, "view"),
     Key(glfw.KEY_PAGE_DOWN, "Page Down", CAMERA, "camera", "camera back"),
+    Key(glfw.KEY_INSERT, "Insert", MAGNIFY, "magnify", "magnify motion x1, x3, x5"),
     Key(glfw.KEY_ESCAPE, "Esc", EMERGENCY_STOP, "stop"),
 )
 """Keys of actions with fixed names.
@@ -63,7 +64,7 @@ The engine's viewer uses letters, 0 to 5, F1 to F7, Tab, brackets, Page Up and B
 no effect in a window on a program's own simulation, and its Escape only frees the camera, which is free here.
 """
 
-_ALWAYS = SCREENSHOT, AXIS, CAMERA, KEYS
+_ALWAYS = SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY
 
 _SWITCHES: Mapping[str, tuple[int, str]] = {
     "6": (glfw.KEY_6, "wall"),
@@ -82,7 +83,6 @@ _PAIRS: Mapping[tuple[str, str], tuple[int, int, str]] = {
     ("F9", "F8"): (glfw.KEY_F9, glfw.KEY_F8, "rate"),
     ("Quote '", "Semicolon ;"): (glfw.KEY_APOSTROPHE, glfw.KEY_SEMICOLON, "delay"),
     ("Home", "End"): (glfw.KEY_HOME, glfw.KEY_END, ""),
-    ("Insert", "Delete"): (glfw.KEY_INSERT, glfw.KEY_DELETE, ""),
 }
 """Keys up and down: names -> keys and owner.
 
@@ -92,10 +92,10 @@ See `_SWITCHES`.
 _Name = TypeVar("_Name")
 _NAMED = {key.action for key in _KEYS}
 _CHOOSES = "scene "
-HAND = "Ctrl + right drag"
+HAND = "drag the knob"
 """Mouse action that pulls the flotor."""
 
-_HANDS = ((HAND, "push (Shift: level)"), ("Ctrl + left drag", "twist"))
+_HANDS = ((HAND, "pull; elsewhere: turn"), ("Ctrl + right drag", "pull (Shift: level)"), ("Ctrl + left drag", "twist"))
 
 
 def _there(actions: Sequence[str]) -> list[Key]:

@@ -22,6 +22,7 @@ _HELP = 22, "Toggle Left / Right UI", "Ctrl [Shift] right drag"  # rows, and the
 _PLOT_HEIGHT, _PLOT_WIDTH, _COLUMN = 110, 210, 250
 _LARGE = 1700, 950
 _LEAST_FREE, _LEAST_WORDS, _WORDS = 400, 340, 0.3
+_FIRST = 2  # rows of the status that stay beside the keys
 
 
 class Area(NamedTuple):
@@ -254,20 +255,25 @@ class _Asked(NamedTuple):
         """
         view, font, strip = self.view, Font(self.scale), self.strip
         most = view.width - view.width // 5
-        fits = max((view.height - (strip if self.banner else 0) - 2 * _GAP) // font.row, 1)
+        # a task stays while its keys are looked up
+        first = [] if self.helped or self.banner else _cut(font, self.status[:_FIRST], view.width - self.pad)
+        first_wide, first_high = font.block(first) if first else (0, 0)
+        top = view.top - max(first_high, strip)
+        fits = max(((top if first or self.banner else view.top) - view.bottom - 2 * _GAP) // font.row, 1)
         rows = _cut(font, self.keys[:fits], most)
         wide, high = self.help_size if self.helped else font.block(rows)
         left = view.left + min(wide, most)
         label, hint, foot = self.feet(left, view.right, view.bottom, True)
         keys = Words(rows, font, Area(view.left, view.bottom, left - view.left, high))
+        area = Area(view.left, view.top - first_high, min(first_wide, view.width), first_high)
         return Layout(
-            status=None,
+            status=Words(first, font, area) if first else None,
             keys=None if self.helped else keys,
             plots=[],
             banner=Area(view.left, view.top - strip, view.width, strip),
             label=label,
             hint=hint,
-            handle=Area(left, foot, view.right - left, view.top - strip - foot),
+            handle=Area(left, foot, view.right - left, top - foot),
         )
 
     @property

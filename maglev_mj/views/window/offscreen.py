@@ -13,7 +13,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import ParameterError, require
+from maglev_mj.errors import ParameterError, check_one_of, require
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
@@ -21,6 +21,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import interrupts_held
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Pacer, Session, Snapshot
+from maglev_mj.views.magnifier import MAGNIFICATIONS
 from maglev_mj.views.window.backend import NEEDS, DisplayError, drawing_library
 from maglev_mj.views.window.layout import Area
 from maglev_mj.views.window.scenery import Framing, Scenery
@@ -120,6 +121,7 @@ class OffscreenPainter:
         plots: True to include plots and text.
         default: Drawing library where MUJOCO_GL names none; None to look for one. A program that has opened a window
             can only use glfw.
+        factor: One of MAGNIFICATIONS, of the handle's motion.
 
     Raises:
         DisplayError: If there is no drawing library.
@@ -127,9 +129,17 @@ class OffscreenPainter:
     """
 
     def __init__(
-        self, scene: Scene, width: int, height: int, *, plots: bool = True, default: str | None = None
+        self,
+        scene: Scene,
+        width: int,
+        height: int,
+        *,
+        plots: bool = True,
+        default: str | None = None,
+        factor: int = 1,
     ) -> None:
-        self._screen = Screen(keys=False) if flag("plots", plots) else None
+        self._factor = factor
+        self._screen = Screen(keys=False, factor=factor) if flag("plots", plots) else None
         self.scenery = Scenery(scene)
         self._framing = Framing(self.scenery.model)
         self._whole = mujoco.MjrRect(0, 0, width, height)
@@ -156,11 +166,11 @@ class OffscreenPainter:
         view = Area(0, 0, whole.width, whole.height)
         over = None if self._screen is None else self._screen.draw(snapshot, view, self._scale)
         self._gl.make_current()
-        scenery.place(snapshot)
+        scenery.place(snapshot, self._factor)
         self._framing.follow(self._camera, view, view if over is None else over.layout.handle)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self._camera, everything, scene)
-        scenery.decorate(scene, snapshot)
+        scenery.decorate(scene, snapshot, self._factor)
         if over is not None:
             if (corner := self._framing.corner(self._camera, view, over.layout.handle)) is not None:
                 scenery.draw_axes(scene, *corner)
@@ -208,6 +218,7 @@ def render(
     height: int = 750,
     rate: int = 20,
     plots: bool = True,
+    magnify: int = 1,
     progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> int:
     """Run a scene and write a picture or clip.
@@ -222,6 +233,7 @@ def render(
         height: Height [pixels].
         rate: Frames per second of a clip.
         plots: True to include plots and text.
+        magnify: One of MAGNIFICATIONS, of the handle's drawn motion.
         progress: Function called with the number of pictures drawn and the number of all.
 
     Returns:
@@ -232,6 +244,7 @@ def render(
         MissingPackageError: If a clip is requested, and the package that writes it is not installed.
     """
     flag("plots", plots)
+    check_one_of("magnify", tuple(map(str, MAGNIFICATIONS)), str(magnify))
     moving = path.suffix in CLIPS
     end = seconds if seconds is not None else scene.end if moving else 0.5 * scene.end
     session = Session(
@@ -240,7 +253,7 @@ def render(
         pacer=Pacer(budget=_FOR_EVER, patience=_FOR_EVER),  # no hurry
     )
     drawn = max(round(end * rate), 1) if moving else 1
-    with OffscreenPainter(scene, width, height, plots=plots) as painter, engine_warnings_silenced():
+    with OffscreenPainter(scene, width, height, plots=plots, factor=magnify) as painter, engine_warnings_silenced():
         painter.wait(session.snapshot())
         if not moving:
             session.tick(end)

@@ -15,6 +15,7 @@ from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, UNDER_KNOB, arrow_
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
+from maglev_mj.views.magnifier import magnified
 from maglev_mj.views.window.layout import Area
 from maglev_mj.views.words import met_stops
 
@@ -87,6 +88,13 @@ class Framing:
         place: Array = eye + _NEAR * (camera.lookat - eye) + pixel * (x * across + y * up)
         return place, pixel
 
+    def seen(self, camera: Any, view: Area, point: Array) -> tuple[Array, Array, Array]:
+        """Return a point's pixel, (2,), and a pixel's steps right and up [m], (3,) each."""
+        across, up = directions(camera)
+        away = point - (camera.lookat - camera.distance * np.cross(up, across))
+        pixel = self._pixel(camera, view) * (away @ np.cross(up, across)) / camera.distance
+        return view.centre + np.array([away @ across, away @ up]) / pixel, pixel * across, pixel * up
+
     def _pixel(self, camera: Any, view: Area) -> float:
         """Return a pixel's height at the camera's target [m]."""
         half = math.radians(0.5 * float(self._model.vis.global_.fovy))
@@ -124,7 +132,7 @@ _WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), (*STUCK, 0.40)
 _EDGE = 0.6  # of a wall's colour: glass is faint, so that colours behind it stay what they are
 _COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
 _MOST = Spec.peak_current.value
-_GLOW, _GHOST_SIZE, _AXIS = 1.06, 1.08, 30
+_GLOW, _GHOST_SIZE, _AXIS, _TRAVEL = 1.06, 1.08, 30, 0.0042
 _SLICES = 40, 16
 _SIMPLE = 2
 """Group of the device's shapes that a scene's meshes stand in for."""
@@ -183,34 +191,43 @@ class Scenery:
         # shapes of the mouse's hand by the engine: its spring, its turned box, and its grip
         rgba.constraint[:] = rgba.inertia[:] = rgba.selectpoint[:] = (*HAND, 1.0)
 
-    def place(self, snapshot: Snapshot) -> None:
-        """Move the model to the flotor's pose."""
+    def place(self, snapshot: Snapshot, factor: float = 1.0) -> None:
+        """Move the model to the flotor's pose, its handle to the magnified one; see `magnified`."""
         qpos, first = self.data.qpos, self._address
         qpos[first : first + 3] = snapshot.pose[:3]
         qpos[first + 3 : first + 7] = quaternion(snapshot.pose[3:])
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
+        if factor != 1.0:
+            for shape, place, turn in self._moved_handle(snapshot.pose, factor * snapshot.pose):
+                self.data.geom_xpos[shape], self.data.geom_xmat[shape] = place, turn.ravel()
 
-    def decorate(self, scene: Any, snapshot: Snapshot) -> None:
+    def decorate(self, scene: Any, snapshot: Snapshot, factor: float = 1.0) -> None:
         """Add all further shapes to a scene of the engine.
 
         They are walls, stops, coils, forces and the stick position.
+
+        Args:
+            scene: The engine's scene.
+            snapshot: The true snapshot.
+            factor: Magnification of the handle's motion.
         """
         self._draw_coils(scene, snapshot)
+        snapshot, wider = magnified(snapshot, factor), _TRAVEL * (factor - 1.0)
         for face in snapshot.faces:
             touched = face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0
-            self._draw_plate(scene, face, _TOUCHED if touched else _WALL)
+            self._draw_plate(scene, face, _TOUCHED if touched else _WALL, wider)
             if face[0] > 2 and touched:
                 self._draw_ring(scene, snapshot.pose, _TOUCHED)
         stops = met_stops(snapshot)
         for face in stops.faces:
-            self._draw_plate(scene, face, _STOP)
+            self._draw_plate(scene, face, _STOP, wider)
         if stops.turning:
             self._draw_ring(scene, snapshot.pose, _STOP)
         if snapshot.anchors is not None:
             self._draw_ghost(scene, snapshot)
-        knob = self.data.xpos[self.flotor] + rotation_matrix(snapshot.pose[3:]) @ GRIP
+        knob = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ GRIP
         hand, device, stop = snapshot.hand[:3], snapshot.force[:3], snapshot.stops[:3]
         _draw_arrow(scene, knob, hand, HAND)
         _draw_arrow(scene, knob, device, DEVICE)
@@ -274,10 +291,11 @@ class Scenery:
             if shape is not None:
                 shape.dataid = mesh
 
-    def _draw_plate(self, scene: Any, face: tuple[int, float, float], colour: _Shade) -> None:
+    def _draw_plate(self, scene: Any, face: tuple[int, float, float], colour: _Shade, wider: float) -> None:
         """Draw a wall's plane; rotations have none."""
         if (plate := wall_plate(face)) is not None:
             centre, size = plate
+            size = size + wider * (np.arange(3) != face[0])
             _add(scene, int(mujoco.mjtGeom.mjGEOM_BOX), size, centre, _IDENTITY, colour)
             red, green, blue, _ = colour
             edge = _EDGE * red, _EDGE * green, _EDGE * blue, 1.0
@@ -286,7 +304,7 @@ class Scenery:
     def _draw_ring(self, scene: Any, pose: Array, colour: _Shade) -> None:
         """Highlight the knob's rim, for a rotation stop."""
         turn = rotation_matrix(pose[3:])
-        place = self.data.xpos[self.flotor] + turn @ [0.0, 0.0, UNDER_KNOB + 0.0012]
+        place = pose[:3] + turn @ [0.0, 0.0, UNDER_KNOB + 0.0012]
         _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], place, turn.ravel(), colour)
 
     def _draw_ghost(self, scene: Any, snapshot: Snapshot) -> None:
@@ -298,14 +316,17 @@ class Scenery:
         if np.isnan(snapshot.anchors).all():
             return
         stuck = np.where(np.isnan(snapshot.anchors), snapshot.pose, snapshot.anchors)
-        turn = rotation_matrix(stuck[3:])
-        back = turn @ rotation_matrix(snapshot.pose[3:]).T
-        origin = self.data.xpos[self.flotor]
-        for shape in self._handle_shapes:
-            place = stuck[:3] + back @ (self.data.geom_xpos[shape] - origin)
-            matrix = (back @ self.data.geom_xmat[shape].reshape(3, 3)).ravel()
+        for shape, place, turn in self._moved_handle(snapshot.pose, stuck):
             size = self.model.geom_size[shape] * _GHOST_SIZE
-            _add(scene, int(self.model.geom_type[shape]), size, place, matrix, _GHOST)
+            _add(scene, int(self.model.geom_type[shape]), size, place, turn.ravel(), _GHOST)
+
+    def _moved_handle(self, start: Array, end: Array) -> list[tuple[int, Array, Array]]:
+        """Return the handle's shapes, with place and rotation, moved between two poses."""
+        back, data = rotation_matrix(end[3:]) @ rotation_matrix(start[3:]).T, self.data
+        return [
+            (shape, end[:3] + back @ (data.geom_xpos[shape] - start[:3]), back @ data.geom_xmat[shape].reshape(3, 3))
+            for shape in self._handle_shapes.tolist()
+        ]
 
 
 def _draw_arrow(scene: Any, knob: Array, force: Array, colour: Colour) -> None:

@@ -18,7 +18,8 @@ from maglev_mj.plants.shapes import ARROW
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
 from maglev_mj.views.charts import Charts, Line, Range
-from maglev_mj.views.window.keys import AXIS, HAND, KEYS, help_rows, key_of
+from maglev_mj.views.magnifier import MAGNIFICATIONS, motion_words
+from maglev_mj.views.window.keys import AXIS, HAND, KEYS, MAGNIFY, help_rows, key_of
 from maglev_mj.views.window.layout import Area, Font, Layout, Row, arrange
 from maglev_mj.views.words import FORCES, Banner, banner, readings
 
@@ -184,6 +185,7 @@ def _shapes(line: Line, across: Range, up: Range) -> list[_Line]:
 
 
 _DRAWN = "position", *FORCES  # by plots and arrows
+_DRAG = "mouse", "drag the knob to pull it, elsewhere to turn the view"
 _ARROWS = "arrows", f"blue hand, orange device, black stop, {5e3 * ARROW:.0f} mm for 5 N"
 
 
@@ -199,6 +201,11 @@ def status_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
     rows = [(name, value) for name, value, _ in readings(snapshot, notes) if name not in _DRAWN]
     place = next((place for place, row in enumerate(rows) if row[0] == "tick"), len(rows))
     return [*_tour(snapshot), *rows[:place], _ARROWS, *rows[place:]]
+
+
+def moved_by_mouse(snapshot: Snapshot) -> bool:
+    """Return True if the mouse is the hand; recordings and devices have their own."""
+    return snapshot.duration is None and snapshot.state != "flying"
 
 
 def _tour(snapshot: Snapshot) -> list[Row]:
@@ -239,13 +246,19 @@ class Screen:
 
     Args:
         keys: True if a user can press keys.
+        factor: One of MAGNIFICATIONS, of the handle's motion, at first.
+
+    Attributes:
+        factor: The present one.
+        dragged: True once a user has pulled the flotor.
     """
 
-    def __init__(self, *, keys: bool = True) -> None:
+    def __init__(self, *, keys: bool = True, factor: int = MAGNIFICATIONS[0]) -> None:
         self._plots, self._with_keys = Plots(), flag("keys", keys)
         self._stop, self._hint, self._back = Label(_RED), Label(_DARK, 0.85), Label(_DARK, 0.80)
         self._banner, self._bar = Label(BAD), TimeBar()
         self._late = Note()
+        self.factor, self.dragged = factor, False
         self._axis: int | None = None
         self._wanted: bool | None = None
         self._shown = False
@@ -259,6 +272,8 @@ class Screen:
         """Run a key's action on the screen itself."""
         if action == AXIS:
             self._axis = ((scene.axis_index if self._axis is None else self._axis) + 1) % len(AXES)
+        elif action == MAGNIFY:
+            self.factor = MAGNIFICATIONS[(MAGNIFICATIONS.index(self.factor) + 1) % len(MAGNIFICATIONS)]
         elif action == KEYS:
             self._wanted = not self._shown
 
@@ -282,12 +297,15 @@ class Screen:
         if snapshot.late:
             self._late.say("late")
         said = banner(replace(snapshot, late=bool(self._late.lines)))  # ticks are given up now and then: no flicker
-        # the mouse is the hand, except in a recording and on a device, which have a hand of their own
-        mouse = snapshot.duration is None and snapshot.state != "flying"
+        mouse, rows = moved_by_mouse(snapshot), status_rows(snapshot, notes)
+        hint = [_DRAG] if mouse and self._with_keys and not self.dragged else []
+        magnified = motion_words(self.factor)
+        label = [("shown", f"{magnified}, of handle and walls")] if magnified else []
+        task = len(_tour(snapshot))
         layout = arrange(
             view,
             scale,
-            status_rows(snapshot, notes),
+            [*rows[:task], *label, *hint, *rows[task:]],
             help_rows(snapshot.actions, hand=mouse) if self._with_keys else [],
             banner=said is not None,
             label=self._with_keys and EMERGENCY_STOP in snapshot.actions,

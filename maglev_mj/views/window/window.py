@@ -18,6 +18,7 @@ from statistics import median
 from typing import Any, NamedTuple
 
 import glfw
+import numpy as np
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, rotation_matrix, rotation_vector
@@ -27,13 +28,15 @@ from maglev_mj.plants.shapes import GRIP
 from maglev_mj.process import interrupts_delayed
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
+from maglev_mj.views.magnifier import true_pose
 from maglev_mj.views.remote import ShowReport
 from maglev_mj.views.window.backend import DisplayError
-from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, SCREENSHOT, keys_of
+from maglev_mj.views.window.grab import Grab
+from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT, keys_of
 from maglev_mj.views.window.layout import Area
 from maglev_mj.views.window.offscreen import OffscreenPainter, write_picture
 from maglev_mj.views.window.scenery import Framing, Scenery
-from maglev_mj.views.window.screen import Screen
+from maglev_mj.views.window.screen import Screen, moved_by_mouse
 
 _FRAME = 1.0 / 60.0
 _NAP = 0.001
@@ -149,6 +152,8 @@ class _Window:
         self._pressed: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._snapshots: queue.Queue[Snapshot | None] = queue.Queue(maxsize=1)
         self._mouse: _Mouse | None = None
+        self._grab = Grab()
+        self._from: Array | None = None
         self._note = Note()
         self._costs: list[float] = []
         self._failed: Exception | None = None
@@ -156,7 +161,7 @@ class _Window:
         self._scenery = _scenery(session.snapshot().scene)
         self._framing, self._camera_back = Framing(self._scenery.model), True
         before = set(threading.enumerate())
-        self._handle = _launch(self._scenery.model, self._scenery.data, self._pressed.put)
+        self._handle = _launch(self._scenery.model, self._scenery.data, self._pressed.put, self._grab)
         with self._handle.lock():  # for the frames until the first of ours
             self._framing.reset(self._handle.cam)
         if shadows is False:
@@ -221,7 +226,7 @@ class _Window:
                 thread.start()
             elif action == CAMERA:
                 self._camera_back = True
-            elif action in (AXIS, KEYS):
+            elif action in (AXIS, KEYS, MAGNIFY):
                 self._screen.press(action, snapshot.scene)
             elif action is not None:
                 try:
@@ -231,17 +236,23 @@ class _Window:
 
     def _guide_hand(self) -> None:
         """Move the hand's target to the mouse, or release it."""
-        mouse, self._mouse = self._mouse, None
-        if mouse is None:
+        mouse, self._mouse, moved = self._mouse, None, self._grab.moved
+        if mouse is None and moved is None:
             return
         hand = self._session.hand
-        if not (mouse.pushes or mouse.twists):
+        if moved is None and not (mouse is not None and (mouse.pushes or mouse.twists)):
+            self._from = None
             if hand.target is not None:
                 hand.target = None
             return
         pose = self._session.snapshot().pose
-        goal = mouse.place - rotation_matrix(pose[3:]) @ GRIP if mouse.pushes else pose[:3]
-        turned = rotation_vector(*mouse.turn) if mouse.twists else pose[3:]
+        start = self._from = pose if self._from is None else self._from
+        goal, turned = pose[:3], pose[3:]
+        if mouse is not None and moved is None:
+            turned = np.array(rotation_vector(*mouse.turn)) if mouse.twists else turned
+            moved = mouse.place - rotation_matrix(start[3:]) @ GRIP - start[:3] if mouse.pushes else None
+        if moved is not None:
+            goal, self._screen.dragged = start[:3] + true_pose(moved, self._screen.factor), True
         hand.target = [float(part) for part in (*goal, *turned)]
 
     def _paint(self) -> None:
@@ -279,15 +290,18 @@ class _Window:
             view = Area(rectangle.left, rectangle.bottom, rectangle.width, rectangle.height)
             over = self._screen.draw(snapshot, view, self._scale, self._note.lines)
         with handle.lock():
-            scenery.place(snapshot)
+            factor = self._screen.factor
+            scenery.place(snapshot, factor)
             scene = handle.user_scn
             scene.ngeom = 0
-            scenery.decorate(scene, snapshot)
+            scenery.decorate(scene, snapshot, factor)
             if over is not None:
                 if self._camera_back:
                     self._camera_back = False
                     framing.reset(handle.cam)
                 framing.follow(handle.cam, view, over.layout.handle)
+                knob = factor * snapshot.pose[:3] + rotation_matrix(factor * snapshot.pose[3:]) @ GRIP
+                self._grab.look(framing.seen(handle.cam, view, knob) if moved_by_mouse(snapshot) else None)
                 if (corner := framing.corner(handle.cam, view, over.layout.handle)) is not None:
                     scenery.draw_axes(scene, *corner)
             self._mouse = _mouse(handle.perturb)
@@ -306,7 +320,7 @@ class _Window:
         try:
             # a program draws with one library only: that of its window, unless MUJOCO_GL is set
             with self._handle.lock():  # it may be loading a model, and the engine's table of GL functions is one
-                painter = OffscreenPainter(snapshot.scene, *_PICTURE, default="glfw")
+                painter = OffscreenPainter(snapshot.scene, *_PICTURE, default="glfw", factor=self._screen.factor)
             with painter:
                 painter.wait(snapshot)
                 write_picture(painter.picture(snapshot), path)
@@ -315,7 +329,7 @@ class _Window:
             self._note.say(f"no screenshot: {error}")
 
 
-def _launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Callable[[int], object]) -> Any:
+def _launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Callable[[int], object], grab: Grab) -> Any:
     """Open a window of the engine's viewer on a model; return the engine's handle."""
     from mujoco import viewer  # imported here, because it needs a display
 
@@ -334,6 +348,10 @@ def _launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Callable[[
         def __init__(self, *arguments: Any) -> None:
             super().__init__(*arguments)
             self.loading, self._one = False, threading.Lock()
+            self.opened()
+
+        def opened(self) -> None:
+            """Take hold of the window; set for each."""
 
         def load(self, model: mujoco.MjModel, data: mujoco.MjData, path: str) -> None:
             """Load a model; wait until it is drawn."""
@@ -350,6 +368,8 @@ def _launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Callable[[
 
     if engine._Simulate.__name__ != Simulation.__name__:  # of an earlier window
         engine._Simulate = Simulation
+    # it is made with the window, whose context is then that of the thread
+    engine._Simulate.opened = lambda _: grab.attach(glfw.get_current_context())
     return viewer.launch_passive(model, data, key_callback=key_callback, show_left_ui=False, show_right_ui=False)
 
 
