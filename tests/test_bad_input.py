@@ -60,6 +60,7 @@ REFUSED = {
     "press --hand none": "hand must have an arm of some stiffness, by which it presses, not 'none'",
     "press --hand fist": HANDS,
     "press --hits 2.5": "argument --hits: must be a whole number, not '2.5'",
+    "render drop --out a.png --magnify 2": "magnify must be one of 1, 3, 5, not '2'",
     "press --press 60 --force-limit 60": "press must be below the force_limit of 60 N",
     "press --duration 1": "duration must be a finite number above 1.905 and at most 100000, not 1.0",
     "stick-slip --law glue": "law must be one of stick-slip, spring-reset, dahl, ",
