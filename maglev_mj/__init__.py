@@ -72,6 +72,7 @@ Studies:
 
     sweep                    runs a scene over a grid of parameters
     compare                  laws of a wall side by side in one scene
+    device_card              impedances, masses and forces that a device renders
     run_cells                runs a function of your own over a grid
     local_workers            processes of this machine
     dask_workers             workers of a Dask cluster

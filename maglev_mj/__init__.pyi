@@ -65,6 +65,7 @@ from maglev_mj.session import real_time as real_time
 from maglev_mj.session.replay import rebuild as rebuild
 from maglev_mj.session.replay import record_run as record_run
 from maglev_mj.session.replay import write_run as write_run
+from maglev_mj.studies.card import device_card as device_card
 from maglev_mj.studies.cells import dask_workers as dask_workers
 from maglev_mj.studies.cells import local_workers as local_workers
 from maglev_mj.studies.cells import run_cells as run_cells

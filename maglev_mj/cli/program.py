@@ -50,6 +50,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "compare": Command("your law of a wall beside published ones", "drop --law pd --law observer --out figures"),
         "sweep": Command("any scene over a grid of its parameters", "drop --vary height=1e-3:4e-3:4 --workers 2"),
         "fidelity": Command("the cheapest model that will do for a scene", "let-go --duration 0.02 --phases 2"),
+        "card": Command("what a device renders: Z-width, transparency, mass, force", "drop --rate 1000 --out figures"),
         "info": Command("Table 1 of the paper, and what the model yields", "--json table1.json"),
     },
     "device": {
@@ -74,7 +75,7 @@ MODULES: Mapping[str, str] = {
     name: module
     for module, names in {
         "scenes": "view tour render serve-spacenav drop press stick-slip run",
-        "studies": "stability design compare sweep fidelity",
+        "studies": "stability design compare card sweep fidelity",
         "twin": "twin",
         "bridge": "bridge",
         "device": "info estop commission conform",

@@ -17,6 +17,7 @@ import numpy as np
 from maglev_mj.cli.declare import Option, Parser, Shared, declare, declared, option
 from maglev_mj.cli.options import (
     Json,
+    Picture,
     Pictures,
     add_parameters,
     add_phase,
@@ -37,7 +38,10 @@ from maglev_mj.parameters import parsed_number
 from maglev_mj.pictures import PictureFolder
 from maglev_mj.plants.hand import HANDS
 from maglev_mj.result import plain
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.studies.card import device_card
 from maglev_mj.studies.cells import Record, StudyInterrupted, Workers, WorkersError, dask_workers, local_workers
 from maglev_mj.studies.compare import LAWS
 from maglev_mj.studies.compare import compare as compare_laws
@@ -385,6 +389,27 @@ def design(
         result = evaluate_wall(wall, contact, reference)
     write_result(json, result, pictures, "design")
     return int(result.grows.any())
+
+
+def _carded(text: str) -> Scene | type[Scene]:
+    """Return a scene, or `drop` with the mass of a calibration."""
+    if not text.endswith(".json"):
+        return find_scene(text)
+    from maglev_mj.bridge.bench.calibration import Calibration  # a scene's card needs no bridge
+
+    return Drop(mass=Calibration.load(text).mass)
+
+
+_Carded: TypeAlias = Annotated[Scene, Shared(partial(add_scene, default="drop", find=_carded), chosen_scene)]
+
+
+def card(*, scene: _Carded, json: Json = None, pictures: Picture) -> int:
+    """Range of impedances, transparency, virtual masses and forces of a device.
+
+    In place of a scene: a calibration file, CALIBRATION.json.
+    """
+    write_result(json, device_card(scene), pictures, "card")
+    return 0
 
 
 def _preset_scene(text: str) -> Scene | None:

@@ -11,7 +11,8 @@ import numpy as np
 from maglev_mj.colours import REFERENCE, SERIES, STOP
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.pictures import FIRST, SECOND, TITLE, axis_label, name_curves, new_figure, new_grid
+from maglev_mj.pictures import FIRST, SECOND, TITLE, axis_label, line_style, name_curves, new_figure, new_grid
+from maglev_mj.studies.card import DeviceCard
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.drop_map import DropMap
 from maglev_mj.studies.fidelity import MARGIN, FidelityResult
@@ -241,3 +242,27 @@ def fidelity(result: FidelityResult) -> Any:
 
 def _chosen(name: str, value: Any, unit: str) -> str:
     return f"{name} {value:g} {unit}".rstrip() if isinstance(value, int | float) else f"{name} {value}"
+
+
+def device_card(result: DeviceCard) -> Any:
+    """Draw stable walls by hand, and impedances over frequency.
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    figure, (width, size) = new_figure(1, 2, 4.6)
+    for index, (hand, limit) in enumerate(zip(result.hands, result.limits)):
+        width.plot(result.damping, limit / 1e3, label=f"hand {hand}", linewidth=1.8, **line_style(index))
+    width.set(xlabel="damping (N s/m)", ylabel="stiffness (N/mm)", ylim=(0.0, None))
+    width.set_title(f"Z-width: stable below, delay {result.delays[1] * 1e3:g} ms", **TITLE)
+    frequency, wanted, rendered, flown = result.impedance
+    size.loglog(frequency, wanted, label="wanted", linewidth=1.8, **line_style(1))
+    size.loglog(frequency, rendered, label="rendered", linewidth=1.8, **line_style(0))
+    size.loglog(frequency[::4], flown[::4], "o", color=STOP, markersize=4, label="flown by a sine hand")
+    size.axvline(result.transparent, color=REFERENCE, linestyle=":", label="transparent up to")
+    size.set(xlabel="frequency (Hz)", ylabel="impedance (N s/m)")
+    size.set_title("impedance that a hand meets", **TITLE)
+    for panel in (width, size):
+        name_curves(panel)
+    figure.suptitle(result.title, fontsize=10.0, x=0.02, ha="left")
+    return figure

@@ -1,0 +1,189 @@
+"""Device card: impedances, virtual masses and forces that a device renders along a translation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.control import Hold, LinearController
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import drive
+from maglev_mj.frames import Array
+from maglev_mj.plants import ExactPlant
+from maglev_mj.plants.hand import HANDS, get_hand
+from maglev_mj.result import Result, Table
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.spec import Spec
+from maglev_mj.theory import StiffestWall, largest_stable_stiffness
+from maglev_mj.theory.closed_loop import MOST_PERIODS, Design, SampledLoop, bisect, is_stable
+from maglev_mj.theory.verdict import inertia_of
+
+_MASSES = np.geomspace(1e-3, 1e3, 4001)
+_WINDOW, _LONGEST, _SETTLED = 400, 20_000, 1e-10
+_LOSS = math.sqrt(0.5)
+_IMPEDANCE = {"frequency": "Hz", "wanted": "N s/m", "rendered": "N s/m", "flown": "N s/m"}
+
+
+@dataclass(frozen=True, eq=False)
+class DeviceCard(Result):
+    """Card of a device along a translation.
+
+    Arrays are by hand (H,), delay (D,), damping (B,) and frequency (F,).
+
+    Attributes:
+        title: Rate, delay, mass and wanted wall in words.
+        hands: Names of the hands, "none" for the free flotor.
+        delays: None, the device's, and a period more [s].
+        walls: For each hand the stiffest stable wall at each delay, (D,) each: the top of the Z-width.
+        damping: Dampings of the curves [N s/m].
+        limits: Largest stable stiffness of each hand at the device's delay [N/m], (H, B).
+        impedance: Frequency [Hz], and sizes [N s/m] of the wanted impedance, damping + stiffness/(j omega), of the one
+            that a hand meets by theory, and in flights of the exact plant; (4, F). NaN for an unstable wall.
+        transparent: Highest frequency up to which the rendered impedance is within 3 dB of the wanted one [Hz]; 0 for
+            none.
+        masses: Smallest and largest virtual mass behind a coupling of the wanted gains [kg], (H, 2); infinite from
+            1000 kg on, NaN for none.
+        force_bandwidth: Frequency at which hold and drivers lose 3 dB of a force [Hz].
+        force_resolution: Step of the force by one step of the sensor, at the wanted gains [N].
+    """
+
+    title: str
+    hands: tuple[str, ...]
+    delays: Array
+    walls: tuple[StiffestWall, ...]
+    damping: Array
+    limits: Array
+    impedance: Array
+    transparent: float
+    masses: Array
+    force_bandwidth: float
+    force_resolution: float
+    drawn_by: ClassVar = "maglev_mj.studies.pictures:device_card"
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return the impedances over frequency."""
+        return dict(zip(_IMPEDANCE, self.impedance))
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each column."""
+        return _IMPEDANCE
+
+    def table(self) -> Table:
+        """Return figures, walls and masses of each hand, and impedances."""
+        figures = [("transparent within 3 dB up to", self.transparent, "Hz")]
+        figures += [("force bandwidth, 3 dB", self.force_bandwidth, "Hz")]
+        figures += [("force of one sensor step", self.force_resolution, "N")]
+        hands = [
+            (hand, *(f"{k:.0f} at {b:.0f}" for k, b in zip(wall.stiffness, wall.damping)), *mass.tolist())
+            for hand, wall, mass in zip(self.hands, self.walls, self.masses)
+        ]
+        heads = "hand", *(f"{delay * 1e3:g} ms" for delay in self.delays), "least mass [kg]", "largest"
+        title = "Stiffest stable wall [N/m] at its damping [N s/m]; virtual mass, - for no limit"
+        note = "stable, not passive: without damping of its own the flotor renders no passive wall"
+        few = self.impedance.T[np.linspace(0, self.impedance.shape[1] - 1, 8).astype(int)].tolist()
+        tables = (
+            Table(title, heads, hands, note),
+            Table("Impedance", [f"{n} [{u}]" for n, u in self.units.items()], few),
+        )
+        return Table(f"Device card: {self.title}", ("", "value", "unit"), figures, below=tables)
+
+
+def device_card(scene: Scene) -> DeviceCard:
+    """Return the card of a scene's device, by theory and by flights of the exact plant.
+
+    The wanted wall has the scene's stiffness and damping, and the sensor its `quantize`; where it has none, those of
+    `drop` and of Table 1.
+
+    Args:
+        scene: The scene.
+
+    Raises:
+        ParameterError: If the delay is longer than ten periods.
+
+    Example:
+        >>> from maglev_mj import device_card, find_scene
+        >>> card = device_card(find_scene("drop")())
+        >>> round(float(card.walls[0].stiffness[1]))  # free, at the device's delay
+        10173
+    """
+    k, b, quantum = (getattr(scene, name, 0.0) for name in ("stiffness", "damping", "quantize"))
+    k, b, quantum = k or Drop().stiffness, b or Drop().damping, quantum or Spec.translation_resolution.value
+    period, mass = scene.period, float(inertia_of(scene)[0])
+    delays = np.array([0.0, scene.delay, min(scene.delay + period, MOST_PERIODS * period)])
+    loops = [SampledLoop(period=period, delay=scene.delay, mass=mass, hand=get_hand(name)) for name in HANDS]
+    near: list[Any] = [{"period": period, "mass": mass, "hand": loop.hand} for loop in loops]
+    walls = tuple(largest_stable_stiffness(delay=delays, **loop) for loop in near)
+    damping = np.linspace(0.0, 1.3 * max(wall.damping[1] for wall in walls), 121)
+    limits = np.array([largest_stable_stiffness(damping, delay=scene.delay, **loop) for loop in near])
+    cycles = np.unique(np.geomspace(1.0, 0.45 * _WINDOW, 120).round())
+    frequency = cycles / (_WINDOW * period)
+    omega = 2.0 * np.pi * frequency
+    rendered = 1.0 / (omega * np.abs([*loops[0].compliances(k, b, frequency.tolist())]))
+    wanted = np.hypot(b, k / omega)
+    alike = np.logical_and.accumulate(np.abs(np.log(rendered / wanted)) < -math.log(_LOSS))
+    transparent = float(np.max(frequency, where=alike, initial=0.0))
+    impedance = np.array([frequency, wanted, rendered, fly_impedance(scene, mass, k, b, cycles)])
+    masses = np.array([mass_range(loop, k, b) for loop in loops])
+    lost = lambda f: np.sinc(f * period) < _LOSS * np.hypot(1.0, f / Spec.driver_bandwidth.value)  # noqa: E731
+    fast = float(bisect(lost, np.zeros(()), np.array(0.5 / period), 50))
+    title = f"{1.0 / period:g} Hz, delay {scene.delay * 1e3:g} ms, {mass:g} kg, wanted {k:g} N/m and {b:g} N s/m"
+    step = quantum * (k + b / period)
+    return DeviceCard(title, tuple(HANDS), delays, walls, damping, limits, impedance, transparent, masses, fast, step)
+
+
+def fly_impedance(scene: Scene, mass: float, stiffness: float, damping: float, cycles: Array) -> Array:
+    """Return the impedance that sine hands meet on the exact plant [N s/m].
+
+    It is NaN for a wall that does not settle. Each number of cycles in 400 samples has a device; a hand's force is
+    constant from sample to sample.
+    """
+    modulus = SampledLoop(period=scene.period, delay=scene.delay, mass=mass).modulus(stiffness, damping)
+    settle = math.ceil(math.log(_SETTLED) / math.log(modulus)) if modulus < 1.0 else _LONGEST
+    if settle >= _LONGEST:
+        return np.full(cycles.size, np.nan)
+    none, turn, moved = np.zeros(cycles.size), 2.0 * np.pi * cycles / _WINDOW, list[Any]()
+    start, hand = np.zeros((cycles.size, 6)), lambda tick, *_: [np.sin(turn * tick), *[none] * 5]
+    controller = Controller([Hold(axes="x", stiffness=stiffness, damping=damping)], period=scene.period)
+    with ExactPlant(scene.timing(), mass=mass, pose=start, gravity=0.0, hand_force=hand) as plant:
+        drive(plant, controller, settle + _WINDOW, observe=lambda sample, _: moved.append(sample.position[0]))
+    swing = np.abs(np.fft.fft(moved[settle:], axis=0)[cycles.astype(int), np.arange(cycles.size)]) * 2.0 / _WINDOW
+    return np.asarray(scene.period / (turn * swing))
+
+
+def mass_range(loop: SampledLoop, stiffness: float, damping: float) -> tuple[float, float]:
+    """Return the smallest and largest virtual mass of the heaviest stable range [kg].
+
+    The mass is simulated in the controller, coupled to the flotor by spring and damper, and found to 0.4 %.
+    """
+    roots = np.linalg.eigvals(replace(loop, design=virtual_mass(_MASSES)).matrix(stiffness, damping))
+    drifts = 0 if loop.hand else 2  # both masses together move freely: a double root at 1, by structure
+    kept = np.argsort(np.abs(roots - 1.0))[:, drifts:]
+    good = is_stable(np.abs(np.take_along_axis(roots, kept, axis=-1)).max(axis=-1))
+    if not good.any():
+        return math.nan, math.nan
+    last = np.flatnonzero(good)[-1]
+    first = np.max(np.flatnonzero(~good[:last]), initial=-1) + 1
+    return _MASSES[first], math.inf if good[-1] else _MASSES[last]
+
+
+def virtual_mass(mass: Array) -> Design:
+    """Return the design of virtual masses, (M,) [kg], behind a spring and a damper.
+
+    Its state is the flotor's last position, then position and velocity of the mass.
+    """
+
+    def design(stiffness: Array, damping: Array, period: Array) -> LinearController:
+        force = np.array([damping / period, stiffness, damping, -stiffness - damping / period])
+        whole = np.zeros((mass.size, 3, 4))
+        whole[:, 0, 3] = 1.0
+        whole[:, 2] = [0.0, 0.0, 1.0, 0.0] - force * (period / mass)[:, None]
+        whole[:, 1] = [0.0, 1.0, 0.0, 0.0] + whole[:, 2] * period
+        return LinearController(whole[..., :3], whole[..., 3], force[:3], force[3])
+
+    return design

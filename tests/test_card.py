@@ -1,0 +1,129 @@
+"""The device card: each number beside a simulation of its own, or a closed form."""
+
+from __future__ import annotations
+
+import json
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import Calibration, Command, Controller, ExactPlant, Hold, Sample, Timing, cli, device_card, drive
+from maglev_mj.frames import Six
+from maglev_mj.plants.hand import get_hand
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.spec import Spec
+from maglev_mj.studies.card import DeviceCard
+from maglev_mj.studies.stability_map import StabilityParameters, run_stability
+
+RATES = {200: Drop(), 1000: Drop(period=1e-3, delay=5e-4, pulse=0.0)}
+
+
+@cache
+def card(rate: int) -> DeviceCard:
+    return device_card(RATES[rate])
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("hand", [0, 1])
+def test_walls_grow_beyond_the_z_width_and_settle_below(rate: int, hand: int) -> None:
+    found, scene = card(rate), RATES[rate]
+    wall = found.walls[hand]
+    k, b = float(wall.stiffness[1]), float(wall.damping[1])
+    timing: dict[str, Any] = {"period": scene.period, "delay": scene.delay, "hand": found.hands[hand]}
+    walls = StabilityParameters(stiffness=(0.98 * k, 1.02 * k), damping=(b, b), plant="exact", grid=2, **timing)
+    settles = run_stability(walls).simulated
+    assert settles is not None and settles[:, 0].tolist() == [True, False]
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_a_sine_hand_meets_the_impedance_of_theory(rate: int) -> None:
+    found = card(rate)
+    frequency, wanted, rendered, flown = found.impedance
+    assert flown == pytest.approx(rendered, rel=1e-7)
+    assert rendered[0] == pytest.approx(wanted[0], rel=0.03)  # a slow hand meets the wanted wall
+    ratio = rendered / wanted
+    last = np.flatnonzero(frequency == found.transparent)[0]
+    assert (np.abs(20.0 * np.log10(ratio[: last + 1])) < 3.0103).all()
+    assert abs(20.0 * math.log10(ratio[last + 1])) > 3.01
+
+
+class Coupled:
+    """Virtual mass behind a spring and a damper, computed step by step."""
+
+    def __init__(self, mass: float, scene: Drop) -> None:
+        self.mass, self.scene, self.state = mass, scene, (0.0, 0.0, 0.0)
+        self.period = scene.period
+        self.stretch: list[float] = []
+
+    def reset(self) -> None:
+        self.state = (0.0, 0.0, 0.0)
+
+    def step(self, sample: Sample) -> Any:
+        (last, place, speed), x, period = self.state, float(sample.position[0]), self.period
+        force = self.scene.stiffness * (place - x) + self.scene.damping * (speed - (x - last) / period)
+        speed -= force / self.mass * period
+        self.state = x, place + speed * period, speed
+        self.stretch.append(abs(self.state[1] - x))
+        return Command([force, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("hand", [0, 1])
+def test_lighter_virtual_masses_shake(rate: int, hand: int) -> None:
+    found, scene = card(rate), RATES[rate]
+    least, most = found.masses[hand]
+    assert math.isinf(most)
+    for share, shakes in ((0.97, True), (1.03, False)):
+        law = Coupled(share * least, scene)
+        timing, grip = Timing(period=scene.period, delay=scene.delay), get_hand(found.hands[hand])
+        start: Six = [1e-9, 0.0, 0.0, 0.0, 0.0, 0.0]
+        with ExactPlant(timing, mass=scene.mass, pose=start, gravity=0.0, hand=grip) as plant:
+            drive(plant, law, 100)
+        assert bool(max(law.stretch[90:]) > max(law.stretch[40:50])) is shakes
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_the_force_bandwidth_is_that_of_a_held_sine_through_the_drivers(rate: int) -> None:
+    period, frequency, fine = 1.0 / rate, card(rate).force_bandwidth, 400
+    samples, step = 4000, 1.0 / rate / fine
+    command = np.repeat(np.sin(2.0 * np.pi * frequency * period * np.arange(samples)), fine)
+    gain = 1.0 - math.exp(-2.0 * np.pi * Spec.driver_bandwidth.value * step)
+    force, value = np.empty(command.size), 0.0
+    for index, one in enumerate(command.tolist()):
+        value += gain * (one - value)
+        force[index] = value
+    window = np.hanning(force.size)
+    turn = np.exp(-2j * np.pi * frequency * step * np.arange(force.size))
+    size = 2.0 * abs((window * force * turn).sum()) / window.sum()
+    assert size == pytest.approx(math.sqrt(0.5), rel=3e-3)
+
+
+@pytest.mark.parametrize("rate", RATES)
+def test_one_step_of_the_sensor_is_the_force_resolution(rate: int) -> None:
+    scene = RATES[rate]
+    law = Controller([Hold(axes="x", stiffness=scene.stiffness, damping=scene.damping)], period=scene.period)
+    law.step(Sample(0, 0.0, [0.0] * 6))
+    force = law.step(Sample(1, scene.period, [Spec.translation_resolution.value, *[0.0] * 5])).force
+    assert card(rate).force_resolution == pytest.approx(-force[0])
+
+
+def test_the_command_takes_scenes_and_calibrations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    heavy = {**Calibration.nominal().as_json(), "mass": 1.4}
+    (tmp_path / "heavy.json").write_text(json.dumps(heavy))
+    found = []
+    for words in ("drop --mass 1.4", str(tmp_path / "heavy.json")):
+        assert cli.main(["card", *words.split(), "--json", "-"]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[0] == found[1]
+    assert cli.main(["card", "drop", "--stiffness", "12000", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert (tmp_path / "card.png").exists() and max(map(len, said.splitlines()[:-1])) <= 80
+    assert set(device_card(Drop(stiffness=12000.0)).as_json()["impedance"][3]) == {None}  # an unstable wall
+
+
+def test_gains_that_bear_no_virtual_mass_say_so() -> None:
+    assert np.isnan(device_card(Drop(stiffness=30000.0)).masses[0]).all()
