@@ -279,9 +279,11 @@ class Stage:
         )
         self._arrows = [_Arrow(scene, name, colour) for name, colour in _FORCES.items()]
         self._walls: dict[tuple[int, float, float], tuple[Any, Any]] = {}
+        self._met: set[tuple[int, float, float]] = set()
         self._word = scene.add_label("/word", "", position=(0.0, 0.0, 0.116), anchor="bottom-center", visible=False)
         self._model: Any = None
         self._coils: dict[int, Any] = {}
+        self._shares: list[float] = []
         self.factor, self.hint = 1.0, ""
         self.show(snapshot)
 
@@ -289,10 +291,11 @@ class Stage:
         """Show a snapshot."""
         if snapshot.scene.model != self._model:
             self._load(snapshot)
-        shares = np.nan_to_num(np.abs(snapshot.currents) / Spec.peak_current.value)
+        shares = np.round(np.nan_to_num(np.abs(snapshot.currents) / Spec.peak_current.value), 2).tolist()
         for coil, winding in self._coils.items():
-            share = round(float(shares[coil]), 2)
-            update(winding, color=_bytes(_COLD + share * (_WARM - _COLD) if share < 1.0 else _LIMIT))
+            if (share := shares[coil]) != self._shares[coil]:
+                winding.color = _bytes(_COLD + share * (_WARM - _COLD) if share < 1.0 else _LIMIT)
+        self._shares = shares
         self._place(self._flotor, snapshot.pose)
         snapshot = magnified(snapshot, self.factor)
         pose = snapshot.pose
@@ -323,7 +326,7 @@ class Stage:
             nodes.setdefault(shape.part or ("rest" if shape.moves else "device"), []).append(shape)
         for winding in self._coils.values():
             winding.remove()
-        self._coils = {}
+        self._coils, self._shares = {}, [-1.0] * 6
         for name, parts in nodes.items():
             if name.startswith("coil"):
                 mesh, coil = _joined([solid(shape) for shape in parts]), int(name[4:])
@@ -341,10 +344,11 @@ class Stage:
                 self._walls[face] = self._wall(face, *plate)
         met = {face for face in faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
         update(self._rim, visible=any(axis > 2 for axis, _, _ in met))
-        for face, (plate, edge) in self._walls.items():
+        for face in (met ^ self._met) & self._walls.keys():
             colour, opacity = (TOUCHED, _LIT) if face in met else (WALL, _FAINT)
-            update(plate, color=_bytes(colour), opacity=opacity)
-            update(edge, colors=np.array(_bytes(colour), np.uint8))
+            glass, edge = self._walls[face]
+            glass.color, glass.opacity, edge.colors = _bytes(colour), opacity, np.array(_bytes(colour), np.uint8)
+        self._met = met
 
     def _wall(self, face: tuple[int, float, float], centre: Array, half: Array) -> tuple[Any, Any]:
         """Add the glass of a wall, and its edge; larger where the handle's motion is."""
@@ -352,7 +356,7 @@ class Stage:
         half = half + (self.factor - 1.0) * _TRAVEL * across.sum(axis=0)
         corners = half * (np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) @ across)
         plate = scene.add_box(
-            name, dimensions=tuple(2.0 * half), position=tuple(centre), side="double", opacity=_FAINT, **_PLAIN
+            name, _bytes(WALL), tuple(2.0 * half), position=tuple(centre), side="double", opacity=_FAINT, **_PLAIN
         )
         lines = np.stack([corners, np.roll(corners, 1, axis=0)], axis=1).astype(np.float32)
         return plate, scene.add_line_segments(f"{name}/edge", lines, _bytes(WALL), thickness=_EDGE)
