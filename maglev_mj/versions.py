@@ -10,6 +10,7 @@ import platform
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -39,7 +40,7 @@ def versions() -> dict[str, str]:
     They are read once per process, in about 20 ms.
 
     Returns:
-        maglev_mj, python, mujoco and numpy: their versions.
+        maglev_mj, python, mujoco and numpy: their versions; "none" for mujoco if it is not installed.
         sources: First 16 digits of the SHA-256 of package and models: the same in a checkout and in its wheel.
     """
     return dict(_versions())
@@ -100,7 +101,7 @@ def _versions() -> Versions:
         "maglev_mj": maglev_mj.__version__,
         "sources": _digest(),
         "python": platform.python_version(),
-        "mujoco": mujoco.__version__,
+        "mujoco": "none" if find_spec("mujoco") is None else mujoco.__version__,
         "numpy": np.__version__,
     }
 

@@ -127,8 +127,8 @@ def test_a_worker_that_dies_costs_its_own_cells_and_a_cell_that_always_kills_is_
     path = tmp_path / "record.jsonl"
     cells: list[Cell] = [{"x": x} for x in range(12)]
     cells[3] |= {"kill": "always"}
-    cells[7] |= {"kill": "once", "note": str(tmp_path / "seen")}
-    results = run_cells(deadly, cells, record=Record(path), workers=local_workers(2), together=2)
+    cells[0] |= {"kill": "once", "note": str(tmp_path / "seen")}  # first: a job that waits is lost by another's death
+    results = run_cells(deadly, cells, record=Record(path), workers=local_workers(1), together=2)
     assert results[3] == {"error": "its worker died 2 times"}
     assert [results[place] for place in range(12) if place != 3] == [{"square": x**2} for x in range(12) if x != 3]
     assert cells[3] not in Record(path)  # so that a rerun tries it again

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from importlib.util import find_spec
 from numbers import Integral
 from typing import Any, TypeAlias
 
@@ -182,9 +183,9 @@ def run_variants(
 
 
 def _distance_of_plants(result: RunResult) -> float | None:
-    """Return the largest distance from the scene's other plant [m, rad]; None without one."""
+    """Return the largest distance from the scene's other plant [m, rad]; None without one, or without an engine."""
     others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
-    if not others:
+    if not others or find_spec("mujoco") is None:
         return None
     twin, time = run(result.scene, plant=others[0], phase=result.phase), result.times()
     return float(np.abs(result.motion(time)[0] - twin.motion(time)[0]).max())

@@ -16,13 +16,11 @@ import signal
 import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from hashlib import blake2b
-from multiprocessing import get_context, resource_tracker
 from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -151,25 +149,28 @@ class _Inline(Executor):
         return future
 
 
-class _Processes(ProcessPoolExecutor):
+class _Processes(Executor):
     """Pool of local processes that ignore Ctrl-C.
 
     They are spawned, because MuJoCo's threads do not survive a fork.
     """
 
     def __init__(self, count: int) -> None:
+        from concurrent.futures import ProcessPoolExecutor  # a browser's Python has no processes
+        from multiprocessing import get_context, resource_tracker
+
         quiet = (signal.SIGINT, signal.SIG_IGN)  # for systems where interrupts cannot be held
-        super().__init__(count, mp_context=get_context("spawn"), initializer=signal.signal, initargs=quiet)
+        resource_tracker.ensure_running()  # its start would let interrupts through
+        self._pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=signal.signal, initargs=quiet)
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
-        resource_tracker.ensure_running()  # its start would let interrupts through
         with interrupts_held():  # the processes start here
-            return super().submit(function, *args, **keywords)
+            return self._pool.submit(function, *args, **keywords)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        given_up = {} if wait else dict(self._processes or {})
-        manager: Any = self._executor_manager_thread
-        super().shutdown(wait, cancel_futures=cancel_futures)  # first: of a cancelled job no death may be told
+        given_up = {} if wait else dict(self._pool._processes or {})
+        manager: Any = self._pool._executor_manager_thread
+        self._pool.shutdown(wait, cancel_futures=cancel_futures)  # first: of a cancelled job no death may be told
         for process in given_up.values():  # the end of the program would wait for their jobs
             process.kill()
         if manager is not None:  # which tells of deaths if this is gone before
@@ -204,7 +205,7 @@ class Workers:
 
     make: Callable[[], Executor]
     window: int
-    deaths: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    deaths: tuple[type[BaseException], ...] = (BrokenExecutor,)
     cause: Callable[[Exception], Exception] = lambda error: error
 
 
