@@ -46,6 +46,7 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller
 from maglev_mj.spec import Spec
+from maglev_mj.versions import versions
 from slow_lines import (
     HAND_BEGINS,
     PUSHES,
@@ -105,7 +106,7 @@ def go_on(path: Path, cells: Iterable[Row], evaluate: Callable[[Row], Row]) -> N
     known = {key(row) for row in read_rows(path)}
     for cell in cells:
         if key({"cell": cell}) not in known:
-            row = json.dumps({"cell": cell, **evaluate(cell)})
+            row = json.dumps({"cell": cell, **evaluate(cell), "versions": versions()})
             with path.open("a", encoding="utf-8") as file:
                 file.write(row + "\n")
 
