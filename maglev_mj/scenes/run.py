@@ -183,7 +183,7 @@ def run_variants(
 
 
 def _distance_of_plants(result: RunResult) -> float | None:
-    """Return the largest distance from the scene's other plant [m, rad]; None without one, or without an engine."""
+    """Return the largest distance from the other plant [m, rad]; None without one or an engine."""
     others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
     if not others or find_spec("mujoco") is None:
         return None
