@@ -1,4 +1,4 @@
-"""Laws, theory, exact plants and studies where no engine, window or process can be imported, as in a browser."""
+"""Laws, theory, exact plants and studies where no engine can be imported, as in a browser."""
 
 import sys
 from pathlib import Path

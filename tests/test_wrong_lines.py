@@ -95,6 +95,12 @@ stability --record notes.jsonl                      | notes.jsonl
 stability no_laws.py                                | no_laws.py
 stability run.npz                                   | run.npz
 stability drop --grid 3                             | --grid
+compare drop --law glue                             | glue
+compare drop --law pd --law pd                      | pd
+compare drop --law pd --law nofile.py               | nofile.py
+compare box --law pd                                | box
+compare drop --law pd --law colgate                 | colgate
+compare drop --law pd --phases 0                    | 0
 design --mass heavy                                 | heavy
 design --mass 2:1                                   | 2 to 1
 design --hand leg                                   | leg
