@@ -121,6 +121,24 @@ def new_grid(count: int, more: float, **options: Any) -> tuple[Any, list[Any]]:
     return figure, panels
 
 
+def broken(x: Any, y: Any) -> tuple[Any, Any]:
+    """Return curves, (M,) and (M, N), with a gap at each jump.
+
+    A jump is a step of more than a tenth of the range and ten times the smaller step beside it.
+
+    Example:
+        >>> from maglev_mj.pictures import broken
+        >>> broken([0.0, 1.0, 2.0, 3.0], [0.0, 0.1, 9.1, 9.2])[0].tolist()
+        [0.0, 1.0, 1.5, 2.0, 3.0]
+    """
+    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    steps = np.abs(np.diff(y.reshape(len(y), -1), axis=0))
+    padded = np.pad(steps, ((1, 1), (0, 0)), constant_values=np.inf)
+    jumps = (steps > 0.1 * np.ptp(y, axis=0)) & (steps > 10.0 * np.minimum(padded[:-2], padded[2:]))
+    after = np.flatnonzero(jumps.any(axis=1)) + 1
+    return np.insert(x, after, 0.5 * (x[after - 1] + x[after])), np.insert(y, after, np.nan, axis=0)
+
+
 def axis_label(name: str, unit: str | None) -> str:
     """Return the name of a quantity with its unit in parentheses."""
     return f"{name.replace('_', ' ')} ({unit})" if unit else name.replace("_", " ")

@@ -31,6 +31,7 @@ REFUSED = {
     "fidelity moon": "scene must be one of joystick, drop, press, ",
     "fidelity drop --tolerance 0": "tolerance must be a finite number above 0, not 0",
     "fidelity drop --boundary-tolerance 0": "boundary must be a finite number above 0, not 0",
+    "fidelity all --out pictures": "out must be left out for all scenes",
     "fidelity all --tolerance 1e-3": "unrecognized arguments: --tolerance 1e-3",
     "fidelity stick-slip --height 1e-3": "unrecognized arguments: --height 1e-3",
     "fidelity drop --json no/such/folder.json": "json",

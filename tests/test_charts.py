@@ -14,8 +14,10 @@ from maglev_mj.analysis.pictures import staircases, whole_run
 from maglev_mj.bridge.fault import load_black_box
 from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.cli import main
-from maglev_mj.pictures import FORMATS, Panel, name_curves, new_figure, small_multiples
+from maglev_mj.pictures import FORMATS, Panel, broken, name_curves, new_figure, small_multiples
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.studies.stability_map import StabilityParameters, run_stability
+from maglev_mj.studies.sweep import sweep
 from tests.test_analysis import analysed, recorded
 from tests.test_black_box import flown
 from tests.test_colours import PAPER, contrast
@@ -106,14 +108,43 @@ COMMANDS = {
     "scene": "run joystick --phases 2",
     "stability": "stability --grid 12 --plant exact --workers 0",
     "stability, hand": "stability --grid 12 --delay 0 --hand arm",
+    "card": "card --rate 1000 --delay 0.0005",
+    "sweep": "sweep drop --vary height=1e-3:3e-3:3 --vary damping=60,80 --set plant=exact --workers 0",
+    "sweep, two": "sweep drop --vary height=1e-3:4e-3:4 --vary damping=50:80:4 --set plant=exact --workers 0",
+    "fidelity": "fidelity let-go --duration 0.02 --phases 1 --around 0",
     "design": "design --mass 0.63:0.77 --delay 0.001:0.002",
 }
 
 
 @pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
-def test_a_chart_of_a_command_can_be_read(command: str, tmp_path: Path, figures: list[Any]) -> None:
+def test_a_chart_of_a_command_can_be_read(
+    command: str, tmp_path: Path, figures: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # a sweep keeps its cells there
     assert main([*command.split(), "--out", str(tmp_path)]) == 0
     assert figures and [complaints(figure) for figure in figures] == [[]] * len(figures)
+
+
+def test_a_curve_has_a_gap_at_a_jump_and_none_at_a_slope() -> None:
+    x = np.linspace(0.0, 1.0, 21)
+    gaps = np.isnan(broken(x, np.where(x > 0.42, 2.0, 0.0) + x)[1])
+    assert np.flatnonzero(gaps).tolist() == [9]
+    for slope in (x, x**2, np.sin(6.0 * x), np.zeros(21)):
+        assert not np.isnan(broken(x, slope)[1]).any()
+
+
+def test_a_sweep_over_two_even_parameters_is_heat_maps_of_its_cells() -> None:
+    found = sweep(Drop(), {"height": [1e-3, 2e-3, 3e-3, 4e-3], "damping": [50.0, 60.0, 70.0, 80.0]}, plant="exact")
+    image = found.plot().axes[0].images[0]
+    assert np.asarray(image.get_array()) == pytest.approx(1e3 * found.figure("penetration").T)
+    assert image.get_extent() == pytest.approx([5e-4, 4.5e-3, 45.0, 85.0])
+
+
+def test_the_gains_in_use_are_marked_where_the_map_has_them() -> None:
+    for stiffness, marked in (((500.0, 9000.0), 1), ((500.0, 5000.0), 0)):
+        figure = run_stability(StabilityParameters(stiffness=stiffness, damping=(10.0, 120.0), grid=2)).plot()
+        labels = figure.axes[0].get_legend_handles_labels()[1]
+        assert sum(label == "gains of drop: 6000 N/m, 80 N s/m" for label in labels) == marked
 
 
 @pytest.mark.parametrize("scene", ["drop", "press", "stick-slip"])

@@ -158,6 +158,7 @@ def sweep(
         cells_in("results land here as they come, and what is here is not done again (SCENE-sweep.jsonl)"),
     ] = None,
     workers: WorkerOptions,
+    pictures: Picture,
 ) -> int:
     """Any scene over a grid of its parameters."""
     fixed = {name: [value_of(scene, name, text)] for name, text in _assignments(set).items()}
@@ -173,7 +174,7 @@ def sweep(
         result = run_sweep(scene, fixed | varied, workers=running, record=path, progress=progress)
     result = replace(result, varied=varied)  # a set parameter is no dimension of the grid
     warn_of_versions("sweep", result.other_versions)
-    write_result(json, result)
+    write_result(json, result, pictures, "sweep")
     return 0
 
 
@@ -496,8 +497,10 @@ def _chosen_question(options: argparse.Namespace) -> _Question | None:
 _Asked: TypeAlias = Annotated[_Question | None, Shared(_add_preset, _chosen_question)]
 
 
-def fidelity(*, question: _Asked, name: SceneName, json: Json = None) -> int:
+def fidelity(*, question: _Asked, name: SceneName, json: Json = None, pictures: Picture) -> int:
     """What each piece of the device changes in a scene, and the cheapest sufficient model."""  # noqa: D401
+    if pictures is not None and question is None:
+        raise ParameterError("out must be left out for all scenes: a picture is of one")
     with Progress("fidelity") as progress:
         if question is not None:
             preset = preset_of(name)._replace(scene=question.scene)
@@ -510,7 +513,7 @@ def fidelity(*, question: _Asked, name: SceneName, json: Json = None) -> int:
                 levels[scene] = measure_levels(scene)
                 progress(place + 1, len(COMPARED))
     if question is not None:
-        write_result(json, result)
+        write_result(json, result, pictures, "fidelity")
         return 0
     data = {scene: plain(rows) for scene, rows in levels.items()}
     write_results(json, lambda: data, lambda: str(levels_table(levels)))

@@ -17,6 +17,7 @@ from maglev_mj.pictures import (
     SHADE,
     TITLE,
     axis_label,
+    broken,
     line_style,
     name_curves,
     new_figure,
@@ -133,7 +134,7 @@ def spread(variants: Variants) -> Any:
     for panel, (name, one) in zip(panels, scene.figures.items()):
         for place, (label, sweep) in enumerate(shown.items()):
             values = np.asarray(sweep.figures[name], dtype=np.float64).reshape(len(sweep.phases), -1) * one.scale
-            lines = panel.plot(sweep.phases, values, **line_style(place))
+            lines = panel.plot(*broken(sweep.phases, values), **line_style(place))
             lines[0].set_label(label)
         panel.set_title(axis_label(name, unit_of(one.unit, scene.axis, one.along)), **TITLE)
         panel.set(xlim=(0.0, 1.0), xlabel="phase of the first sample")

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.colours import REFERENCE, SERIES, STOP
+from maglev_mj.colours import GRID, REFERENCE, SERIES, STOP
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.pictures import FIRST, SECOND, TITLE, axis_label, line_style, name_curves, new_figure, new_grid
+from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.card import DeviceCard
 from maglev_mj.studies.designed_wall import DesignResult
 from maglev_mj.studies.drop_map import DropMap
@@ -21,6 +22,7 @@ from maglev_mj.studies.sweep import Sweep
 
 _DECADES = [10.0**power for power in range(-6, 0)]
 _SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#43a2ca", "#0868ac"]
+_UNSTABLE = "#fbe3da"
 _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 
 
@@ -34,6 +36,8 @@ def level_sets(panel: Any, x: Array, y: Array, modulus: Array) -> None:
         modulus: (K, B).
     """
     panel.contourf(x, y, modulus, levels=[0.0, *_LEVELS], cmap="GnBu_r", vmin=0.2, vmax=1.1)
+    panel.set_facecolor(_UNSTABLE)
+    panel.grid(visible=False)
     lines = panel.contour(x, y, modulus, levels=_LEVELS[:-1], colors=[REFERENCE], linewidths=0.7)
     extents = np.ptp(x), np.ptp(y)
     wide = [level for level, segments in zip(lines.levels, lines.allsegs) if _room(segments, extents)]
@@ -41,6 +45,7 @@ def level_sets(panel: Any, x: Array, y: Array, modulus: Array) -> None:
     panel.contour(x, y, modulus, levels=[1.0], colors=[FIRST], linewidths=2.2)
     panel.plot([], [], color=REFERENCE, linewidth=0.7, label="lines: largest modulus of the eigenvalues")
     panel.plot([], [], color=FIRST, linewidth=2.2, label="modulus 1: boundary of stability")
+    panel.plot([], [], "s", color=_UNSTABLE, markersize=9, label="unstable")
 
 
 def _room(segments: Any, extents: tuple[float, float]) -> bool:
@@ -61,10 +66,22 @@ def stability_map(result: StabilityMap) -> Any:
     """
     p = result.parameters
     figure, (panel,) = new_figure(1, 1, 6.0)
-    level_sets(panel, result.damping, result.stiffness, result.modulus)
+    x, y, modulus = result.level_sets()
+    level_sets(panel, x, y, modulus)
+    used = Drop()
+    if x[0] <= used.damping <= x[-1] and y[0] <= used.stiffness <= y[-1]:
+        name = f"gains of drop: {used.stiffness:g} N/m, {used.damping:g} N s/m"
+        panel.plot(used.damping, used.stiffness, "D", color=FIRST, markeredgecolor="white", markersize=9, label=name)
     best = result.maximum
     panel.plot(
-        best.damping, best.stiffness, "*", color=SECOND, markersize=14, label="stiffest by theory", clip_on=False
+        best.damping,
+        best.stiffness,
+        "*",
+        color=SECOND,
+        markersize=14,
+        label="stiffest by theory",
+        clip_on=False,
+        zorder=5,
     )
     if result.simulated is not None:
         k, b = np.meshgrid(result.stiffness, result.damping, indexing="ij")
@@ -201,11 +218,13 @@ def design_map(result: DesignResult) -> Any:
 def sweep(result: Sweep) -> Any:
     """Draw each figure over the first varied parameter.
 
-    Each combination of the others is a line.
+    Each combination of the others is a line; two parameters of four or more even values each make heat maps.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
+    if len(result.varied) == 2 and all(_even(values) for values in result.varied.values()):
+        return _heat_maps(result)
     first, *other_names = result.varied
     lines = list(itertools.product(*(result.varied[name] for name in other_names)))
     named = {name: result.shown(name) for name in result.names if result.is_number(name)}
@@ -219,6 +238,33 @@ def sweep(result: Sweep) -> Any:
         panel.set_xlabel(axis_label(first, result.units.get(first)))
     if other_names:
         name_curves(figure, panels[:1])
+    return figure
+
+
+def _even(values: Sequence[Any]) -> bool:
+    """Return True for four or more evenly spaced numbers."""
+    if len(values) < 4 or not all(isinstance(one, int | float) for one in values):
+        return False
+    steps = np.diff(values)
+    return bool(steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6))
+
+
+def _heat_maps(result: Sweep) -> Any:
+    """Draw each figure as a heat map over two parameters; cells without a value are grey."""
+    (first, x), (second, y) = result.varied.items()
+    named = {name: result.shown(name) for name in result.names if result.is_number(name)}
+    figure, panels = new_grid(len(named), 0.3, sharex=True, sharey=True)
+    edges = (*_outer(np.array(x)), *_outer(np.array(y)))
+    for panel, (name, one) in zip(panels, named.items()):
+        panel.grid(visible=False)
+        panel.set_facecolor(GRID)
+        values = result.figure(name).T * one.scale
+        figure.colorbar(panel.imshow(values, extent=edges, origin="lower", aspect="auto", cmap="cividis"), ax=panel)
+        panel.set_title(axis_label(name, result.unit_along(one.unit, one.along)), **TITLE)
+        panel.tick_params(labelbottom=True)
+        panel.set_xlabel(axis_label(first, result.units.get(first)))
+    for panel in panels[::3]:
+        panel.set_ylabel(axis_label(second, result.units.get(second)))
     return figure
 
 

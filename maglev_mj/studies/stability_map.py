@@ -47,6 +47,7 @@ _BATCHES: Mapping[str, PlantMaker] = {"exact": ExactPlant, "mujoco": MuJoCoBatch
 _NEAR = 0.005
 _TOGETHER = 240
 _AT_ONCE = 50_000
+_FINE = 200
 _AROUND = ("plant", "period", "delay", "mass", "hand")
 
 
@@ -389,6 +390,11 @@ class StabilityMap(GainMap):
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return modulus, and `settles` if walls were simulated."""
         return {"modulus": self.modulus} | ({} if self.simulated is None else {"settles": self.simulated})
+
+    def level_sets(self) -> tuple[Array, Array, Array]:
+        """Return dampings and stiffnesses of a fine grid, (200,) each, and the modulus there, (200, 200)."""
+        x, y = (np.linspace(values.min(), values.max(), _FINE) for values in (self.damping, self.stiffness))
+        return x, y, theory.largest_modulus(y[:, None], x, **self.parameters.loop)
 
     @property
     def misjudged(self) -> Mask | None:
