@@ -265,7 +265,7 @@ def test_a_drag_however_far_rests_in_the_joysticks_wall_and_not_at_its_stop(way:
         session.tick(0.005)
         shown = session.snapshot()
         assert not shown.stops.any()
-    assert np.linalg.norm(shown.force[:3]) == pytest.approx(5.0, abs=0.1) and shown.taken > 0.0
+    assert np.linalg.norm(shown.force[:3]) == pytest.approx(7.0, abs=0.1) and shown.taken > 0.0
 
 
 def test_the_hand_lifts_the_flotors_weight() -> None:

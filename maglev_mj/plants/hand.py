@@ -372,7 +372,7 @@ class SpringHand:
     damping: float = 10.0
     turning_stiffness: float = 0.6
     turning_damping: float = 0.02
-    force_limit: float = 5.0  # pulled by a person it meets the walls of the scenes, and not the metal stops
+    force_limit: float = 7.0  # lifts the flotor, and rests in the walls of the scenes, not at the metal stops
     torque_limit: float = 0.2
     target: Sequence[float] | Trajectory | None = None
     device_target: Sequence[float] | None = None

@@ -28,17 +28,14 @@ class Grab:
 
     Attributes:
         moved: Displacement of the held knob in the drawing [m], (3,); None if it is not held.
+        knob: Its place on the screen, see `Framing.seen`; None if no hand moves it.
     """
 
     def __init__(self) -> None:
         self.moved: Array | None = None
-        self._knob: tuple[Array, Array, Array] | None = None
+        self.knob: tuple[Array, Array, Array] | None = None
         self._start = np.zeros(2)
         self._kept: tuple[Any, ...] = ()
-
-    def look(self, knob: tuple[Array, Array, Array] | None) -> None:
-        """Set the knob's place on the screen, see `Framing.seen`; None if no hand moves it."""
-        self._knob = knob
 
     def attach(self, window: Any) -> None:
         """Size a window of the engine, and take its mouse.
@@ -61,11 +58,11 @@ class Grab:
                 pressed(which, number, action, modifiers)
 
         def cursor(which: Any, x: float, y: float) -> None:
-            if self.moved is None or self._knob is None:
+            if self.moved is None or self.knob is None:
                 pointed(which, x, y)
             else:
                 right, up = _pixel(window) - self._start
-                self.moved = right * self._knob[1] + up * self._knob[2]
+                self.moved = right * self.knob[1] + up * self.knob[2]
 
         calls = inner._GLFWmousebuttonfun(button), inner._GLFWcursorposfun(cursor)
         pressed, pointed = (
@@ -76,13 +73,10 @@ class Grab:
 
     def _take(self, window: Any) -> bool:
         """Take hold of the knob if the mouse points at it."""
-        if self._knob is None:
-            return False
-        self._start, (place, right, _) = _pixel(window), self._knob
-        if float(np.linalg.norm(self._start - place)) > KNOB[0] / float(np.linalg.norm(right)):
-            return False
-        self.moved = np.zeros(3)
-        return True
+        self._start, knob = _pixel(window), self.knob
+        if knob is not None and np.linalg.norm(self._start - knob[0]) * np.linalg.norm(knob[1]) <= KNOB[0]:
+            self.moved = np.zeros(3)
+        return self.moved is not None
 
 
 def _pixel(window: Any) -> Array:

@@ -129,14 +129,7 @@ class OffscreenPainter:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        width: int,
-        height: int,
-        *,
-        plots: bool = True,
-        default: str | None = None,
-        factor: int = 1,
+        self, scene: Scene, width: int, height: int, *, plots: bool = True, default: str | None = None, factor: int = 1
     ) -> None:
         self._factor = factor
         self._screen = Screen(keys=False, factor=factor) if flag("plots", plots) else None

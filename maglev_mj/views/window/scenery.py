@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -147,16 +147,11 @@ _Shade: TypeAlias = tuple[float, float, float, float]
 """Red, green, blue and opacity, 0 to 1."""
 
 
-class _Winding(NamedTuple):
-    """One shape of a coil's winding, in the frame of the coil's site."""
+_Winding: TypeAlias = tuple[int, int, int, Array, int, Array, Array]
+"""Shape of a coil's winding.
 
-    coil: int
-    site: int
-    kind: int
-    size: Array
-    mesh: int
-    place: Array
-    turn: Array
+Coil, its site, kind, size and mesh; place and turn in the site's frame.
+"""
 
 
 class Scenery:
@@ -264,7 +259,7 @@ class Scenery:
             turns = [_UPRIGHT if name.startswith("vertical") else np.eye(3) for name in COILS]
             kind = int(mujoco.mjtGeom.mjGEOM_MESH)
             return [
-                _Winding(coil, sites[coil], kind, none, 2 * mesh, along * turn[:, 2], turn @ own.reshape(3, 3))
+                (coil, sites[coil], kind, none, 2 * mesh, along * turn[:, 2], turn @ own.reshape(3, 3))
                 for coil, turn in enumerate(turns)
                 for along in _TURNS
             ]
@@ -274,7 +269,7 @@ class Scenery:
             back = data.site_xmat[sites[coil]].reshape(3, 3).T
             place, turn = data.geom_xpos[shape] - data.site_xpos[sites[coil]], data.geom_xmat[shape].reshape(3, 3)
             kind, size = int(model.geom_type[shape]), _GLOW * model.geom_size[shape]
-            found.append(_Winding(coil, sites[coil], kind, size, -1, back @ place, back @ turn))
+            found.append((coil, sites[coil], kind, size, -1, back @ place, back @ turn))
         return found
 
     def _draw_coils(self, scene: Any, snapshot: Snapshot) -> None:

@@ -301,7 +301,7 @@ class _Window:
                     framing.reset(handle.cam)
                 framing.follow(handle.cam, view, over.layout.handle)
                 knob = factor * snapshot.pose[:3] + rotation_matrix(factor * snapshot.pose[3:]) @ GRIP
-                self._grab.look(framing.seen(handle.cam, view, knob) if moved_by_mouse(snapshot) else None)
+                self._grab.knob = framing.seen(handle.cam, view, knob) if moved_by_mouse(snapshot) else None
                 if (corner := framing.corner(handle.cam, view, over.layout.handle)) is not None:
                     scenery.draw_axes(scene, *corner)
             self._mouse = _mouse(handle.perturb)
