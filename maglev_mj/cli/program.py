@@ -189,7 +189,7 @@ def parser() -> Parser:
     made.epilog = (
         "maglev-mj COMMAND --help lists the options of one, with an example. For a --period [s] a --rate [Hz] is "
         "understood too, and the reverse. In Python, help(maglev_mj) lists all names.\n\n"
-        "Exit status: 0; 1 for a run that failed, 2 for bad input, 130 for Ctrl-C, 141 for an output that nobody reads."
+        "Exit status: 0; 1 failed run, 2 bad input, 130 Ctrl-C, 141 unread output."
     )
     made.set_defaults(command=None)
     commands = made.add_subparsers(dest="command", metavar="COMMAND", prog="maglev-mj", help=argparse.SUPPRESS)
