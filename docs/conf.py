@@ -27,7 +27,7 @@ extensions = [
     "public_names",  # the reference of public names
     "command_pages",  # the reference of commands
 ]
-exclude_patterns = ["_build", "_ext", "jupyter_execute", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "_contents.md", "_ext", "jupyter_execute", "**.ipynb_checkpoints"]
 default_role = "py:obj"  # `name` in a docstring links to the name, where it is public
 suppress_warnings = ["ref.python"]  # a type's name in a signature that two rooms have
 smartquotes_action = "D"  # dashes alone; quotes stay as typed
@@ -55,5 +55,12 @@ linkcheck_ignore = [rf"{repository_url}.*"]  # published with the repository
 
 
 def setup(app: Sphinx) -> None:
-    """Register the language of the bytes in the protocol's page."""
+    """Register the language of the bytes in the protocol's page, and the contents of the site."""
     app.add_lexer("golden", TextLexer)
+    app.connect("source-read", add_contents)
+
+
+def add_contents(app: Sphinx, page: str, source: list[str]) -> None:
+    """Append the tables of contents to the first page, which a code host shows without them."""
+    if page == "index":
+        source[0] += "\n" + (ROOT / "docs" / "_contents.md").read_text(encoding="utf-8")
