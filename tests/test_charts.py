@@ -140,6 +140,15 @@ def test_a_sweep_over_two_even_parameters_is_heat_maps_of_its_cells() -> None:
     assert image.get_extent() == pytest.approx([5e-4, 4.5e-3, 45.0, 85.0])
 
 
+def test_each_value_of_a_choice_has_rows_of_its_own() -> None:
+    found = sweep(Drop(), {"plant": ["exact", "mujoco"], "height": [1e-3, 2e-3]})
+    table = found.table()
+    assert table.head[:2] == ("", "plant")
+    for index, plant in enumerate(("exact", "mujoco")):
+        row = next(row for row in table.rows if row[:2] == ("penetration", plant))
+        assert row[3] == pytest.approx(1e3 * np.median(found.figure("penetration")[index])) and row[-1] == 2
+
+
 def test_the_gains_in_use_are_marked_where_the_map_has_them() -> None:
     for stiffness, marked in (((500.0, 9000.0), 1), ((500.0, 5000.0), 0)):
         figure = run_stability(StabilityParameters(stiffness=stiffness, damping=(10.0, 120.0), grid=2)).plot()

@@ -99,18 +99,19 @@ class Sweep(Result):
         """Return the spread of each figure over the cells."""
         over = ", ".join(f"{name} ({len(values)})" for name, values in self.varied.items())
         failed = [result["error"] for result in self.results if "error" in result]
+        choices = [name for name, values in self.varied.items() if any(isinstance(value, str) for value in values)]
+        cells = [dict(zip(self.varied, row)) for row in itertools.product(*self.varied.values())]
+        kinds = np.array([", ".join(str(cell[name]) for name in choices) for cell in cells])
         rows = []
-        for name in filter(self.is_number, self.names):
-            one, values = self.shown(name), self.figure(name).ravel()
+        for name, kind in itertools.product(filter(self.is_number, self.names), dict.fromkeys(kinds.tolist())):
+            one, values = self.shown(name), self.figure(name).ravel()[kinds == kind]
             if (finite := values[np.isfinite(values)] * one.scale).size:
                 spread = np.percentile(finite, _SHARES).tolist()
-                rows.append((name, *spread, self.unit_along(one.unit, one.along), finite.size))
-        choices = [name for name, values in self.varied.items() if any(isinstance(value, str) for value in values)]
+                rows.append((name, *[kind] * bool(choices), *spread, self.unit_along(one.unit, one.along), finite.size))
         notes = [f"{self.resumed} of them already in {self.record}"] if self.record else []
-        notes += [f"all values of {' and '.join(choices)} share a row"] if choices else []
         count = "1 cell" if len(failed) == 1 else f"{len(failed)} cells"
         notes += [f"{count} failed, the first because {failed[0]}"] if failed else []
-        head = "", "least", "median", "greatest", "unit", "cells"
+        head = "", *([", ".join(choices)] if choices else []), "least", "median", "greatest", "unit", "cells"
         title = f"Sweep of {self.scene.name} over {over}: {len(self.results)} cells"
         return Table(title, head, rows, "\n".join(notes))
 
