@@ -162,7 +162,8 @@ def test_phases_have_a_row_each_in_si_units_and_a_column_for_each_hit() -> None:
     assert frame.attrs["units"]["penetration"] == "m" and frame.attrs["units"]["settling_time"] == "s"
     median = np.percentile(found.figures["penetration"], 50.0) * 1e3
     assert next(row for row in found.table().rows if row[0] == "penetration")[1].startswith(f"{median:.2f} (")
-    np.testing.assert_array_equal(lines(found.plot())[0].get_ydata(), found.figures["penetration"] * 1e3)
+    drawn = lines(found.plot())[0].get_ydata()  # with gaps at jumps
+    np.testing.assert_array_equal(drawn[np.isfinite(drawn)], found.figures["penetration"] * 1e3)
     hits = run_phases(Press(hits=2), [0.0], plant="exact")
     hit = hits.to_pandas()
     assert [hit.at[0, f"penetration.{index}"] for index in (0, 1)] == hits.figures["penetration"][0].tolist()

@@ -101,6 +101,10 @@ compare drop --law pd --law nofile.py               | nofile.py
 compare box --law pd                                | box
 compare drop --law pd --law colgate                 | colgate
 compare drop --law pd --phases 0                    | 0
+card glue                                           | glue
+card drop --rate 0                                  | 0
+card --delay -1                                     | -1
+card nofile.json                                    | nofile.json
 design --mass heavy                                 | heavy
 design --mass 2:1                                   | 2 to 1
 design --hand leg                                   | leg

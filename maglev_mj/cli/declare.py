@@ -89,7 +89,7 @@ class Parser(argparse.ArgumentParser):
             options = [word.partition("=")[0] for word in unknown if word.startswith("--")]
             near = (text for word in options if (text := meant(word, self._option_string_actions)))
             other = "; parameters are given by --set and --vary" if "--set" in self._option_string_actions else ""
-            self.error(f"unrecognized arguments: {' '.join(unknown)}{next(near, other)}")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{other}{next(near, '')}")
         return found, unknown
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:

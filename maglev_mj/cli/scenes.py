@@ -200,7 +200,7 @@ def tour(*, input_hand: HandOptions, page: PageOptions, seconds: Shown = None, o
     from maglev_mj.session import Session
     from maglev_mj.session.tour import Tour
 
-    front, hand = page.open(), SpringHand()
+    front, hand = page.open(), SpringHand.of_mouse()
     out.mkdir(parents=True, exist_ok=True)
     with input_hand.open(hand) as devices:
         session = Session(hand=hand, folder=out, publishers=devices)
@@ -341,7 +341,7 @@ def _hand(scene: Scene) -> HandForce:
         hand = SpringHand(stiffness=1000.0, turning_stiffness=3.0, force_limit=20.0, torque_limit=0.4, target=path)
         return _Again(hand, path.end)
     script = scene.scripted_hand()
-    return SpringHand() if script is None else _Again(script, scene.end)
+    return SpringHand.of_mouse() if script is None else _Again(script, scene.end)
 
 
 def _run(session: Session, ended: Event, seconds: float | None) -> None:

@@ -344,8 +344,6 @@ class SpringHand:
     It is the hand of the mouse. Force and torque at the flotor's centre, within their limits, are held from sample to
     sample. A period T reduces the damping by K T / 2; the damping must be larger than that.
 
-    The default force limit lifts the flotor, 6.9 N, and rests in the joystick's walls: its stop is met from 7.4 N on.
-
     Args:
         stiffness: Stiffness of the translations [N/m].
         damping: Damping of the translations [N s/m].
@@ -372,8 +370,8 @@ class SpringHand:
     damping: float = 10.0
     turning_stiffness: float = 0.6
     turning_damping: float = 0.02
-    force_limit: float = 7.0  # lifts the flotor, and rests in the walls of the scenes, not at the metal stops
-    torque_limit: float = 0.2
+    force_limit: float = 20.0
+    torque_limit: float = 0.4
     target: Sequence[float] | Trajectory | None = None
     device_target: Sequence[float] | None = None
 
@@ -384,6 +382,11 @@ class SpringHand:
             goal = getattr(self, name)
             if not isinstance(goal, Trajectory | None) and numbers(f"hand {name}", goal).shape != (len(AXES),):
                 raise ParameterError(f"hand {name} must be a pose (6,), a Trajectory or None, not {goal!r}")
+
+    @classmethod
+    def of_mouse(cls) -> SpringHand:
+        """Return the mouse's hand: it lifts the flotor, 6.9 N, and rests in walls, not at stops."""
+        return cls(force_limit=7.0, torque_limit=0.2)
 
     @property
     def goal(self) -> Sequence[float] | Trajectory | None:

@@ -344,9 +344,9 @@ class Session:
         publishers: Sequence[Publisher] = (),
         step_force: float = STEP_FORCE,
     ) -> None:
-        self._hand = hand or SpringHand()
+        self._hand = hand or SpringHand.of_mouse()
         # the mouse moves no other
-        self.hand = self._hand if isinstance(self._hand, SpringHand) else SpringHand()
+        self.hand = self._hand if isinstance(self._hand, SpringHand) else SpringHand.of_mouse()
         self.simulated = 0.0
         self._pacer = pacer or Pacer()
         self._scene = get_scene("joystick" if scene is None else scene)

@@ -146,7 +146,7 @@ def compare(
         >>> from maglev_mj import compare
         >>> found = compare("drop", ["pd", "pulse"], phases=8)
         >>> (1e3 * found.columns()["penetration"]).round(2).tolist()  # [mm]
-        [2.91, 1.71]
+        [2.95, 1.76]
     """
     chosen = get_scene(scene)
     if not isinstance(chosen, WallScene) or not isinstance(chosen.laws()[0], Wall) or not chosen.stiffness:
