@@ -385,7 +385,7 @@ class SpringHand:
 
     @classmethod
     def of_mouse(cls) -> SpringHand:
-        """Return the mouse's hand: it lifts the flotor, 6.9 N, and rests in walls, not at stops."""
+        """Return the mouse's hand, which lifts the flotor (6.9 N) and rests in walls."""
         return cls(force_limit=7.0, torque_limit=0.2)
 
     @property
