@@ -52,24 +52,26 @@ pytestmark = [
 
 
 class Program(NamedTuple):
-    """Program of the board, its key, and the options of a command that has it."""
+    """Programs of the board, its key, and the options of a command that has it."""
 
     path: Path
+    still: Path  # without a hand
     key: bytes | None
     options: list[str]
 
 
 @pytest.fixture(scope="module", params=[None, KEY], ids=["no key", "key"])
 def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Program:
-    """Build the board's program, with a hand that presses."""
+    """Build the board's programs, with a hand that presses and without."""
     folder = tmp_path_factory.mktemp("board")
     (folder / "key").write_text(KEY.hex(), encoding="ascii")
     (folder / "key").chmod(0o600)
     options = ["--key", str(folder / "key")] if request.param else []
-    command = [sys.executable, str(BUILD), "--hand", PUSH, *options, str(folder / "board.elf")]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
-    assert not done.returncode and not done.stderr, done.stderr
-    return Program(folder / "board.elf", request.param, options)
+    for name, hand in (("board.elf", ["--hand", PUSH]), ("still.elf", [])):
+        command = [sys.executable, str(BUILD), *hand, *options, str(folder / name)]
+        done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+        assert not done.returncode and not done.stderr, done.stderr
+    return Program(folder / "board.elf", folder / "still.elf", request.param, options)
 
 
 class Board:
@@ -79,10 +81,10 @@ class Board:
         address: Address of its line.
     """
 
-    def __init__(self, program: Program, log: Path) -> None:
+    def __init__(self, program: Path, log: Path) -> None:
         self._log = log
         log.touch()
-        command = [*QEMU.split(), "-kernel", str(program.path), *LINE.split(), "-serial", f"file:{log}"]
+        command = [*QEMU.split(), "-kernel", str(program), *LINE.split(), "-serial", f"file:{log}"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         self._limit = threading.Timer(LONGEST, self.process.kill)
         self._limit.start()
@@ -121,7 +123,7 @@ class Board:
         self._kept = -1
 
 
-Starter = Callable[[], Board]
+Starter = Callable[..., Board]
 
 
 @pytest.fixture
@@ -129,8 +131,8 @@ def start(program: Program, tmp_path: Path) -> Iterator[Starter]:
     """Start emulators that are ended with the test."""
     boards: list[Board] = []
 
-    def new() -> Board:
-        boards.append(Board(program, tmp_path / f"board{len(boards)}.log"))
+    def new(path: Path = program.path) -> Board:
+        boards.append(Board(path, tmp_path / f"board{len(boards)}.log"))
         return boards[-1]
 
     yield new
@@ -200,7 +202,7 @@ def test_a_killed_host_is_given_up(
 
 @pytest.mark.parametrize("only", [CHECKS, pytest.param(None, marks=pytest.mark.study)], ids=["some", "all"])
 def test_it_conforms(program: Program, start: Starter, only: list[str] | None) -> None:
-    board = start()
+    board = start(program.still)  # conform takes off whenever it comes to it
     with closing(SerialLink(board.path, 921600)) as link:
         results = conform([link], key=program.key, only=only)
     assert not [one for one in results if one.passed is False]
