@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from importlib import import_module
+from importlib.util import find_spec
 from types import ModuleType
 
 TYPE_CHECKING = False  # as in typing, whose import would take longer than all else before a program's first line
@@ -40,6 +41,11 @@ if TYPE_CHECKING:
     import mujoco as mujoco
 else:
     mujoco = _LazyModule("mujoco")  # recordings are read, and devices called, without it
+
+
+def has_engine() -> bool:
+    """Return True if MuJoCo is installed: exact plants, laws and theory need none."""
+    return find_spec("mujoco") is not None
 
 
 def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:

@@ -114,7 +114,8 @@ def new_grid(count: int, more: float, **options: Any) -> tuple[Any, list[Any]]:
 
     It is 2.8 inches a row high, and `more`.
     """
-    rows, columns = max(-(-count // _COLUMNS), 1), min(max(count, 1), _COLUMNS)
+    rows = max(-(-count // _COLUMNS), 1)
+    columns = max(-(-count // rows), 1)
     figure, panels = new_figure(rows, columns, more + 2.8 * rows, **options)
     for panel in panels[count:]:
         panel.set_axis_off()
@@ -173,7 +174,7 @@ def save(figure: Any, path: Path | None) -> Any:
     """
     if path is None:
         return figure
-    figure.savefig(path, dpi=150)
+    figure.savefig(path, dpi=150 if path.suffix == ".png" else 110)  # of the bands among curves
     return path
 
 

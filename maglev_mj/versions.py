@@ -10,14 +10,13 @@ import platform
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
 import maglev_mj
-from maglev_mj.lazy import mujoco
+from maglev_mj.lazy import has_engine, mujoco
 
 Versions: TypeAlias = Mapping[str, str]
 """Versions by name; see `versions`."""
@@ -101,7 +100,7 @@ def _versions() -> Versions:
         "maglev_mj": maglev_mj.__version__,
         "sources": _digest(),
         "python": platform.python_version(),
-        "mujoco": "none" if find_spec("mujoco") is None else mujoco.__version__,
+        "mujoco": mujoco.__version__ if has_engine() else "none",
         "numpy": np.__version__,
     }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from maglev_mj.colours import SERIES
 from maglev_mj.control import AxisLaw, Law, gain
 from maglev_mj.parameters import param
+from maglev_mj.pictures import save
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.pictures import figure_6, phase_plane, series, spread, time_series
 from maglev_mj.scenes.press import Press
@@ -161,3 +163,15 @@ def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int) -> Non
     for figure in figures:
         has_analog = any(ANALOG in lines(panel) for panel in figure.axes)
         assert has_analog == (drop.stiffness > 0.0)
+
+
+@pytest.mark.parametrize("draw", [time_series, phase_plane, spread])
+def test_a_band_of_curves_is_small_in_an_svg(draw: Any, tmp_path: Path) -> None:
+    path = save(draw(drops(DROP, bands=100)), tmp_path / "drop.svg")
+    assert path.stat().st_size < 300_000
+
+
+def test_a_figure_that_is_flat_has_no_panel() -> None:
+    found = drops(DROP, bands=20)
+    titles = [panel.get_title(loc="left") for panel in spread(found).axes]
+    assert "final z (mm)" not in titles and titles[:2] == ["penetration (mm)", "rebound (mm)"]

@@ -338,8 +338,7 @@ def _hand(scene: Scene) -> HandForce:
 
     if scene.name == _SCENE:
         path = deflections()
-        hand = SpringHand(stiffness=1000.0, turning_stiffness=3.0, force_limit=20.0, torque_limit=0.4, target=path)
-        return _Again(hand, path.end)
+        return _Again(SpringHand(stiffness=1000.0, turning_stiffness=3.0, target=path), path.end)
     script = scene.scripted_hand()
     return SpringHand.of_mouse() if script is None else _Again(script, scene.end)
 

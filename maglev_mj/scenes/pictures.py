@@ -117,7 +117,7 @@ def first_contact(variants: Variants) -> Any:
 
 
 def spread(variants: Variants) -> Any:
-    """Draw each figure over the sampling phase.
+    """Draw each figure over the sampling phase, but for those that are flat.
 
     Args:
         variants: The runs, with their phases or bands.
@@ -130,8 +130,10 @@ def spread(variants: Variants) -> Any:
     shown = variants.phases or {label: band.over_phases() for label, band in variants.bands.items()}
     if not shown:
         raise ParameterError("phases must be run for their picture: see run_phases")
-    figure, panels = new_grid(len(scene.figures), 0.6, sharex=True)
-    for panel, (name, one) in zip(panels, scene.figures.items()):
+    figures = {name: one for name, one in scene.figures.items() if _varies([by.figures[name] for by in shown.values()])}
+    figures = figures or scene.figures
+    figure, panels = new_grid(len(figures), 0.6, sharex=True)
+    for panel, (name, one) in zip(panels, figures.items()):
         for place, (label, sweep) in enumerate(shown.items()):
             values = np.asarray(sweep.figures[name], dtype=np.float64).reshape(len(sweep.phases), -1) * one.scale
             lines = panel.plot(*broken(sweep.phases, values), **line_style(place))
@@ -141,6 +143,13 @@ def spread(variants: Variants) -> Any:
     if len(shown) > 1:
         name_curves(figure, panels[:1])
     return figure
+
+
+def _varies(found: Iterable[Any]) -> bool:
+    """Return False for a figure that differs by less than a thousandth."""
+    values = np.concatenate([np.ravel(one) for one in found]).astype(np.float64)
+    values = values[np.isfinite(values)]
+    return bool(values.size and np.ptp(values) > 1e-3 * np.abs(values).max())
 
 
 def time_series(variants: Variants) -> Any:
@@ -165,7 +174,8 @@ def time_series(variants: Variants) -> Any:
             for drop in column:
                 if drop.band is not None:
                     low, high = drop.band[part].min(axis=1), drop.band[part].max(axis=1)
-                    panel.fill_between(time, low, high, step=step, color=drop.style["color"], alpha=0.2, linewidth=0.0)
+                    shade = {"color": drop.style["color"], "alpha": 0.2, "linewidth": 0.0} | _AS_PIXELS
+                    panel.fill_between(time, low, high, step=step, **shade)
                 panel.plot(time, drop.line[part], drawstyle="steps-post" if step else "default", **drop.style)
             if analog is not None:
                 panel.plot(time, analog[part], **_ANALOG)
@@ -200,7 +210,7 @@ def phase_plane(variants: Variants) -> Any:
     for panel, column in zip(panels, columns, strict=True):
         for drop in column:
             if drop.band is not None:
-                panel.plot(*drop.band[:2], color=drop.style["color"], linewidth=0.5, alpha=0.13)
+                panel.plot(*drop.band[:2], color=drop.style["color"], linewidth=0.5, alpha=0.13, **_AS_PIXELS)
             panel.plot(*drop.line[:2], **drop.style)
         if analog is not None:
             panel.plot(*analog[:2], **_ANALOG)
@@ -213,6 +223,9 @@ def phase_plane(variants: Variants) -> Any:
     name_curves(figure, panels)
     return figure
 
+
+_AS_PIXELS = {"rasterized": True}
+"""Of a band of many curves, which would be megabytes of an SVG."""
 
 _IDEAL: dict[str, Any] = {"color": REFERENCE, "linestyle": ":", "linewidth": 1.8}
 _ANALOG: dict[str, Any] = _IDEAL | {"label": "analog wall, 10 kHz filter"}

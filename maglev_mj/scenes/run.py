@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from importlib.util import find_spec
 from numbers import Integral
 from typing import Any, TypeAlias
 
@@ -15,6 +14,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record, drive
 from maglev_mj.errors import DivergenceError, ParameterError, check_one_of, not_one_of
 from maglev_mj.frames import Array, Command, Component, Sample
+from maglev_mj.lazy import has_engine
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.trace import Trace
@@ -185,7 +185,7 @@ def run_variants(
 def _distance_of_plants(result: RunResult) -> float | None:
     """Return the largest distance from the other plant [m, rad]; None without one or an engine."""
     others = [name for name in result.scene.plants if name in PLANTS and name != result.plant]
-    if not others or find_spec("mujoco") is None:
+    if not others or not has_engine():
         return None
     twin, time = run(result.scene, plant=others[0], phase=result.phase), result.times()
     return float(np.abs(result.motion(time)[0] - twin.motion(time)[0]).max())

@@ -263,8 +263,8 @@ def _heat_maps(result: Sweep) -> Any:
         panel.set_title(axis_label(name, result.unit_along(one.unit, one.along)), **TITLE)
         panel.tick_params(labelbottom=True)
         panel.set_xlabel(axis_label(first, result.units.get(first)))
-    for panel in panels[::3]:
-        panel.set_ylabel(axis_label(second, result.units.get(second)))
+        if panel.get_subplotspec().is_first_col():
+            panel.set_ylabel(axis_label(second, result.units.get(second)))
     return figure
 
 

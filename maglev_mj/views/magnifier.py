@@ -10,6 +10,8 @@ from maglev_mj.session import Snapshot
 MAGNIFICATIONS = 1, 3, 5
 """Factors of the handle's drawn motion that a viewer offers; the first is the true motion."""
 
+_TRAVEL = 0.0042
+
 
 def magnified(snapshot: Snapshot, factor: float) -> Snapshot:
     """Return a snapshot with handle, stick position and walls drawn further from the centre.
@@ -29,6 +31,11 @@ def magnified(snapshot: Snapshot, factor: float) -> Snapshot:
         anchors=None if snapshot.anchors is None else factor * snapshot.anchors,
         faces=[(axis, normal, factor * edge) for axis, normal, edge in snapshot.faces],
     )
+
+
+def widening(factor: float) -> float:
+    """Return how much a drawn wall is wider on each side, for the handle's travel [m]."""
+    return _TRAVEL * (factor - 1.0)
 
 
 def true_pose(drawn: Array, factor: float) -> Array:

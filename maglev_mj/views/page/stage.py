@@ -19,7 +19,7 @@ from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, Shape, arrow_start, shapes, wall_plate
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
-from maglev_mj.views.magnifier import magnified, motion_words, true_pose
+from maglev_mj.views.magnifier import magnified, motion_words, true_pose, widening
 from maglev_mj.views.remote import SILENCE
 from maglev_mj.views.words import banner
 
@@ -189,8 +189,7 @@ _FLOOR = -0.0552
 _REACH = 0.021  # of the ball by which the knob is taken hold of [m]
 _LONGEST = 0.12  # of an arrow [m]
 _SWOLLEN = 1.06
-_TRAVEL, _EDGE = 0.0042, 0.0006
-"""Growth of a wall with the magnified motion, and the thickness of its edge [m]."""
+_EDGE = 0.0006  # thickness of a wall's edge [m]
 _RIM = 0.0118, 0.0012
 """Radius and half height of the rotation-stop ring [m].
 
@@ -353,7 +352,7 @@ class Stage:
     def _wall(self, face: tuple[int, float, float], centre: Array, half: Array) -> tuple[Any, Any]:
         """Add the glass of a wall, and its edge; larger where the handle's motion is."""
         scene, name, across = self._server.scene, "/walls/{}{:+.0f}{:g}".format(*face), np.delete(np.eye(3), face[0], 0)
-        half = half + (self.factor - 1.0) * _TRAVEL * across.sum(axis=0)
+        half = half + widening(self.factor) * across.sum(axis=0)
         corners = half * (np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) @ across)
         plate = scene.add_box(
             name, _bytes(WALL), tuple(2.0 * half), position=tuple(centre), side="double", opacity=_FAINT, **_PLAIN

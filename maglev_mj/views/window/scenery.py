@@ -15,7 +15,7 @@ from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, UNDER_KNOB, arrow_
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
-from maglev_mj.views.magnifier import magnified
+from maglev_mj.views.magnifier import magnified, widening
 from maglev_mj.views.window.layout import Area
 from maglev_mj.views.words import met_stops
 
@@ -132,7 +132,7 @@ _WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), (*STUCK, 0.40)
 _EDGE = 0.6  # of a wall's colour: glass is faint, so that colours behind it stay what they are
 _COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
 _MOST = Spec.peak_current.value
-_GLOW, _GHOST_SIZE, _AXIS, _TRAVEL = 1.06, 1.08, 30, 0.0042
+_GLOW, _GHOST_SIZE, _AXIS = 1.06, 1.08, 30
 _SLICES = 40, 16
 _SIMPLE = 2
 """Group of the device's shapes that a scene's meshes stand in for."""
@@ -209,7 +209,7 @@ class Scenery:
             factor: Magnification of the handle's motion.
         """
         self._draw_coils(scene, snapshot)
-        snapshot, wider = magnified(snapshot, factor), _TRAVEL * (factor - 1.0)
+        snapshot, wider = magnified(snapshot, factor), widening(factor)
         for face in snapshot.faces:
             touched = face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0
             self._draw_plate(scene, face, _TOUCHED if touched else _WALL, wider)

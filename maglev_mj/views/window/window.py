@@ -28,7 +28,7 @@ from maglev_mj.plants.shapes import GRIP
 from maglev_mj.process import interrupts_delayed
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
-from maglev_mj.views.magnifier import true_pose
+from maglev_mj.views.magnifier import magnified, true_pose
 from maglev_mj.views.remote import ShowReport
 from maglev_mj.views.window.backend import DisplayError
 from maglev_mj.views.window.grab import Grab
@@ -300,7 +300,8 @@ class _Window:
                     self._camera_back = False
                     framing.reset(handle.cam)
                 framing.follow(handle.cam, view, over.layout.handle)
-                knob = factor * snapshot.pose[:3] + rotation_matrix(factor * snapshot.pose[3:]) @ GRIP
+                pose = magnified(snapshot, factor).pose
+                knob = pose[:3] + rotation_matrix(pose[3:]) @ GRIP
                 self._grab.knob = framing.seen(handle.cam, view, knob) if moved_by_mouse(snapshot) else None
                 if (corner := framing.corner(handle.cam, view, over.layout.handle)) is not None:
                     scenery.draw_axes(scene, *corner)
