@@ -60,10 +60,10 @@ _MEANINGS = {
     Fault.COIL_NOT_OFF: "a current flowed after it was cut: cut the power",
 }
 
-Cycle: TypeAlias = tuple[Frame, Sequence[float], Sequence[float], Sequence[float] | None, float, float, int]
+Cycle: TypeAlias = tuple[Frame, Sequence[float], Sequence[float], Sequence[float] | None, float, float, float]
 """One cycle in the black box.
 
-STATE frame, pose, held and pulsed currents [A], width [s], delay at the device [s], latency of the answer [ns].
+STATE frame, pose, held and pulsed currents [A], width [s], delay at the device [s], latency of the answer [s].
 """
 
 
@@ -156,7 +156,7 @@ def _flat(cycle: Cycle) -> list[float | None]:
     report: StateReport = frame.body  # type: ignore[assignment]
     values = (
         *(frame.sequence, frame.time, report.state, report.faults, *report.spots, *pose, *held, *(pulsed or held)),
-        *(width, *report.currents, *report.temperatures, delay, latency * 1e-9),
+        *(width, *report.currents, *report.temperatures, delay, latency),
     )
     return [value if value - value == 0 else None for value in values]
 

@@ -203,13 +203,14 @@ class Flight:
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
         carried, faces = controller.carried.tolist(), controller.faces
+        plant, timing, slow, bad = self._plant, self.timing, self._late.check, self._power.check
 
         def observe(sample: Sample, applied: Command) -> None:
-            self.timing.add(self._plant)
+            timing.add(plant)
             self._force = applied.force
-            late = max(self._plant.lateness, self._plant.delay + self.timing.newest_age)
+            late = max(plant.lateness, plant.delay + timing.newest_age)
             laws = [one - other for one, other in zip(applied.force, carried)]
-            self.reason = self._late.check(late) or self._power.check(sample.position, laws)
+            self.reason = slow(late) or bad(sample.position, laws)
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
             if not self._publishers:
@@ -218,7 +219,7 @@ class Flight:
                 self._since = sample.tick
                 self._begun.reply(sample.tick)
                 self._begun = None
-            plant, force, pose = self._plant, np.array(laws), np.array(sample.position)
+            force, pose = np.array(laws), np.array(sample.position)
             self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
             self._publishers.show(lambda: self._snapshot(pose, force, faces, controller.stick_positions))
             self._listen(sample)

@@ -115,7 +115,7 @@ class PowerGuard:
         self._growth = math.exp(period / _MEMORY)
         self._weight = 1.0  # of a reversal now: it grows where the older ones would shrink
         self._reversals, self._small = [0.0] * 6, [0.0] * 6
-        self._turns, self._swings, self._ways = [0.0] * 6, [0.0] * 6, [0] * 6
+        self._turns, self._swings, self._rises = [0.0] * 6, [0.0] * 6, [False] * 6
         self._place: Sequence[float] = ZERO
         self._last: Sequence[float] = ZERO
         span = max(round(_SPAN / period), 1) + 1
@@ -123,19 +123,23 @@ class PowerGuard:
 
     def check(self, position: Sequence[float], force: Sequence[float]) -> str:
         """Add one sample's pose and the laws' answer to it; return what is wrong, or ""."""
-        last, place, given = self._last, self._place, self._sums[-1]
+        given, rises, swings, most, capped = self._sums[-1], self._rises, self._swings, 0.0, 0.0
         self._weight = weight = self._weight * self._growth
-        most = capped = 0.0
-        for axis, (before, part) in enumerate(zip(last, force)):
-            if before:
-                given += before * (position[axis] - place[axis])
-            if part == before:
-                continue
-            way = 1 if part > before else -1
-            if way != self._ways[axis]:
-                self._ways[axis] = way
-                whole, small = self._turned(axis, before, weight)
-                most, capped = max(most, whole), max(capped, small)
+        parts = zip(self._last, force, self._place, position, rises)
+        for axis, (before, part, start, end, rose) in enumerate(parts):
+            given += before * (end - start)
+            if part != before and (part > before) is not rose:
+                rises[axis] = not rose
+                swing = abs(before - self._turns[axis]) / _SIZES[axis]
+                less = swing if swing < swings[axis] else swings[axis]
+                self._turns[axis], swings[axis] = before, swing
+                self._reversals[axis] = whole = self._reversals[axis] + weight * less
+                self._small[axis] = small = self._small[axis] + weight * (less if less < _SWING else _SWING)
+                if whole > most:
+                    most = whole
+                if small > capped:
+                    capped = small
+        most, capped = most / weight, capped / weight
         self._sums.append(given)
         self._place, self._last = position, force
         if weight > _HEAVY:
@@ -151,12 +155,3 @@ class PowerGuard:
         if (out := given - self._sums[0]) > _ENERGY:
             return f"the laws give out energy: {out * 1e3:.0f} mJ in {_SPAN:g} s, {_ENERGY * 1e3:g} mJ allowed"
         return ""
-
-    def _turned(self, axis: int, force: float, weight: float) -> tuple[float, float]:
-        """Add a turning point of a force; return the axis' two sums of reversals [N]."""
-        swing = abs(force - self._turns[axis]) / _SIZES[axis]
-        less = min(swing, self._swings[axis])
-        self._turns[axis], self._swings[axis] = force, swing
-        self._reversals[axis] = whole = self._reversals[axis] + weight * less
-        self._small[axis] = small = self._small[axis] + weight * min(less, _SWING)
-        return whole / weight, small / weight

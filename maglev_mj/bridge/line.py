@@ -54,25 +54,26 @@ class LoopTiming:
         self.answer, self.age, self.delay = LatencyHistogram(), LatencyHistogram(), LatencyHistogram()
         self.newest_age = 0.0
         self._least, self._before, self._renewed = math.inf, math.inf, 0
-        self._sent: dict[int, int] = {}  # instants of the newest answers by the clocks, by their samples
+        # samples answered last, and instants of their answers by the clocks
+        self._sent: list[tuple[int | None, int]] = [(None, 0)] * _ANSWERS
 
     def add(self, plant: RemotePlant) -> None:
         """Add the last sample, once it is answered."""
-        answer, way, taken = round(plant.answer_latency * 1e9), plant.transport, plant.samples.time
+        answer, way, delay = round(plant.answer_latency * 1e9), plant.transport, plant.newest_delay
+        samples, answered = plant.samples, plant.answered_tick
         self.answer.add(answer)
-        if not math.isnan(delay := plant.newest_delay):
+        if delay == delay:
             self.delay.add(round(delay * 1e9))
         if plant.lockstep:
             return  # the device's time stands still meanwhile
-        if taken > self._renewed:
-            self._least, self._before, self._renewed = way, self._least, taken + _RENEWED
-        if delay == delay and (sent := self._sent.get(plant.answered_tick)) is not None:
+        if samples.time > self._renewed:
+            self._least, self._before, self._renewed = way, self._least, samples.time + _RENEWED
+        tick, sent = self._sent[answered % _ANSWERS]
+        if delay == delay and tick == answered:
             quickest = sent - round((delay - plant.delay) * 1e9)  # the transport, had the way back taken no time
             self._least, self._before = max(self._least, quickest), max(self._before, quickest)
         self._least = min(self._least, way)
-        self._sent[plant.samples.tick] = answer + way
-        if len(self._sent) > _ANSWERS:
-            del self._sent[next(iter(self._sent))]
+        self._sent[samples.tick % _ANSWERS] = samples.tick, answer + way
         newest = answer + way - int(min(self._least, self._before))
         self.age.add(newest)
         self.newest_age = newest * 1e-9

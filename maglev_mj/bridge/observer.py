@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.control.timeline import Timeline, Timing
-from maglev_mj.frames import Array, Command
+from maglev_mj.frames import ZERO, Array, Command
 
 _CORNER = 31.0
 """Corner of each of two low passes [Hz]; both together pass 20 Hz at -3 dB."""
@@ -32,18 +32,11 @@ _UNKNOWN = (math.nan,) * 6
 _KEPT = 64
 
 
-_Drive: TypeAlias = tuple[float, ...]
-"""Wrench and currents, twelve numbers."""
+_Drive: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
+"""Wrench and currents, six numbers each."""
 
-
-class _Sampled(NamedTuple):
-    """One sample, and the drives since the one before."""
-
-    number: int
-    position: Sequence[float]
-    segments: list[tuple[float, _Drive]]
-    whole: bool
-    """True if no sample is missing before it."""
+_Sampled: TypeAlias = tuple[int, int, Sequence[float], list[tuple[float, _Drive]]]
+"""One sample: number, sample periods since the one before, pose, drives since then."""
 
 
 class HandObserver:
@@ -68,9 +61,8 @@ class HandObserver:
         self._period = period
         self._keep = math.exp(-2.0 * math.pi * _CORNER * period)
         self._calibration = calibration
-        self._body = np.array([*[calibration.mass] * 3, *calibration.inertia]) / period**2
-        self._weight = np.concatenate([calibration.mass * calibration.gravity, np.zeros(3)])
-        self._sent: dict[int, tuple[_Drive, _Drive, float]] = {}
+        self._body = [one / period**2 for one in (*[calibration.mass] * 3, *calibration.inertia.tolist())]
+        self._weight = [*(calibration.mass * calibration.gravity).tolist(), 0.0, 0.0, 0.0]
         self.tries = False
         self.reset()
 
@@ -79,15 +71,16 @@ class HandObserver:
         self._wrench: Sequence[float] = _UNKNOWN
         self.currents: Sequence[float] | None = None
         self.coils = CoilEstimator(self._calibration, self._period)
-        self._timeline = Timeline(Timing(period=self._period, delay=0.0), (0.0,) * 12)
-        self._sent.clear()
+        self._timeline = Timeline(Timing(period=self._period, delay=0.0), (ZERO, ZERO))
+        self._sent: list[tuple[int | None, tuple[_Drive, _Drive, float] | None]] = [(None, None)] * _KEPT
         self._waiting: deque[_Sampled] = deque(maxlen=_KEPT)
-        self._number = self._taken = 0
         self._answered, self._sure = 0, 0.0  # newest answer, and instant from which no earlier one flows [s]
-        self._known = 0
-        self._low: Array | None = None
-        self._lower = self._before = self._last = np.zeros(6)
-        self._moment = np.zeros(12)
+        self._taken = self._known = 0
+        self._low: Sequence[float] | None = None
+        self._lower: Sequence[float]
+        self._before: Sequence[float] = ZERO
+        self._last: Sequence[float] = ZERO
+        self._rising: list[tuple[float, _Drive]] = []
 
     def answered(
         self, tick: int, command: Command, held: Sequence[float], pulsed: Sequence[float] | None, width: float
@@ -101,14 +94,10 @@ class HandObserver:
             pulsed: Those of its pulse; None without one.
             width: Width of the pulse [s].
         """
-        drive = (*command.force, *held)
-        if pulsed is None or command.extra is None:
-            self._sent[tick] = drive, drive, 0.0
-        else:
-            whole = (one + other for one, other in zip(command.force, command.extra))
-            self._sent[tick] = drive, (*whole, *pulsed), width
-        if len(self._sent) > _KEPT:
-            del self._sent[next(iter(self._sent))]
+        first = drive = tuple(command.force), tuple(held)
+        if pulsed is not None and command.extra is not None:
+            first = tuple([one + other for one, other in zip(command.force, command.extra)]), tuple(pulsed)
+        self._sent[tick % _KEPT] = tick, (drive, first, width)
 
     def sampled(self, tick: int, elapsed: int, position: Sequence[float], answered: int, delay: float) -> None:
         """Add a sample.
@@ -120,21 +109,24 @@ class HandObserver:
             answered: Number of the sample that the newest answer in force answers.
             delay: Time from that sample to the answer's effect [s]; NaN if no new answer has come.
         """
-        timeline = self._timeline
-        sent = self._sent.get(answered) if delay == delay else None
-        if sent is not None:
-            early = tick - 1 - answered  # an effect before the last sample cannot be undone
-            timeline.answer(answered, *sent, after=max(delay, early * self._period))
+        timeline, period, early = self._timeline, self._period, tick - 1 - answered
+        number, sent = self._sent[answered % _KEPT]
+        if delay != delay or number != answered:
+            sent = None
+        else:
             if answered - self._answered > 1:  # of two answers within a period the device reports the newer
-                self._sure = answered * self._period + delay
+                self._sure = answered * period + delay
             self._answered = answered
-        for missed in range(tick - min(elapsed, _KEPT), tick - 1):
-            timeline.period(missed)
-        segments = timeline.period(tick - 1)
-        self._number += 1
-        self._waiting.append(_Sampled(self._number, position, segments, elapsed == 1))
-        sure = sent is not None and tick * self._period >= self._sure
-        self.currents = timeline.now()[6:] if sure else None
+        known = sent is not None and tick * period >= self._sure
+        if sent is not None and early:  # an effect before the last sample cannot be undone
+            timeline.answer(answered, *sent, after=max(delay, early * period))
+            sent = None
+        if elapsed > 1:
+            for missed in range(tick - min(elapsed, _KEPT), tick - 1):
+                timeline.period(missed)
+        segments = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
+        self._waiting.append((tick, elapsed, position, segments))
+        self.currents = timeline.now()[1] if known else None
         if self.tries:
             self._take()
 
@@ -150,35 +142,43 @@ class HandObserver:
 
     def _take(self) -> None:
         """Take up the samples that wait; across lost ones the estimate stays."""
-        period, keep = self._period, self._keep
-        for number, position, segments, whole in self._waiting:
-            if number != self._taken + 1:  # nobody has asked for long
+        period, square, keep = self._period, self._period**2, self._keep
+        for tick, elapsed, now, segments in self._waiting:
+            if tick - elapsed != self._taken:  # nobody has asked for long
                 self._low = None
-            if not whole or number != self._taken + 1:
+            if tick - 1 != self._taken:
                 self._known, self.coils = 0, CoilEstimator(self._calibration, period)
-            self._taken = number
-            now, start = np.array(position), 0.0
-            impulse, moment = np.zeros(12), np.zeros(12)
+            self._taken = tick
+            acting, start, self._rising = self._rising, 0.0, []
             for duration, drive in segments:
-                acts = duration * np.array(drive)
-                impulse += acts
-                moment += (start + 0.5 * duration) * acts
+                middle, share = start + 0.5 * duration, duration / square
+                acting.append(((period - middle) * share, drive))
+                self._rising.append((middle * share, drive))
                 start += duration
-            acting = (self._moment + period * impulse - moment) / period**2
-            bent = now - 2.0 * self._last + self._before
-            self._before, self._last, self._moment = self._last, now, moment
+            before, last, self._before, self._last = self._before, self._last, self._last, now
             self._known += 1
             if self._known < 3:
                 continue
             if self.tries:
-                self.coils.add(now, acting[6:])
-            raw = self._body * bent - acting[:6] - self._weight
+                self.coils.add(now, _mean([(share, currents) for share, (_, currents) in acting]))
+            explained = _mean([(share, wrench) for share, (wrench, _) in acting])
+            raw = [
+                mass * (one - 2.0 * two + three) - force - weight
+                for mass, one, two, three, force, weight in zip(self._body, now, last, before, explained, self._weight)
+            ]
             if self._low is None:
                 self._low = self._lower = raw
-            self._low = raw + keep * (self._low - raw)
-            self._lower = self._low + keep * (self._lower - self._low)
-            self._wrench = self._lower.tolist()
+            self._low = [one + keep * (old - one) for one, old in zip(raw, self._low)]
+            self._wrench = self._lower = [one + keep * (old - one) for one, old in zip(self._low, self._lower)]
         self._waiting.clear()
+
+
+def _mean(parts: Sequence[tuple[float, Sequence[float]]]) -> list[float]:
+    """Return the sum of vectors (6,), each times its share."""
+    total = [0.0] * 6
+    for share, vector in parts:
+        total = [one + share * other for one, other in zip(total, vector)]
+    return total
 
 
 class CoilEstimator:
@@ -196,19 +196,21 @@ class CoilEstimator:
         body = np.array([*[calibration.mass] * 3, *calibration.inertia])
         self._paths = calibration.coils.wrench_per_current * (period**2 / body)[:, None]
         self._fall = np.concatenate([period**2 * calibration.gravity, np.zeros(3)])
-        self._speeds, self._sums = np.zeros((2, 7))
-        self._rows: list[Array] = []
+        self._rows: list[tuple[float, ...]] = []
 
-    def add(self, position: Array, currents: Array) -> None:
-        """Add a pose and the currents around the sample before it [m, rad], [A], (6,) each."""
-        self._speeds[:6] += currents
-        self._speeds[6] += 1.0
-        self._sums += self._speeds
-        self._rows.append(np.concatenate([position, self._sums]))
+    def add(self, position: Sequence[float], currents: Sequence[float]) -> None:
+        """Add a pose and the currents around the sample before it [m, rad], [A], six each."""
+        self._rows.append((*position, *currents, 1.0))
+
+    def _summed(self) -> Array:
+        """Return poses, and currents and ones integrated twice, (N, 13)."""
+        rows = np.array(self._rows).reshape(-1, 13)
+        rows[:, 6:] = rows[:, 6:].cumsum(axis=0).cumsum(axis=0)
+        return rows
 
     def gains(self) -> Array:
         """Return each coil's gain, (6,): 1 for one as calibrated, NaN for an unknown one."""
-        rows = np.array(self._rows).reshape(-1, 13)
+        rows = self._summed()
         lifted = np.flatnonzero(np.abs(rows[:, :3] - rows[:1, :3]).max(axis=1, initial=0.0) > _LIFTED)
         if not lifted.size or len(rows) - lifted[0] < _FEWEST:
             return np.full(6, np.nan)
@@ -234,7 +236,7 @@ class CoilEstimator:
         if not lost or len(self._rows) < 3:
             return ""
         # on its stop a flotor may turn, which three axes show
-        matrix, left = self._fit(np.array(self._rows), range(3, 6))
+        matrix, left = self._fit(self._summed(), range(3, 6))
         sizes = (matrix**2).sum(axis=0) + _NOISE**2
         return f"coil {int(np.argmax((matrix.T @ left) ** 2 / sizes))} explains it best: weak, dead or reversed"
 

@@ -9,6 +9,7 @@ import math
 import os
 import signal
 import threading
+from array import array
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -33,7 +34,7 @@ class LatencyHistogram:
     """
 
     def __init__(self, size: int = 1 << 16) -> None:
-        self._ring = np.zeros(int(number("size", size, at_least=1)), np.int64)
+        self._ring = array("q", bytes(8 * int(number("size", size, at_least=1))))
         self._size = len(self._ring)
         self.count = self.worst = 0
 
@@ -47,7 +48,7 @@ class LatencyHistogram:
     @property
     def kept(self) -> NDArray[np.int64]:
         """Recent latencies, unordered [ns]."""
-        return self._ring[: self.count]
+        return np.array(self._ring[: self.count], np.int64)
 
     def percentile(self, share: float) -> float:
         """Return a percentile of recent latencies [s]; NaN without any."""

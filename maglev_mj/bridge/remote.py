@@ -75,6 +75,9 @@ class RemotePlant:
         lateness: The same, or without a new one the least that the next answer's delay can be.
         pose: Last known pose [m, rad].
         rest: Pose before takeoff and target of the landing [m, rad].
+        answer_latency: Time from the last sample's arrival to its answer [s].
+        answered_tick: Number of the sample that the newest answer arrived at the device answers.
+        transport: Clock difference between last sample and arrival [ns], offset unknown.
         samples: Counter of received, lost and skipped samples.
         hand_wrench: The hand's wrench as estimated, low-passed at 20 Hz [N, N m]; NaN unless the device is active. A
             touched stop counts as a hand; see `HandObserver`.
@@ -143,7 +146,8 @@ class RemotePlant:
         # armed by this host, and nothing has ended it that was reported
         self.disarmed = self._armed = self._warned = False
         self.guided = self._owed = False  # an answer is owed to the last sample
-        self._behind = 0  # samples since the one that the newest answer answers
+        self.answered_tick = self.transport = 0
+        self.answer_latency = 0.0
         self._coils = CoilGuard()
         self._open = 0  # samples in a row without ENABLED
         self._sequence, self._located, self.doubt = 0, 0, ""  # last sample, last known pose
@@ -199,7 +203,7 @@ class RemotePlant:
         self._open = 0 if report.flags & _ENABLED or report.state != _ACTIVE else self._open + 1
         if active:
             self._hand.tries = self.guided
-            self._hand.sampled(tick, samples.elapsed, position, tick - self._behind, self.newest_delay)
+            self._hand.sampled(tick, samples.elapsed, self._seen, self.answered_tick, self.newest_delay)
             if (flows := self._hand.currents) is not None and self._coils.check(flows, report.currents):
                 amperes = (", ".join(f"{one:.2f}" for one in six) for six in (report.currents, flows))
                 self.fail(Fault.COIL_NOT_FOLLOWING, "the device measures {} A, and was told {} A".format(*amperes))
@@ -256,12 +260,7 @@ class RemotePlant:
             self._output.passed(held, pulsed, width)
         else:
             self._output.stay(1, ZERO)
-        self._box.keep((frame, self._seen, held, pulsed, width, self.last_delay, self._line.latency))
-
-    @property
-    def answered_tick(self) -> int:
-        """Number of the sample that the newest answer arrived at the device answers."""
-        return self.samples.tick - self._behind
+        self._box.keep((frame, self._seen, held, pulsed, width, self.last_delay, self.answer_latency))
 
     @property
     def report(self) -> StateReport:
@@ -275,16 +274,6 @@ class RemotePlant:
         """Temperature rises of the coils, reported or modelled; 1 trips."""
         said = ZERO if self._frame is None else self._frame.body.temperatures  # type: ignore[union-attr]
         return [max(one, other) for one, other in zip(said, self._output.thermal.rises)]
-
-    @property
-    def answer_latency(self) -> float:
-        """Time from the last sample's arrival to its answer [s]."""
-        return self._line.latency * 1e-9
-
-    @property
-    def transport(self) -> int:
-        """Clock difference between last sample and arrival [ns], offset unknown."""
-        return self._line.heard - self.samples.time
 
     def arm(self, hover: Sequence[float] | None = None) -> None:
         """Switch the currents on; PlantError if the device refuses.
@@ -419,7 +408,8 @@ class RemotePlant:
         elapsed = self.samples.elapsed
         if (unanswered := elapsed - answered) > 0:  # without a command the coils cool, or keep their currents
             self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
-        self._behind = behind = (frame.sequence - report.answered) & WRAP
+        behind = (frame.sequence - report.answered) & WRAP
+        self.answered_tick, self.transport = self.samples.tick - behind, self._line.heard - frame.time
         known = report.age != NEVER and report.answered != self._answered
         self._answered = report.answered
         self.newest_delay = behind * self.period - report.age * 1e-6 + self.delay if known else _NAN
@@ -480,6 +470,7 @@ class RemotePlant:
         one = tuple(held)
         try:
             self._line.command(CommandFrame(self._sequence, 0, one, one if pulsed is None else tuple(pulsed), width))
+            self.answer_latency = self._line.latency * 1e-9
         except Exception as error:
             self._fail_if_active(Fault.HOST, str(error))
             raise
@@ -505,7 +496,7 @@ class RemotePlant:
                 self.trip(faults)
         faults |= self.faults  # such as an e-stop, after which it fell
         if (frame := self._frame) is not None:
-            self._box.keep((frame, self._seen, self.last_currents, None, 0.0, self.last_delay, self._line.latency))
+            self._box.keep((frame, self._seen, self.last_currents, None, 0.0, self.last_delay, self.answer_latency))
         raise DeviceFault(faults, message, self._box.write(faults, message, self._about()))
 
     def _about(self) -> dict[str, Any]:

@@ -172,10 +172,10 @@ class Timeline:
         self._period, self._rest, self._whole = timing.period, timing.rest, timing.whole
         self._negligible, self._jitters = timing.negligible, timing.jitter > 0.0
         self._each = np.ndim(timing.delay) > 0
-        # one switch within the period, never at a sample
+        # one switch within the period, or at the sample
+        self._at_once = not self._each and timing.rest == 0.0
         room = np.minimum(timing.rest, timing.period - timing.rest) - timing.jitter
-        self._plain = timing.whole == 0 and (self._each or float(room) > self._negligible)
-        self._left = timing.period - timing.rest
+        self._plain = timing.whole == 0 and (self._each or self._at_once or float(room) > self._negligible)
 
     def answer(
         self, tick: int, held: Any, pulsed: Any = None, width: float = 0.0, *, after: float | None = None
@@ -202,7 +202,9 @@ class Timeline:
             switches.pop()
         switches.append((tick, offset, held, pulsed, width))
 
-    def period(self, tick: int, answer: tuple[Any, Any, float] | None = None) -> list[Segment]:
+    def period(
+        self, tick: int, answer: tuple[Any, Any, float] | None = None, *, after: float | None = None
+    ) -> list[Segment]:
         """Return the segments from sample `tick` to the next.
 
         They are in order; their durations add up to the period.
@@ -213,20 +215,23 @@ class Timeline:
             tick: Number of the sample.
             answer: The answer to it as for `answer`: held, pulsed, width; None if it was added by `answer`, or there
                 is none.
+            after: Its time of effect, as for `answer`; for one device.
         """
         switches = self._switches
         if answer is not None:
             held, pulsed, width = answer
-            if self._plain and width == 0.0 and self._pulse is None and not switches:  # most periods, at half the cost
+            plain = self._plain if after is None else self._negligible < after < self._period - self._negligible
+            if plain and width == 0.0 and self._pulse is None and not switches:  # most periods, at half the cost
                 before = self.acting
                 if self.compares and held[0] == before[0]:
                     return [(self._period, before)]
                 self.acting = held
-                if self._jitters:
-                    rest = self.timing.rest_at(tick)
-                    return [(rest, before), (self._period - rest, held)]
-                return [(self._rest, before), (self._left, held)]
-            self.answer(tick, held, pulsed, width)
+                if after is None:
+                    if self._at_once:
+                        return [(self._period, held)]
+                    after = self.timing.rest_at(tick) if self._jitters else self._rest
+                return [(after, before), (self._period - after, held)]
+            self.answer(tick, held, pulsed, width, after=after)
         segments: list[Segment] = []
         done, each, least = 0.0, self._each, self._negligible
         while switches and switches[0][0] <= tick:
