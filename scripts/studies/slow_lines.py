@@ -146,12 +146,9 @@ class NotedPower(PowerGuard):
         """Add one sample; return what is wrong, or ""."""
         said = super().check(position, force)
         self.energy = max(self.energy, self._sums[-1] - self._sums[0])
+        self.reversals = max(self.reversals, max(self._reversals) / self._weight)
+        self.small = max(self.small, max(self._small) / self._weight)
         return said
-
-    def _turned(self, axis: int, force: float, weight: float) -> tuple[float, float]:
-        found, small = super()._turned(axis, force, weight)
-        self.reversals, self.small = max(self.reversals, found), max(self.small, small)
-        return found, small
 
 
 class Flown(NamedTuple):
