@@ -36,20 +36,21 @@ def test_stability_by_theory_alone_simulates_nothing(capsys: pytest.CaptureFixtu
 
 
 def test_stability_goes_on_from_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    record = tmp_path / "cells.jsonl"
+    record = tmp_path / "cells"
     arguments = ["stability", "--grid", "4", "--plant", "exact", "--record", str(record)]
     assert main([*arguments, "--json", "-"]) == 0
     first = capsys.readouterr().out
-    lines = record.read_text().splitlines()
-    assert len(lines) == 16
-    record.write_text("\n".join(lines[:9]) + "\n")
+    (shard,) = record.glob("cells-*")
+    whole = shard.read_bytes()
     assert main([*arguments, "--json", "-"]) == 0
-    assert capsys.readouterr().out == first
-    assert sorted(record.read_text().splitlines()) == sorted(lines)
+    assert capsys.readouterr().out == first and [*record.glob("cells-*")] == [shard]  # nothing is done again
+    shard.write_bytes(whole[:100])
+    assert main([*arguments, "--json", "-"]) == 0
+    assert capsys.readouterr().out == first and len([*record.glob("cells-*")]) == 2
 
 
 def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    record = tmp_path / "cells.jsonl"
+    record = tmp_path / "cells"
     arguments = ["sweep", "drop", "--vary", "height=0.001:0.003:3", "--vary", "plant=exact,mujoco", "--set", "pulse=0"]
     assert main([*arguments, "--record", str(record), "--workers", "0", "--json", str(tmp_path / "all.json")]) == 0
     assert (
@@ -62,6 +63,19 @@ def test_sweep_covers_the_grid(tmp_path: Path, capsys: pytest.CaptureFixture[str
     ]
     for exact, engine in zip(data["results"][::2], data["results"][1::2], strict=True):
         assert exact["penetration"] == pytest.approx(engine["penetration"], abs=1e-12)
+
+
+def test_each_grid_has_a_record_of_its_own_and_is_found_again(
+    tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    heights = ["sweep", "drop", "--set", "plant=exact", "--workers", "0", "--vary", "height=0.001,0.002"]
+    for words, resumed in ((heights, 0), ([*heights, "--set", "pulse=0"], 0), (heights, 2)):
+        assert main(words) == 0
+        assert f"\n  {resumed} of them already in drop-sweep-" in capsys.readouterr().out
+    one, _ = sorted(tmp_path.iterdir())
+    assert main([*heights, "--set", "pulse=1", "--record", one.name]) == 2
+    assert f"record must be of this study, not '{one.name}', which has other pulse, vary\n" in capsys.readouterr().err
 
 
 def test_hands_can_be_varied_by_their_numbers(tmp_path: Path, monkeypatch: Any) -> None:

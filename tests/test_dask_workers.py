@@ -2,22 +2,28 @@
 
 import json
 import os
+import random
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from maglev_mj.cli import main
+from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.studies.cells import Record, WorkersError, dask_workers, run_cells
-from maglev_mj.studies.sweep import run_scene_cells, swept_cells
+from maglev_mj.studies.cells import WorkersError, dask_workers, run_cells
+from maglev_mj.studies.record import Record, _read_table
+from maglev_mj.studies.sweep import run_scene_cells, sweep, swept_cells
 from maglev_mj.versions import versions
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -83,7 +89,12 @@ class Cluster:
 
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    told = tmp_path / "scheduler.json"
+    with made_cluster(tmp_path / "scheduler.json") as cluster:
+        yield cluster
+
+
+@contextmanager
+def made_cluster(told: Path) -> Iterator[Cluster]:
     with dask("scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(told)) as process:
         wait_until(told.exists, "no scheduler came")
         wait_until(lambda: told.read_text().endswith("}"), "no scheduler came")
@@ -122,7 +133,7 @@ CODES = {"sources": gravity, "maglev_mj 0.0.9": another_version, "not known": wi
 def test_workers_of_other_code_are_refused_by_name_before_any_cell(
     codes: list[str], cluster: Cluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    record, out = tmp_path / "cells.jsonl", tmp_path / "out.json"
+    record, out = tmp_path / "cells", tmp_path / "out.json"
     command = ["sweep", "drop", "--vary", "phase=0:0.9:4", "--set", "plant=exact", "--scheduler", cluster.address]
     command += ["--record", str(record), "--json", str(out)]
     with cluster.worker() as good:
@@ -135,15 +146,14 @@ def test_workers_of_other_code_are_refused_by_name_before_any_cell(
                 assert good not in said.err and not record.exists()
         wait_until(lambda: cluster.workers() == [good], "the other workers stay")
         assert main(command) == 0
-    ours = versions()
     results = json.loads(out.read_text())["results"]
     assert results == run_scene_cells(swept_cells(Drop(), {"phase": [0.0, 0.3, 0.6, 0.9]}, plant="exact"))
-    assert all(json.loads(line)["versions"] == ours for line in record.read_text().splitlines())
+    assert json.loads((record / "plan.json").read_text())["versions"] == versions()
 
 
 def test_a_worker_of_other_code_that_joins_late_takes_no_cell(cluster: Cluster, tmp_path: Path) -> None:
-    cells = swept_cells(Drop(duration=2.0), {"phase": [k / 2000 for k in range(2000)]}, plant="mujoco")
-    path, late = tmp_path / "record.jsonl", cluster.worker(gravity(tmp_path / "a"), wait=False)
+    cells = list(swept_cells(Drop(duration=2.0), {"phase": [k / 2000 for k in range(2000)]}, plant="mujoco"))
+    path, late = tmp_path / "record", cluster.worker(gravity(tmp_path / "a"), wait=False)
     joined: list[str] = []
 
     def progress(done: int, total: int) -> None:
@@ -159,11 +169,12 @@ def test_a_worker_of_other_code_that_joins_late_takes_no_cell(cluster: Cluster, 
     finally:
         late.__exit__(None, None, None)
     kept = Record(path)
-    landed = [cell for cell in cells if cell in kept]
+    kept.begin(cells)
+    landed = np.flatnonzero(kept.done)
     assert 0 < len(landed) < len(cells)
-    assert ended.value.landed == [(cell, kept[cell]) for cell in landed]
-    some = landed[:: max(len(landed) // 10, 1)]
-    assert [kept[cell] for cell in some] == run_scene_cells(some)
+    assert ended.value.record is not None and (ended.value.record.done == kept.done).all()
+    some = landed[:: max(len(landed) // 10, 1)].tolist()
+    assert [kept[index] for index in some] == run_scene_cells([cells[index] for index in some])
 
 
 def test_a_scheduler_without_workers_is_said_at_once_and_its_first_worker_does_the_study(
@@ -196,7 +207,7 @@ def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
         "sweep": ["sweep", "drop", "--vary", "phase=0:0.999:600", "--set", "plant=mujoco", "--set", "duration=2"],
         "stability": ["stability", "--grid", "40", "--plant", "mujoco"],
     }
-    record = tmp_path / {"sweep": "drop-sweep.jsonl", "stability": "stability-cells.jsonl"}[command]
+    pattern = {"sweep": "drop-sweep-*", "stability": "stability-cells"}[command]
     arguments = [sys.executable, "-m", "maglev_mj", *studies[command], "--scheduler", cluster.address]
     with cluster.worker():
         before = cluster.transitions()
@@ -204,7 +215,7 @@ def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
             arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path, start_new_session=True
         )
         if command == "sweep":
-            wait_until(lambda: record.exists() and record.stat().st_size, "nothing landed")
+            wait_until(lambda: [*tmp_path.glob(f"{pattern}/cells-*")], "nothing landed")
         else:
             wait_until(lambda: cluster.transitions() > before + 10, "nothing was handed out")
         cluster.process.send_signal(signal.SIGKILL)
@@ -213,14 +224,52 @@ def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
     last = [line for line in said.splitlines() if not re.match(rf"{command}( drop)?: \d+ of \d+", line)]
     assert len(last) == 1, said
     found = re.search(rf"the Dask scheduler at {cluster.address} is gone; (\d+) cells are in (\S+), the same", last[0])
+    (record,) = tmp_path.glob(pattern)
     assert found and found[2] == record.name
-    lines = [json.loads(line) for line in record.read_text().splitlines()]
-    assert len(lines) == int(found[1])
-    kept = Record(record)
-    assert all(line["cell"] in kept and line["versions"] == versions() for line in lines)
+    assert sum(indices.size for indices in indices_of(record)) == int(found[1])
     if command == "sweep":
-        assert 0 < len(lines) < 600
-        some = [line["cell"] for line in lines[:3]]
-        assert run_scene_cells(some) == [line["result"] for line in lines[:3]]
-        again = run_cells(run_scene_cells, [line["cell"] for line in lines], record=kept, workers=None)
-        assert again == [line["result"] for line in lines]
+        phases = np.linspace(0.0, 0.999, 600).tolist()
+        cells = swept_cells(Drop(), {"plant": ["mujoco"], "duration": [2.0], "phase": phases})
+        kept = Record(record)
+        kept.begin(cells)
+        done = np.flatnonzero(kept.done).tolist()
+        assert 0 < len(done) == int(found[1]) < 600
+        assert run_scene_cells([cells[index] for index in done[:3]]) == [kept[index] for index in done[:3]]
+
+
+def indices_of(record: Path) -> list[np.ndarray[Any, Any]]:
+    """Return the cells of each shard."""
+    return [_read_table(path)["#"] for path in sorted(record.glob("cells-*"))]
+
+
+@pytest.mark.study
+def test_workers_and_schedulers_killed_at_random_lose_nothing_and_leave_nothing_twice(tmp_path: Path) -> None:
+    draw, record, kept, ended = random.Random(3), tmp_path / "record", 0, list[str]()
+    grid = {"phase": np.linspace(0.0, 0.999, 600).tolist()}
+    whole = sweep("drop", grid, plant="mujoco")
+    for turn in range(20):
+        with made_cluster(tmp_path / f"scheduler-{turn}") as cluster, ExitStack() as beside:
+            processes = [cluster.process]
+            for _ in range(2):
+                worker = dask("worker", cluster.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny")
+                processes.append(beside.enter_context(worker))
+            wait_until(lambda: len(cluster.workers()) == 2, "no workers came")
+            victims = processes[:1] if turn % 2 else processes[1 : 1 + draw.randint(1, 2)]
+            timers = [threading.Timer(draw.uniform(0.0, 1.5), victim.kill) for victim in victims]
+            if len(victims) == 2:
+                timers.append(threading.Timer(3.0, processes[0].kill))  # jobs would wait for others
+            try:
+                workers = dask_workers(cluster.address)
+                for timer in timers if turn < 19 else []:
+                    timer.start()
+                found = sweep("drop", grid, plant="mujoco", workers=workers, record=record)
+                ended.append("all")
+            except (WorkersError, ParameterError) as error:
+                ended.append(type(error).__name__)
+            for timer in timers:
+                timer.cancel()
+        indices = np.concatenate([*indices_of(record), []])
+        assert np.unique(indices).size == indices.size >= kept
+        kept = indices.size
+    assert kept == 600 and ended[-1] == "all" and "WorkersError" in ended
+    assert found.results == whole.results

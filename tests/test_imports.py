@@ -48,7 +48,7 @@ ALLOWED = {
     "mcap": {"recording"},
     "foxglove": {"interop", "recording"},
     "pandas": {"result"},
-    "pyarrow": {"recording"},
+    "pyarrow": {"recording", "studies"},
     "control": {"theory"},
 }
 

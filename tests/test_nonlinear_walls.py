@@ -8,8 +8,9 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.studies.cells import Record, local_workers
+from maglev_mj.studies.cells import local_workers
 from maglev_mj.studies.drop_map import SAMPLES, DropMapParameters, Ending, _Quarters, judge_drops, run_drop_map
+from maglev_mj.studies.record import Record
 from maglev_mj.theory import is_stable, largest_modulus
 
 ALL: dict[str, Any] = {"pulse": 220.0, "force_limit": 60.0, "quantize": 5e-6}
@@ -82,11 +83,10 @@ def test_parts_and_workers_do_not_matter() -> None:
 
 
 def test_parts_are_recorded_counted_and_not_done_again(tmp_path: Path) -> None:
-    path, told = tmp_path / "parts.jsonl", list[tuple[int, int]]()
+    path, told = tmp_path / "parts", list[tuple[int, int]]()
     p = DropMapParameters(grid=10, **ALL)
     first = run_drop_map(p, record=Record(path), part=30, progress=lambda *both: told.append(both))
     assert told == [(30, 100), (60, 100), (90, 100), (100, 100)]
-    assert len(path.read_text().splitlines()) == 4
     again = run_drop_map(p, record=Record(path), part=30, progress=lambda *both: told.append(both))
     assert len(told) == 4 and (again.swing == first.swing).all()
 

@@ -69,26 +69,28 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_cells_name_the_file_and_what_is_in_it(file: Path) -> None:
-    first = swept_cells(find_scene(str(file))(), GRID, plant="exact")
+    first = list(swept_cells(find_scene(str(file))(), GRID, plant="exact"))
     assert len(first) == 6 and all(cell["scene"].startswith("magnet.py:Magnet@") for cell in first)
     assert first[1] == first[0] | {"damping": 40.0}
     elsewhere = file.parent / "other" / "magnet.py"
     elsewhere.parent.mkdir()
     elsewhere.write_bytes(file.read_bytes())
-    assert swept_cells(find_scene(str(elsewhere))(), GRID, plant="exact") == first
+    assert list(swept_cells(find_scene(str(elsewhere))(), GRID, plant="exact")) == first
     elsewhere.write_text(FILE.replace("FURTHER", "* 2.0"))
     changed = swept_cells(find_scene(str(elsewhere))(), GRID, plant="exact")
     assert changed[0] == first[0] | {"scene": changed[0]["scene"]} and changed[0]["scene"] != first[0]["scene"]
 
 
 def test_a_changed_file_is_not_what_the_record_has(file: Path, tmp_path: Path) -> None:
-    record = tmp_path / "cells.jsonl"
+    record = tmp_path / "cells"
     first = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
     again = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
     assert (first.resumed, again.resumed) == (0, 6) and again.results == first.results
     file.write_text(FILE.replace("FURTHER", "* 2.0"))
-    changed = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
-    assert changed.resumed == 0 and first.figure("left").shape == (3, 2)
+    with pytest.raises(ParameterError, match=r"record must be of this study, not '.*cells', which has other scene$"):
+        sweep(find_scene(str(file)), GRID, plant="exact", record=record)
+    changed = sweep(find_scene(str(file)), GRID, plant="exact")
+    assert first.figure("left").shape == (3, 2)
     np.testing.assert_array_equal(changed.figure("left"), 2.0 * first.figure("left"))
 
 
@@ -120,7 +122,7 @@ def test_the_command_sweeps_a_file_on_two_processes(file: Path, monkeypatch: Any
     assert main([*command, "--workers", "2", "--json", "all.json"]) == 0
     said = capsys.readouterr().out
     assert "Sweep of magnet over stiffness (2): 2 cells\n" in said
-    assert "\n  0 of them already in magnet-sweep.jsonl" in said
+    assert "\n  0 of them already in magnet-sweep-" in said
     data = json.loads((file.parent / "all.json").read_text())
     assert data["scene"] == "magnet" and data["varied"] == {"stiffness": [500.0, 1000.0]}
     assert [cell["damping"] for cell in data["cells"]] == [20.0, 20.0]
@@ -182,7 +184,7 @@ def test_a_grid_is_refused_before_anything_runs() -> None:
         ({"phase": [0.1]}, "parameter of twist must be one of plant, period, delay, duration, not 'phase'"),
         ({"plant": ["moon"]}, "plant must be one of exact, mujoco, not 'moon'"),
         ({"duration": [0.1, -1.0]}, "duration must be a finite number above 0"),
-        ({"duration": [0.1] * 1001, "period": [0.005] * 1000}, "at most 1000000 cells, not 1001000"),
+        ({"duration": [0.1] * 10010, "period": [0.005] * 10000}, "at most 100000000 cells, not 100100000"),
     ):
         with pytest.raises(ParameterError, match=words):
             sweep(twist, vary)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,14 +13,16 @@ from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.studies.cells import Cell, Record, StudyInterrupted, Workers, dask_workers, local_workers, run_cells
+from maglev_mj.studies import record as recording
+from maglev_mj.studies.cells import StudyInterrupted, Workers, dask_workers, local_workers, run_cells
+from maglev_mj.studies.record import Cell, Record, pack
 from maglev_mj.studies.sweep import run_scene_cells, swept_cells
-from maglev_mj.versions import versions
 
 
 def squares(cells: list[Cell]) -> list[Any]:
@@ -27,8 +30,10 @@ def squares(cells: list[Cell]) -> list[Any]:
 
 
 def drop_cells(count: int) -> list[Cell]:
-    return swept_cells(
-        Drop(height=0.003, pulse=0.0), {"phase": [number / count for number in range(count)]}, plant="exact"
+    return list(
+        swept_cells(
+            Drop(height=0.003, pulse=0.0), {"phase": [number / count for number in range(count)]}, plant="exact"
+        )
     )
 
 
@@ -43,53 +48,129 @@ def deadly(cells: list[Cell]) -> list[Any]:
     return squares(cells)
 
 
-def test_a_rerun_computes_only_what_is_missing(tmp_path: Path) -> None:
-    path, calls = tmp_path / "record.jsonl", []
+def kept(path: Path, cells: list[Cell]) -> Record:
+    """Return a record as a study would find it."""
+    record = Record(path)
+    record.begin(cells)
+    return record
+
+
+def shards(path: Path) -> list[Path]:
+    return sorted(path.glob("cells-*"))
+
+
+CELLS: list[Cell] = [{"x": x} for x in range(10)]
+
+
+def missing_after(cells: list[Cell]) -> list[Any]:
+    if cells[0]["x"] == 6:
+        raise KeyboardInterrupt
+    return squares(cells)
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
+def test_a_rerun_computes_only_what_is_missing(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, calls = tmp_path / "record", []
+    monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
 
     def counted(cells: list[Cell]) -> list[Any]:
-        calls.append(len(cells))
+        calls.append([cell["x"] for cell in cells])
         return squares(cells)
 
-    cells: list[Cell] = [{"x": x} for x in range(10)]
-    first = run_cells(counted, cells[:6], record=Record(path), together=4)
-    second = run_cells(counted, cells, record=Record(path), together=4)
-    assert calls == [4, 2, 4]
-    assert second[:6] == first and second == squares(cells)
-    assert len(path.read_text().splitlines()) == 10
+    with pytest.raises(StudyInterrupted) as stopped:
+        run_cells(missing_after, CELLS, record=Record(path), together=3)
+    assert stopped.value.record.done.tolist() == [True] * 6 + [False] * 4
+    assert run_cells(counted, CELLS, record=Record(path), together=3) == squares(CELLS)
+    assert calls == [[6, 7, 8], [9]] and {one.suffix for one in shards(path)} == {suffix}
+    assert run_cells(counted, CELLS, record=Record(path), together=3) == squares(CELLS) and len(calls) == 2
 
 
-@pytest.mark.parametrize(("newest", "count"), [("ours", 0), ("theirs", 1)])
-def test_the_newest_line_of_a_cell_names_its_code(tmp_path: Path, newest: str, count: int) -> None:
-    path, made = tmp_path / "record.jsonl", {"ours": versions(), "theirs": {**versions(), "numpy": "1.0"}}
-    kinds = sorted(made, key=lambda kind: kind == newest)
-    lines = [{"cell": {"x": 1}, "result": {"of": kind}, "versions": made[kind]} for kind in kinds]
-    path.write_text("".join(json.dumps(line) + "\n" for line in lines))
-    kept = Record(path)
-    assert kept[{"x": 1}] == {"of": newest}
-    assert sum(other["cells"] for other in kept.others([{"x": 1}])) == count
+RESULTS: list[Any] = [
+    {"a": 1.5, "b": True, "c": 3, "d": [1.0, None], "e": "text", "f": None},
+    {"a": None, "b": None, "c": -(2**70), "f": 0.0},
+    {"error": 'diverged: "é"'},
+    {"b": 0.25, "a": 7, "error": None},
+    {},
+    {"#": 1, "=": 2},
+    [1, {"z": 1, "y": 2}],
+    None,
+    -0.5,
+]
 
 
-@pytest.mark.parametrize("torn", ['{"cell": {"x": 1}, "resu', '{"cell": {"x": 1}, "result": {"square": 1}}'])
-def test_a_line_torn_by_a_dying_process_is_no_obstacle(tmp_path: Path, torn: str) -> None:
-    path = tmp_path / "record.jsonl"
-    path.write_text(json.dumps({"cell": {"x": 0}, "result": {"square": 0}}) + "\n" + torn)
-    cells: list[Cell] = [{"x": x} for x in range(3)]
-    assert run_cells(squares, cells, record=Record(path)) == squares(cells)
-    # read again, every cell is there
-    again = Record(path)
-    assert all(cell in again for cell in cells)
+@pytest.mark.parametrize("together", [1, 2, 9])
+@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
+def test_every_result_of_json_is_kept_as_it_is(
+    suffix: str, together: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
+    cells: list[Cell] = [{"index": index} for index in range(len(RESULTS))]
+
+    def function(cells: list[Cell]) -> list[Any]:
+        return [RESULTS[cell["index"]] for cell in cells]
+
+    made = run_cells(function, cells, record=Record(tmp_path / "a"), together=together)
+    again = list(kept(tmp_path / "a", cells))
+    assert [json.dumps(one) for one in made] == [json.dumps(one) for one in again]
+    assert [json.dumps(one, sort_keys=True) for one in made] == [json.dumps(one, sort_keys=True) for one in RESULTS]
+    assert [type(one) for one in made] == [type(one) for one in RESULTS]
+    assert kept(tmp_path / "a", cells).failed == [2, 3]
 
 
-def test_a_file_that_is_no_record_is_refused_and_left_alone(tmp_path: Path) -> None:
-    path = tmp_path / "notes.txt"
-    for text, words in (
-        ("dear diary\nnothing\n", "record must hold one cell a line, not 'dear diary'"),
-        ("x", "one cell a line, not 'x'"),
-    ):
-        path.write_text(text)
-        with pytest.raises(ParameterError, match=words):
-            Record(path)
-        assert path.read_text() == text
+def test_results_that_are_no_json_are_refused() -> None:
+    with pytest.raises(ParameterError, match="a result must hold values of JSON, not <object"):
+        run_cells(lambda cells: [{"a": object()}], CELLS[:1])
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.98])
+def test_a_torn_or_changed_shard_is_computed_again(
+    share: float, suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
+    path = tmp_path / "record"
+    run_cells(squares, CELLS, record=Record(path))
+    (shard,) = shards(path)
+    whole = shard.read_bytes()
+    shard.write_bytes(whole[: int(share * len(whole))])
+    (path / "0a0b.partial").write_bytes(whole[:9])  # of a program that died
+    assert not kept(path, CELLS).done.any()
+    assert run_cells(squares, CELLS, record=Record(path)) == squares(CELLS)
+    assert kept(path, CELLS).done.all()
+
+
+def other_cells(path: Path) -> str:
+    shutil.rmtree(path)
+    run_cells(squares, CELLS[:9], record=Record(path))
+    return "record must be of this study, not '.*record', which has other cells"
+
+
+def other_folder(path: Path) -> str:
+    (path / "plan.json").unlink()
+    return "record must be a new folder or one with plan.json, not '.*record'$"
+
+
+def torn_plan(path: Path) -> str:
+    (path / "plan.json").write_text('{"cells": ')
+    return "record must be a new folder or one with plan.json, not '.*record'$"
+
+
+def old_record(path: Path) -> str:
+    shutil.rmtree(path)
+    path.write_text('{"cell": {"x": 1}, "result": 1}\n')
+    return "not '.*record'; maglev_mj 0.2.0 reads a file of JSON lines$"
+
+
+@pytest.mark.parametrize("change", [other_cells, other_folder, torn_plan, old_record])
+def test_what_is_no_record_of_the_study_is_refused_and_left_alone(change: Any, tmp_path: Path) -> None:
+    path = tmp_path / "record"
+    run_cells(squares, CELLS, record=Record(path))
+    words = change(path)
+    before = [one.read_bytes() for one in sorted(path.iterdir())] if path.is_dir() else path.read_bytes()
+    with pytest.raises(ParameterError, match=words) as refused:
+        run_cells(squares, CELLS, record=Record(path))
+    assert len(str(refused.value).splitlines()) == 1
+    assert before == ([one.read_bytes() for one in sorted(path.iterdir())] if path.is_dir() else path.read_bytes())
 
 
 def test_local_processes_equal_this_one() -> None:
@@ -124,14 +205,14 @@ def test_a_worker_that_dies_between_two_jobs_costs_no_cell(window: int) -> None:
 
 
 def test_a_worker_that_dies_costs_its_own_cells_and_a_cell_that_always_kills_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "record.jsonl"
+    path = tmp_path / "record"
     cells: list[Cell] = [{"x": x} for x in range(12)]
     cells[3] |= {"kill": "always"}
     cells[0] |= {"kill": "once", "note": str(tmp_path / "seen")}  # first: a job that waits is lost by another's death
     results = run_cells(deadly, cells, record=Record(path), workers=local_workers(1), together=2)
     assert results[3] == {"error": "its worker died 2 times"}
     assert [results[place] for place in range(12) if place != 3] == [{"square": x**2} for x in range(12) if x != 3]
-    assert cells[3] not in Record(path)  # so that a rerun tries it again
+    assert np.flatnonzero(~kept(path, cells).done).tolist() == [3]  # so that a rerun tries it again
 
 
 def fails_at_two(cells: list[Cell]) -> list[Any]:
@@ -142,35 +223,32 @@ def fails_at_two(cells: list[Cell]) -> list[Any]:
 
 
 def test_what_is_in_hand_lands_where_another_job_fails(tmp_path: Path) -> None:
-    path = tmp_path / "record.jsonl"
+    path = tmp_path / "record"
     cells: list[Cell] = [{"x": x} for x in range(4)]
     with pytest.raises(RuntimeError, match="a bug"):
         run_cells(fails_at_two, cells, record=Record(path), workers=local_workers(2))
-    assert all(cell in Record(path) for cell in cells[:2])
+    assert kept(path, cells).done[:2].all()
 
 
 def test_two_programs_with_one_record_lose_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "record.jsonl"
-    path.write_text('{"cell": {"x": 0}, "result"')  # a third one died
-    one, other = Record(path), Record(path)
-    for number in range(1, 6):
-        one.add([({"x": number}, {"square": number**2})])
-        other.add([({"x": -number}, {"square": number**2})])
-    kept = Record(path)
-    assert all({"x": number} in kept for number in range(-5, 6) if number)
+    path = tmp_path / "record"
+    one, other = kept(path, CELLS), kept(path, CELLS)
+    for number in range(5):
+        one.add(range(number, number + 1), pack([float(number)]))
+        other.add(range(9 - number, 10 - number), pack([float(9 - number)]))
+    one.flush()
+    other.flush()
+    assert list(kept(path, CELLS)) == [float(number) for number in range(10)]
 
 
-def test_an_interrupt_keeps_what_has_landed(tmp_path: Path) -> None:
-    def interrupted(cells: list[Cell]) -> list[Any]:
-        if cells[0]["x"] == 3:
-            raise KeyboardInterrupt
-        return squares(cells)
-
-    path = tmp_path / "record.jsonl"
-    with pytest.raises(StudyInterrupted) as stopped:
-        run_cells(interrupted, [{"x": x} for x in range(6)], record=Record(path))
-    assert [cell["x"] for cell, _ in stopped.value.landed] == [0, 1, 2]
-    assert len(path.read_text().splitlines()) == 3
+def test_full_shards_are_not_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_ROWS", 4)
+    record = kept(tmp_path / "record", CELLS)
+    for number in range(10):
+        record.add(range(number, number + 1), pack([float(number)]))
+        record.flush()
+    sizes = [recording._read_table(path)["#"].tolist() for path in shards(tmp_path / "record")]
+    assert sizes == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9]]
 
 
 @pytest.mark.parametrize(("workers", "count"), [("0", 64), ("2", 32)])
@@ -180,7 +258,7 @@ def test_ctrl_c_on_the_command_line_ends_cleanly_and_goes_on(
     # One line on stderr, no traceback from any process, status 130; the rerun computes the rest.
     #
     # Of 256 cells all are in hand by then, and land.
-    record = tmp_path / "cells.jsonl"
+    record = tmp_path / "cells"
     command = ["sweep", "wall", "--vary", "delay=0:0.005:8", "--vary", f"damping=60:100:{count}"]
     command += ["--set", "plant=exact", "--record", str(record), "--workers"]
     process = subprocess.Popen(
@@ -191,14 +269,14 @@ def test_ctrl_c_on_the_command_line_ends_cleanly_and_goes_on(
         start_new_session=True,
     )
     deadline = time.monotonic() + 60.0
-    while not (record.exists() and record.stat().st_size) and time.monotonic() < deadline:
+    while not (record.exists() and shards(record)) and time.monotonic() < deadline:
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to every process of the group
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130, said
     assert "Traceback" not in said
     assert "maglev-mj sweep: stopped; " in said.splitlines()[-1]
-    done = len(record.read_text().splitlines())
+    done = sum(recording._read_table(path)["#"].size for path in shards(record))
     assert 64 <= done < 512
     assert main([*command, "0"]) == 0
     said = capsys.readouterr().out
@@ -215,16 +293,17 @@ def test_ctrl_c_does_not_wait_for_long_jobs(tmp_path: Path) -> None:
     # neither does the end of the program: it would wait for the workers' thread
     program = (
         "import sys; from pathlib import Path; from maglev_mj.studies.cells import *\n"
+        "from maglev_mj.studies.record import Record\n"
         "from tests.test_study import first_soon\n"
         "def progress(done, total): print(done, flush=True)\n"
         "if __name__ == '__main__':\n"
         "    cells = [{'x': x, 'long': 30000 * 'z'} for x in range(9)]\n"  # more than a pipe holds
         "    try: run_cells(first_soon, cells, record=Record(Path(sys.argv[1])), workers=2, progress=progress)\n"
-        "    except StudyInterrupted as error: print([cell['x'] for cell, _ in error.landed])\n"
+        "    except StudyInterrupted as error: print(error.record.done.nonzero()[0].tolist())\n"
     )
     (script := tmp_path / "long.py").write_text(program)
     process = subprocess.Popen(
-        [sys.executable, str(script), str(tmp_path / "cells.jsonl")],
+        [sys.executable, str(script), str(tmp_path / "cells")],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

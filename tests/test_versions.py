@@ -18,7 +18,6 @@ from maglev_mj.cli import main
 from maglev_mj.recording import Recording
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.session.replay import write_run
-from maglev_mj.studies.cells import Record
 from maglev_mj.versions import differences, versions
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -121,52 +120,32 @@ def test_every_script_that_writes_json_names_its_code() -> None:
     assert [path.name for path in writers if '"versions": versions()' not in path.read_text()] == []
 
 
-def test_each_line_of_a_record_names_its_code(tmp_path: Path) -> None:
-    path = tmp_path / "record.jsonl"
-    Record(path).add([({"x": 1}, 2), ({"x": 2}, 4)])
-    assert [json.loads(line)["versions"] for line in path.read_text().splitlines()] == [versions()] * 2
-
-
 SWEEP = ["sweep", "drop", "--vary", "phase=0:0.9:6", "--set", "plant=exact", "--workers", "0"]
+MAP = ["stability", "--grid", "3", "--plant", "exact"]
 
 
 @pytest.mark.parametrize(
     ("theirs", "words"),
     [
-        ({"numpy": "1.0"}, f"4 cells have numpy 1.0 (here {np.__version__})"),
-        ({"sources": "f" * 16}, f"4 cells have sources {'f' * 16} (here"),
-        (None, "4 cells have no versions"),  # of a record from before
-        ("nonsense", "4 cells have no versions"),
-        ({"numpy": "\x1b[2J"}, "4 cells have no versions"),
-        ({"numpy": [float("nan")]}, "4 cells have no versions"),
+        ({"numpy": "1.0"}, f"numpy 1.0 (here {np.__version__})"),
+        ({"sources": "f" * 16}, f"sources {'f' * 16} (here"),
+        (None, "no versions"),
+        ("nonsense", "no versions"),
+        ({"numpy": "\x1b[2J"}, "no versions"),
+        ({"numpy": [float("nan")]}, "no versions"),
     ],
 )
-def test_cells_of_other_code_are_kept_and_named(theirs: Any, words: str, tmp_path: Path, capsys: Any) -> None:
-    record, out = tmp_path / "record.jsonl", tmp_path / "out.json"
-    arguments = [*SWEEP, "--record", str(record), "--json", str(out)]
+@pytest.mark.parametrize("command", [SWEEP, MAP], ids=["sweep", "map"])
+def test_cells_of_other_code_are_not_continued(
+    command: list[str], theirs: Any, words: str, tmp_path: Path, capsys: Any
+) -> None:
+    plan = tmp_path / "record" / "plan.json"
+    arguments = [*command, "--record", str(plan.parent)]
     assert main(arguments) == 0
-    assert capsys.readouterr().err == "" and json.loads(out.read_text())["other_versions"] == []
-    lines = [json.loads(line) for line in record.read_text().splitlines()]
-    made = {**versions(), **theirs} if isinstance(theirs, dict) else theirs
-    changed = [{**line, "versions": made} if place < 4 else line for place, line in enumerate(lines)]
-    text = "".join(json.dumps(line) + "\n" for line in changed[:5])
-    record.write_text(text)
-    assert main(arguments) == 0
-    said = capsys.readouterr()
-    assert len(said.err.splitlines()) == 1 and words in said.err
-    assert "6 cells\n" in said.out and "\n  5 of them already in" in said.out
-    assert record.read_text().startswith(text) and len(record.read_text().splitlines()) == 6
-    known = {} if "no versions" in words else made
-    assert json.loads(out.read_text())["other_versions"] == [{"cells": 4, "versions": known}]
-
-
-def test_a_map_names_other_code_too(tmp_path: Path, capsys: Any) -> None:
-    record = tmp_path / "cells.jsonl"
-    arguments = ["stability", "--grid", "3", "--plant", "exact", "--record", str(record), "--json", "-"]
-    assert main(arguments) == 0
-    assert json.loads(capsys.readouterr().out)["other_versions"] == []
-    record.write_text(record.read_text().replace(str(versions()["sources"]), "f" * 16))
-    assert main(arguments) == 0
-    said = capsys.readouterr()
-    assert "9 cells have sources ffffffffffffffff" in said.err
-    assert json.loads(said.out)["other_versions"][0]["cells"] == 9
+    found = json.loads(plan.read_text())
+    assert found["versions"] == versions() and capsys.readouterr().err == ""
+    plan.write_text(json.dumps(found | {"versions": {**versions(), **theirs} if isinstance(theirs, dict) else theirs}))
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert f"record must be of this code, not {str(plan.parent)!r}, which has {words}" in said

@@ -34,7 +34,7 @@ from maglev_mj.theory.verdict import delay_margins
         "stability drop",
         "stability --hand arm",
         "design",
-        "sweep drop --vary height=1e-3:4e-3:2 --vary plant=exact --workers 0 --record cells.jsonl",
+        "sweep drop --vary height=1e-3:4e-3:2 --vary plant=exact --workers 0 --record cells",
     ],
 )
 def test_a_command_needs_no_engine(words: str, tmp_path: Path) -> None:

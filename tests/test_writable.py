@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ def outputs() -> list[tuple[str, str, str]]:
 
 
 OUTPUTS = [*outputs(), ("stability map", "--json", "FILE"), ("stability map", "--out", "DIR")]
-OUTPUTS += [("stability map", "--record", "FILE"), ("commission", "--write", "FILE")]
+OUTPUTS += [("stability map", "--record", "DIR"), ("commission", "--write", "FILE")]
 
 
 @pytest.fixture
@@ -98,7 +99,7 @@ def test_a_default_output_is_checked_too(
     assert told == f"maglev-mj export: out must be a file that may be written, not '{closed}/flight.csv'\n"
     monkeypatch.chdir(closed)
     told = refused(["sweep", "drop", "--vary", "height=0.001,0.002"], capsys)
-    assert told == "maglev-mj sweep: record must be a file that may be written, not 'drop-sweep.jsonl'\n"
+    assert re.fullmatch(r"maglev-mj sweep: record must be a folder that may be written, not 'drop-sweep-\w{8}'\n", told)
     told = refused(["drop", "--out", "."], capsys)
     assert told == "maglev-mj drop: out must be a folder that may be written, not '.'\n"
 

@@ -118,9 +118,13 @@ def check_outputs(options: argparse.Namespace) -> None:
     """
     files = {name: Path(path) for name in _OUTPUTS if (path := getattr(options, name, None)) not in (None, "-")}
     if "out" in files and options.command not in _FILES and (folder := files.pop("out")) != Path():
-        check_folder(folder)
+        check_folder("out", folder)
+    if "record" in files and "workers" in options and not (cells := files.pop("record")).is_file():
+        check_folder("record", cells)  # a file may be an old record, which the study refuses
+        if "json" in files and files["json"].resolve() == cells.resolve():
+            raise ParameterError(f"json and record must be a file and a folder, not {str(cells)!r} for both")
     check_files(files, getattr(options, "file", None))
-    if "record" in files and "workers" not in options:  # those of studies are of cells
+    if "record" in files:
         from maglev_mj.recording import check_name  # only a recording needs that code
 
         check_name(files["record"])
@@ -147,17 +151,17 @@ def check_files(files: Mapping[str, Path], recording: Path | None = None) -> Non
         raise ParameterError(f"{' and '.join(files)} must be two files, not {str([*files.values()][-1])!r} for both")
 
 
-def check_folder(path: Path) -> None:
-    """Check that a folder takes files, or can be made.
+def check_folder(name: str, path: Path) -> None:
+    """Check that the folder of an option takes files, or can be made.
 
     Raises:
         ParameterError: If it is a file, or may not be written.
     """
     there = next(one for one in (path, *path.parents) if one.exists())
     if not there.is_dir():
-        raise ParameterError(f"out must be a folder, not {str(path)!r}")
+        raise ParameterError(f"{name} must be a folder, not {str(path)!r}")
     if not _takes_files(there):
-        raise ParameterError(f"out must be a folder that may be written, not {str(path)!r}")
+        raise ParameterError(f"{name} must be a folder that may be written, not {str(path)!r}")
 
 
 def _takes_files(folder: Path) -> bool:
@@ -271,7 +275,7 @@ def chosen_pictures(options: argparse.Namespace) -> PictureFolder | None:
     from maglev_mj.pictures import PictureFolder, require  # with arrays, which a help does not need
 
     require()
-    check_folder(folder)
+    check_folder("out", folder)
     return PictureFolder(folder, options.format or FORMATS[0])
 
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
@@ -32,7 +33,7 @@ from maglev_mj.cli.options import (
     range_of,
     scene_class,
 )
-from maglev_mj.cli.output import Progress, check_files, write_result, write_results
+from maglev_mj.cli.output import Progress, check_folder, write_result, write_results
 from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import parsed_number
 from maglev_mj.pictures import PictureFolder
@@ -42,7 +43,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.studies.card import device_card
-from maglev_mj.studies.cells import Record, StudyInterrupted, Workers, WorkersError, dask_workers, local_workers
+from maglev_mj.studies.cells import StudyInterrupted, Workers, WorkersError, dask_workers, local_workers
 from maglev_mj.studies.compare import LAWS
 from maglev_mj.studies.compare import compare as compare_laws
 from maglev_mj.studies.designed_wall import Contact, evaluate_wall
@@ -56,13 +57,14 @@ from maglev_mj.studies.fidelity import (
     measure_levels,
     preset_of,
 )
+from maglev_mj.studies.record import Record, json_text
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
-from maglev_mj.studies.sweep import MOST_CELLS, value_of
+from maglev_mj.studies.sweep import MOST_CELLS, swept_cells, value_of
 from maglev_mj.studies.sweep import sweep as run_sweep
 from maglev_mj.terminal import wrapped
 from maglev_mj.theory import WallRequirements, design_wall
 from maglev_mj.theory import stability as judge
-from maglev_mj.versions import differences, versions
+from maglev_mj.versions import hash_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,34 +95,27 @@ class WorkerOptions:
 
 def cells_in(purpose: str) -> Option:
     """Declare the record of a study's cells."""
-    return option(f"{purpose}; one JSON object a line", "output", "FILE")
+    return option(f"{purpose}; a folder of tables", "output", "DIR")
 
 
 @contextmanager
 def cells_kept(path: Path | None, fallback: Path) -> Iterator[None]:
-    """Write the cells of an interrupted study to a file.
+    """Write the cells of an interrupted study to a new folder.
 
-    Only if they are not in a record yet; the error names the file.
+    Only if they are not in a record yet; the error names the folder.
     """
     try:
         yield
     except (StudyInterrupted, WorkersError) as stopped:
+        kept = Record() if stopped.record is None else stopped.record
         if path is None:
-            path = fallback
-            kept = Record(path)
-            kept.add([(cell, result) for cell, result in stopped.landed if cell not in kept])
-        where = f"{len(stopped.landed)} cells are in {path}, the same command with --record {path} goes on from there"
+            names = (fallback, *(fallback.with_name(f"{fallback.name}-{number}") for number in count(2)))
+            path = next(one for one in names if not one.exists())
+            kept.path = path
+            kept.flush()
+        where = f"{kept.done.sum()} cells are in {path}, the same command with --record {path} goes on from there"
         stopped.args = (f"{stopped}; {where}",)
         raise
-
-
-def warn_of_versions(command: str, others: Sequence[Mapping[str, Any]]) -> None:
-    """Print on standard error that other code computed some cells; see `Record.others`."""
-    if others:
-        ours = versions()
-        kinds = [f"{other['cells']} cells have {differences(other['versions'], ours)}" for other in others]
-        more = f"; and {len(kinds) - 1} more kinds" if len(kinds) > 1 else ""
-        print(f"maglev-mj {command}: the record is also by other code: {kinds[0]}{more}", file=sys.stderr)
 
 
 def _list_parameters(parser: Parser, cls: type[Scene]) -> None:
@@ -155,7 +150,7 @@ def sweep(
     json: Annotated[str | None, json_of("all cells and figures")] = None,
     record: Annotated[
         Path | None,
-        cells_in("results land here as they come, and what is here is not done again (SCENE-sweep.jsonl)"),
+        cells_in("results land here as they come, and what is here is not done again (SCENE-sweep-GRID)"),
     ] = None,
     workers: WorkerOptions,
     pictures: Picture,
@@ -167,13 +162,15 @@ def sweep(
         raise ParameterError(f"a sweep needs --vary NAME=VALUES; for one run: maglev-mj run {name}")
     if both := sorted(fixed.keys() & varied.keys()):
         raise ParameterError(f"{both[0]} must be either set or varied, not both")
-    path = record or Path(f"{scene.name}-sweep.jsonl")
-    check_files({"record": path} if json in (None, "-") else {"json": Path(json), "record": path})
+    path = record
+    if path is None:  # another grid gets another
+        grid = hash_of(json_text("a grid", swept_cells(scene(), fixed | varied).plan))[:8]
+        path = Path(f"{scene.name}-sweep-{grid}")
+        check_folder("record", path)
     running = workers.open(default=None)
     with cells_kept(path, path), Progress(f"sweep {scene.name}") as progress:
         result = run_sweep(scene, fixed | varied, workers=running, record=path, progress=progress)
     result = replace(result, varied=varied)  # a set parameter is no dimension of the grid
-    warn_of_versions("sweep", result.other_versions)
     write_result(json, result, pictures, "sweep")
     return 0
 
@@ -281,9 +278,8 @@ def stability_map(
     # a map of drops is simulated on every core where it has more than one part
     running = workers.open(default=None if drops and region.grid**2 > PART else 0)
     run: Any = run_drop_map if drops else run_stability
-    with cells_kept(record, Path("stability-cells.jsonl")), Progress("stability") as progress:
+    with cells_kept(record, Path("stability-cells")), Progress("stability") as progress:
         result = run(region, record=Record(record), workers=running, progress=progress)
-    warn_of_versions("stability", result.other_versions)
     write_result(json, result, pictures, "stability_drops" if drops else "stability")
     return 0
 

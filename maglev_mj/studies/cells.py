@@ -1,140 +1,57 @@
 """Cells of a study: computed by workers, kept in a record, never computed twice.
 
-A cell is a dict of plain values with everything its result depends on. The record has one JSON object per line. Only
-the parent writes it, so a dying worker loses only the cells it was computing. Each line names the version of the code,
-because programs of several versions may share one record.
+A cell is a dict of plain values with everything its result depends on. Workers get slices of the cells, and answer with
+their results in columns. Only the parent writes the record, so a dying worker loses only the cells it was computing.
 
 Workers are an executor of `concurrent.futures`: this process, processes of this machine, or a Dask cluster.
 """
 
 from __future__ import annotations
 
-import json
 import logging
 import os
 import signal
 import warnings
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from hashlib import blake2b
 from numbers import Integral
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
+
+import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.process import interrupts_held
-from maglev_mj.versions import Versions, differences, versions, versions_read
-
-Cell: TypeAlias = dict[str, Any]
-"""Values of a cell by the parameter's name."""
+from maglev_mj.studies.record import Cell, Columns, Record, pack
+from maglev_mj.versions import Versions, differences, versions
 
 _STOPPING, _CONNECTING = 1.0, 5.0  # [s]
-_BEGINNING = '{"cell": {'
 
 
 class StudyInterrupted(KeyboardInterrupt):
     """Study stopped by the user.
 
     Attributes:
-        landed: Cells computed so far, with their results.
+        record: Results so far.
     """
 
-    def __init__(self, landed: list[tuple[Cell, Any]]) -> None:
+    def __init__(self, record: Record) -> None:
         super().__init__("stopped")
-        self.landed = landed
+        self.record = record
 
 
 class WorkersError(MaglevError):
     """Error of lost workers or workers with other code.
 
     Attributes:
-        landed: Cells computed so far, with their results.
+        record: Results so far; None before a study.
     """
 
-    landed: Sequence[tuple[Cell, Any]] = ()
-
-
-class Record:
-    """Results by cell, in memory and optionally in a file.
-
-    Args:
-        path: JSON lines, read now and appended to later; created with the first result. None for memory alone.
-
-    Raises:
-        ParameterError: If the file is not a record.
-    """
-
-    def __init__(self, path: Path | None = None) -> None:
-        self.path = path
-        self._results: dict[bytes, Any] = {}
-        self._others: dict[bytes, Versions] = {}  # of cells made by other versions
-        self._whole = True  # True if the file ends with a newline
-        if path is not None and path.exists():
-            self._read(path)
-
-    def _read(self, path: Path) -> None:
-        ours, text = versions(), path.read_text(encoding="utf-8", errors="replace")
-        self._whole = text.endswith("\n") or not text
-        for line in text.splitlines():
-            try:
-                entry = json.loads(line)
-                key = _key(entry["cell"])
-                self._results[key] = entry["result"]
-                self._others.pop(key, None)  # the newest line has it
-                theirs = versions_read(entry.get("versions")) or {}
-                if theirs != ours and differences(theirs, ours):
-                    self._others[key] = theirs
-            except (ValueError, TypeError, KeyError):
-                # a process that dies while writing leaves half a line; anything else is not a record
-                if line.strip() and not line.startswith(_BEGINNING[: len(line)]):
-                    raise ParameterError(f"record must hold one cell a line, not {line[:40]!r} in {path}") from None
-
-    def __contains__(self, cell: Cell) -> bool:
-        return _key(cell) in self._results
-
-    def __getitem__(self, cell: Cell) -> Any:
-        return self._results[_key(cell)]
-
-    def others(self, cells: Sequence[Cell]) -> list[dict[str, Any]]:
-        """Return other code versions with their cell counts.
-
-        Ready for JSON; only the given cells count.
-
-        Returns:
-            For each such version `cells` and `versions`, which are empty if unknown.
-        """
-        if not self._others:
-            return []
-        found = Counter(
-            json.dumps(self._others[key], sort_keys=True) for cell in cells if (key := _key(cell)) in self._others
-        )
-        return [{"cells": count, "versions": json.loads(text)} for text, count in found.items()]
-
-    def add(self, pairs: Sequence[tuple[Cell, Any]]) -> None:
-        """Store results of this process, in the file too."""
-        self._results.update((_key(cell), result) for cell, result in pairs)
-        if self.path is None:
-            return
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        made = versions()
-        lines = [json.dumps({"cell": cell, "result": result, "versions": made}) + "\n" for cell, result in pairs]
-        # one write to the end of the file, so that two programs with one record do not mix their lines
-        with self.path.open("ab", buffering=0) as file:
-            file.write((("" if self._whole else "\n") + "".join(lines)).encode())
-        self._whole = True
-
-
-def _key(cell: Mapping[str, Any]) -> bytes:
-    """Return a short digest of a cell, to save memory."""
-    try:
-        text = json.dumps(cell, sort_keys=True)
-    except (TypeError, ValueError) as error:
-        raise ParameterError(f"a cell must hold values of JSON, not {cell!r}: {error}") from None
-    return blake2b(text.encode(), digest_size=16).digest()
+    record: Record | None = None
 
 
 class _Inline(Executor):
@@ -297,8 +214,8 @@ def run_cells(
     """Return each cell's result, computing those not recorded.
 
     Args:
-        function: Function from some cells to a result for each, all JSON; importable by name, because it runs in other
-            processes.
+        function: Function from some cells to a result for each, all JSON (NaN is None); importable by name, because it
+            runs in other processes.
         cells: The study.
         record: Record of the results; None for memory.
         workers: Workers that compute the cells, or a number of processes of this machine; None for this process.
@@ -310,7 +227,8 @@ def run_cells(
         which is not recorded, so that a rerun tries again.
 
     Raises:
-        ParameterError: If a cell is not JSON, or `function` is not a function that returns a result for each cell.
+        ParameterError: If a cell is not JSON, `function` is not a function that returns a result for each cell, or the
+            record is of other cells or code.
         StudyInterrupted: On Ctrl-C; running jobs have a second to finish. If a job fails, they all finish.
         WorkersError: If a cluster is gone, or one of its workers has other code.
 
@@ -320,75 +238,86 @@ def run_cells(
         >>> run_cells(lambda some: [cell["k"] / cell["m"] for cell in some], cells)
         [12000.0, 8000.0]
     """
-    if not callable(function):
-        raise ParameterError(f"function must be one from cells to results, not {function!r}")
-    check_instance("cells", cells, Sequence, "a list of cells")
-    study = _Study(function, record or Record(), chosen_workers(workers), progress)
-    keys, results = [_key(cell) for cell in cells], study.record._results
-    missing = list({key: cell for key, cell in zip(keys, cells, strict=True) if key not in results}.values())
-    study.total = len(set(keys))
-    study.done = study.total - len(missing)
-    try:
-        study.run(deque(missing[start : start + together] for start in range(0, len(missing), together)))
-    except KeyboardInterrupt:
-        raise StudyInterrupted(study.landed(cells)) from None
-    except Exception as error:
-        cause = study.workers.cause(error)
-        if isinstance(cause, WorkersError):
-            cause.landed = study.landed(cells)
-            raise cause from None
-        raise
-    return [results[key] if key in results else study.dead[key] for key in keys]
+    study = Study(function, cells, Record() if record is None else record, chosen_workers(workers), progress)
+    return list(study.run(together))
 
 
-class _Study:
-    """Cells of one study while they are computed."""
+@dataclass(eq=False)
+class Study:
+    """Cells of one study while they are computed.
 
-    def __init__(
-        self,
-        function: Callable[[list[Cell]], list[Any]],
-        record: Record,
-        workers: Workers,
-        progress: Callable[[int, int], None] | None,
-    ) -> None:
-        self.function, self.record, self.workers, self.progress = function, record, workers, progress
-        self.total = self.done = 0
-        self.dead: dict[bytes, Any] = {}
+    Args:
+        function: See `run_cells`.
+        cells: All cells; a job gets a slice of them.
+        record: Results by cell.
+        workers: Workers that compute the cells.
+        progress: See `run_cells`.
 
-    def run(self, jobs: deque[list[Cell]]) -> None:
+    Attributes:
+        done: Number of cells that are done, at first those of the record.
+    """
+
+    function: Callable[[Any], Any]
+    cells: Sequence[Cell]
+    record: Record
+    workers: Workers
+    progress: Callable[[int, int], None] | None
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise ParameterError(f"function must be one from cells to results, not {self.function!r}")
+        check_instance("cells", self.cells, Sequence, "a list of cells")
+        self.record.begin(self.cells)
+        self.done = int(self.record.done.sum())
+
+    def run(self, together: int) -> Record:
+        """Return the results of all cells; see `run_cells`."""
+        try:
+            self._run(deque(self.record.missing(together)))
+        except KeyboardInterrupt:
+            raise StudyInterrupted(self.record) from None
+        except Exception as error:
+            cause = self.workers.cause(error)
+            if isinstance(cause, WorkersError):
+                cause.record = self.record
+                raise cause from None
+            raise
+        return self.record
+
+    def _run(self, jobs: deque[range]) -> None:
         """Run all jobs, and then each cell lost with a worker alone.
 
         Its death then has one cause.
         """
-        lost: list[Cell] = []
-        while jobs:
-            lost += self._run_in_pool(jobs, self.workers.window)
-        for cell in lost:
-            alone = deque([[cell]])
-            if self._run_in_pool(alone, 1) or alone:
-                self.dead[_key(cell)] = {"error": "its worker died 2 times"}
-                self._count(1)
+        lost: list[int] = []
+        try:
+            while jobs:
+                lost += self._run_in_pool(jobs, self.workers.window)
+            for index in lost:
+                alone = deque([range(index, index + 1)])
+                if self._run_in_pool(alone, 1) or alone:
+                    self.record.put(np.array([index]), pack([{"error": "its worker died 2 times"}]))
+                    self._count(1)
+        finally:
+            self.record.flush()
 
-    def landed(self, cells: Sequence[Cell]) -> list[tuple[Cell, Any]]:
-        """Return the finished cells with their results."""
-        return [(cell, self.record[cell]) for cell in cells if cell in self.record]
-
-    def _run_in_pool(self, jobs: deque[list[Cell]], window: int) -> list[Cell]:
+    def _run_in_pool(self, jobs: deque[range], window: int) -> list[int]:
         """Run jobs in one pool until it breaks; return the cells lost with a worker."""
-        pool, running = self.workers.make(), dict[Future[list[Any]], list[Cell]]()
-        lost, broken, stopped = list[Cell](), False, False
+        pool, running = self.workers.make(), dict[Future[Columns], range]()
+        lost, broken, stopped = list[int](), False, False
         try:
             while running or (jobs and not broken):
                 while jobs and len(running) < window and not broken:
                     try:
-                        running[pool.submit(self.function, jobs[0])] = jobs[0]
+                        some = self.cells[jobs[0].start : jobs[0].stop]
+                        running[pool.submit(_in_columns, self.function, some)] = jobs[0]
                         jobs.popleft()
                     except self.workers.deaths:  # since the last result
                         broken = True
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     job = running.pop(future)
                     if not self._collect(future, job):
-                        lost, broken = lost + job, True
+                        lost, broken = [*lost, *job], True
         except BaseException as error:
             stopped = isinstance(error, KeyboardInterrupt)
             running = {future: job for future, job in running.items() if not future.cancel()}
@@ -402,23 +331,29 @@ class _Study:
             pool.shutdown(wait=not (running or stopped), cancel_futures=True)
         return lost
 
-    def _collect(self, future: Future[list[Any]], job: list[Cell]) -> bool:
+    def _collect(self, future: Future[Columns], job: range) -> bool:
         """Store a finished job's results; return False if it is lost with its worker."""
         try:
-            made = future.result()
+            columns = future.result()
         except self.workers.deaths:
             return False
-        results = list(made) if isinstance(made, Iterable) else []
-        if len(results) != len(job):
-            raise ParameterError(f"function must return a result for each of its {len(job)} cells, not {made!r}")
-        self.record.add(list(zip(job, results, strict=True)))
+        self.record.add(job, columns)
         self._count(len(job))
         return True
 
     def _count(self, cells: int) -> None:
         self.done += cells
         if self.progress is not None:
-            self.progress(self.done, self.total)
+            self.progress(self.done, len(self.cells))
+
+
+def _in_columns(function: Callable[[Any], Any], cells: Sequence[Cell]) -> Columns:
+    """Return the results of some cells in columns."""
+    made = function(cells)
+    results = list(made) if isinstance(made, Iterable) else []
+    if len(results) != len(cells):
+        raise ParameterError(f"function must return a result for each of its {len(cells)} cells, not {made!r}")
+    return pack(results)
 
 
 def _send(client: Any, file: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, ClassVar
@@ -22,7 +22,8 @@ from maglev_mj.plants.hand import get_hand
 from maglev_mj.result import Table
 from maglev_mj.scenes.bench import along, stepped, wall_controller
 from maglev_mj.spec import Spec
-from maglev_mj.studies.cells import Cell, Record, Workers, run_cells
+from maglev_mj.studies.cells import Workers, run_cells
+from maglev_mj.studies.record import Cell, Record
 from maglev_mj.studies.stability_map import GainMap, StabilityParameters, gain_axes
 
 PART = 10_000
@@ -106,7 +107,6 @@ class DropMap(GainMap):
         ending: Values of `Ending`, (K, B).
         boundary: Largest stable stiffness at each damping by theory [N/m], (B,).
         maximum: The stiffest wall by theory over all dampings, in the grid or not.
-        other_versions: Other code behind parts of the record; see `Record.others`.
     """
 
     parameters: DropMapParameters
@@ -116,7 +116,6 @@ class DropMap(GainMap):
     ending: Array
     boundary: Array
     maximum: theory.StiffestWall
-    other_versions: Sequence[Mapping[str, Any]] = ()
     drawn_by: ClassVar = "maglev_mj.studies.pictures:drop_map"
     derived: ClassVar = ("endings", "settles_up_to")
     endings: ClassVar = tuple(one.name.lower() for one in Ending)
@@ -204,7 +203,6 @@ def run_drop_map(
     ranges = {"damping": _ends(damping), "stiffness": _ends(stiffness)}
     head = {"scene": "drop-map", "version": maglev_mj.__version__, **parameters.as_json(), **ranges}
     parts: list[Cell] = [head | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)]
-    others = [] if record is None else record.others(parts)
 
     def progress_of_walls(done: int, total: int) -> None:
         if progress is not None:
@@ -218,7 +216,7 @@ def run_drop_map(
         np.concatenate([result[name] for result in results]).reshape(shape) for name in ("swing", "ending")
     )
     boundary = theory.largest_stable_stiffness(damping, **parameters.loop)
-    return DropMap(parameters, damping, stiffness, swing, ending, boundary, best, others)
+    return DropMap(parameters, damping, stiffness, swing, ending, boundary, best)
 
 
 def _judge_parts(cells: list[Cell]) -> list[dict[str, Any]]:

@@ -29,7 +29,8 @@ from maglev_mj.result import Result, Table
 from maglev_mj.scenes.bench import along, hold, others, wall_controller
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
 from maglev_mj.spec import GRAVITY, Spec
-from maglev_mj.studies.cells import Cell, Record, Workers, run_cells
+from maglev_mj.studies.cells import Workers, run_cells
+from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory import boundary as bounds
 from maglev_mj.theory.closed_loop import MOST_PERIODS, LoopKeywords
 
@@ -373,7 +374,6 @@ class StabilityMap(GainMap):
         maximum: The stiffest wall over all dampings, in the grid or not.
         simulated: True if the simulated wall settles, (K, B); None for theory alone.
         near: True if half a percent of a gain changes the theory's verdict, (K, B); False throughout for theory alone.
-        other_versions: Other code behind cells of the record; see `Record.others`.
     """
 
     parameters: StabilityParameters
@@ -384,7 +384,6 @@ class StabilityMap(GainMap):
     maximum: theory.StiffestWall
     simulated: Mask | None
     near: Mask
-    other_versions: Sequence[Mapping[str, Any]] = ()
     drawn_by: ClassVar = "maglev_mj.studies.pictures:stability_map"
 
     def cells(self) -> dict[str, NDArray[Any]]:
@@ -446,20 +445,19 @@ def run_stability(
     damping, stiffness, best = gain_axes(p)
     k, b = stiffness[:, None], damping[None, :]
     modulus = _moduli(stiffness, damping, loop, progress)
-    simulated, near, others = None, np.zeros(modulus.shape, dtype=bool), []
+    simulated, near = None, np.zeros(modulus.shape, dtype=bool)
     if p.plant != "none":
         for share in (1.0 - _NEAR, 1.0 + _NEAR):
             for moved in (theory.largest_modulus(share * k, b, **loop), theory.largest_modulus(k, share * b, **loop)):
                 near |= theory.is_stable(moved) != theory.is_stable(modulus)
         cells = _cells(p, stiffness, damping, modulus)
-        others = [] if record is None else record.others(cells)
         results = run_cells(
             simulate_walls, cells, record=record, workers=workers, together=_TOGETHER, progress=progress
         )
         verdict = {(cell["stiffness"], cell["damping"]): _stable(result) for cell, result in zip(cells, results)}
         simulated = np.array([[verdict.get((row, column), False) for column in damping] for row in stiffness])
     boundary = theory.largest_stable_stiffness(damping, **loop)
-    return StabilityMap(p, damping, stiffness, modulus, boundary, best, simulated, near, others)
+    return StabilityMap(p, damping, stiffness, modulus, boundary, best, simulated, near)
 
 
 def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall]:

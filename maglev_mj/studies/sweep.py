@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeAlias
+from typing import Any, ClassVar, SupportsIndex, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,15 +29,17 @@ from maglev_mj.scenes.results import Figure, parameters_json
 from maglev_mj.scenes.run import checked_phase, checked_plant, figures_of
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.together import figures_together
-from maglev_mj.studies.cells import Cell, Record, Workers, chosen_workers, run_cells
+from maglev_mj.studies.cells import Study, Workers, chosen_workers
+from maglev_mj.studies.record import Cell, Record
 from maglev_mj.versions import hash_of
 
-MOST_CELLS = 1_000_000
+MOST_CELLS = 100_000_000
 """Largest number of cells in a sweep."""
 
 _SHARES = 0.0, 50.0, 100.0
 _JOBS, _MOST_TOGETHER = 8, 50
 _LEAST_IN_BATCHES, _MOST_IN_BATCHES = 64, 512
+_CHECKED = 1000  # cells that are made to check a grid
 
 _Run: TypeAlias = tuple[Scene, str, float]
 """Scene, plant name, and phase."""
@@ -52,20 +54,18 @@ class Sweep(Result):
     Attributes:
         scene: Class of the scene.
         varied: Values of the parameters that vary, by name, as given.
-        cells: Parameters of each run, the last one varying fastest.
-        results: Figures of each cell by name, or {"error": ...} of a run that failed.
+        cells: Parameters of each run, the last one varying fastest; made when asked for.
+        results: Figures of each cell by name, or {"error": ...} of a run that failed; kept in columns.
         resumed: Number of cells whose results were in the record before.
-        record: File of the record; None for none.
-        other_versions: Other code behind cells of the record; see `Record.others`.
+        record: Folder of the record; None for none.
     """
 
     scene: type[Scene]
     varied: Mapping[str, Sequence[Any]]
-    cells: Sequence[Cell]
-    results: Sequence[Mapping[str, Any]]
+    cells: Grid
+    results: Record
     resumed: int = field(repr=False)  # JSON is the same whatever the record had
     record: str | None = field(repr=False)
-    other_versions: Sequence[Mapping[str, Any]]
     drawn_by: ClassVar = "maglev_mj.studies.pictures:sweep"
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -73,14 +73,24 @@ class Sweep(Result):
 
         Figures are in SI units, NaN if missing; those of several hits are left out. `error` is there if a cell failed.
         """
-        rows = list(itertools.product(*self.varied.values()))
-        columns: dict[str, NDArray[Any]] = {
-            name: np.array([row[place] for row in rows]) for place, name in enumerate(self.varied)
-        }
+        axes = np.meshgrid(*map(np.array, self.varied.values()), indexing="ij")
+        columns: dict[str, NDArray[Any]] = {name: axis.ravel() for name, axis in zip(self.varied, axes, strict=True)}
         columns |= {name: self.figure(name).ravel() for name in self.names if self.is_number(name)}
-        if any("error" in result for result in self.results):
-            columns["error"] = np.array([result.get("error", "") for result in self.results])
+        if self.results.failed:
+            columns["error"] = np.array([result.get("error", "") for result in self.results], dtype=object)
         return columns
+
+    def to_pandas(self, *, indexed: bool = False) -> Any:
+        """Return the columns as a data frame, their units in its `attrs["units"]`.
+
+        Args:
+            indexed: True for an index by parameter; `.to_xarray()` of that frame is a data set, where xarray is.
+
+        Raises:
+            MissingPackageError: If pandas is not installed.
+        """
+        frame = super().to_pandas()
+        return frame.set_index([*self.varied]) if indexed else frame
 
     @property
     def units(self) -> dict[str, str]:
@@ -92,25 +102,26 @@ class Sweep(Result):
 
     def unit_along(self, unit: str, along: bool) -> str:
         """Return a quantity's unit on the axes of the cells; see `unit_of`."""
-        axes = dict.fromkeys(cell.get("axis", self.scene.shown_axis) for cell in self.cells)
+        axes = self.varied.get("axis", [self.cells[0].get("axis", self.scene.shown_axis)])
         return " or ".join(dict.fromkeys(unit_of(unit, axis, along) for axis in axes))
 
     def table(self) -> Table:
         """Return the spread of each figure over the cells."""
         over = ", ".join(f"{name} ({len(values)})" for name, values in self.varied.items())
-        failed = [result["error"] for result in self.results if "error" in result]
+        failed = self.results.failed
         choices = [name for name, values in self.varied.items() if any(isinstance(value, str) for value in values)]
-        cells = [dict(zip(self.varied, row)) for row in itertools.product(*self.varied.values())]
-        kinds = np.array([", ".join(str(cell[name]) for name in choices) for cell in cells])
+        kinds = [", ".join(map(str, row)) for row in itertools.product(*(self.varied[name] for name in choices))]
+        first = [[*self.varied].index(name) for name in choices]
         rows = []
-        for name, kind in itertools.product(filter(self.is_number, self.names), dict.fromkeys(kinds.tolist())):
-            one, values = self.shown(name), self.figure(name).ravel()[kinds == kind]
-            if (finite := values[np.isfinite(values)] * one.scale).size:
-                spread = np.percentile(finite, _SHARES).tolist()
-                rows.append((name, *[kind] * bool(choices), *spread, self.unit_along(one.unit, one.along), finite.size))
+        for name in filter(self.is_number, self.names):
+            one, values = self.shown(name), np.moveaxis(self.figure(name), first, range(len(first)))
+            for kind, some in zip(kinds, values.reshape(len(kinds), -1), strict=True):
+                if (finite := some[np.isfinite(some)] * one.scale).size:
+                    spread, unit = np.percentile(finite, _SHARES).tolist(), self.unit_along(one.unit, one.along)
+                    rows.append((name, *[kind] * bool(choices), *spread, unit, finite.size))
         notes = [f"{self.resumed} of them already in {self.record}"] if self.record else []
         count = "1 cell" if len(failed) == 1 else f"{len(failed)} cells"
-        notes += [f"{count} failed, the first because {failed[0]}"] if failed else []
+        notes += [f"{count} failed, the first because {self.results[failed[0]]['error']}"] if failed else []
         head = "", *([", ".join(choices)] if choices else []), "least", "median", "greatest", "unit", "cells"
         title = f"Sweep of {self.scene.name} over {over}: {len(self.results)} cells"
         return Table(title, head, rows, "\n".join(notes))
@@ -118,8 +129,7 @@ class Sweep(Result):
     @property
     def names(self) -> list[str]:
         """Names of the figures of the cells."""
-        names = dict.fromkeys(name for result in self.results if "error" not in result for name in result)
-        return list(names or self.scene.figures)
+        return self.results.names or list(self.scene.figures)
 
     def shown(self, name: str) -> Figure:
         """Return a figure with its unit, without one for an undeclared name."""
@@ -128,7 +138,7 @@ class Sweep(Result):
 
     def is_number(self, name: str) -> bool:
         """Return whether a figure is one number a cell."""
-        return not any(isinstance(result.get(name), Sequence) for result in self.results)
+        return self.results.numbers(name) is not None
 
     def figure(self, name: str) -> Array:
         """Return a figure over the grid.
@@ -139,8 +149,8 @@ class Sweep(Result):
             ParameterError: If the scene has no such figure.
         """
         check_one_of("figure", self.names, name)
-        results = [result.get(name) for result in self.results]
-        values = np.array([math.nan if value is None else value for value in results], dtype=np.float64)
+        if (values := self.results.numbers(name)) is None:
+            raise ParameterError(f"figure must be one number a cell, not {name}")
         return values.reshape([len(one) for one in self.varied.values()])
 
 
@@ -169,12 +179,12 @@ def sweep(
         plant: Name from PLANTS; the scene's default by default.
         phase: Phase of the samples, in [0, 1).
         workers: Number of processes on this machine, or `dask_workers`; None for this process.
-        record: File of JSON lines for the results; cells found in it are not run again.
+        record: Folder for the results; cells found in it are not run again.
         progress: Function called with the number of cells done and the number of all.
 
     Raises:
-        ParameterError: If nothing varies, there is no such parameter, a value is outside its bounds, or the grid is too
-            large.
+        ParameterError: If nothing varies, there is no such parameter, a value is outside its bounds, the grid is too
+            large, or the record is of another grid or code.
         StudyInterrupted: On Ctrl-C; the cells done are in the record.
         WorkersError: If a cluster is gone, or one of its workers has other code.
     """
@@ -182,16 +192,12 @@ def sweep(
     if not vary:
         raise ParameterError("vary must give a list of values for at least one parameter, not {}; run() does one run")
     cells = swept_cells(chosen, vary, plant=plant, phase=phase)
-    file = None if record is None else str(record)
-    kept_cells = Record(None if record is None else Path(record))
-    resumed = 0 if record is None else sum(cell in kept_cells for cell in cells)
-    executor = chosen_workers(workers)
-    function = partial(run_scene_cells, text=_text(type(chosen)))
-    together = _cells_a_job(len(cells) - resumed, executor.window, all(cell["plant"] == "exact" for cell in cells))
-    others = kept_cells.others(cells)
-    results = run_cells(function, cells, record=kept_cells, workers=executor, together=together, progress=progress)
+    executor, function = chosen_workers(workers), partial(run_scene_cells, text=_text(type(chosen)))
+    study = Study(function, cells, Record(None if record is None else Path(record)), executor, progress)
+    resumed, file = study.done, None if record is None else str(record)
+    results = study.run(_cells_a_job(len(cells) - resumed, executor.window, {*cells.axes["plant"]} == {"exact"}))
     varied = {name: list(values) for name, values in vary.items()}
-    return Sweep(type(chosen), varied, cells, results, resumed, file, others)
+    return Sweep(type(chosen), varied, cells, results, resumed, file)
 
 
 def _cells_a_job(missing: int, window: int, batches: bool) -> int:
@@ -208,10 +214,10 @@ def _cells_a_job(missing: int, window: int, batches: bool) -> int:
 
 def swept_cells(
     scene: Scene, vary: Mapping[str, Sequence[Any]], *, plant: str | None = None, phase: float = 0.0
-) -> list[Cell]:
+) -> Grid:
     """Return the checked cells of a sweep.
 
-    Each has every parameter and everything that makes its result reproducible.
+    Each value is checked, and combinations at the corners and in between; a worker checks those that it makes.
 
     Raises:
         ParameterError: If there is no such parameter, a value is outside its bounds, or the grid is too large.
@@ -225,13 +231,61 @@ def swept_cells(
         raise ParameterError(f"a sweep must have at most {MOST_CELLS} cells, not {count}")
     for name in vary:
         _check_name(type(scene), name)
-    head = {"scene": _name(type(scene)), "version": maglev_mj.__version__}
-    cells = []
-    for values in itertools.product(*vary.values()):
-        changes = {"plant": plant, "phase": phase, **dict(zip(vary, values, strict=True))}
-        chosen, at = checked_plant(scene, changes.pop("plant")), checked_phase(changes.pop("phase"))
-        cells.append(head | parameters_json(scene.replace(**changes), chosen, at))
+    checks: dict[str, Callable[[Any], Any]] = {one.name: one.checked for one in scene.parameters()}
+    checks |= {"plant": partial(checked_plant, scene), "phase": checked_phase}
+    single: dict[str, Sequence[Any]] = {"plant": [scene.plants[0] if plant is None else plant], "phase": [phase]}
+    axes = {**{name: values for name, values in single.items() if name not in vary}, **vary}
+    # None is of an optional or derived parameter
+    cells = Grid(scene, {name: [v if v is None else checks[name](v) for v in values] for name, values in axes.items()})
+    corners, stride = {0}, count
+    for length in cells.shape:
+        stride //= length
+        corners |= {corner + (length - 1) * stride for corner in corners} if len(corners) < _CHECKED else set()
+    for index in sorted(corners.union(np.linspace(0, count - 1, min(count, _CHECKED), dtype=np.int64).tolist())):
+        cells[index]
     return cells
+
+
+class Grid(Sequence[Cell]):
+    """Cells of a sweep by index, each made when it is asked for.
+
+    A cell has every parameter and everything that makes its result reproducible. Those of a slice, which a worker gets,
+    lack derived parameters, which follow from the others.
+
+    Args:
+        scene: Scene with the parameters that do not vary.
+        axes: Checked values of those that do, of plant and phase.
+
+    Attributes:
+        axes: The values.
+        shape: Number of values of each.
+        plan: All that the cells are made of, ready for JSON.
+    """
+
+    def __init__(self, scene: Scene, axes: Mapping[str, list[Any]]) -> None:
+        self.axes, self.shape, self._scene = axes, tuple(map(len, axes.values())), scene
+        self._head = {"scene": _name(type(scene)), "version": maglev_mj.__version__}
+        fixed = {name: value for name, value in scene.independent_values().items() if name not in axes}
+        self.plan = {"scene": self._head["scene"], **fixed, **axes, "vary": [*axes]}
+        self._fixed = self._head | fixed
+
+    def __len__(self) -> int:
+        return math.prod(self.shape)
+
+    def __getitem__(self, index: SupportsIndex | slice) -> Any:
+        """Return a cell, or the cells of a slice."""
+        places = range(len(self))[index]
+        if isinstance(places, range):
+            return [self._fixed | changes for changes in self._changes(places)]
+        (changes,) = self._changes(range(places, places + 1))
+        plant, phase = changes.pop("plant"), changes.pop("phase")
+        return self._head | parameters_json(self._scene.replace(**changes), plant, phase)
+
+    def _changes(self, places: range) -> list[Cell]:
+        """Return the varied values of some cells."""
+        at = zip(self.axes.values(), np.unravel_index(places, self.shape), strict=True)
+        columns = [[values[place] for place in some.tolist()] for values, some in at]
+        return [dict(zip(self.axes, row)) for row in zip(*columns, strict=True)]
 
 
 def run_scene_cells(cells: Sequence[Cell], text: str | None = None) -> list[dict[str, Any]]:

@@ -113,8 +113,8 @@ def content(path: Path) -> Any:
     """Return a file's content without varying parts."""
     if path.suffix == ".json":
         return _lasting(json.loads(path.read_text()))
-    if path.suffix == ".jsonl":
-        return _lasting([json.loads(line) for line in sorted(path.read_text().splitlines())])
+    if path.is_dir():
+        return {"plan": content(path / "plan.json"), "results": _lasting(_results(path))}
     if path.suffix == ".csv":
         with path.open(newline="") as file:
             names, *rows = csv.reader(file)
@@ -126,6 +126,22 @@ def content(path: Path) -> Any:
     from tests.recorded import messages_in
 
     return _lasting([[topic, message] for topic, message in messages_in(path.read_bytes())])
+
+
+def _results(record: Path) -> list[Any]:
+    """Return the results of a record, in the order of its cells."""
+    from maglev_mj.studies.record import _read_table, _value
+
+    found = []
+    for shard in record.glob("cells-*"):
+        table = _read_table(shard)
+        indices = table.pop("#").tolist()
+        values = {name: [_value(entry) for entry in column.tolist()] for name, column in table.items()}
+        found += [
+            [index, {name: column[place] for name, column in values.items() if column[place] is not ...}]
+            for place, index in enumerate(indices)
+        ]
+    return sorted(found)
 
 
 def pressed(count: int = 400, seed: int = 16) -> list[dict[str, Any]]:

@@ -1,0 +1,264 @@
+"""Results of a study in columns: packed by workers, kept in a folder, read again.
+
+A record is a folder of `plan.json`, which names study and code, and of shards: tables with a row for each cell, in
+Parquet where pyarrow is installed, otherwise `.npz`. A shard is written beside its place and renamed, so that a dying
+program leaves a whole one or none.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+import secrets
+import struct
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, SupportsIndex, TypeAlias
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.errors import ParameterError, require
+from maglev_mj.frames import Array
+from maglev_mj.result import plain
+from maglev_mj.versions import differences, hash_of, versions, versions_read
+
+Cell: TypeAlias = dict[str, Any]
+"""Values of a cell by the parameter's name."""
+
+Columns: TypeAlias = Mapping[str, NDArray[Any]]
+"""Results by name, (N,) each, as numbers or as texts of JSON.
+
+Among numbers NaN is None, and ABSENT no value; among texts None is no value.
+"""
+
+_ABSENT = struct.pack("<Q", 0x7FF8_0000_0000_0AB5)
+ABSENT: float = struct.unpack("<d", _ABSENT)[0]
+"""NaN of its own bits, which files keep."""
+
+_INDEX, _BARE, _ERROR = "#", "=", "error"
+_PLAN = "plan.json"
+_ROWS = 65_536  # in a shard
+_PAUSE, _SHARE = 1.0, 10.0  # [s]; between two writings at least so many times the last one's duration
+
+
+def pack(results: Sequence[Any]) -> Columns:
+    """Return results as columns.
+
+    Raises:
+        ParameterError: If a result holds anything but values of JSON.
+    """
+    named = [isinstance(result, dict) and not {_INDEX, _BARE} & result.keys() for result in results]
+    rows = [result if row else {_BARE: result} for result, row in zip(results, named, strict=True)]
+    return {name: _column([row.get(name, ...) for row in rows]) for name in dict.fromkeys(itertools.chain(*rows))}
+
+
+def _column(values: Sequence[Any]) -> NDArray[Any]:
+    """Return values as a column, ... for none."""
+    if all(value is None or value is ... or isinstance(value, float) for value in values):
+        return np.array([ABSENT if value is ... else np.nan if value is None else value for value in values])
+    return np.array([None if value is ... else json_text("a result", value) for value in values], dtype=object)
+
+
+def _value(entry: Any) -> Any:
+    """Return the value of a column's entry, ... for none."""
+    if isinstance(entry, str):
+        return json.loads(entry)
+    if entry is None or struct.pack("<d", entry) == _ABSENT:
+        return ...
+    return None if math.isnan(entry) else entry
+
+
+def _texts(column: NDArray[Any]) -> NDArray[Any]:
+    """Return a column as texts."""
+    if column.dtype == object:
+        return column
+    return np.array(
+        [None if value is ... else json.dumps(value) for value in map(_value, column.tolist())], dtype=object
+    )
+
+
+def json_text(what: str, value: Any, **keywords: Any) -> str:
+    """Return a value as text of JSON, with keywords of `json.dumps`.
+
+    Raises:
+        ParameterError: If it is none.
+    """
+    try:
+        return json.dumps(value, default=plain, **keywords)
+    except (TypeError, ValueError) as error:
+        raise ParameterError(f"{what} must hold values of JSON, not {value!r}: {error}") from None
+
+
+class Record(Sequence[Any]):
+    """Results of one study by cell, in columns in memory, and optionally in a folder.
+
+    A result is made when it is asked for.
+
+    Args:
+        path: Folder, made with the first result; None for memory alone.
+
+    Attributes:
+        columns: Results of all cells, (N,) each.
+        done: Cells that have one, (N,).
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self.path, self._run = path, secrets.token_hex(4)
+        self.begin(())
+
+    def begin(self, cells: Sequence[Cell]) -> None:
+        """Begin a study, with its results that the folder has.
+
+        Raises:
+            ParameterError: If the folder is no record, or one of another study or code.
+            MissingPackageError: If its shards need pyarrow, which is not installed.
+        """
+        self.columns: dict[str, NDArray[Any]] = {}
+        self.done = np.zeros(len(cells), dtype=bool)
+        self._unwritten: list[NDArray[np.int64]] = []  # of the open shard
+        self._written, self._next = 0, 0.0
+        plan = getattr(cells, "plan", None)
+        if plan is None:
+            plan = {"cells": hash_of("\n".join(json_text("a cell", cell, sort_keys=True) for cell in cells))}
+        self._plan = json.loads(json_text("a cell", {**plan, "versions": versions()}))  # as it is read
+        if not cells or self.path is None or not self.path.exists():
+            return
+        _check(self.path, self._plan)
+        for path in sorted(self.path.glob("cells-*")):
+            try:
+                columns = _read_table(path)
+                self.put(columns.pop(_INDEX), columns)
+            except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, BadZipFile):
+                continue  # torn: its cells are computed again
+
+    def __len__(self) -> int:
+        return self.done.size
+
+    def __getitem__(self, index: SupportsIndex | slice) -> Any:
+        """Return a result, or a list of them."""
+        place = range(len(self))[index]
+        if isinstance(place, range):
+            return [self[one] for one in place]
+        entries = {name: _value(column.item(place)) for name, column in self.columns.items()}
+        row = {name: value for name, value in entries.items() if value is not ...}
+        return row.get(_BARE, row)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and list(self) == list(other)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the results, without that of errors."""
+        return [name for name in self.columns if name != _ERROR]
+
+    @property
+    def failed(self) -> list[int]:
+        """Indices of the cells with an error."""
+        texts = self.columns.get(_ERROR, np.zeros(0)).tolist()
+        return [index for index, text in enumerate(texts) if text is not None]
+
+    def numbers(self, name: str) -> Array | None:
+        """Return a column as numbers, NaN for none; None if it has other values."""
+        column: NDArray[Any] = self.columns.get(name, np.full(len(self), np.nan))
+        if column.dtype != object:
+            return column.copy()
+        values = [np.nan if (value := _value(text)) is None or value is ... else value for text in column.tolist()]
+        return None if any(isinstance(value, Sequence) for value in values) else np.array(values, dtype=np.float64)
+
+    def put(self, indices: NDArray[np.int64], columns: Columns) -> None:
+        """Store results in memory alone."""
+        for name, part in columns.items():
+            have = self.columns.get(name)
+            if have is None:
+                have = np.full(self.done.size, None if part.dtype == object else ABSENT, dtype=part.dtype)
+            elif have.dtype != part.dtype:
+                have, part = _texts(have), _texts(part)
+            have[indices] = part
+            self.columns[name] = have
+        self.done[indices] = True
+
+    def add(self, indices: range, columns: Columns) -> None:
+        """Store results; the folder has them within seconds."""
+        self._unwritten.append(np.array(indices))
+        self.put(self._unwritten[-1], columns)
+        if time.monotonic() >= self._next:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write all results that the folder lacks."""
+        start = time.monotonic()
+        if self.path is not None and self._unwritten:
+            self.path.mkdir(parents=True, exist_ok=True)
+            if not (self.path / _PLAN).exists():
+                self._write(_PLAN, lambda file: file.write(json.dumps(self._plan, indent=1).encode()))
+            indices = np.concatenate(self._unwritten)
+            table = {_INDEX: indices, **{name: column[indices] for name, column in self.columns.items()}}
+            suffix = "parquet" if find_spec("pyarrow") else "npz"
+            self._write(f"cells-{self._run}-{self._written:05}.{suffix}", partial(_write_table, suffix, table))
+            self._unwritten = [indices]
+            if indices.size >= _ROWS:
+                self._unwritten, self._written = [], self._written + 1
+        self._next = time.monotonic() + max(_PAUSE, _SHARE * (time.monotonic() - start))
+
+    def _write(self, name: str, write: Callable[[Any], object]) -> None:
+        """Write a file beside its place and rename it."""
+        assert self.path is not None
+        beside = self.path / f"{self._run}.partial"
+        with beside.open("wb") as file:
+            write(file)
+        os.replace(beside, self.path / name)
+
+    def missing(self, most: int) -> Iterator[range]:
+        """Return an iterator over the cells to do, as ranges of at most so many indices."""
+        edges = np.flatnonzero(np.diff(self.done, prepend=True, append=True)).tolist()
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            yield from (range(first, min(first + most, stop)) for first in range(start, stop, most))
+
+
+def _check(path: Path, plan: Mapping[str, Any]) -> None:
+    """Refuse a path that is no record of this study and code."""
+    try:
+        found = dict(json.loads((path / _PLAN).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError):
+        old = "; maglev_mj 0.2.0 reads a file of JSON lines" if path.is_file() else ""
+        raise ParameterError(f"record must be a new folder or one with {_PLAN}, not {str(path)!r}{old}") from None
+    code = versions_read(found.pop("versions", None)) or {}
+    others = [name for name in {**plan, **found} if name != "versions" and found.get(name) != plan.get(name)]
+    if others:
+        raise ParameterError(f"record must be of this study, not {str(path)!r}, which has other {', '.join(others)}")
+    if other := differences(code, plan["versions"]):
+        raise ParameterError(f"record must be of this code, not {str(path)!r}, which has {other}")
+
+
+def _write_table(suffix: str, table: Columns, file: Any) -> None:
+    if suffix == "parquet":
+        import pyarrow
+        from pyarrow import parquet
+
+        kinds = {name: pyarrow.string() if one.dtype == object else None for name, one in table.items()}
+        columns = {name: pyarrow.array(one, kinds[name]) for name, one in table.items()}
+        parquet.write_table(pyarrow.table(columns), file, write_page_checksum=True)
+        return
+    texts = {name: json.dumps(one.tolist()).encode() for name, one in table.items() if one.dtype == object}
+    columns = {**table, **{name: np.frombuffer(text, np.uint8) for name, text in texts.items()}}
+    np.savez_compressed(file, **columns)
+
+
+def _read_table(path: Path) -> dict[str, NDArray[Any]]:
+    if path.suffix == ".parquet":
+        require(("pyarrow",), "parquet", f"{path} needs pyarrow")
+        from pyarrow import parquet
+
+        columns = parquet.ParquetFile(path, page_checksum_verification=True).read()
+        return {name: columns[name].to_numpy() for name in columns.column_names}
+    with path.open("rb") as file, np.load(file) as arrays:  # which a torn one would leave open
+        table = {name: arrays[name] for name in arrays.files}
+    texts = {name: json.loads(one.tobytes()) for name, one in table.items() if one.dtype == np.uint8}
+    return {**table, **{name: np.array(text, dtype=object) for name, text in texts.items()}}
