@@ -23,7 +23,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.cells import WorkersError, dask_workers, run_cells
 from maglev_mj.studies.record import Record, _read_table
-from maglev_mj.studies.sweep import run_scene_cells, sweep, swept_cells
+from maglev_mj.studies.sweep import Grid, run_scene_cells, sweep
 from maglev_mj.versions import versions
 
 pytestmark = pytest.mark.filterwarnings("ignore")
@@ -147,12 +147,12 @@ def test_workers_of_other_code_are_refused_by_name_before_any_cell(
         wait_until(lambda: cluster.workers() == [good], "the other workers stay")
         assert main(command) == 0
     results = json.loads(out.read_text())["results"]
-    assert results == run_scene_cells(swept_cells(Drop(), {"phase": [0.0, 0.3, 0.6, 0.9]}, plant="exact"))
+    assert results == run_scene_cells(Grid(Drop(), {"phase": [0.0, 0.3, 0.6, 0.9]}, plant="exact"))
     assert json.loads((record / "plan.json").read_text())["versions"] == versions()
 
 
 def test_a_worker_of_other_code_that_joins_late_takes_no_cell(cluster: Cluster, tmp_path: Path) -> None:
-    cells = list(swept_cells(Drop(duration=2.0), {"phase": [k / 2000 for k in range(2000)]}, plant="mujoco"))
+    cells = list(Grid(Drop(duration=2.0), {"phase": [k / 2000 for k in range(2000)]}, plant="mujoco"))
     path, late = tmp_path / "record", cluster.worker(gravity(tmp_path / "a"), wait=False)
     joined: list[str] = []
 
@@ -207,7 +207,7 @@ def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
         "sweep": ["sweep", "drop", "--vary", "phase=0:0.999:600", "--set", "plant=mujoco", "--set", "duration=2"],
         "stability": ["stability", "--grid", "40", "--plant", "mujoco"],
     }
-    pattern = {"sweep": "drop-sweep-*", "stability": "stability-cells"}[command]
+    pattern = {"sweep": "drop-sweep-*", "stability": "stability-cells-*"}[command]
     arguments = [sys.executable, "-m", "maglev_mj", *studies[command], "--scheduler", cluster.address]
     with cluster.worker():
         before = cluster.transitions()
@@ -229,7 +229,7 @@ def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
     assert sum(indices.size for indices in indices_of(record)) == int(found[1])
     if command == "sweep":
         phases = np.linspace(0.0, 0.999, 600).tolist()
-        cells = swept_cells(Drop(), {"plant": ["mujoco"], "duration": [2.0], "phase": phases})
+        cells = Grid(Drop(), {"plant": ["mujoco"], "duration": [2.0], "phase": phases})
         kept = Record(record)
         kept.begin(cells)
         done = np.flatnonzero(kept.done).tolist()

@@ -17,7 +17,7 @@ from maglev_mj.scenes.find import find_scene, text_of
 from maglev_mj.scenes.names import GROUP
 from maglev_mj.studies import sweep as sweeping
 from maglev_mj.studies.cells import Workers, dask_workers, local_workers, run_cells
-from maglev_mj.studies.sweep import run_scene_cells, sweep, swept_cells
+from maglev_mj.studies.sweep import Grid, run_scene_cells, sweep
 
 FILE = '''
 """A magnet that pulls back by the cube of the distance."""
@@ -69,15 +69,15 @@ def file(tmp_path: Path) -> Path:
 
 
 def test_cells_name_the_file_and_what_is_in_it(file: Path) -> None:
-    first = list(swept_cells(find_scene(str(file))(), GRID, plant="exact"))
+    first = list(Grid(find_scene(str(file))(), GRID, plant="exact"))
     assert len(first) == 6 and all(cell["scene"].startswith("magnet.py:Magnet@") for cell in first)
     assert first[1] == first[0] | {"damping": 40.0}
     elsewhere = file.parent / "other" / "magnet.py"
     elsewhere.parent.mkdir()
     elsewhere.write_bytes(file.read_bytes())
-    assert list(swept_cells(find_scene(str(elsewhere))(), GRID, plant="exact")) == first
+    assert list(Grid(find_scene(str(elsewhere))(), GRID, plant="exact")) == first
     elsewhere.write_text(FILE.replace("FURTHER", "* 2.0"))
-    changed = swept_cells(find_scene(str(elsewhere))(), GRID, plant="exact")
+    changed = Grid(find_scene(str(elsewhere))(), GRID, plant="exact")
     assert changed[0] == first[0] | {"scene": changed[0]["scene"]} and changed[0]["scene"] != first[0]["scene"]
 
 
@@ -97,7 +97,7 @@ def test_a_changed_file_is_not_what_the_record_has(file: Path, tmp_path: Path) -
 def run_without_the_file(file: Path, workers: Workers) -> None:
     """Check that workers without the file give equal results."""
     cls = find_scene(str(file))
-    cells, text = swept_cells(cls(), GRID, plant="exact"), text_of(cls)
+    cells, text = Grid(cls(), GRID, plant="exact"), text_of(cls)
     here = sweep(cls, GRID, plant="exact").results
     assert len({result["left"] for result in here}) == 6
     file.unlink()
@@ -165,7 +165,7 @@ def test_a_scene_of_another_package_goes_by_its_place_and_a_hash(file: Path, mon
     monkeypatch.setattr(sweeping, "installed_scenes", lambda: [EntryPoint("magnet", "magnet:Magnet", GROUP)])
     import magnet  # type: ignore[import-not-found]
 
-    (cell,) = swept_cells(magnet.Magnet(), {}, plant="exact")
+    (cell,) = Grid(magnet.Magnet(), {}, plant="exact")
     assert cell["scene"].startswith("magnet:Magnet@") and len(cell["scene"]) == len("magnet:Magnet@") + 16
     assert sweep(magnet.Magnet, {"phase": [0.0]}, plant="exact").results == run_scene_cells([cell])
 

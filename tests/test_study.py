@@ -22,7 +22,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies import record as recording
 from maglev_mj.studies.cells import StudyInterrupted, Workers, dask_workers, local_workers, run_cells
 from maglev_mj.studies.record import Cell, Record, pack
-from maglev_mj.studies.sweep import run_scene_cells, swept_cells
+from maglev_mj.studies.sweep import Grid, run_scene_cells
 
 
 def squares(cells: list[Cell]) -> list[Any]:
@@ -31,9 +31,7 @@ def squares(cells: list[Cell]) -> list[Any]:
 
 def drop_cells(count: int) -> list[Cell]:
     return list(
-        swept_cells(
-            Drop(height=0.003, pulse=0.0), {"phase": [number / count for number in range(count)]}, plant="exact"
-        )
+        Grid(Drop(height=0.003, pulse=0.0), {"phase": [number / count for number in range(count)]}, plant="exact")
     )
 
 

@@ -16,7 +16,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.together import law_kind, stacked
 from maglev_mj.studies import sweep as sweeping
 from maglev_mj.studies.stability_map import RestingWall
-from maglev_mj.studies.sweep import run_scene_cells, swept_cells
+from maglev_mj.studies.sweep import Grid, run_scene_cells
 from maglev_mj.studies.sweep import sweep as run_sweep
 
 
@@ -75,7 +75,7 @@ def test_a_batch_says_what_its_runs_say_one_by_one(case: str, batches: list[int]
     # In a hand the recorded curve is the true one within a nanometre only, between more knots a little nearer to it.
     tolerance = 1e-5 if case == "hands" else 1e-8
     name, fixed, vary = CASES[case]
-    cells = swept_cells(find_scene(name)(**fixed), vary, plant="exact")
+    cells = Grid(find_scene(name)(**fixed), vary, plant="exact")
     at_once, alone = both_ways(cells)
     assert batches == ([] if name == "wall" else [len(cells)])  # which has a way of its own
     assert all(same(one, other, tolerance) for one, other in zip(at_once, alone, strict=True))
@@ -84,20 +84,20 @@ def test_a_batch_says_what_its_runs_say_one_by_one(case: str, batches: list[int]
 
 def test_runs_of_a_kind_are_one_batch_and_others_another(batches: list[int]) -> None:
     vary = {"pulse_width": [0.002, 0.003], "stiffness": spread(3000.0, 6000.0, 10)}
-    run_scene_cells(swept_cells(find_scene("drop")(), vary, plant="exact"))
+    run_scene_cells(Grid(find_scene("drop")(), vary, plant="exact"))
     assert batches == [10, 10]
 
 
 def test_few_runs_other_plants_and_other_periods_are_made_alone(batches: list[int]) -> None:
-    run_scene_cells(swept_cells(Drop(), {"stiffness": spread(3000.0, 6000.0, 7)}, plant="exact"))
-    run_scene_cells(swept_cells(Drop(duration=0.05), {"stiffness": spread(3000.0, 6000.0, 8)}, plant="mujoco"))
-    run_scene_cells(swept_cells(Drop(duration=0.05), {"period": spread(0.004, 0.006, 8)}, plant="exact"))
+    run_scene_cells(Grid(Drop(), {"stiffness": spread(3000.0, 6000.0, 7)}, plant="exact"))
+    run_scene_cells(Grid(Drop(duration=0.05), {"stiffness": spread(3000.0, 6000.0, 8)}, plant="mujoco"))
+    run_scene_cells(Grid(Drop(duration=0.05), {"period": spread(0.004, 0.006, 8)}, plant="exact"))
     assert batches == []
 
 
 def test_runs_that_diverge_are_made_alone_and_say_so(batches: list[int]) -> None:
     vary = {"stiffness": [4000.0, 6000.0, 60000.0], "damping": [50.0, 60.0, 80.0]}
-    at_once, alone = both_ways(swept_cells(Drop(duration=2.0), vary, plant="exact"))
+    at_once, alone = both_ways(Grid(Drop(duration=2.0), vary, plant="exact"))
     assert batches == [9]
     diverged = [index for index, one in enumerate(alone) if "error" in one]
     assert 0 < len(diverged) < 9 and all("a run has diverged beyond" in alone[index]["error"] for index in diverged)
@@ -151,7 +151,7 @@ def test_laws_of_ones_own_run_together_unless_they_are_not_elementwise(
 ) -> None:
     file = tmp_path / "spring.py"
     file.write_text(OWN % line)
-    cells = swept_cells(find_scene(str(file))(), {"stiffness": spread(200.0, 900.0, 12)}, plant="exact")
+    cells = Grid(find_scene(str(file))(), {"stiffness": spread(200.0, 900.0, 12)}, plant="exact")
     at_once, alone = both_ways(cells, file.read_text())
     assert batches == sizes
     assert all(same(one, other, 1e-9) for one, other in zip(at_once, alone, strict=True))
@@ -198,7 +198,7 @@ def test_what_a_scene_makes_itself_is_that_of_each_run(
     file = tmp_path / "spring.py"
     file.write_text(f"{OWN % 'pass'}{own}".replace("figure, gain", "figure, Timing, gain"))
     vary: dict[str, list[Any]] = {"stiffness": spread(200.0, 900.0, 3), "offset": [*offsets]}
-    at_once, alone = both_ways(swept_cells(find_scene(str(file))(), vary, plant="exact"), file.read_text())
+    at_once, alone = both_ways(Grid(find_scene(str(file))(), vary, plant="exact"), file.read_text())
     assert batches == sizes
     assert "error" not in alone[0] and len({str(one) for one in alone[:4]}) == 3
     assert all(same(one, other, 1e-9) for one, other in zip(at_once, alone, strict=True))
@@ -206,7 +206,7 @@ def test_what_a_scene_makes_itself_is_that_of_each_run(
 
 def test_a_wall_that_leaves_every_range_ends_no_other() -> None:
     wall = RestingWall(hand="0.3,5,1e5,10,1e6", period=0.2, delay=0.1)
-    cells = swept_cells(wall, {"stiffness": [1e3, 1e5, 1e8], "damping": [0.0, 1e6]}, plant="exact")
+    cells = Grid(wall, {"stiffness": [1e3, 1e5, 1e8], "damping": [0.0, 1e6]}, plant="exact")
     at_once, alone = both_ways(cells)
     assert at_once == alone and not any("error" in one for one in alone)
 
@@ -220,7 +220,7 @@ OWN_RUN = """
 def test_a_scene_with_a_run_of_its_own_is_left_to_it(tmp_path: Path, batches: list[int]) -> None:
     file = tmp_path / "spring.py"
     file.write_text(OWN % "pass" + OWN_RUN)
-    cells = swept_cells(find_scene(str(file))(), {"stiffness": spread(200.0, 900.0, 12)}, plant="exact")
+    cells = Grid(find_scene(str(file))(), {"stiffness": spread(200.0, 900.0, 12)}, plant="exact")
     assert [one["own"] for one in run_scene_cells(cells, file.read_text())] == spread(200.0, 900.0, 12)
     assert batches == []
 
@@ -228,7 +228,7 @@ def test_a_scene_with_a_run_of_its_own_is_left_to_it(tmp_path: Path, batches: li
 def test_long_runs_go_together_in_smaller_numbers(monkeypatch: pytest.MonkeyPatch, batches: list[int]) -> None:
     # A run of 80 samples keeps about 240 knots of 144 bytes.
     monkeypatch.setattr(together, "_ROOM", 12 * 243 * 144.0)
-    cells = swept_cells(find_scene("drop")(), {"stiffness": spread(3000.0, 6000.0, 24)}, plant="exact")
+    cells = Grid(find_scene("drop")(), {"stiffness": spread(3000.0, 6000.0, 24)}, plant="exact")
     run_scene_cells(cells)
     assert batches == [12, 12]
 

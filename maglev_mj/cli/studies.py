@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import count
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, TypeAlias
 
@@ -59,7 +58,7 @@ from maglev_mj.studies.fidelity import (
 )
 from maglev_mj.studies.record import Record, json_text
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
-from maglev_mj.studies.sweep import MOST_CELLS, swept_cells, value_of
+from maglev_mj.studies.sweep import MOST_CELLS, Grid, value_of
 from maglev_mj.studies.sweep import sweep as run_sweep
 from maglev_mj.terminal import wrapped
 from maglev_mj.theory import WallRequirements, design_wall
@@ -109,9 +108,7 @@ def cells_kept(path: Path | None, fallback: Path) -> Iterator[None]:
     except (StudyInterrupted, WorkersError) as stopped:
         kept = Record() if stopped.record is None else stopped.record
         if path is None:
-            names = (fallback, *(fallback.with_name(f"{fallback.name}-{number}") for number in count(2)))
-            path = next(one for one in names if not one.exists())
-            kept.path = path
+            kept.path = path = fallback.with_name(f"{fallback.name}-{kept.name}")
             kept.flush()
         where = f"{kept.done.sum()} cells are in {path}, the same command with --record {path} goes on from there"
         stopped.args = (f"{stopped}; {where}",)
@@ -164,7 +161,7 @@ def sweep(
         raise ParameterError(f"{both[0]} must be either set or varied, not both")
     path = record
     if path is None:  # another grid gets another
-        grid = hash_of(json_text("a grid", swept_cells(scene(), fixed | varied).plan))[:8]
+        grid = hash_of(json_text("a grid", Grid(scene(), fixed | varied).plan))[:8]
         path = Path(f"{scene.name}-sweep-{grid}")
         check_folder("record", path)
     running = workers.open(default=None)

@@ -105,12 +105,13 @@ class Record(Sequence[Any]):
         path: Folder, made with the first result; None for memory alone.
 
     Attributes:
+        name: Name of this run, which its files have.
         columns: Results of all cells, (N,) each.
         done: Cells that have one, (N,).
     """
 
     def __init__(self, path: Path | None = None) -> None:
-        self.path, self._run = path, secrets.token_hex(4)
+        self.path, self.name = path, secrets.token_hex(4)
         self.begin(())
 
     def begin(self, cells: Sequence[Cell]) -> None:
@@ -152,11 +153,6 @@ class Record(Sequence[Any]):
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Sequence) and list(self) == list(other)
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the results, without that of errors."""
-        return [name for name in self.columns if name != _ERROR]
 
     @property
     def failed(self) -> list[int]:
@@ -201,7 +197,7 @@ class Record(Sequence[Any]):
             indices = np.concatenate(self._unwritten)
             table = {_INDEX: indices, **{name: column[indices] for name, column in self.columns.items()}}
             suffix = "parquet" if find_spec("pyarrow") else "npz"
-            self._write(f"cells-{self._run}-{self._written:05}.{suffix}", partial(_write_table, suffix, table))
+            self._write(f"cells-{self.name}-{self._written:05}.{suffix}", partial(_write_table, suffix, table))
             self._unwritten = [indices]
             if indices.size >= _ROWS:
                 self._unwritten, self._written = [], self._written + 1
@@ -210,7 +206,7 @@ class Record(Sequence[Any]):
     def _write(self, name: str, write: Callable[[Any], object]) -> None:
         """Write a file beside its place and rename it."""
         assert self.path is not None
-        beside = self.path / f"{self._run}.partial"
+        beside = self.path / f"{self.name}.partial"
         with beside.open("wb") as file:
             write(file)
         os.replace(beside, self.path / name)
@@ -242,12 +238,10 @@ def _write_table(suffix: str, table: Columns, file: Any) -> None:
         import pyarrow
         from pyarrow import parquet
 
-        kinds = {name: pyarrow.string() if one.dtype == object else None for name, one in table.items()}
-        columns = {name: pyarrow.array(one, kinds[name]) for name, one in table.items()}
-        parquet.write_table(pyarrow.table(columns), file, write_page_checksum=True)
+        parquet.write_table(pyarrow.table(table), file, write_page_checksum=True)
         return
-    texts = {name: json.dumps(one.tolist()).encode() for name, one in table.items() if one.dtype == object}
-    columns = {**table, **{name: np.frombuffer(text, np.uint8) for name, text in texts.items()}}
+    texts = {name: np.bytes_(json.dumps(one.tolist()).encode()) for name, one in table.items() if one.dtype == object}
+    columns: dict[str, Any] = {**table, **texts}
     np.savez_compressed(file, **columns)
 
 
@@ -260,5 +254,5 @@ def _read_table(path: Path) -> dict[str, NDArray[Any]]:
         return {name: columns[name].to_numpy() for name in columns.column_names}
     with path.open("rb") as file, np.load(file) as arrays:  # which a torn one would leave open
         table = {name: arrays[name] for name in arrays.files}
-    texts = {name: json.loads(one.tobytes()) for name, one in table.items() if one.dtype == np.uint8}
+    texts = {name: json.loads(one.item()) for name, one in table.items() if one.dtype.kind == "S"}
     return {**table, **{name: np.array(text, dtype=object) for name, text in texts.items()}}

@@ -129,7 +129,7 @@ class Sweep(Result):
     @property
     def names(self) -> list[str]:
         """Names of the figures of the cells."""
-        return self.results.names or list(self.scene.figures)
+        return [name for name in self.results.columns if name != "error"] or list(self.scene.figures)
 
     def shown(self, name: str) -> Figure:
         """Return a figure with its unit, without one for an undeclared name."""
@@ -191,11 +191,12 @@ def sweep(
     chosen = get_scene(scene)
     if not vary:
         raise ParameterError("vary must give a list of values for at least one parameter, not {}; run() does one run")
-    cells = swept_cells(chosen, vary, plant=plant, phase=phase)
+    cells = Grid(chosen, vary, plant=plant, phase=phase)
     executor, function = chosen_workers(workers), partial(run_scene_cells, text=_text(type(chosen)))
     study = Study(function, cells, Record(None if record is None else Path(record)), executor, progress)
     resumed, file = study.done, None if record is None else str(record)
-    results = study.run(_cells_a_job(len(cells) - resumed, executor.window, {*cells.axes["plant"]} == {"exact"}))
+    # by the number of all cells, not of those that are missing: a sweep that goes on has the same batches
+    results = study.run(_cells_a_job(len(cells), executor.window, {*cells.axes["plant"]} == {"exact"}))
     varied = {name: list(values) for name, values in vary.items()}
     return Sweep(type(chosen), varied, cells, results, resumed, file)
 
@@ -212,65 +213,59 @@ def _cells_a_job(missing: int, window: int, batches: bool) -> int:
     return max(min(several, _MOST_TOGETHER), 1)
 
 
-def swept_cells(
-    scene: Scene, vary: Mapping[str, Sequence[Any]], *, plant: str | None = None, phase: float = 0.0
-) -> Grid:
-    """Return the checked cells of a sweep.
+class Grid(Sequence[Cell]):
+    """Checked cells of a sweep by index, each made when it is asked for.
 
-    Each value is checked, and combinations at the corners and in between; a worker checks those that it makes.
+    A cell has every parameter and everything that makes its result reproducible. Those of a slice, which a worker gets,
+    lack derived parameters, which follow from the others. Each value is checked, and combinations at the corners and in
+    between; a worker checks those that it makes.
+
+    Args:
+        scene: Scene with the parameters that do not vary.
+        vary: Values of those that do, "plant" and "phase" among them.
+        plant: Plant; the scene's default by default.
+        phase: Phase of the samples, in [0, 1).
+
+    Attributes:
+        axes: Values of what varies, of plant and phase.
+        plan: All that the cells are made of, ready for JSON.
 
     Raises:
         ParameterError: If there is no such parameter, a value is outside its bounds, or the grid is too large.
     """
-    check_instance("vary", vary, Mapping, "lists of values by parameter")
-    for name, values in vary.items():
-        if isinstance(values, str) or not isinstance(values, Collection) or not len(values):
-            raise ParameterError(f"vary must give a list of values for {name}, not {values!r}")
-    count = math.prod(len(values) for values in vary.values())
-    if count > MOST_CELLS:
-        raise ParameterError(f"a sweep must have at most {MOST_CELLS} cells, not {count}")
-    for name in vary:
-        _check_name(type(scene), name)
-    checks: dict[str, Callable[[Any], Any]] = {one.name: one.checked for one in scene.parameters()}
-    checks |= {"plant": partial(checked_plant, scene), "phase": checked_phase}
-    single: dict[str, Sequence[Any]] = {"plant": [scene.plants[0] if plant is None else plant], "phase": [phase]}
-    axes = {**{name: values for name, values in single.items() if name not in vary}, **vary}
-    # None is of an optional or derived parameter
-    cells = Grid(scene, {name: [v if v is None else checks[name](v) for v in values] for name, values in axes.items()})
-    corners, stride = {0}, count
-    for length in cells.shape:
-        stride //= length
-        corners |= {corner + (length - 1) * stride for corner in corners} if len(corners) < _CHECKED else set()
-    for index in sorted(corners.union(np.linspace(0, count - 1, min(count, _CHECKED), dtype=np.int64).tolist())):
-        cells[index]
-    return cells
 
-
-class Grid(Sequence[Cell]):
-    """Cells of a sweep by index, each made when it is asked for.
-
-    A cell has every parameter and everything that makes its result reproducible. Those of a slice, which a worker gets,
-    lack derived parameters, which follow from the others.
-
-    Args:
-        scene: Scene with the parameters that do not vary.
-        axes: Checked values of those that do, of plant and phase.
-
-    Attributes:
-        axes: The values.
-        shape: Number of values of each.
-        plan: All that the cells are made of, ready for JSON.
-    """
-
-    def __init__(self, scene: Scene, axes: Mapping[str, list[Any]]) -> None:
-        self.axes, self.shape, self._scene = axes, tuple(map(len, axes.values())), scene
+    def __init__(
+        self, scene: Scene, vary: Mapping[str, Sequence[Any]], *, plant: str | None = None, phase: float = 0.0
+    ) -> None:
+        check_instance("vary", vary, Mapping, "lists of values by parameter")
+        for name, values in vary.items():
+            if isinstance(values, str) or not isinstance(values, Collection) or not len(values):
+                raise ParameterError(f"vary must give a list of values for {name}, not {values!r}")
+            _check_name(type(scene), name)
+        if (count := math.prod(len(values) for values in vary.values())) > MOST_CELLS:
+            raise ParameterError(f"a sweep must have at most {MOST_CELLS} cells, not {count}")
+        checks: dict[str, Callable[[Any], Any]] = {one.name: one.checked for one in scene.parameters()}
+        checks |= {"plant": partial(checked_plant, scene), "phase": checked_phase}
+        derived = {one.name for one in scene.parameters() if one.derive}  # from others where None
+        axes = {**vary, "plant": vary.get("plant", [plant]), "phase": vary.get("phase", [phase])}
+        self.axes = {
+            name: [one if one is None and name in derived else checks[name](one) for one in values]
+            for name, values in axes.items()
+        }
+        self._shape, self._scene = tuple(map(len, self.axes.values())), scene
         self._head = {"scene": _name(type(scene)), "version": maglev_mj.__version__}
-        fixed = {name: value for name, value in scene.independent_values().items() if name not in axes}
-        self.plan = {"scene": self._head["scene"], **fixed, **axes, "vary": [*axes]}
+        fixed = {name: value for name, value in scene.independent_values().items() if name not in vary}
+        self.plan = {"scene": self._head["scene"], **fixed, **self.axes, "vary": [*self.axes]}
         self._fixed = self._head | fixed
+        corners, stride = {0}, count
+        for length in self._shape:
+            stride //= length
+            corners |= {corner + (length - 1) * stride for corner in corners} if len(corners) < _CHECKED else set()
+        for index in sorted(corners.union(np.linspace(0, count - 1, min(count, _CHECKED), dtype=np.int64).tolist())):
+            self[index]
 
     def __len__(self) -> int:
-        return math.prod(self.shape)
+        return math.prod(self._shape)
 
     def __getitem__(self, index: SupportsIndex | slice) -> Any:
         """Return a cell, or the cells of a slice."""
@@ -283,7 +278,7 @@ class Grid(Sequence[Cell]):
 
     def _changes(self, places: range) -> list[Cell]:
         """Return the varied values of some cells."""
-        at = zip(self.axes.values(), np.unravel_index(places, self.shape), strict=True)
+        at = zip(self.axes.values(), np.unravel_index(places, self._shape), strict=True)
         columns = [[values[place] for place in some.tolist()] for values, some in at]
         return [dict(zip(self.axes, row)) for row in zip(*columns, strict=True)]
 

@@ -17,7 +17,7 @@ from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.scenes.bench import along, wall_controller
 from maglev_mj.spec import Spec
-from maglev_mj.studies.sweep import run_scene_cells, swept_cells
+from maglev_mj.studies.sweep import Grid, run_scene_cells
 from timing import answered
 
 PART, SAMPLES = 10_000, 400
@@ -83,7 +83,7 @@ def sweeps(quick: bool) -> dict[str, float]:
             continue
         for side, other in ((8, 8), (40, 25)) if name in ("drop", "stick-slip") and not quick else ((8, 8),):
             vary = {one: np.linspace(*end, n).tolist() for (one, end), n in zip(ends.items(), (side, other))}
-            cells = swept_cells(find_scene(name)(), vary, plant="exact")
+            cells = Grid(find_scene(name)(), vary, plant="exact")
             run_scene_cells(cells[:1])  # what is imported and kept by the first
             found[f"{name}_{len(cells)}"] = answered(partial(run_scene_cells, cells))[0] / len(cells) * 1e3
     return found
