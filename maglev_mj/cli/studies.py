@@ -106,7 +106,7 @@ def cells_kept(path: Path | None, fallback: Path) -> Iterator[None]:
     try:
         yield
     except (StudyInterrupted, WorkersError) as stopped:
-        kept = Record() if stopped.record is None else stopped.record
+        kept = stopped.record
         if path is None:
             kept.path = path = fallback.with_name(f"{fallback.name}-{kept.name}")
             kept.flush()

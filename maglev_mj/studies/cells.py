@@ -48,10 +48,10 @@ class WorkersError(MaglevError):
     """Error of lost workers or workers with other code.
 
     Attributes:
-        record: Results so far; None before a study.
+        record: Results so far, if a study had begun.
     """
 
-    record: Record | None = None
+    record: Record
 
 
 class _Inline(Executor):
@@ -271,25 +271,11 @@ class Study:
         self.done = int(self.record.done.sum())
 
     def run(self, together: int) -> Record:
-        """Return the results of all cells; see `run_cells`."""
-        try:
-            self._run(deque(self.record.missing(together)))
-        except KeyboardInterrupt:
-            raise StudyInterrupted(self.record) from None
-        except Exception as error:
-            cause = self.workers.cause(error)
-            if isinstance(cause, WorkersError):
-                cause.record = self.record
-                raise cause from None
-            raise
-        return self.record
+        """Return the results of all cells; see `run_cells`.
 
-    def _run(self, jobs: deque[range]) -> None:
-        """Run all jobs, and then each cell lost with a worker alone.
-
-        Its death then has one cause.
+        Each cell lost with a worker is run again alone, so that its death has one cause.
         """
-        lost: list[int] = []
+        jobs, lost = deque(self.record.missing(together)), list[int]()
         try:
             while jobs:
                 lost += self._run_in_pool(jobs, self.workers.window)
@@ -298,8 +284,17 @@ class Study:
                 if self._run_in_pool(alone, 1) or alone:
                     self.record.put(np.array([index]), pack([{"error": "its worker died 2 times"}]))
                     self._count(1)
+        except KeyboardInterrupt:
+            raise StudyInterrupted(self.record) from None
+        except Exception as error:
+            cause = self.workers.cause(error)
+            if isinstance(cause, WorkersError):
+                cause.record = self.record
+                raise cause from None
+            raise
         finally:
             self.record.flush()
+        return self.record
 
     def _run_in_pool(self, jobs: deque[range], window: int) -> list[int]:
         """Run jobs in one pool until it breaks; return the cells lost with a worker."""

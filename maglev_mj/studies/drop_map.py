@@ -11,7 +11,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-import maglev_mj
 import maglev_mj.theory as theory
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
@@ -201,8 +200,8 @@ def run_drop_map(
     count = stiffness.size * damping.size
     # derived values are written into the parts, which then need nothing else
     ranges = {"damping": _ends(damping), "stiffness": _ends(stiffness)}
-    head = {"scene": "drop-map", "version": maglev_mj.__version__, **parameters.as_json(), **ranges}
-    parts: list[Cell] = [head | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)]
+    whole = parameters.as_json() | ranges
+    parts: list[Cell] = [whole | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)]
 
     def progress_of_walls(done: int, total: int) -> None:
         if progress is not None:

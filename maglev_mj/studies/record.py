@@ -7,15 +7,12 @@ program leaves a whole one or none.
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 import os
-import secrets
 import struct
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, SupportsIndex, TypeAlias
@@ -56,12 +53,13 @@ def pack(results: Sequence[Any]) -> Columns:
     """
     named = [isinstance(result, dict) and not {_INDEX, _BARE} & result.keys() for result in results]
     rows = [result if row else {_BARE: result} for result, row in zip(results, named, strict=True)]
-    return {name: _column([row.get(name, ...) for row in rows]) for name in dict.fromkeys(itertools.chain(*rows))}
+    names = dict.fromkeys(name for row in rows for name in row)
+    return {name: _column([row.get(name, ...) for row in rows]) for name in names}
 
 
-def _column(values: Sequence[Any]) -> NDArray[Any]:
+def _column(values: Sequence[Any], *, texts: bool = False) -> NDArray[Any]:
     """Return values as a column, ... for none."""
-    if all(value is None or value is ... or isinstance(value, float) for value in values):
+    if not texts and all(value is None or value is ... or isinstance(value, float) for value in values):
         return np.array([ABSENT if value is ... else np.nan if value is None else value for value in values])
     return np.array([None if value is ... else json_text("a result", value) for value in values], dtype=object)
 
@@ -73,15 +71,6 @@ def _value(entry: Any) -> Any:
     if entry is None or struct.pack("<d", entry) == _ABSENT:
         return ...
     return None if math.isnan(entry) else entry
-
-
-def _texts(column: NDArray[Any]) -> NDArray[Any]:
-    """Return a column as texts."""
-    if column.dtype == object:
-        return column
-    return np.array(
-        [None if value is ... else json.dumps(value) for value in map(_value, column.tolist())], dtype=object
-    )
 
 
 def json_text(what: str, value: Any, **keywords: Any) -> str:
@@ -111,7 +100,7 @@ class Record(Sequence[Any]):
     """
 
     def __init__(self, path: Path | None = None) -> None:
-        self.path, self.name = path, secrets.token_hex(4)
+        self.path, self.name = path, os.urandom(4).hex()
         self.begin(())
 
     def begin(self, cells: Sequence[Cell]) -> None:
@@ -175,7 +164,10 @@ class Record(Sequence[Any]):
             if have is None:
                 have = np.full(self.done.size, None if part.dtype == object else ABSENT, dtype=part.dtype)
             elif have.dtype != part.dtype:
-                have, part = _texts(have), _texts(part)
+                have, part = (
+                    one if one.dtype == object else _column([*map(_value, one.tolist())], texts=True)
+                    for one in (have, part)
+                )
             have[indices] = part
             self.columns[name] = have
         self.done[indices] = True
@@ -196,8 +188,8 @@ class Record(Sequence[Any]):
                 self._write(_PLAN, lambda file: file.write(json.dumps(self._plan, indent=1).encode()))
             indices = np.concatenate(self._unwritten)
             table = {_INDEX: indices, **{name: column[indices] for name, column in self.columns.items()}}
-            suffix = "parquet" if find_spec("pyarrow") else "npz"
-            self._write(f"cells-{self.name}-{self._written:05}.{suffix}", partial(_write_table, suffix, table))
+            kind = ".parquet" if find_spec("pyarrow") else ".npz"
+            self._write(f"cells-{self.name}-{self._written:05}{kind}", lambda file: _write_table(kind, table, file))
             self._unwritten = [indices]
             if indices.size >= _ROWS:
                 self._unwritten, self._written = [], self._written + 1
@@ -233,8 +225,8 @@ def _check(path: Path, plan: Mapping[str, Any]) -> None:
         raise ParameterError(f"record must be of this code, not {str(path)!r}, which has {other}")
 
 
-def _write_table(suffix: str, table: Columns, file: Any) -> None:
-    if suffix == "parquet":
+def _write_table(kind: str, table: Columns, file: Any) -> None:
+    if kind == ".parquet":
         import pyarrow
         from pyarrow import parquet
 

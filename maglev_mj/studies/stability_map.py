@@ -15,7 +15,6 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-import maglev_mj
 import maglev_mj.theory as theory
 from maglev_mj.control import Law, Wall
 from maglev_mj.control.controller import Controller
@@ -493,18 +492,9 @@ def _cells(p: StabilityParameters, stiffness: Array, damping: Array, modulus: Ar
     """
     around = {name: getattr(p, name) for name in _AROUND}
     order = np.argsort(np.abs(np.log(np.maximum(modulus, 1e-9))).ravel())[::-1]
-    places = [np.unravel_index(place, modulus.shape) for place in order]
-    return [
-        {
-            "scene": "stability",
-            "version": maglev_mj.__version__,
-            **around,
-            "stiffness": float(stiffness[row]),
-            "damping": float(damping[column]),
-        }
-        for row, column in places
-        if stiffness[row] > 0.0
-    ]
+    places = zip(*np.unravel_index(order, modulus.shape), strict=True)
+    gains = [{"stiffness": float(stiffness[row]), "damping": float(damping[column])} for row, column in places]
+    return [around | cell for cell in gains if cell["stiffness"] > 0.0]
 
 
 def simulate_walls(cells: list[Cell]) -> list[dict[str, Any]]:

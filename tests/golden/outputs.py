@@ -114,7 +114,8 @@ def content(path: Path) -> Any:
     if path.suffix == ".json":
         return _lasting(json.loads(path.read_text()))
     if path.is_dir():
-        return {"plan": content(path / "plan.json"), "results": _lasting(_results(path))}
+        plan = {name: value for name, value in content(path / "plan.json").items() if name != "cells"}  # a digest
+        return {"plan": plan, "results": _lasting(_results(path))}
     if path.suffix == ".csv":
         with path.open(newline="") as file:
             names, *rows = csv.reader(file)
