@@ -31,6 +31,9 @@ TOUCHED: Colour = _ORANGE
 STUCK: Colour = _PURPLE
 """Stick position of friction."""
 
+FIRST: Colour = tuple(0.5 + 0.5 * part for part in _SKY)  # type: ignore[assignment]
+"""First try beside a second one, paler than what is measured."""
+
 MEASURED: Colour = _SKY
 """Position and other measured quantities of the flotor."""
 

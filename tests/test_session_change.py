@@ -38,7 +38,7 @@ def test_a_change_keeps_the_force_until_the_next_answer_acts(axis: int) -> None:
     session.tick(0.1)
     now = session.snapshot()
     assert now.since == before.tick and now.tick == before.tick + 20
-    assert session._history.rows[-20:, 1:7] == pytest.approx(np.tile(before.pose, (20, 1)), abs=1e-6)
+    assert session._past.history.rows[-20:, 1:7] == pytest.approx(np.tile(before.pose, (20, 1)), abs=1e-6)
 
 
 def test_changes_in_quick_succession_act_together() -> None:

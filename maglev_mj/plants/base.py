@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from math import isfinite
-from typing import Any, Self, TypedDict
+from typing import Any, Self, TypeAlias, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +22,7 @@ from maglev_mj.frames import AXES, Array, Command, Component, Sample, Six, clipp
 from maglev_mj.parameters import flag, number, six
 from maglev_mj.plants.hand import Hand, HandForce
 from maglev_mj.plants.sensor import PoseSensor, measuring
-from maglev_mj.plants.trace import Trace, TraceRecorder
+from maglev_mj.plants.trace import HandWork, Trace, TraceRecorder
 from maglev_mj.spec import ESCAPE
 
 _NO_EFFORT: Six = (0.0,) * 6
@@ -257,6 +259,10 @@ class SampledPlant(ABC):
         """True once a sample was read."""
         return self._tick >= 0
 
+    def hold(self, hand: HandForce) -> None:
+        """Let another hand's force act from the next sample on; its impedance stays."""
+        self._hand_force = hand
+
     @property
     def held(self) -> bool:
         """True if a hand exerts a force."""
@@ -361,6 +367,25 @@ class SampledPlant(ABC):
         elif np.all((distance < largest_distance) & (angle < largest_angle)):
             return angle
         raise _escaped(distance, angle, self._escape, self.timing.time(self._tick), self.batch)
+
+
+States: TypeAlias = Sequence[tuple[Any, Mapping[str, Any]]]
+"""Objects, each with its attributes at an instant."""
+
+
+def states_of(*parts: Any) -> States:
+    """Return the attributes of objects; those that are changed in place are copied."""
+    return [(part, {name: _kept(value) for name, value in vars(part).items()}) for part in parts]
+
+
+def restore(states: States) -> None:
+    """Give objects the attributes of `states_of` again; as often as needed."""
+    for part, values in states:
+        part.__dict__.update({name: _kept(value) for name, value in values.items()})
+
+
+def _kept(value: Any) -> Any:
+    return copy(value) if isinstance(value, list | deque | HandWork) else value
 
 
 def _within(force: Sequence[float], limit: Sequence[float]) -> bool:

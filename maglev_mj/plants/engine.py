@@ -247,7 +247,8 @@ class Steps:
         # as `controls[:] = values`, in half the time
         self._control = partial(struct.Struct("6d").pack_into, controls.data, 0)
         self._drive: Drive | None = None
-        step = _DampedStops(device, data) if stop_damping else partial(mujoco.mj_step, device.model, data)
+        self.stops = _DampedStops(device, data) if stop_damping else None
+        step = self.stops or partial(mujoco.mj_step, device.model, data)
         self.falloff = _Falloff(device, data, falloff, step) if falloff else None
         self._step: Callable[..., object] = self.falloff or step
         self._position = data.qpos[device.position_address :][:7]
@@ -376,12 +377,14 @@ class _DampedStops:
         self._free = self._damping.copy()
         device.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
         self._touching = self._free + np.append([device.mass] * 3, device.inertia) / _STOP_TIME
+        self._touched = False
 
     def __call__(self, steps: int = 1) -> None:
         """Make `steps` steps."""
         for _ in range(steps):
-            self._damping[:] = self._touching if self._data.nl else self._free
+            self._damping[:] = self._touching if self._touched else self._free
             mujoco.mj_step(self._model, self._data)
+            self._touched = bool(self._data.nl)
 
 
 class _Falloff:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 from functools import cached_property
 from typing import Any, TypeAlias, Unpack, cast
 
@@ -15,7 +16,7 @@ from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, Six, components, join, rotation_vector
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
-from maglev_mj.plants.base import PlantKeywords, SampledPlant
+from maglev_mj.plants.base import PlantKeywords, SampledPlant, restore, states_of
 from maglev_mj.plants.coils import UPRIGHT, CoilDrive, CoilMap
 from maglev_mj.plants.engine import (
     NOTHING,
@@ -32,7 +33,6 @@ from maglev_mj.plants.engine import (
 )
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import COILS, Model, load_model
-from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
 
 _Kept: TypeAlias = tuple[Sequence[float], Sequence[float], Drive]
@@ -110,6 +110,7 @@ class MuJoCoPlant(SampledPlant):
         "_qvel",
         "_reach",
         "_rotation",
+        "_sensor",
         "_turning",
         "_warnings",
         "current_limit",
@@ -184,9 +185,10 @@ class MuJoCoPlant(SampledPlant):
         if driver_lag:
             self._data.act[:] = self._timeline.acting[1]
         self._limits |= current_limit is not None
+        self._sensor = self._measure
         if self._measure is not None and self._coils is not None:
             self._upright = math.inf
-            self._measure = self._noted(self._measure)
+            self._measure = self._noted
         # it warns of positions and velocities that are not finite or beyond 1e10, each an escape too unless that is
         # wider still; and of controls, which it then leaves out
         self._warns_unseen = max(self._escape) > _ENGINE_BOUND or stops
@@ -294,6 +296,27 @@ class MuJoCoPlant(SampledPlant):
             raise PlantError("there are no currents: the plant was made with coils=False")
         return np.array(self._data.ctrl[: len(COILS)])
 
+    def saved(self) -> tuple[Any, ...]:
+        """Return the present state between two ticks, for `restore`.
+
+        A sensor of one's own is saved if its state is in an object, not in a function's variables.
+        """
+        kind = mujoco.mjtState.mjSTATE_INTEGRATION
+        state = np.empty(mujoco.mj_stateSize(self._model, kind))
+        mujoco.mj_getState(self._model, self._data, state, kind)
+        parts = (self, self._timeline, self._steps, self._steps.stops, self._coil_drive)
+        states = states_of(*(part for part in parts if part is not None))
+        return states, state, self._angle, deepcopy(self._sensor)
+
+    def restore(self, saved: tuple[Any, ...]) -> None:
+        """Go back to a state of `saved`, from which motion is the same again."""
+        states, state, self._angle, sensor = saved
+        restore(states)
+        mujoco.mj_setState(self._model, self._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        direct, self._sensor = self._measure is self._sensor, deepcopy(sensor)
+        if direct:
+            self._measure = self._sensor
+
     @property
     def segments(self) -> list[tuple[float, Sequence[float]]]:
         """Durations [s] and six currents [A] of the last period.
@@ -371,18 +394,12 @@ class MuJoCoPlant(SampledPlant):
         # no two maps of a turned flotor are the same, so no two commands
         self._timeline.compares = self._coil_drive.follow(rotation, self._angle)
 
-    def _noted(self, measure: Measure) -> Measure:
-        """Return the measurement, extended by a coil map update.
-
-        The map is renewed for the measured angle.
-        """
-
-        def measured(position: Six) -> list[Component]:
-            known = measure(position)
-            self._angle, self._stale = known[3:], True
-            return known
-
-        return measured
+    def _noted(self, position: Six) -> list[Component]:
+        """Return the measurement; the coil map is renewed for its angle."""
+        assert self._sensor is not None
+        known = self._sensor(position)
+        self._angle, self._stale = known[3:], True
+        return known
 
     def _check_warnings(self) -> None:
         """Raise PlantError for warnings of the engine."""

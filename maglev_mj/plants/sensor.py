@@ -10,7 +10,6 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from itertools import chain, count
 from operator import add
 from typing import Any, Protocol, TypeAlias
 
@@ -494,18 +493,8 @@ class Sensor:
 
         It maps the components of the true pose to the measured ones; the noise begins at the seed.
         """
-        noise, quantize = np.asarray(self.noise).tolist(), _quantizer(np.asarray(self.quantum).tolist())
-        if not any(noise):
-            return quantize
-        draw: Callable[[], list[Component]] | None = None
-
-        def measure(position: Six) -> list[Component]:
-            nonlocal draw
-            if draw is None:
-                draw = _draws(noise, self.seed, np.broadcast_shapes(*map(np.shape, position))).__next__
-            return quantize(map(add, position, draw()))
-
-        return measure
+        quantize = _quantizer(np.asarray(self.quantum).tolist())
+        return partial(_measured, _Noise(self.noise, self.seed), quantize) if np.any(self.noise) else quantize
 
 
 _WHOLE = 1.5 * 2.0**52
@@ -544,24 +533,28 @@ def _quantizer(quantum: Sequence[float]) -> Callable[[Iterable[Component]], list
     return quantize
 
 
-def _draws(noise: Sequence[float], seed: int, shape: tuple[int, ...] = ()) -> Iterator[list[Component]]:
-    """Return an endless iterator of noise samples.
-
-    A sample is six components of shape (...,).
+class _Noise:
+    """White noise on six components; a copy of it goes on alike.
 
     For one device many samples are drawn at once, with the same values as one by one.
     """
-    generator = np.random.default_rng(seed)
-    if not shape:
-        spread = np.asarray(noise)
-        return chain.from_iterable((spread * generator.standard_normal((256, 6))).tolist() for _ in count())
-    drawn = np.empty((*shape, 6))
 
-    def columns() -> list[Component]:
-        generator.standard_normal(out=drawn)
-        return [one * drawn[..., index] for index, one in enumerate(noise)]
+    def __init__(self, spread: ArrayLike, seed: int) -> None:
+        self._spread, self._generator = np.asarray(spread), np.random.default_rng(seed)
+        self._drawn, self._next = np.empty((0, 6)), 0
 
-    return (columns() for _ in count())
+    def __call__(self, position: Six) -> Iterator[Component]:
+        """Return six components with the next noise added."""
+        if self._next == len(self._drawn):
+            shape = np.broadcast_shapes(*map(np.shape, position))
+            self._drawn = self._spread * self._generator.standard_normal((1 if shape else 256, *shape, 6))
+            self._next = 0
+        self._next += 1
+        return map(add, position, components(self._drawn[self._next - 1]))
+
+
+def _measured(noise: _Noise, quantize: Callable[[Iterable[Component]], list[Component]], pose: Six) -> list[Component]:
+    return quantize(noise(pose))
 
 
 class SpotReader:
@@ -583,7 +576,7 @@ class SpotReader:
         self._beams = FastBeams(beams)
         checked = SpotSensor(quantum=quantum, noise=noise, seed=seed)
         self._quantize = _quantizer([checked.quantum] * 6)
-        self._draws = _draws([checked.noise] * 6, checked.seed) if checked.noise else None
+        self._noise = _Noise(checked.noise, checked.seed) if checked.noise else None
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
         """Return six measured spot coordinates [m] of a true pose.
@@ -594,7 +587,7 @@ class SpotReader:
             SensingError: If a beam runs along its diode, or the pose is not finite.
         """
         spots = self._beams.spots(pose)
-        return self._quantize(spots if self._draws is None else map(add, spots, next(self._draws)))
+        return self._quantize(spots if self._noise is None else self._noise(spots))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -641,22 +634,10 @@ class SpotSensor:
         The function raises SensingError if no pose fits the spots, and for one device also beyond a quarter turn.
         """
         geometry = self.beams or beams()
-        chosen: Measure | None = None
-
-        def measure(position: Six) -> list[Component]:
-            nonlocal chosen
-            if chosen is None:
-                chosen = self._one(geometry) if join(position).ndim == 1 else self._many(geometry)
-            return chosen(position)
-
-        return measure
-
-    def _one(self, geometry: Beams) -> Measure:
-        """Return the measurement function of one device."""
         reader = SpotReader(geometry, self.quantum, self.noise, self.seed)
         # the plant checks the distance (its `escape`); no two poses within a quarter turn give the same spots
         tracker = PoseTracker(geometry, farthest=math.inf, most_turned=0.5 * math.pi)
-        return lambda position: tracker(reader(position))
+        return partial(_seen, tracker, reader, self._many(geometry))
 
     def _many(self, geometry: Beams) -> Measure:
         """Return the measurement function of a batch."""
@@ -674,3 +655,7 @@ class SpotSensor:
             return components(last)
 
         return measure
+
+
+def _seen(tracker: PoseTracker, reader: SpotReader, many: Measure, position: Six) -> list[Component]:
+    return tracker(reader(position)) if join(position).ndim == 1 else many(position)

@@ -5,6 +5,7 @@ from maglev_mj.scenes.stability_check import own_code_refused as own_code_refuse
 from maglev_mj.scenes.stability_check import unstable_loop as unstable_loop
 from maglev_mj.session.changes import DEVICES_OWN as DEVICES_OWN
 from maglev_mj.session.changes import EMERGENCY_STOP as EMERGENCY_STOP
+from maglev_mj.session.changes import REWINDS as REWINDS
 from maglev_mj.session.changes import changed as changed
 from maglev_mj.session.changes import device_actions as device_actions
 from maglev_mj.session.changes import settable as settable
@@ -15,9 +16,7 @@ from maglev_mj.session.pacing import Pacer as Pacer
 from maglev_mj.session.pacing import next_scale as next_scale
 from maglev_mj.session.pacing import real_time as real_time
 from maglev_mj.session.session import Session as Session
-from maglev_mj.session.session import begin_scene as begin_scene
 from maglev_mj.session.session import device_controller as device_controller
-from maglev_mj.session.session import live_plant as live_plant
 from maglev_mj.session.snapshot import SHOWN as SHOWN
 from maglev_mj.session.snapshot import ChangeRequest as ChangeRequest
 from maglev_mj.session.snapshot import History as History
@@ -27,3 +26,6 @@ from maglev_mj.session.snapshot import SampledMotion as SampledMotion
 from maglev_mj.session.snapshot import Snapshot as Snapshot
 from maglev_mj.session.snapshot import SnapshotSource as SnapshotSource
 from maglev_mj.session.snapshot import TourLine as TourLine
+from maglev_mj.session.stretch import KEPT as KEPT
+from maglev_mj.session.stretch import begin_scene as begin_scene
+from maglev_mj.session.stretch import live_plant as live_plant

@@ -7,33 +7,27 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.loop import ControlLoop, Record
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
-from maglev_mj.frames import ZERO, Array, Command, Sample
-from maglev_mj.parameters import number
-from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
-from maglev_mj.plants.trace import EnergyAccount
-from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording, setup_of, tee
-from maglev_mj.recording.setup import attach_model, attach_source
+from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording, tee
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
-from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, source_of
+from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
-from maglev_mj.session.changes import EMERGENCY_STOP, actions, changed, settable
+from maglev_mj.session.changes import EMERGENCY_STOP, REWINDS, actions, changed, settable
 from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
-from maglev_mj.session.snapshot import History, Publisher, Publishers, Snapshot
-from maglev_mj.spec import Spec
+from maglev_mj.session.snapshot import SHOWN, Publisher, Publishers, Snapshot
+from maglev_mj.session.stretch import KEPT, HandAgain, LiveStretch, Past
 
 
 class SessionRecorder:
@@ -157,93 +151,6 @@ class SessionRecorder:
         return path
 
 
-def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **details: Any) -> Record:
-    """Begin a stretch of a recording with a scene's metadata.
-
-    Args:
-        file: The file.
-        scene: The scene.
-        plant: The controlled plant.
-        controller: The controller.
-        details: Further arguments of `setup_of`.
-    """
-    cls = type(scene)
-    attach_model(file, scene.model)
-    attach_source(file, cls)
-    details |= {"scene": reference_of(cls), "source": source_of(cls), "parameters": scene.as_json(), "axis": scene.axis}
-    return file.begin(plant, controller, setup_of(plant, controller, **details))
-
-
-class LiveStretch:
-    """Scene running with constant parameters from a given state.
-
-    Args:
-        scene: The scene.
-        hand: The hand.
-        pose: Initial pose [m, rad].
-        twist: Initial twist [m/s, rad/s].
-        wrench: Coil wrench until the first command takes effect [N, N m].
-        file: Recording of every sample; None for none.
-        began: Session time at the start [s].
-        keep: Called after each tick with a row of history, see `History.add`.
-
-    Attributes:
-        scene: The scene.
-        energy: Energy balance.
-        pulsed: True if the last command had a pulse.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        hand: HandForce,
-        *,
-        pose: Sequence[float],
-        twist: Sequence[float] = ZERO,
-        wrench: Sequence[float],
-        file: RecordingFile | None,
-        began: float,
-        keep: Callable[..., object],
-    ) -> None:
-        self.plant = live_plant(scene, hand, pose=pose, twist=twist, wrench=wrench)
-        self.controller = scene.controller()
-        parts = scene, self.plant, self.controller
-        record = None if file is None else begin_scene(file, *parts, name=f"scene {scene.name}")
-        self._carried = self.controller.carried
-        self.energy = EnergyAccount(np.array(pose), self._carried)
-        self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
-        self.scene, self._keep, self._began = scene, keep, began
-        self.ticks, self._period = 0, scene.period
-        self.pose, self.twist = np.array(pose, dtype=np.float64), np.array(twist, dtype=np.float64)
-        self.force: Sequence[float] = wrench
-        self.pulsed = False
-
-    def tick(self) -> None:
-        """Answer one sample."""
-        self._loop.cycle()
-        self.ticks += 1
-
-    @property
-    def time(self) -> float:
-        """Time of the session [s]."""
-        return self._began + self.ticks * self._period
-
-    @property
-    def rendered(self) -> Array:
-        """Device wrench without weight compensation [N, N m], (6,)."""
-        rendered: Array = np.array(self.force) - self._carried
-        return rendered
-
-    def _observe(self, sample: Sample, applied: Command) -> None:
-        plant = self.plant
-        self.pose, self.twist = plant.state()
-        effort = plant.hand_wrench
-        self.energy.add(self.pose, effort, plant.work)
-        self.force = applied.force
-        self.pulsed = applied.extra is not None and any(applied.extra)
-        self._keep(self.time, self.pose, self.twist, self.rendered, effort)
-
-
 _LIFTED = 0.004
 
 
@@ -264,26 +171,6 @@ def centred(scene: Scene) -> Scene:
     return scene.replace(weightless=scene.parameter("weightless").default)
 
 
-def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
-    """Return a scene's plant with stops and current limits.
-
-    At most 10 A in each coil unless the scene has another limit.
-
-    Args:
-        scene: The scene.
-        hand: The hand on the flotor; its attribute `hand`, if any, is its impedance.
-        start: Pose, twist and wrench in place of the scene's own.
-    """
-
-    def make(timing: Timing, **options: Any) -> MuJoCoPlant:
-        limits: dict[str, Any] = {"current_limit": Spec.peak_current.value, "stops": True, "metered": True}
-        return MuJoCoPlant(timing, **limits | options | {"hand_force": hand, "hand": getattr(hand, "hand", None)})
-
-    plant = scene.plant(make, **start)  # type: ignore[arg-type]
-    assert isinstance(plant, MuJoCoPlant)
-    return plant
-
-
 def device_controller(scene: Scene) -> Controller:
     """Return a scene's controller for a device, with gravity compensation.
 
@@ -295,11 +182,12 @@ def device_controller(scene: Scene) -> Controller:
     return Controller([*controller.laws, Bias(WEIGHT)], period=scene.period, velocity=scene.velocity_estimator())
 
 
-_OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", EMERGENCY_STOP
+_OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", *REWINDS, EMERGENCY_STOP
 _CHOOSES = "scene "
 """Prefix of actions that choose a scene by name."""
 
 _MADE = -0.1
+_BACK = 1.0  # by a key [s]
 _RENEWED = 0.1
 """Shortest real time between two changes of parameters [s]."""
 
@@ -354,7 +242,7 @@ class Session:
         self._scenes = [find_scene(name) for name in BUILT_IN]
         if own not in self._scenes:
             self._scenes.insert(0, own)
-        self._history = History()
+        self._past, self._acting = Past(), self._hand
         self._recorder = SessionRecorder(folder, file)
         if record is not None:
             self._recorder.start(record)
@@ -384,7 +272,10 @@ class Session:
         self._unchanged += number("elapsed", elapsed)
         try:
             held = not self._steps and self._unchanged < _RENEWED
-            if self._changed and not (held or self._stopped):
+            if self._past.rewound:
+                if not self._stopped and (self._steps or not self._paused):
+                    self._leave_past()
+            elif self._changed and not (held or self._stopped):
                 self._unchanged = 0.0
                 self._go_on()
             if self._paused or self._stopped:
@@ -426,6 +317,12 @@ class Session:
             self._time_scale = next_scale(self._time_scale, action)
         elif action == "record":
             self._record()
+        elif action == "rewind":
+            self._show_past(self._stretch.time - _BACK)
+        elif action == "go on from here":
+            self._paused = False
+        elif action == "same hand again":
+            self._leave_past(again=True)
         elif action == "next scene":
             self._choose((self._scenes.index(type(self._scene)) + 1) % len(self._scenes))
         elif action in (chosen := [f"{_CHOOSES}{cls.name}" for cls in self._scenes]):
@@ -447,8 +344,9 @@ class Session:
         They take effect at the next tick. Of changes within 0.1 s only the newest takes effect, after that time.
 
         Args:
-            parameters: Values by name; `time_scale` (simulated time for each second of real time, 0.001 to 1) and
-                `hand_stiffness` [N/m] are the session's.
+            parameters: Values by name; `time_scale` (simulated time for each second of real time, 0.001 to 1),
+                `hand_stiffness` [N/m] and `rewind` are the session's. The last one shows, paused, the scene of so many
+                seconds before the newest sample, 0 to 60, with the parameters of then; at most all that is kept.
 
         Raises:
             ParameterError: If there is no such live parameter, or the scene refuses a value; nothing changes then.
@@ -457,9 +355,58 @@ class Session:
         stiffness = number("hand_stiffness", changes.pop("hand_stiffness", self.hand.stiffness), at_least=0.0)
         least, most = TIME_SCALES[0], TIME_SCALES[-1]
         scale = number("time_scale", changes.pop("time_scale", self._time_scale), at_least=least, at_most=most)
+        back = number("rewind", changes.pop("rewind", 0.0), at_least=0.0, at_most=KEPT)
+        if "rewind" in parameters:
+            self._show_past(self._past.bounds(self._stretch.time)[1] - back)
         if changes:
             self._adopt(changes)
         self.hand.stiffness, self._time_scale = stiffness, scale
+
+    def rewind(self, time: float, *, again: bool = False) -> None:
+        """Go back to an earlier time, and go on from there.
+
+        Up to a minute before now is kept, or since the last start, with every state: parameters are those of then.
+
+        Args:
+            time: Time of the session, as in a snapshot [s].
+            again: True if the recorded hand acts again, up to now, before the live one; without a change of parameters
+                the motion is then the same to the last bit.
+
+        Raises:
+            ParameterError: If that time is not kept.
+
+        Example:
+            >>> from maglev_mj import Session
+            >>> session = Session("drop")
+            >>> ticks = session.tick(0.4)
+            >>> height = session.snapshot().pose[2]
+            >>> session.rewind(0.1, again=True)
+            >>> while session.snapshot().time < 0.399:
+            ...     ticks = session.tick(0.005)
+            >>> bool(session.snapshot().pose[2] == height)
+            True
+        """
+        least, most = self._past.bounds(self._stretch.time)
+        self._show_past(number("time", time, at_least=least, at_most=most))
+        self._leave_past(again=flag("again", again))
+
+    def _show_past(self, time: float) -> None:
+        """Show, paused, the scene of an earlier time [s], or of the earliest."""
+        least, most = self._past.bounds(self._stretch.time)
+        self._stretch = self._past.show(min(max(time, least), most), self._stretch.time)
+        self._scene, self._since = self._stretch.scene, self._ticks
+        self._paused, self._changed, self._stopped, self._steps = True, False, "", 0
+
+    def _leave_past(self, *, again: bool = False) -> None:
+        """Go on from the time shown, by the live hand or the recorded one."""
+        rows, end = self._past.leave(self._stretch.time)
+        self._paused = self._steps > 0
+        self._acting = HandAgain(rows, end, lambda: self._stretch.time, self._hand) if again else self._hand
+        if self._scene == self._stretch.scene:
+            self._changed = False
+            self._stretch.begin(self._acting, self._recorder.whole)
+        else:
+            self._go_on()
 
     def snapshot(self) -> Snapshot:
         """Return the snapshot of now."""
@@ -479,9 +426,11 @@ class Session:
             currents=stretch.plant.currents,
             faces=stretch.controller.faces,
             anchors=stretch.controller.stick_positions,
-            history=self._history.rows,
+            history=self._past.history.last(SHOWN),
             work=stretch.energy.hand,
             taken=stretch.energy.taken,
+            rewound=self._past.bounds(stretch.time)[1] - stretch.time,
+            first=self._past.first,
             pulses=self._pulses,
             cost=self._pacer.cost,
             missed=self._pacer.missed,
@@ -517,6 +466,8 @@ class Session:
         if self._stretch.energy.stored < _MADE:
             energy = -self._stretch.energy.stored
             raise MaglevError(f"the rendered world made {energy * 1e3:.0f} mJ more than it took: it is unstable")
+        if not self._stretch.ticks % self._stretch.every:
+            self._past.keep(self._stretch)
 
     def _take_wanted(self) -> None:
         """Apply the parameters that another program requests.
@@ -551,16 +502,18 @@ class Session:
         twist, wrench = start.twist, start.wrench
         if going_on:
             twist, wrench, began = self._stretch.twist.tolist(), self._stretch.force, self._stretch.time
-        return LiveStretch(
+        stretch = LiveStretch(
             self._scene,
-            self._hand,
+            self._acting,
             pose=pose,
             twist=twist,
             wrench=wrench,
             file=self._recorder.whole,
             began=began,
-            keep=self._history.add,
+            keep=self._past.history.add,
         )
+        self._past.keep(stretch)
+        return stretch
 
     def _adopt(self, change: Mapping[str, Any] | str) -> None:
         """Change parameters from the next tick on.
@@ -569,7 +522,7 @@ class Session:
             MaglevError: If its controller or its timing cannot be made.
         """
         with own_code_refused():
-            scene = changed(self._scene, change, own=True, besides=("hand_stiffness", "time_scale"))
+            scene = changed(self._scene, change, own=True, besides=("hand_stiffness", "time_scale", "rewind"))
             if scene == self._scene and not self._stopped:
                 return
             scene.timing()
@@ -589,13 +542,14 @@ class Session:
         """Rebuild plant and controller in the present state, or restart."""
         if self._stopped:
             self._restart(self._scene.start().pose)
-        else:
+        elif not self._past.rewound:  # otherwise when it goes on
             self._stretch = self._begin(self._stretch.pose.tolist(), going_on=True)
 
     def _restart(self, pose: Sequence[float]) -> None:
+        self._past.clear()
+        self._acting = self._hand
         self._stretch = self._begin(pose)
         self._stopped = ""
-        self._history.clear()
         self._pacer.forgive()
 
     def _record(self) -> None:

@@ -19,7 +19,7 @@ from maglev_mj.session.pacing import Due
 SHOWN = 2.0
 """Time that a history covers [s]."""
 
-_COLUMNS, _LEAST_ROWS = 25, 512
+_COLUMNS, _LEAST_ROWS, _MOST_ROWS = 25, 512, 250_000
 _NAN = float("nan")
 
 _Six: TypeAlias = Sequence[float] | Array
@@ -84,6 +84,8 @@ class Snapshot:
         history: Latest samples, (N, 25): time, then pose, twist, wrench of the device and of the hand, six each.
         work: Work of the hand [J]; NaN if unknown.
         taken: Energy absorbed by the rendered world [J]; NaN if not known.
+        rewound: How long before the newest sample the scene is shown [s]; None if it cannot be rewound.
+        first: Time and pose of the first try beside a second one, (N, 7), over the time shown; empty for none.
         pulses: Braking pulses given so far.
         cost: Computing time of a tick [s].
         missed: Ticks given up, or samples that did not arrive.
@@ -118,6 +120,8 @@ class Snapshot:
     history: Array = field(default_factory=lambda: np.empty((0, _COLUMNS)))
     work: float = 0.0
     taken: float = _NAN
+    rewound: float | None = None
+    first: Array = field(default_factory=lambda: np.empty((0, 7)))
     pulses: int = 0
     cost: float = 0.0
     missed: int = 0
@@ -131,6 +135,15 @@ class Snapshot:
     remedy: str = ""
     notes: Sequence[str] = ()
     tour: TourLine | None = None
+
+    @property
+    def ghost(self) -> Array | None:
+        """Pose of the first try, else where friction sticks [m, rad], (6,); None for neither."""
+        if len(self.first):
+            return np.array(self.first[-1, 1:])
+        if self.anchors is None or np.isnan(self.anchors).all():
+            return None
+        return np.where(np.isnan(self.anchors), self.pose, self.anchors)
 
 
 class SnapshotSource(Protocol):
@@ -160,9 +173,14 @@ class SnapshotSource(Protocol):
 
 
 class History:
-    """Samples of the last two seconds; returned rows never change."""
+    """Samples of the last seconds, at most 250 000; returned rows never change.
 
-    def __init__(self) -> None:
+    Args:
+        span: Time that they cover [s].
+    """
+
+    def __init__(self, span: float = SHOWN) -> None:
+        self._span = span
         self.clear()
 
     def clear(self) -> None:
@@ -180,6 +198,10 @@ class History:
         row[0], row[1:7], row[7:13], row[13:19], row[19:] = time, pose, twist, force, hand
         self._end += 1
 
+    def replace(self, rows: Array) -> None:
+        """Take rows in place of all samples; they are not written over."""
+        self._rows, self._end = rows, len(rows)
+
     def extend(self, rows: Array) -> None:
         """Add samples in the format of `rows`, (N, 25)."""
         if self._end + len(rows) > len(self._rows):
@@ -194,9 +216,13 @@ class History:
 
     @property
     def rows(self) -> Array:
-        """Samples of the last two seconds, (N, 25)."""
-        rows = self._rows[: self._end]
-        return rows[np.searchsorted(rows[:, 0], rows[-1, 0] - SHOWN) :] if len(rows) else rows
+        """All samples, (N, 25)."""
+        return self.last(self._span)
+
+    def last(self, span: float) -> Array:
+        """Return the samples of the last seconds, (N, 25)."""
+        rows = self._rows[max(self._end - _MOST_ROWS, 0) : self._end]
+        return rows[np.searchsorted(rows[:, 0], rows[-1, 0] - span) :] if len(rows) else rows
 
 
 class SampledMotion:

@@ -15,7 +15,7 @@ from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array, Mask
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
-from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Session, Snapshot, TourLine, settable
+from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, REWINDS, Session, Snapshot, TourLine, settable
 from maglev_mj.theory import stability
 
 _LOOK, _SHOWN = 1.0 / 30.0, 2.0
@@ -142,7 +142,7 @@ class Tour:
             last = self._place == len(STEPS) - 1
             deed = "Done. That was the tour: go on as you like." if last else "Done."
         line = TourLine(self._place + 1, len(STEPS), step.text, deed, self._done)
-        return replace(snapshot, actions=self._actions(), tour=line)
+        return replace(snapshot, actions=self._actions(), tour=line, rewound=None)
 
     def close(self) -> None:
         """Close the session."""
@@ -151,9 +151,9 @@ class Tour:
     def _actions(self) -> Sequence[str]:
         """Return the names of the actions of `act`.
 
-        Changes of scene and drops are excluded, because they would end the tour.
+        Changes of scene, drops and rewinds are excluded, because they would end the tour.
         """
-        own = (name for name in self._session.actions if name not in ("next scene", "drop"))
+        own = (name for name in self._session.actions if name not in ("next scene", "drop", *REWINDS))
         return "next", "back", *(name for name in own if not name.startswith("scene "))
 
     def _begin(self, place: int) -> None:

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.colours import BAD, BOUNDARY, DEVICE, GOOD, HAND, MEASURED, Colour
+from maglev_mj.colours import BAD, BOUNDARY, DEVICE, FIRST, GOOD, HAND, MEASURED, Colour
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.scenes import Scene
@@ -195,19 +195,23 @@ class Charts:
             self._forces = SteadyRange(0.02 if axis > 2 else 2.0)
         rows = snapshot.history
         rows = rows[:: -max(-(-len(rows) // self._most), 1)][::-1]  # the newest is among them
-        time = rows[:, 0] - (rows[-1, 0] if len(rows) else 0.0)
+        now = rows[-1, 0] if len(rows) else 0.0
+        time = rows[:, 0] - now
         position, speed = 1e3 * rows[:, 1 + axis], 1e3 * rows[:, 7 + axis]
         device, hand = rows[:, 13 + axis], rows[:, 19 + axis]
         walls = [edge * 1e3 for index, _, edge in snapshot.faces if index == axis]
         name, unit, across = AXES[axis], unit_of("mm", axis), (-SHOWN, 0.0)
-        places, speeds = self._places(position, walls), self._speeds(speed)
+        before = snapshot.first
+        places, speeds = self._places(position, walls, 1e3 * before[:, 1 + axis]), self._speeds(speed)
         kind = f"{'torque about' if axis > 2 else 'force on'} {name} [{unit_of('N', axis)}]"
         shown = [(f"{name} [{unit}]", MEASURED), *([("walls", None)] if walls else [])]
+        shown += [("first try", FIRST)] if len(before) else []
         return [
             Chart(
                 shown,
                 [
                     *(Line(BOUNDARY, across, (wall, wall), True) for wall in walls),
+                    Line(FIRST, before[:, 0] - now, 1e3 * before[:, 1 + axis], dot=True),
                     Line(MEASURED, time, position, dot=True),
                 ],
                 across,

@@ -28,6 +28,7 @@ def magnified(snapshot: Snapshot, factor: float) -> Snapshot:
     return replace(
         snapshot,
         pose=factor * snapshot.pose,
+        first=snapshot.first * (1.0, *(factor,) * 6),
         anchors=None if snapshot.anchors is None else factor * snapshot.anchors,
         faces=[(axis, normal, factor * edge) for axis, normal, edge in snapshot.faces],
     )

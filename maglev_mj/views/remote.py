@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from maglev_mj.errors import MaglevError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import SpringHand
@@ -217,6 +217,8 @@ class RemoteViewer:
         """Return the requested scene; a refusal ends no flight."""
         scene = self._scene
         try:
+            if "rewind" in value:
+                raise ParameterError("rewind is for a simulation: a device cannot be rewound")
             if kind == "change":
                 return changed(scene, {name: value[name] for name in value if name in settable(scene)})
             return changed(scene, value) if value in actions(type(scene)) else None

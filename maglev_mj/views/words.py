@@ -36,7 +36,8 @@ def banner(snapshot: Snapshot) -> Banner | None:
     if snapshot.state == "stopped":
         return Banner(f"STOPPED: {snapshot.reason}", _known("centre", snapshot), True, snapshot.remedy)
     if snapshot.state == "paused":
-        where = "" if snapshot.duration is None else f": {snapshot.time:.3f} of {snapshot.duration:.3f} s"
+        where = f", {snapshot.rewound:.1f} s back" if snapshot.rewound else ""
+        where += "" if snapshot.duration is None else f": {snapshot.time:.3f} of {snapshot.duration:.3f} s"
         return Banner(f"PAUSED{where}", _known("pause", snapshot), False)
     if (line := snapshot.tour) is not None and line.done and line.number < line.total:
         return Banner("DONE", "next", False)

@@ -13,7 +13,7 @@ from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of
 from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter, flag
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, Snapshot
+from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, KEPT, REWINDS, Snapshot
 from maglev_mj.session.changes import actions
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.views.charts import round_up
@@ -221,6 +221,7 @@ _ROWS = {
     "handle": ("centre", "drop", "record"),
     "time": ("pause", "step", "slower", "faster"),
     "replay": ("start", "step back", "end", "loop"),
+    "rewind": REWINDS[1:],
     "skip": ("skip back", "skip forward"),
     "tour": ("back", "next"),
 }
@@ -256,6 +257,9 @@ class Panel:
         if snapshot.duration is not None:
             hint, bounds = "moment of the recording", (0.0, snapshot.duration)
             self._time = Slider(gui, "time", "time [s]", hint, snapshot.time, bounds, ask, room=snapshot.duration)
+        elif snapshot.rewound is not None and settings:
+            hint, bounds = "pauses, and shows the scene as it was before", (0.0, KEPT)
+            self._time = Slider(gui, "rewind", "rewind [s]", hint, 0.0, bounds, ask, room=KEPT)
         self._add_views()
         self.show(snapshot)
 
@@ -272,7 +276,7 @@ class Panel:
         for each, value in self._followed:
             each.show(value(snapshot))
         if self._time is not None:
-            self._time.show(round(snapshot.time, 2))
+            self._time.show(round(snapshot.time if snapshot.rewound is None else snapshot.rewound, 2))
 
     def _make_buttons(self, snapshot: Snapshot) -> None:
         """Make a button for each action without another control."""
@@ -281,6 +285,7 @@ class Panel:
         shown = {name for row in _ROWS.values() for name in row} | {
             EMERGENCY_STOP,
             "next scene",
+            REWINDS[0],
             *actions(type(snapshot.scene)),
         }
         others = tuple(name for name in known if name not in shown and not name.startswith(_SCENE))

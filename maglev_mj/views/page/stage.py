@@ -14,7 +14,7 @@ from trimesh.transformations import quaternion_matrix
 from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
-from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
+from maglev_mj.colours import DEVICE, FIRST, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, GRIP, KNOB, LEAST_FORCE, UNDER_KNOB, Shape, arrow_start, shapes, wall_plate
 from maglev_mj.session import Snapshot
@@ -303,12 +303,10 @@ class Stage:
         for arrow, wrench in zip(self._arrows, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
             arrow.show(knob, wrench[:3])
         self._show_walls(snapshot)
-        anchors = np.full(6, np.nan) if snapshot.anchors is None else snapshot.anchors
-        stuck = not np.isnan(anchors).all()
-        if stuck:
-            place = np.where(np.isnan(anchors), pose, anchors)
+        if (place := snapshot.ghost) is not None:
             self._place(self._ghost, np.concatenate([place[:3] + rotation_matrix(place[3:]) @ GRIP, place[3:]]))
-        update(self._ghost, visible=stuck)
+            update(self._ghost, color=_bytes(FIRST if len(snapshot.first) else STUCK))
+        update(self._ghost, visible=place is not None)
         said = banner(snapshot)
         words = self.hint if said is None else said.text.split(":")[0]
         words = ", ".join(filter(None, (words, motion_words(self.factor))))

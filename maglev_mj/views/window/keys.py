@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 import glfw
 
 from maglev_mj.parameters import flag
-from maglev_mj.session import EMERGENCY_STOP
+from maglev_mj.session import EMERGENCY_STOP, REWINDS
 
 SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY = "screenshot", "axis of the plots", "camera", "keys", "magnify motion"
 """Actions of every window."""
@@ -42,7 +42,9 @@ _KEYS = (
     Key(glfw.KEY_SLASH, "/", "centre", "place"),
     Key(glfw.KEY_SPACE, "Space", "pause", "pause", "pause"),
     Key(glfw.KEY_LEFT, "Left", "step back", "pause"),
+    Key(glfw.KEY_LEFT, "Left", "rewind", "pause", "rewind 1 s"),
     Key(glfw.KEY_RIGHT, "Right", "step", "pause", "one step"),
+    Key(glfw.KEY_DELETE, "Delete", "same hand again", "again"),
     Key(glfw.KEY_MINUS, "-", "slower", "speed"),
     Key(glfw.KEY_EQUAL, "=", "faster", "speed"),
     Key(glfw.KEY_DOWN, "Down", "skip back", "skip"),
@@ -90,7 +92,7 @@ See `_SWITCHES`.
 """
 
 _Name = TypeVar("_Name")
-_NAMED = {key.action for key in _KEYS}
+_NAMED = {*(key.action for key in _KEYS), *REWINDS}
 _CHOOSES = "scene "
 HAND = "drag the knob"
 """Mouse action that pulls the flotor."""

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from maglev_mj.colours import DEVICE, HAND, STOP, STUCK, TOUCHED, WALL, Colour
+from maglev_mj.colours import DEVICE, FIRST, HAND, STOP, STUCK, TOUCHED, WALL, Colour
 from maglev_mj.frames import AXES, Array, quaternion, rotation_matrix
 from maglev_mj.lazy import mujoco
 from maglev_mj.plants.model import COILS, load_model
@@ -128,7 +128,7 @@ def _zoom(view: Area, free: Area) -> float:
     return max(_HIGH * view.height / max(free.height, 1), _WIDE * view.height / max(free.width, 1))
 
 
-_WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), (*STUCK, 0.40), (*STOP, 0.40)
+_WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), 0.40, (*STOP, 0.40)
 _EDGE = 0.6  # of a wall's colour: glass is faint, so that colours behind it stay what they are
 _COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
 _MOST = Spec.peak_current.value
@@ -201,7 +201,7 @@ class Scenery:
     def decorate(self, scene: Any, snapshot: Snapshot, factor: float = 1.0) -> None:
         """Add all further shapes to a scene of the engine.
 
-        They are walls, stops, coils, forces and the stick position.
+        They are walls, stops, coils, forces, and the stick position or the first try.
 
         Args:
             scene: The engine's scene.
@@ -220,8 +220,8 @@ class Scenery:
             self._draw_plate(scene, face, _STOP, wider)
         if stops.turning:
             self._draw_ring(scene, snapshot.pose, _STOP)
-        if snapshot.anchors is not None:
-            self._draw_ghost(scene, snapshot)
+        if (ghost := snapshot.ghost) is not None:
+            self._draw_ghost(scene, snapshot.pose, ghost, FIRST if len(snapshot.first) else STUCK)
         knob = snapshot.pose[:3] + rotation_matrix(snapshot.pose[3:]) @ GRIP
         hand, device, stop = snapshot.hand[:3], snapshot.force[:3], snapshot.stops[:3]
         _draw_arrow(scene, knob, hand, HAND)
@@ -302,18 +302,11 @@ class Scenery:
         place = pose[:3] + turn @ [0.0, 0.0, UNDER_KNOB + 0.0012]
         _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], place, turn.ravel(), colour)
 
-    def _draw_ghost(self, scene: Any, snapshot: Snapshot) -> None:
-        """Draw the handle at its stick position.
-
-        On axes that do not stick it has the position of the handle.
-        """
-        assert snapshot.anchors is not None
-        if np.isnan(snapshot.anchors).all():
-            return
-        stuck = np.where(np.isnan(snapshot.anchors), snapshot.pose, snapshot.anchors)
-        for shape, place, turn in self._moved_handle(snapshot.pose, stuck):
+    def _draw_ghost(self, scene: Any, pose: Array, ghost: Array, colour: Colour) -> None:
+        """Draw the handle at another pose."""
+        for shape, place, turn in self._moved_handle(pose, ghost):
             size = self.model.geom_size[shape] * _GHOST_SIZE
-            _add(scene, int(self.model.geom_type[shape]), size, place, turn.ravel(), _GHOST)
+            _add(scene, int(self.model.geom_type[shape]), size, place, turn.ravel(), (*colour, _GHOST))
 
     def _moved_handle(self, start: Array, end: Array) -> list[tuple[int, Array, Array]]:
         """Return the handle's shapes, with place and rotation, moved between two poses."""

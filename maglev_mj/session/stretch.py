@@ -1,0 +1,267 @@
+"""Stretch of a session, a scene running with constant parameters; and the last minute of all."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import ControlLoop, Record
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import ZERO, Array, Command, Component, Sample, Six
+from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.plants.base import restore, states_of
+from maglev_mj.plants.hand import HandForce, State
+from maglev_mj.plants.trace import EnergyAccount
+from maglev_mj.recording import RecordingFile, setup_of
+from maglev_mj.recording.setup import attach_model, attach_source
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.find import reference_of, source_of
+from maglev_mj.session.snapshot import SHOWN, History
+from maglev_mj.spec import Spec
+
+KEPT = 60.0
+"""Longest time that a session can be rewound [s]."""
+
+_EVERY = 0.5
+"""Time between two states that are kept [s]."""
+
+_MOST_STATES = 160  # those of a minute, and some of changes: each keeps a plant of half a megabyte
+_MOST_POINTS = 200
+_ROUNDING = 1e-9
+
+
+def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **details: Any) -> Record:
+    """Begin a stretch of a recording with a scene's metadata.
+
+    Args:
+        file: The file.
+        scene: The scene.
+        plant: The controlled plant.
+        controller: The controller.
+        details: Further arguments of `setup_of`.
+    """
+    cls = type(scene)
+    attach_model(file, scene.model)
+    attach_source(file, cls)
+    details |= {"scene": reference_of(cls), "source": source_of(cls), "parameters": scene.as_json(), "axis": scene.axis}
+    return file.begin(plant, controller, setup_of(plant, controller, **details))
+
+
+class LiveStretch:
+    """Scene running with constant parameters from a given state.
+
+    Args:
+        scene: The scene.
+        hand: The hand.
+        pose: Initial pose [m, rad].
+        twist: Initial twist [m/s, rad/s].
+        wrench: Coil wrench until the first command takes effect [N, N m].
+        file: Recording of every sample; None for none.
+        began: Session time at the start [s].
+        keep: Called after each tick with a row of history, see `History.add`.
+
+    Attributes:
+        scene: The scene.
+        energy: Energy balance.
+        pulsed: True if the last command had a pulse.
+        ticks: Samples answered.
+        every: Samples from one state that is kept to the next.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        hand: HandForce,
+        *,
+        pose: Sequence[float],
+        twist: Sequence[float] = ZERO,
+        wrench: Sequence[float],
+        file: RecordingFile | None,
+        began: float,
+        keep: Callable[..., object],
+    ) -> None:
+        self.plant = live_plant(scene, hand, pose=pose, twist=twist, wrench=wrench)
+        self.controller = scene.controller()
+        self._carried = self.controller.carried
+        self.energy = EnergyAccount(np.array(pose), self._carried)
+        self.scene, self._keep, self._began = scene, keep, began
+        self.ticks, self._period = 0, scene.period
+        self.every = max(round(_EVERY / scene.period), 1)
+        self.pose, self.twist = np.array(pose, dtype=np.float64), np.array(twist, dtype=np.float64)
+        self.force: Sequence[float] = wrench
+        self.pulsed = False
+        self.begin(hand, file)
+
+    def begin(self, hand: HandForce, file: RecordingFile | None) -> None:
+        """Go on by a hand, recorded from here on; None for no file."""
+        self.plant.hold(hand)
+        name, record = f"scene {self.scene.name}", None
+        if file is not None:
+            record = begin_scene(file, self.scene, self.plant, self.controller, name=name, before=self.force)
+        self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
+
+    def tick(self) -> None:
+        """Answer one sample."""
+        self._loop.cycle()
+        self.ticks += 1
+
+    def saved(self) -> Any:
+        """Return the present state between two ticks, for `restore`."""
+        return states_of(self, self.controller, self.energy), self.plant.saved()
+
+    def restore(self, saved: Any, efforts: Sequence[Six]) -> None:
+        """Go back to a saved state, and run again by the hand's wrenches [N, N m]."""
+        states, plant = saved
+        restore(states)
+        self.plant.restore(plant)
+        again = iter(efforts)
+        self.begin(lambda *_: next(again), None)
+        for _ in efforts:
+            self.tick()
+
+    @property
+    def time(self) -> float:
+        """Time of the session [s]."""
+        return self._began + self.ticks * self._period
+
+    @property
+    def rendered(self) -> Array:
+        """Device wrench without weight compensation [N, N m], (6,)."""
+        rendered: Array = np.array(self.force) - self._carried
+        return rendered
+
+    def _observe(self, sample: Sample, applied: Command) -> None:
+        plant = self.plant
+        self.pose, self.twist = plant.state()
+        effort = plant.hand_wrench
+        self.energy.add(self.pose, effort, plant.work)
+        self.force = applied.force
+        self.pulsed = applied.extra is not None and any(applied.extra)
+        self._keep(self.time, self.pose, self.twist, self.rendered, effort)
+
+
+def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
+    """Return a scene's plant with stops and current limits.
+
+    At most 10 A in each coil unless the scene has another limit.
+
+    Args:
+        scene: The scene.
+        hand: The hand on the flotor; its attribute `hand`, if any, is its impedance.
+        start: Pose, twist and wrench in place of the scene's own.
+    """
+
+    def make(timing: Timing, **options: Any) -> MuJoCoPlant:
+        limits: dict[str, Any] = {"current_limit": Spec.peak_current.value, "stops": True, "metered": True}
+        return MuJoCoPlant(timing, **limits | options | {"hand_force": hand, "hand": getattr(hand, "hand", None)})
+
+    plant = scene.plant(make, **start)  # type: ignore[arg-type]
+    assert isinstance(plant, MuJoCoPlant)
+    return plant
+
+
+class _Saved(NamedTuple):
+    time: float
+    stretch: LiveStretch
+    state: Any
+
+
+class HandAgain:
+    """Hand of recorded samples, by the session's time; another one after their end.
+
+    Args:
+        rows: Samples in the form of `History.rows`.
+        end: End of the last one [s].
+        clock: Time of the present sample [s].
+        after: Hand that takes over.
+
+    Attributes:
+        hand: Its impedance.
+    """
+
+    def __init__(self, rows: Array, end: float, clock: Callable[[], float], after: HandForce) -> None:
+        self._times, self._efforts = rows[:, 0].tolist(), rows[:, 19:]
+        self._end, self._clock, self._after, self.hand = end, clock, after, getattr(after, "hand", None)
+
+    def __call__(self, tick: int, time: Component, state: State) -> Six:
+        """See `HandForce`."""
+        now = self._clock() + _ROUNDING
+        place = bisect_right(self._times, now) - 1
+        if place < 0 or now >= self._end:
+            return self._after(tick, time, state)
+        effort: list[float] = self._efforts[place].tolist()
+        return effort
+
+
+class Past:
+    """Samples and states of the last minute, or since the last start.
+
+    Attributes:
+        history: Samples up to the time shown.
+        rewound: True while an earlier time is shown.
+    """
+
+    def __init__(self) -> None:
+        self.history, self._states = History(KEPT), deque[_Saved](maxlen=_MOST_STATES)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything, at the start of a scene."""
+        self.history.clear()
+        self._states.clear()
+        self.rewound, self._end = False, 0.0
+        self._whole = self._first = self.history.rows
+
+    def keep(self, stretch: LiveStretch) -> None:
+        """Keep the present state of a running scene."""
+        for oldest in self.history.rows[:1, 0]:
+            while self._states and self._states[0].time < oldest - _ROUNDING:
+                self._states.popleft()
+        self._states.append(_Saved(stretch.time, stretch, stretch.saved()))
+
+    def bounds(self, now: float) -> tuple[float, float]:
+        """Return the earliest and the newest time that can be shown [s]."""
+        return self._states[0].time, self._end if self.rewound else now
+
+    def show(self, time: float, now: float) -> LiveStretch:
+        """Return the running scene of an earlier time, as it was then.
+
+        It is run again from the last state kept before, by the recorded hand.
+
+        Args:
+            time: That time, within the bounds [s].
+            now: Present time [s].
+        """
+        if not self.rewound:
+            self.rewound, self._end, self._whole = True, now, self.history.rows
+        place = bisect_right(self._states, time + _ROUNDING, key=lambda one: one.time) - 1
+        _, stretch, state = self._states[place]
+        begin, end = np.searchsorted(self._whole[:, 0], (self._states[place].time - _ROUNDING, time - _ROUNDING))
+        self.history.replace(self._whole[:begin])  # the rest is added by the run
+        stretch.restore(state, self._whole[begin:end, 19:].tolist())
+        return stretch
+
+    def leave(self, now: float) -> tuple[Array, float]:
+        """Go on from the time shown; return the first try's samples, and their end [s]."""
+        if not self.rewound:
+            raise ParameterError("the same hand acts again after a rewind alone")
+        self.rewound = False
+        self._first = self._whole[np.searchsorted(self._whole[:, 0], now - _ROUNDING) :]
+        while self._states[-1].time > now + _ROUNDING:
+            self._states.pop()
+        return self._first, self._end
+
+    @property
+    def first(self) -> Array:
+        """Time and pose of the first try over the time shown, (N, 7), until its end."""
+        shown = self.history.last(SHOWN)[:, 0]
+        if self.rewound or not len(shown) or shown[-1] > self._end - _ROUNDING:
+            return np.empty((0, 7))
+        begin, end = np.searchsorted(self._first[:, 0], (shown[0] - _ROUNDING, shown[-1] + _ROUNDING))
+        return self._first[begin:end][:: -max(-(-(end - begin) // _MOST_POINTS), 1)][::-1, :7]

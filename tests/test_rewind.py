@@ -1,0 +1,238 @@
+"""Rewound sessions: the last minute, the same hand again, the first try beside it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.analysis.report import analyse
+from maglev_mj.control.loop import drive
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.plants import Sensor, SpotSensor, Timing
+from maglev_mj.plants.hand import RecordedHand
+from maglev_mj.recording import ArrayFile
+from maglev_mj.recording.verify import verify
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.session import EMERGENCY_STOP, KEPT, Pacer, Session, Snapshot, live_plant
+from maglev_mj.session.replay import Replay, rebuild, rebuild_for
+from maglev_mj.session.stretch import _MOST_STATES
+from maglev_mj.theory import largest_stable_stiffness
+from maglev_mj.views.charts import Charts
+from maglev_mj.views.remote import Inbox, RemoteViewer
+from tests.test_session_states import Program
+
+
+class Rough(Joystick):
+    """Joystick with everything that has a state: noise, lag, jitter, stops that rub."""
+
+    def timing(self, phase: Any = 0.0) -> Timing:
+        return Timing(period=self.period, delay=self.delay, phase=phase, jitter=2e-5, seed=3)
+
+    def plant_options(self) -> dict[str, Any]:
+        return {"sensor": self.sensor(), "driver_lag": True, "stop_damping": True, "force_falloff": 0.1}
+
+    def sensor(self) -> Any:
+        return Sensor(quantum=1e-6, noise=2e-6, seed=5)
+
+
+class Spots(Rough):
+    """The same with the device's own sensor, and more delay than a period."""
+
+    def timing(self, phase: Any = 0.0) -> Timing:
+        return Timing(period=self.period, delay=0.0024 + self.period, phase=phase)
+
+    def sensor(self) -> Any:
+        return SpotSensor(quantum=1e-6, noise=1e-6, seed=5)
+
+
+def made(scene: Scene | None = None, **options: Any) -> Session:
+    """Return a session that no slow machine can make late."""
+    return Session(scene, pacer=Pacer(budget=60.0, patience=3600.0), **options)
+
+
+def played(session: Session, duration: float, size: float = 5e-3) -> Session:
+    """Move the hand on all axes, also into walls and stops, and let go at last."""
+    for frame in range(round(duration / 0.02)):
+        x, y, z = (size * np.sin(frame / rate) for rate in (7.0, 5.0, 11.0))
+        session.hand.target = [x, y, z, 0.1 * np.sin(frame / 9.0), 0.1 * np.cos(frame / 6.0), 0.0]
+        session.tick(0.02)
+    session.hand.target = None
+    return session
+
+
+def rows(session: Session) -> Array:
+    """Return all samples that are kept."""
+    return session._past.history.rows
+
+
+def run_to(session: Session, end: float) -> None:
+    """Run until a time of the session."""
+    period = session.snapshot().scene.period
+    for _ in range(round((end - session.snapshot().time) / period)):
+        session.tick(period)
+    assert session.snapshot().time == pytest.approx(end, abs=1e-9)
+
+
+@pytest.mark.parametrize("period", [0.005, 0.001])
+@pytest.mark.parametrize("make", [*(find_scene(name) for name in BUILT_IN), Rough, Spots], ids=lambda one: one.name)
+def test_the_same_hand_again_moves_it_alike_to_the_last_bit(make: type[Scene], period: float) -> None:
+    session, random = made(make(period=period)), np.random.default_rng(7)
+    played(session, 0.7 if issubclass(make, Rough) else 1.3)  # a state is kept between
+    first, end = rows(session).copy(), session.snapshot().time
+    assert np.ptp(first[:, 1:4]) > 1e-4
+    for branch in range(4):
+        if branch % 2:
+            session.rewind(random.uniform(0.0, end), again=True)
+        else:  # a gain that is changed and changed back changes nothing
+            session.change({"rewind": random.uniform(0.0, end)})
+            session.change({"delay": 0.0012})
+            session.tick(0.2)
+            session.change({"delay": make(period=period).delay})
+            session.act("same hand again")
+        run_to(session, end)
+        assert rows(session).tobytes() == first.tobytes()
+
+
+@pytest.mark.parametrize("again", [True, False])
+def test_a_changed_gain_gives_the_run_from_the_same_state(again: bool) -> None:
+    session = played(made(), 2.0)
+    first, end = rows(session).copy(), session.snapshot().time
+    session.change({"rewind": end - 1.2})
+    session.change({"stiffness": 3000.0})
+    shown, wrench = session.snapshot(), session._stretch.force
+    session.act("same hand again" if again else "go on from here")
+    run_to(session, end)
+    stretch = session._stretch
+    efforts = first[240:, 19:] if again else np.zeros((160, 6))
+    assert shown.time == pytest.approx(1.2) and shown.state == "paused"
+    assert shown.pose.tobytes() == first[239, 1:7].tobytes()
+    scene, hand = Joystick(stiffness=3000.0), RecordedHand(efforts)
+    plant = live_plant(scene, hand, pose=first[239, 1:7], twist=first[239, 7:13], wrench=wrench)
+    poses: list[Array] = []
+    drive(plant, scene.controller(), 160, observe=lambda sample, command: poses.append(plant.state()[0]))
+    assert stretch.scene == scene and np.array(poses).tobytes() == rows(session)[240:, 1:7].tobytes()
+    assert np.array(poses).tobytes() != first[240:, 1:7].tobytes()
+
+
+def test_the_first_try_is_shown_until_its_end_and_the_live_hand_follows() -> None:
+    session = played(made(), 1.0)
+    first, end = rows(session).copy(), session.snapshot().time
+    assert not len(session.snapshot().first) and session.snapshot().ghost is None
+    session.rewind(0.5, again=True)
+    session.change({"damping": 30.0})
+    run_to(session, 0.75)
+    now, found = session.snapshot(), Charts(100).of(session.snapshot(), 2)[0]
+    assert now.ghost is not None and now.ghost.tobytes() == first[149, 1:7].tobytes()
+    assert (now.ghost != now.pose).any() and now.hand.tobytes() == first[149, 19:].tobytes()
+    assert [words for words, _ in found.title] == ["z [mm]", "walls", "first try"]
+    assert np.asarray(found.lines[-2].y)[-1] == pytest.approx(1e3 * now.ghost[2])
+    session.hand.target = [0.002, 0.0, 0.0, 0.0, 0.0, 0.0]
+    run_to(session, end + 0.05)
+    after = session.snapshot()
+    assert not len(after.first) and after.hand[0] > 0.0
+
+
+def test_no_more_than_a_minute_is_kept_whatever_is_changed() -> None:
+    session = made()
+    past, most = session._past, KEPT / 0.005
+    for _ in range(62):
+        session.tick(1.0)
+    least, now = past.bounds(session.snapshot().time)
+    assert KEPT - 0.6 < now - least <= KEPT and len(past._states) <= KEPT / 0.5 + 1
+    for stiffness in range(200):
+        session.change({"stiffness": 3000.0 + stiffness})
+        session.tick(0.1)
+    assert len(past._states) == _MOST_STATES
+    assert len(rows(session)) <= most + 1 and len(past.history._rows) <= 2 * most + 1024
+    least, now = past.bounds(session.snapshot().time)
+    session.change({"rewind": 60.0})
+    shown = session.snapshot()
+    assert 10.0 < now - least < KEPT and shown.time == pytest.approx(least)
+    assert shown.scene == past._states[0].stretch.scene != Joystick(stiffness=3199.0)
+
+
+def test_a_recording_goes_on_and_loses_nothing() -> None:
+    file = ArrayFile()
+    session = played(made(file=file), 1.0)
+    session.rewind(0.4, again=True)
+    run_to(session, 1.0)
+    session.change({"rewind": 0.3})
+    session.change({"stiffness": 3000.0})
+    session.act("pause")
+    session.tick(0.3)
+    session.close()
+    recording = file.recording
+    assert [len(one) for one in recording.stretches] == [200, 120, 60]
+    again = recording.stretches[1]
+    assert again.position.tobytes() == recording.stretches[0].position[80:].tobytes()
+    assert rebuild_for(again) is None  # it has begun before: only the other two are whole runs
+    assert all(verify(replace(recording, stretches=[recording.stretches[place]]), rebuild).same for place in (0, 2))
+    assert len(analyse(again, None).recorded.motion.time) == 120
+    assert Replay(recording).snapshot().duration == pytest.approx(1.9)
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (lambda session: session.rewind(1.1), "time must be .* at least 0 and at most 1, not 1.1"),
+        (lambda session: session.rewind(-0.1), "time must be .* at least 0"),
+        (lambda session: session.rewind(0.5, again="yes"), "again must be"),
+        (lambda session: session.change({"rewind": 61.0}), "rewind must be .* at most 60, not 61"),
+        (lambda session: session.act("same hand again"), "same hand acts again after a rewind alone"),
+    ],
+)
+def test_a_rewind_that_is_refused_says_why(ask: Callable[[Session], Any], said: str) -> None:
+    session = played(made(), 1.0)
+    with pytest.raises(ParameterError, match=said):
+        ask(session)
+
+
+def test_an_unstable_scene_is_rewound_and_an_emergency_stop_stays() -> None:
+    limit = float(largest_stable_stiffness(87.0, period=0.005, delay=0.0015))
+    session = made(Drop(pulse=0.0, stiffness=1.5 * limit, damping=87.0))
+    session.tick(8.0)
+    assert session.snapshot().reason.startswith("the rendered world made")
+    session.act("rewind")
+    session.change({"stiffness": 0.5 * limit})
+    session.act("pause")
+    session.tick(1.0)
+    assert session.snapshot().state == "running"
+    session.act("rewind")
+    session.act(EMERGENCY_STOP)
+    session.act("go on from here")
+    assert session.tick(0.5) == 0 and session.snapshot().reason == EMERGENCY_STOP
+    session.act("centre")
+    assert session.tick(0.1) == 20 and session.snapshot().rewound == 0.0
+
+
+def test_single_steps_go_on_from_there_and_a_program_waits_for_none() -> None:
+    program = Program()
+    session = played(made(publishers=[program]), 1.0, size=1e-3)
+    session.change({"rewind": 0.5})
+    program.wanted = Joystick(stiffness=3000.0)
+    session.tick(0.1)
+    before = session.snapshot()
+    assert program.answers == [before.tick] and before.time == pytest.approx(0.5)
+    session.act("step")
+    assert session.tick(0.1) == 1
+    now = session.snapshot()
+    assert now.state == "paused" and session._stretch.scene == Joystick(stiffness=3000.0)
+    assert now.rewound == 0.0 and now.time == pytest.approx(0.505)
+
+
+def test_of_many_rewinds_the_newest_is_shown_and_a_device_has_none() -> None:
+    inbox = Inbox(clock=lambda: 0.0)
+    for place in range(1000):
+        inbox.put("change", {"rewind": place * 0.05})
+    assert list(inbox.take()) == [("change", {"rewind": 999 * 0.05})]
+    viewer = object.__new__(RemoteViewer)
+    said = list[str]()
+    viewer._scene, viewer._note = Joystick(), type("Said", (), {"say": staticmethod(said.append)})()
+    assert viewer._asked("change", {"rewind": 1.0}) is None and viewer._asked("act", "rewind") is None
+    assert said == 2 * ["rewind is for a simulation: a device cannot be rewound"]
+    assert Snapshot(scene=Joystick()).rewound is None
