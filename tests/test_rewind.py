@@ -1,7 +1,10 @@
 """Rewound sessions: the last minute, the same hand again, the first try beside it."""
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -50,13 +53,20 @@ class Spots(Rough):
         return SpotSensor(quantum=1e-6, noise=1e-6, seed=5)
 
 
+class Locked(Rough):
+    """The same with a sensor of one's own that cannot be copied."""
+
+    def sensor(self) -> Any:
+        return SimpleNamespace(start=lambda: partial(lambda lock, position: [*position], threading.Lock()))
+
+
 def made(scene: Scene | None = None, **options: Any) -> Session:
     """Return a session that no slow machine can make late."""
     return Session(scene, pacer=Pacer(budget=60.0, patience=3600.0), **options)
 
 
 def played(session: Session, duration: float, size: float = 5e-3) -> Session:
-    """Move the hand on all axes, also into walls and stops, and let go at last."""
+    """Move the hand on all axes, also into walls and stops, and release it."""
     for frame in range(round(duration / 0.02)):
         x, y, z = (size * np.sin(frame / rate) for rate in (7.0, 5.0, 11.0))
         session.hand.target = [x, y, z, 0.1 * np.sin(frame / 9.0), 0.1 * np.cos(frame / 6.0), 0.0]
@@ -79,7 +89,9 @@ def run_to(session: Session, end: float) -> None:
 
 
 @pytest.mark.parametrize("period", [0.005, 0.001])
-@pytest.mark.parametrize("make", [*(find_scene(name) for name in BUILT_IN), Rough, Spots], ids=lambda one: one.name)
+@pytest.mark.parametrize(
+    "make", [*(find_scene(name) for name in BUILT_IN), Rough, Spots, Locked], ids=lambda one: one.name
+)
 def test_the_same_hand_again_moves_it_alike_to_the_last_bit(make: type[Scene], period: float) -> None:
     session, random = made(make(period=period)), np.random.default_rng(7)
     played(session, 0.7 if issubclass(make, Rough) else 1.3)  # a state is kept between

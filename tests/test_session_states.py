@@ -163,7 +163,7 @@ class SessionStates(RuleBasedStateMachine):
 
     @rule(back=st.sampled_from([0.0, 0.03, 0.4]), again=st.booleans())
     def rewind(self, back: float, again: bool) -> None:
-        """Go back, which pauses and stops no more, with the scene of then; let the hand act again."""
+        """Go back, which pauses, to the scene of then; let the hand act again."""
         before = self.session.snapshot()
         self.session.change({"rewind": back})
         shown = self.session.snapshot()

@@ -33,6 +33,7 @@ from maglev_mj.plants.engine import (
 )
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import COILS, Model, load_model
+from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
 
 _Kept: TypeAlias = tuple[Sequence[float], Sequence[float], Drive]
@@ -299,21 +300,21 @@ class MuJoCoPlant(SampledPlant):
     def saved(self) -> tuple[Any, ...]:
         """Return the present state between two ticks, for `restore`.
 
-        A sensor of one's own is saved if its state is in an object, not in a function's variables.
+        A sensor of one's own is saved if it can be copied: with its state in an object, not in a function's variables.
         """
         kind = mujoco.mjtState.mjSTATE_INTEGRATION
         state = np.empty(mujoco.mj_stateSize(self._model, kind))
         mujoco.mj_getState(self._model, self._data, state, kind)
         parts = (self, self._timeline, self._steps, self._steps.stops, self._coil_drive)
         states = states_of(*(part for part in parts if part is not None))
-        return states, state, self._angle, deepcopy(self._sensor)
+        return states, state, self._angle, _copy_of(self._sensor)
 
     def restore(self, saved: tuple[Any, ...]) -> None:
         """Go back to a state of `saved`, from which motion is the same again."""
         states, state, self._angle, sensor = saved
         restore(states)
         mujoco.mj_setState(self._model, self._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
-        direct, self._sensor = self._measure is self._sensor, deepcopy(sensor)
+        direct, self._sensor = self._measure is self._sensor, _copy_of(sensor)
         if direct:
             self._measure = self._sensor
 
@@ -452,6 +453,13 @@ class MuJoCoPlant(SampledPlant):
         twist, matrices = np.array(velocities), _matrices(np.array(places)[:, 3:])
         twist[:, 3:] = np.matmul(matrices.reshape(-1, 3, 3), twist[:, 3:, None])[..., 0]
         return np.array(pose), twist, np.array([self._wrench(*one) for one in zip(actings, places)])
+
+
+def _copy_of(sensor: Measure | None) -> Measure | None:
+    try:
+        return deepcopy(sensor)
+    except Exception:  # of one's own, with a lock or the like: it stays as it is
+        return sensor
 
 
 def _of_currents(currents: Sequence[float]) -> Drive:

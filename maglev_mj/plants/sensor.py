@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from operator import add
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -293,6 +294,9 @@ class PoseTracker:
                     self._last = turn
                     return list(pose)
         raise self._lost(spots)
+
+    def __deepcopy__(self, memo: object) -> Self:
+        return copy(self)  # what it fills at each search needs no second one
 
     def reset(self) -> None:
         """Forget the last pose: the next search begins upright."""
