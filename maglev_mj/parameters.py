@@ -7,23 +7,26 @@ A class of declared parameters gets its checks, its JSON and its command-line op
 from __future__ import annotations
 
 import inspect
+import json
 import math
 import sys
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, Self, Union, dataclass_transform, get_args, get_origin, get_type_hints
+from pathlib import Path
+from typing import Any, Literal, Self, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.errors import ParameterError, check_one_of, not_one_of
+from maglev_mj.errors import MaglevError, ParameterError, check_one_of, not_one_of
 from maglev_mj.frames import AXES, Array, Component
 
 _NO_NUMBERS = bool, np.bool_, str, bytes
 """Types accepted by float(), but refused as numbers."""
 
 _LARGEST = sys.float_info.max
+_T = TypeVar("_T")
 
 
 def flag(name: str, value: object) -> bool:
@@ -518,3 +521,28 @@ def _declared(cls: type, item: Any, hint: Any) -> Parameter:
     if declared["parse"] is None and (len(kinds) != 1 or kinds[0] not in (float, int, bool, str)):
         raise TypeError(f"{cls.__name__}.{item.name} must be float, int, bool or str, or have a `parse`, not {hint}")
     return Parameter(name=item.name, kind=object if declared["parse"] else kinds[0], default=item.default, **declared)
+
+
+def read_json(
+    kind: str, path: str | Path, parse: Callable[[Any], _T], error: type[MaglevError] = ParameterError, **options: Any
+) -> _T:
+    """Read a JSON file and return what `parse` makes of it.
+
+    Args:
+        kind: Kind of the file, for messages.
+        path: The file.
+        parse: Function of the content.
+        error: Type of the error that is raised.
+        options: Options of `json.loads`.
+
+    Raises:
+        MaglevError: Of that type, if the file cannot be read or parsed; one line with file and reason.
+    """
+    try:
+        return parse(json.loads(Path(path).read_text(encoding="utf-8"), **options))
+    except OSError as failure:
+        raise error(f"{kind} {str(path)!r} cannot be read: {failure.strerror}") from None
+    except MaglevError as failure:
+        raise error(f"{kind} {str(path)!r}: {failure}") from None
+    except (ValueError, RecursionError) as failure:
+        raise error(f"{kind} {str(path)!r} is not JSON: {failure}") from None

@@ -129,8 +129,7 @@ class CoreFirmware:
             lockstep=profile.lockstep,
         )
         known.calibration[:] = profile.calibration
-        if codec._authenticator is not None:
-            key = codec._authenticator._key
+        if (key := codec._key) is not None:
             known.key_length, known.key[:] = len(key), key[:32].ljust(32, b"\0")
         self._now, self._reading = 0, _Reading()
         self._told: list[Callable[[], None]] = []

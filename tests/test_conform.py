@@ -445,12 +445,12 @@ def test_a_twin_without_a_guard_fails(
 
 @pytest.mark.parametrize("check", sorted(TAGS))
 def test_a_keyed_twin_that_looks_at_no_tag_fails(check: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    changes = [("not hmac.compare_digest(data[end : end + TAG], self._authenticator.tag(data[:end]))", "False")]
+    changes = [("not hmac.compare_digest(data[end : end + TAG], _tag(data[:end], self._key))", "False")]
     if check == "no-tag":
         either = "len(data) not in (shape.size + 4, shape.size + self._overhead)"
         changes = [
             ("len(data) != shape.size + self._overhead", either),
-            ("self._authenticator is not None", "self._authenticator is not None and len(data) != shape.size + 4"),
+            ("self._key is not None", "self._key is not None and len(data) != shape.size + 4"),
         ]
     without(monkeypatch, Codec, "_reason", *changes)
     assert results_of(key=KEY, only=[check])[check].passed is False

@@ -280,7 +280,7 @@ def test_a_board_that_tells_no_heating_has_its_coils_heated_by_what_is_measured(
 @pytest.mark.parametrize("length", [15, 33])
 def test_it_does_not_start_with_a_key_of_another_length(length: int) -> None:
     codec = Codec(KEY)
-    codec._authenticator._key = bytes(length)  # type: ignore[union-attr]
+    codec._key = bytes(length)
     with pytest.raises(ValueError):
         CoreFirmware(PROFILE, Amplifiers(), codec, lambda: 1)
 

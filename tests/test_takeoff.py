@@ -14,7 +14,7 @@ import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.landing import Motion, _observed
+from maglev_mj.bridge.landing import Motion
 from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.twin.simulated_links import Impairment
@@ -39,7 +39,7 @@ RATES = [0.005, 0.001, 0.00025]
 
 def still(rig: Rig) -> Motion:
     """Return the result of a watch before takeoff."""
-    return _observed(rig.plant, 0.0)
+    return rig.plant._observed(0.0)
 
 
 @pytest.mark.parametrize("period", RATES)
@@ -282,7 +282,7 @@ def test_takeoff_and_landing_have_the_default_envelope_and_the_own_speed() -> No
 
 def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:
     # The first command leaves at the first sample after ARM, and costs no more than the later ones.
-    from maglev_mj.bridge import landing
+    from maglev_mj.bridge import landing, remote
 
     rig = Rig()
     line, armed, sent = rig.plant._line, [], []
@@ -294,8 +294,13 @@ def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: 
     def asked(operation: Operation, **keywords: Any) -> Any:
         answer = control(operation, **keywords)
         armed.append((rig.twin.tick, time.perf_counter()))
-        for name in ("Trajectory", "Controller", "Hold", "ControlLoop"):
-            monkeypatch.setattr(landing, name, forbidden)
+        for module, name in (
+            (landing, "Controller"),
+            (landing, "Hold"),
+            (remote, "Trajectory"),
+            (remote, "ControlLoop"),
+        ):
+            monkeypatch.setattr(module, name, forbidden)
         monkeypatch.setattr("gc.collect", forbidden)
         return answer
 

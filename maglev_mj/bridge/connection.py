@@ -8,29 +8,11 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, suppress
 from typing import NamedTuple, TypeVar
 
+from maglev_mj.bridge import wire
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.links import Link, open_link
 from maglev_mj.bridge.safety import OFF, Profile
-from maglev_mj.bridge.wire import (
-    VERSION,
-    WRAP,
-    Body,
-    Codec,
-    Command,
-    Control,
-    ControlAck,
-    Estop,
-    EstopAck,
-    Frame,
-    Hello,
-    HelloAck,
-    HelloStatus,
-    Operation,
-    State,
-    StateReport,
-    fault_names,
-    newer,
-)
+from maglev_mj.bridge.wire import WRAP, Codec, Frame, HelloStatus, Operation, State, StateReport, fault_names
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import number
@@ -109,12 +91,12 @@ def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], ob
 
     Other frames are passed to `aside`.
     """
-    body = Estop(draw())
+    body = wire.Estop(draw())
     start, times, answer = link.now(), Counter[int](), None
     confirmed, first = False, 0
     for data in _requested(link, codec, 0, body, _ESTOP_AGAIN, patience):
         frame = codec.decode(data)
-        if frame is None or not isinstance(frame.body, EstopAck) or frame.body.request != body.request:
+        if frame is None or not isinstance(frame.body, wire.EstopAck) or frame.body.request != body.request:
             if frame is not None:
                 aside(frame)
             continue
@@ -150,7 +132,9 @@ def exchange(
             yield data
 
 
-def _requested(link: Link, codec: Codec, session: int, body: Body, every: float, patience: float) -> Iterator[bytes]:
+def _requested(
+    link: Link, codec: Codec, session: int, body: wire.Body, every: float, patience: float
+) -> Iterator[bytes]:
     return exchange(link, lambda: codec.encode(session, 0, link.now(), body), link.receive, every, patience)
 
 
@@ -230,7 +214,7 @@ class Connection:
         self.settled = self.heard = self.latency = 0
         self._newest: int | None = None
         self._waiting: Frame | None = None
-        self._last: Command | None = None
+        self._last: wire.Command | None = None
         try:
             self._patience = number("patience", patience, above=0.0)
             self.codec = Codec(key)
@@ -252,7 +236,7 @@ class Connection:
         names, first = fault_names(one.faults), fault_names(one.first)
         return f"latched: {names}, {ago:.1f} s ago, first {first}" if one.faults else ""
 
-    def command(self, command: Command) -> None:
+    def command(self, command: wire.Command) -> None:
         """Send currents."""
         self._last = command
         self._sequence = (self._sequence + 1) & WRAP
@@ -282,7 +266,9 @@ class Connection:
         self.samples.count(frame.sequence, frame.time, skipped)
         return frame
 
-    def control(self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO) -> ControlAck | None:
+    def control(
+        self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO
+    ) -> wire.ControlAck | None:
         """Request a change of state; return the answer or None.
 
         The request is repeated until `patience` has passed.
@@ -290,10 +276,10 @@ class Connection:
         if not self.open:
             return None
         self._request += 1
-        body = Control(self._request, operation, faults, tuple(hover))
+        body = wire.Control(self._request, operation, faults, tuple(hover))
         for data in _requested(self._link, self.codec, self._session, body, AGAIN, self._patience):
             frame = self._trusted(data)
-            if frame is not None and isinstance(frame.body, ControlAck) and frame.body.request == self._request:
+            if frame is not None and isinstance(frame.body, wire.ControlAck) and frame.body.request == self._request:
                 self.settled = frame.time
                 return frame.body
             if frame is not None:
@@ -325,14 +311,14 @@ class Connection:
         self.open = False
         with suppress(Exception):
             if self._session:
-                bye = Control(1, Operation.BYE, 0, ZERO)
+                bye = wire.Control(1, Operation.BYE, 0, ZERO)
                 self._link.send(self.codec.encode(self._session, 0, self._link.now(), bye))
         with suppress(Exception):
             self._link.close()
 
-    def _join(self, calibration: bytes) -> HelloAck:
+    def _join(self, calibration: bytes) -> wire.HelloAck:
         """Send HELLO until the device answers."""
-        hello, versions = Hello(draw(), calibration), set[int]()
+        hello, versions = wire.Hello(draw(), calibration), set[int]()
         for patience in (self._patience, TAKEOVER):
             busy = False
             for data in _requested(self._link, self.codec, 0, hello, _HELLO_AGAIN, patience):
@@ -353,7 +339,7 @@ class Connection:
             reason += "; the key may be another"
         raise HandshakeError(f"no device answered within {self._patience:g} s{reason}")
 
-    def _welcome(self, data: bytes, hello: Hello, versions: set[int]) -> HelloAck | None:
+    def _welcome(self, data: bytes, hello: wire.Hello, versions: set[int]) -> wire.HelloAck | None:
         """Return the answer to a HELLO and store its session.
 
         None if data is no such answer. HandshakeError if the device refuses.
@@ -365,7 +351,7 @@ class Connection:
             versions.add(version)
             if self._keyed:  # the tag of another version cannot be checked: the sender is unknown
                 return None
-        if frame is not None and isinstance(frame.body, HelloAck):
+        if frame is not None and isinstance(frame.body, wire.HelloAck):
             answer = frame.body
             if answer.status == HelloStatus.VERSION:
                 version = answer.version
@@ -379,7 +365,9 @@ class Connection:
                     self._session, self._greeted = frame.session, frame.time
                 return answer
         if version is not None:
-            raise HandshakeError(f"the device speaks version {version} of the protocol, this host version {VERSION}")
+            raise HandshakeError(
+                f"the device speaks version {version} of the protocol, this host version {wire.VERSION}"
+            )
         return None
 
     def _trusted(self, data: bytes) -> Frame | None:
@@ -395,7 +383,7 @@ class Connection:
         if newest is not None and frame.sequence != (newest + 1) & WRAP:  # which few are
             if newest == frame.sequence and self.profile.lockstep and self._last is not None:
                 self.command(self._last)  # the device waits, so the answer was lost
-            if not newer(frame.sequence, newest):
+            if not wire.newer(frame.sequence, newest):
                 self.codec.dropped["old"] += 1
                 return False
         self._newest = frame.sequence
@@ -413,7 +401,7 @@ class Connection:
         return frame if frame is not None and isinstance(frame.body, StateReport) and self._is_newer(frame) else None
 
 
-def profile_of(welcome: HelloAck) -> Profile:
+def profile_of(welcome: wire.HelloAck) -> Profile:
     """Return a device's properties; HandshakeError if one is invalid."""
     try:
         number("state", welcome.state, at_least=0, at_most=max(State))
@@ -422,7 +410,7 @@ def profile_of(welcome: HelloAck) -> Profile:
         raise HandshakeError(f"the device says what cannot be: {error}") from None
 
 
-def _check_faults(welcome: HelloAck, time: int) -> None:
+def _check_faults(welcome: wire.HelloAck, time: int) -> None:
     """Refuse state and faults that contradict each other at a device's time [ns]."""
     faults = f"faults {fault_names(welcome.faults)}"
     for said, is_said in (

@@ -20,7 +20,7 @@ import numpy as np
 from maglev_mj.bridge.wire import Fault, Frame, State, StateReport, fault_names
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.parameters import flag
+from maglev_mj.parameters import flag, read_json
 from maglev_mj.result import Result, Table, number_text
 from maglev_mj.terminal import printable
 from maglev_mj.versions import versions
@@ -263,14 +263,7 @@ def load_black_box(path: str | Path) -> FaultRecord:
     Raises:
         BlackBoxError: If it cannot be read or is not a black box; one line with file and reason.
     """
-    try:
-        return _record(json.loads(Path(path).read_text(encoding="utf-8")))
-    except OSError as error:
-        raise BlackBoxError(f"black box {str(path)!r} cannot be read: {error.strerror}") from None
-    except BlackBoxError as error:
-        raise BlackBoxError(f"black box {str(path)!r}: {error}") from None
-    except (ValueError, RecursionError) as error:
-        raise BlackBoxError(f"black box {str(path)!r} is not JSON: {error}") from None
+    return read_json("black box", path, _record, BlackBoxError)
 
 
 def _record(told: Any) -> FaultRecord:

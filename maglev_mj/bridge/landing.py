@@ -1,37 +1,29 @@
-"""Takeoff and landing of a device, and the switch that lands or cuts a flight."""
+"""Path, rest and reports of takeoff and landing, and the switch that ends a flight."""
 
 from __future__ import annotations
 
-import gc
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import NamedTuple, NoReturn, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from maglev_mj.bridge.bench.calibration import Calibration
-from maglev_mj.bridge.connection import SampleCounter
-from maglev_mj.bridge.observer import CoilEstimator
 from maglev_mj.bridge.realtime import interrupt, stopping
-from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.loop import ControlLoop, Plant
-from maglev_mj.errors import MaglevError, PlantError, SensingError
+from maglev_mj.control.loop import Plant
+from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.parameters import number
 from maglev_mj.plants.hand import Trajectory
 from maglev_mj.scenes.find import line_of
-from maglev_mj.spec import Spec
 
 LANDING_TIME = 2.0
 """Longest landing before the currents are cut [s]."""
-
-_SETTLING, _WATCHING = 0.3, 0.2
-"""Longest wait for rest before disarming, and observation after it [s]."""
 
 TOLERATED = 0.02
 """Delay for which the hold of an early landing is chosen [s].
@@ -42,10 +34,6 @@ It is stable up to 59 ms at 200 Hz, 53 ms at 1 kHz.
 _DROPPED, _LONG = 0.3, 0.1
 """Speed of a dropped flotor [m/s], and time above it that cuts an early landing [s]."""
 
-_TRY = 0.15
-_TRIES = [7e-4, 0.0, 0.0, 0.0, 0.0, 0.007], [-3.5e-4, 6e-4, 0.0, 0.0, 0.0, -0.007], ZERO
-"""Poses around the centre that need each coil [m, rad], and time to each [s]."""
-
 _ASIDE, _ASKEW = 0.002, math.radians(3.0)
 
 _SLOW, _SLOW_SPIN = 5e-3, 0.1
@@ -54,52 +42,19 @@ _SLOW, _SLOW_SPIN = 5e-3, 0.1
 At 200 Hz they are 300 times the apparent speed due to noise of half a spot's step, and 3 times that due to 50 µm.
 """
 
-_ON_STOP = 0.6 * Spec.translation_range.value
 _WATCHED, _BLOCKS = 0.1, 5
 
 
-class GuidedPlant(Plant, Protocol):
-    """Interface of a device to takeoff and landing.
+class CutPlant(Plant, Protocol):
+    """Interface of a device to the switch that cuts its flight; see `RemotePlant`."""
 
-    Attributes:
-        calibration: Calibration of the device.
-        samples: Counter of received, lost and skipped samples.
-        state: State of the device at the last sample; `faults` are its faults then.
-        pose: Last known pose [m, rad].
-        rest: Pose before takeoff and target of the landing [m, rad].
-        guided: True in takeoff and landing: the default envelope applies if it is the larger.
-        doubt: Fault of the last sample's numbers, as text; empty if they are plausible.
-        disarmed: True after this host armed the device and switched the currents off.
-    """
-
-    calibration: Calibration
-    samples: SampleCounter
-    state: State
-    faults: Fault
-    pose: Sequence[float]
-    rest: Sequence[float]
-    guided: bool
-    doubt: str
     disarmed: bool
-
-    @property
-    def coils(self) -> CoilEstimator:
-        """Estimator of the coils' gains in takeoff."""
-
-    def arm(self) -> None:
-        """Switch the currents on."""
-
-    def disarm(self) -> None:
-        """Switch the currents off."""
 
     def estop(self) -> object:
         """Switch the currents off in any state and latch ESTOP."""
 
     def abort(self, reason: str) -> None:
         """Trip a device that this host armed; DeviceFault then."""
-
-    def fail(self, faults: Fault, message: str) -> NoReturn:
-        """Trip the device and raise DeviceFault."""
 
 
 class Motion:
@@ -239,88 +194,9 @@ class Leader:
         return self._controller.step(Sample(sample.tick, sample.time, off))
 
 
-def require_inactive(plant: GuidedPlant) -> None:
-    """Refuse a device that is not inactive."""
-    if plant.state is not State.INACTIVE:
-        raise PlantError(f"no takeoff: the device is {plant.state.name}, faults {fault_names(plant.faults)}")
-
-
-def take_off(
-    plant: GuidedPlant, leader: Leader, duration: float, watch: Callable[[], object] | None, tries: bool
-) -> None:
-    """Check rest, arm, and lead the flotor to the centre; see `RemotePlant.takeoff`."""
-    require_inactive(plant)
-    loop = ControlLoop(plant, leader)
-    gc.collect()
-    motion = _observed(plant, 0.0)
-    if plant.doubt or not motion.full:
-        raise PlantError(f"no takeoff: {plant.doubt or 'the flotor is not measured'}")
-    rest = motion.pose
-    if not motion.at_rest:
-        raise PlantError(f"no takeoff: the flotor moves at {motion}, and must rest")
-    if _off_stop(rest, plant.calibration.gravity.tolist()):
-        raise PlantError(f"no takeoff: the flotor is at {shown(rest)}, and must lie on its lower stop")
-
-    def astray(pose: Sequence[float]) -> NoReturn:
-        why = plant.coils.fault(lost=True)
-        plant.fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(pose)}, not where it is led" + f"; {why}" * bool(why))
-
-    leader.aim(straight(rest, rest, duration))
-    loop.cycle(2)  # the device ignores these answers; slow first calls are done
-    poses = [rest, ZERO, *(_TRIES if tries else ())]
-    times = [0.0, *(number("duration", duration, above=0.0) + _TRY * leg for leg in range(len(poses) - 1))]
-    leader.aim(Trajectory(times, poses), astray)
-    plant.arm()
-    plant.rest, plant.guided = rest, True
-    try:
-        ended = _lead(plant, loop, times[-1], watch)
-        why = plant.coils.fault() if tries and not ended else ""
-    finally:
-        plant.guided = False
-    if why:
-        land(plant, leader, duration, None)
-        raise PlantError(f"no flight: {why}; landed again: keep hands off while it takes off, or calibrate it anew")
-
-
-def land(plant: GuidedPlant, leader: Leader, duration: float, watch: Callable[[], object] | None) -> LandingReport:
-    """Lead the flotor back to its rest pose and disarm; see `RemotePlant.land`."""
-    loop, plant.guided = ControlLoop(plant, leader), True
-    leader.aim(straight(plant.pose, plant.rest, duration))
-    _lead(plant, loop, duration, watch)
-    end = plant.samples.tick + round(_SETTLING / plant.period)
-    while plant.samples.tick < end and not leader.motion.at_rest:
-        loop.cycle()
-    plant.disarm()
-    motion = _observed(plant, _WATCHING)
-    rests = motion.at_rest and not plant.doubt
-    return LandingReport(math.dist(motion.pose[:3], plant.rest[:3]), *motion.speeds, rests)
-
-
 def straight(start: Sequence[float], end: Sequence[float], duration: float) -> Trajectory:
     """Return the path between two poses [m, rad] in a time [s]."""
     return Trajectory([0.0, number("duration", duration, above=0.0)], [list(start), list(end)])
-
-
-def _lead(plant: GuidedPlant, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> bool:
-    """Run a loop for a time [s]; return True if it was ended early."""
-    end = plant.samples.tick + max(round(duration / plant.period), 1)
-    while plant.samples.tick < end:
-        loop.cycle()
-        if watch is not None and watch():
-            return True
-    return False
-
-
-def _observed(plant: GuidedPlant, duration: float) -> Motion:
-    """Observe motion for `duration` [s] and until known or doubtful."""
-    motion, plant.doubt = Motion(plant.period), ""
-    end = plant.samples.tick + round(duration / plant.period)
-    while plant.samples.tick < end or not (motion.full or plant.doubt):
-        try:
-            motion.add(plant.read())
-        except SensingError as error:
-            plant.doubt = str(error)
-    return motion
 
 
 class StopSwitch:
@@ -332,7 +208,7 @@ class StopSwitch:
 
     def __init__(self) -> None:
         self.landing = False
-        self._plant: GuidedPlant | None = None  # that flies
+        self._plant: CutPlant | None = None  # that flies
 
     def land(self) -> None:
         """Request landing, from any thread."""
@@ -353,7 +229,7 @@ class StopSwitch:
         return stopping(self.land, self.cut, within=LANDING_TIME)
 
     @contextmanager
-    def flying(self, plant: GuidedPlant) -> Iterator[None]:
+    def flying(self, plant: CutPlant) -> Iterator[None]:
         """Guard a flight: any error cuts its currents.
 
         An interrupt is an emergency stop, any other error a fault of the host.
@@ -387,14 +263,6 @@ class StopSwitch:
 
 def _speeds_shown(speed: float, spin: float) -> str:
     return f"{speed * 1e3:.2g} mm/s and {spin:.2g} rad/s"
-
-
-def _off_stop(pose: Sequence[float], gravity: Sequence[float]) -> bool:
-    """Return True if a pose is off the lower stop.
-
-    The stop is the lower one with respect to gravity [m/s²]; without gravity no pose is off it.
-    """
-    return sum(one * other for one, other in zip(pose, gravity)) < _ON_STOP * math.hypot(*gravity)
 
 
 def shown(position: Sequence[float]) -> str:

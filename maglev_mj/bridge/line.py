@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.bridge.landing import require_inactive
 from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.errors import ParameterError, SensingError
@@ -180,7 +179,7 @@ def measure_line(plant: RemotePlant, duration: float = 1.0) -> LineReport:
     Raises:
         PlantError: If the device is not inactive, or its samples end.
     """
-    require_inactive(plant)
+    plant.require_inactive()
     delays, answers, clocks = [], [], []
     stale, late = plant.limits.stale or math.inf, 0
     samples = plant.samples

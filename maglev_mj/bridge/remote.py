@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import warnings
 from collections.abc import Callable, Sequence
@@ -14,7 +15,7 @@ import numpy as np
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
-from maglev_mj.bridge.landing import TOLERATED, LandingReport, Leader, Swing, land, shown, take_off
+from maglev_mj.bridge.landing import TOLERATED, LandingReport, Leader, Motion, Swing, shown, straight
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import CoilEstimator, HandObserver
 from maglev_mj.bridge.safety import (
@@ -31,14 +32,26 @@ from maglev_mj.bridge.safety import (
 )
 from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Flag, Frame, Operation, State, StateReport, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
+from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.parameters import flag
+from maglev_mj.parameters import flag, number
+from maglev_mj.plants.hand import Trajectory
 from maglev_mj.plants.sensor import PoseTracker
+from maglev_mj.spec import Spec
 
 _INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
 _ENABLED, _HOLDING = Flag.ENABLED.value, Flag.HOLDING.value
 _NAN, _UNKNOWN = math.nan, (math.nan,) * 6
+_ON_STOP = 0.6 * Spec.translation_range.value
+
+_TRY = 0.15
+_TRIES = [7e-4, 0.0, 0.0, 0.0, 0.0, 0.007], [-3.5e-4, 6e-4, 0.0, 0.0, 0.0, -0.007], ZERO
+"""Poses around the centre that need each coil [m, rad], and time to each [s]."""
+
+_SETTLING, _WATCHING = 0.3, 0.2
+"""Longest wait for rest before disarming, and observation after it [s]."""
+
 _MOST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
@@ -344,7 +357,39 @@ class RemotePlant:
         """
         flag("tries", tries)
         self._check_open()
-        take_off(self, self._leader, duration, watch, tries)
+        self.require_inactive()
+        leader, loop = self._leader, ControlLoop(self, self._leader)
+        gc.collect()
+        motion = self._observed(0.0)
+        if self.doubt or not motion.full:
+            raise PlantError(f"no takeoff: {self.doubt or 'the flotor is not measured'}")
+        rest = motion.pose
+        if not motion.at_rest:
+            raise PlantError(f"no takeoff: the flotor moves at {motion}, and must rest")
+        gravity = self.calibration.gravity.tolist()
+        # with respect to gravity; without any no pose is off the lower stop
+        if sum(one * other for one, other in zip(rest, gravity)) < _ON_STOP * math.hypot(*gravity):
+            raise PlantError(f"no takeoff: the flotor is at {shown(rest)}, and must lie on its lower stop")
+
+        def astray(pose: Sequence[float]) -> NoReturn:
+            why = (said := self.coils.fault(lost=True)) and f"; {said}"
+            self.fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(pose)}, not where it is led{why}")
+
+        leader.aim(straight(rest, rest, duration))
+        loop.cycle(2)  # the device ignores these answers; slow first calls are done
+        poses = [rest, ZERO, *(_TRIES if tries else ())]
+        times = [0.0, *(number("duration", duration, above=0.0) + _TRY * leg for leg in range(len(poses) - 1))]
+        leader.aim(Trajectory(times, poses), astray)
+        self.arm()
+        self.rest, self.guided = rest, True
+        try:
+            ended = self._lead(loop, times[-1], watch)
+            why = self.coils.fault() if tries and not ended else ""
+        finally:
+            self.guided = False
+        if why:
+            self._landed(leader, duration, None)
+            raise PlantError(f"no flight: {why}; landed again: keep hands off while it takes off, or calibrate it anew")
 
     def land(
         self, duration: float = 0.6, *, watch: Callable[[], object] | None = None, reason: str = ""
@@ -364,7 +409,7 @@ class RemotePlant:
             DeviceFault: As for `takeoff`.
         """
         if not reason:
-            return land(self, self._leader, duration, watch)
+            return self._landed(self._leader, duration, watch)
         cycles, swing = self._box.cycles, Swing()
 
         def calm() -> bool:
@@ -372,9 +417,47 @@ class RemotePlant:
                 self.fail(Fault.HOST, f"{reason}; in the landing it still moved at {speed:.2f} m/s")
             return watch is not None and bool(watch())
 
-        report = land(self, self._tolerant, duration, calm)
+        report = self._landed(self._tolerant, duration, calm)
         path = self._box.write(Fault(0), reason, self._about(), cycles)
         return report._replace(reason=reason, path=path)
+
+    def require_inactive(self) -> None:
+        """Refuse a device that is not inactive."""
+        if self.state is not _INACTIVE:
+            raise PlantError(f"no takeoff: the device is {self.state.name}, faults {fault_names(self.faults)}")
+
+    def _landed(self, leader: Leader, duration: float, watch: Callable[[], object] | None) -> LandingReport:
+        """Lead the flotor back to its rest pose and disarm."""
+        loop, self.guided = ControlLoop(self, leader), True
+        leader.aim(straight(self.pose, self.rest, duration))
+        self._lead(loop, duration, watch)
+        end = self.samples.tick + round(_SETTLING / self.period)
+        while self.samples.tick < end and not leader.motion.at_rest:
+            loop.cycle()
+        self.disarm()
+        motion = self._observed(_WATCHING)
+        rests = motion.at_rest and not self.doubt
+        return LandingReport(math.dist(motion.pose[:3], self.rest[:3]), *motion.speeds, rests)
+
+    def _lead(self, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> bool:
+        """Run a loop for a time [s]; return True if it was ended early."""
+        end = self.samples.tick + max(round(duration / self.period), 1)
+        while self.samples.tick < end:
+            loop.cycle()
+            if watch is not None and watch():
+                return True
+        return False
+
+    def _observed(self, duration: float) -> Motion:
+        """Observe motion for `duration` [s] and until known or doubtful."""
+        motion, self.doubt = Motion(self.period), ""
+        end = self.samples.tick + round(duration / self.period)
+        while self.samples.tick < end or not (motion.full or self.doubt):
+            try:
+                motion.add(self.read())
+            except SensingError as error:
+                self.doubt = str(error)
+        return motion
 
     def _ask(self, operation: Operation, *, hover: Sequence[float] = ZERO) -> None:
         self._check_open()

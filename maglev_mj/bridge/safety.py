@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ from maglev_mj.bridge.wire import VERSION, Fault, HelloAck
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, clipped
-from maglev_mj.parameters import Parameters, flag, number, numbers, param, store
+from maglev_mj.parameters import Parameters, flag, number, numbers, param, read_json, store
 from maglev_mj.plants.coils import CoilMap, limited_wrench
 from maglev_mj.spec import Spec
 
@@ -149,17 +148,7 @@ class HostLimits(Parameters):
         Raises:
             ParameterError: If it cannot be read, or a value is outside its bounds; one line with file and value.
         """
-        try:
-            values = json.loads(Path(path).read_text(encoding="utf-8"))
-            if not isinstance(values, dict):
-                raise ParameterError(f"must be a JSON object of limits by name, not {values!r:.60}")
-            return cls.from_json(values)
-        except OSError as error:
-            raise ParameterError(f"profile {str(path)!r} cannot be read: {error.strerror}") from None
-        except ParameterError as error:
-            raise ParameterError(f"profile {str(path)!r}: {error}") from None
-        except (ValueError, RecursionError) as error:
-            raise ParameterError(f"profile {str(path)!r} is not JSON: {error}") from None
+        return read_json("profile", path, lambda values: cls.from_json(_by_name(values)))
 
     @property
     def wrench(self) -> list[float] | None:
@@ -177,6 +166,12 @@ class HostLimits(Parameters):
             continuous_current=steady,
             hover_limit=min(limits.hover_limit, current, steady),
         )
+
+
+def _by_name(values: Any) -> dict[str, Any]:
+    if not isinstance(values, dict):
+        raise ParameterError(f"must be a JSON object of limits by name, not {values!r:.60}")
+    return values
 
 
 def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits: Limits) -> str:

@@ -276,8 +276,10 @@ class Codec:
     """
 
     def __init__(self, key: bytes | None = None) -> None:
-        self._authenticator = None if key is None else Authenticator(key)
-        self._overhead = _CRC.size + (TAG if self._authenticator is not None else 0)
+        if key is not None and not LEAST_KEY <= len(key) <= MOST_KEY:
+            raise ParameterError(f"key must have {LEAST_KEY} to {MOST_KEY} bytes, not {len(key)}")
+        self._key = key
+        self._overhead = _CRC.size + (TAG if key is not None else 0)
         self.dropped: Counter[str] = Counter()
         self.version_met: int | None = None
 
@@ -289,8 +291,8 @@ class Codec:
         number = _NUMBERS[body.__class__]
         values = _FLAT[number](body) if number in _FLAT else body
         data = _STRUCTS[number].pack(MAGIC, VERSION, number, session, sequence & WRAP, time, *values)
-        if self._authenticator is not None:
-            data += self._authenticator.tag(data)
+        if self._key is not None:
+            data += _tag(data, self._key)
         return data + _CRC.pack(zlib.crc32(data))
 
     def decode(self, data: bytes) -> Frame | None:
@@ -323,9 +325,9 @@ class Codec:
             return "type"
         if len(data) != shape.size + self._overhead:
             return "length"
-        if self._authenticator is not None:
+        if self._key is not None:
             end = len(data) - self._overhead
-            if not hmac.compare_digest(data[end : end + TAG], self._authenticator.tag(data[:end])):
+            if not hmac.compare_digest(data[end : end + TAG], _tag(data[:end], self._key)):
                 return "tag"
         return ""
 
@@ -347,21 +349,6 @@ TAG = 16
 """Length of a tag [bytes]."""
 
 
-class Authenticator:
-    """Authenticator of messages by keyed BLAKE2s.
-
-    Args:
-        key: Key shared by both ends.
-
-    Raises:
-        ParameterError: If it is too short or too long.
-    """
-
-    def __init__(self, key: bytes) -> None:
-        if not LEAST_KEY <= len(key) <= MOST_KEY:
-            raise ParameterError(f"key must have {LEAST_KEY} to {MOST_KEY} bytes, not {len(key)}")
-        self._key = key
-
-    def tag(self, data: bytes) -> bytes:
-        """Return the tag of a message."""
-        return hashlib.blake2s(data, digest_size=TAG, key=self._key).digest()
+def _tag(data: bytes, key: bytes) -> bytes:
+    """Return the tag of a message: keyed BLAKE2s."""
+    return hashlib.blake2s(data, digest_size=TAG, key=key).digest()

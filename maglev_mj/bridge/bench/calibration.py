@@ -15,7 +15,7 @@ import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import Array
-from maglev_mj.parameters import number, numbers
+from maglev_mj.parameters import number, numbers, read_json
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.model import load_model
 from maglev_mj.plants.sensor import Beams, beams
@@ -178,16 +178,9 @@ class Calibration:
         Raises:
             InvalidCalibrationError: If it cannot be read, or has an invalid value; one line with file and value.
         """
-        try:
-            # as floats, or a whole number of many digits is not one that numpy knows
-            values = json.loads(Path(path).read_text(encoding="utf-8"), parse_int=float, object_pairs_hook=_once)
-            return cls.from_json(values)
-        except OSError as error:
-            raise InvalidCalibrationError(f"calibration {str(path)!r} cannot be read: {error.strerror}") from error
-        except MaglevError as error:
-            raise InvalidCalibrationError(f"calibration {str(path)!r}: {error}") from error
-        except (ValueError, RecursionError) as error:
-            raise InvalidCalibrationError(f"calibration {str(path)!r} is not JSON: {error}") from error
+        # as floats, or a whole number of many digits is not one that numpy knows
+        options = {"parse_int": float, "object_pairs_hook": _once}
+        return read_json("calibration", path, cls.from_json, InvalidCalibrationError, **options)
 
 
 def _checked(name: str, value: Any, shape: tuple[int, ...]) -> Array:

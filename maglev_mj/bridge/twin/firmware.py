@@ -11,19 +11,7 @@ from typing import Any, NamedTuple, Protocol
 
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.safety import OFF, WARNING_RISE, CoilGuard, Profile, SpotGuard, ThermalModel, command_fault
-from maglev_mj.bridge.wire import (
-    NEVER,
-    WRAP,
-    Codec,
-    Command,
-    Control,
-    Estop,
-    Fault,
-    HelloStatus,
-    Operation,
-    State,
-    newer,
-)
+from maglev_mj.bridge.wire import NEVER, WRAP, Codec, Fault, HelloStatus, Operation, State, newer
 from maglev_mj.frames import ZERO
 
 _GAP = 2
@@ -113,17 +101,17 @@ class Firmware:
         body = frame.body
         if isinstance(body, wire.Hello):
             return self._hello(body, now, peer)
-        if isinstance(body, Estop):
+        if isinstance(body, wire.Estop):
             self.trip(Fault.ESTOP, now)
             answer = wire.EstopAck(body.request, self.state, self.faults, self._sampled_at, tuple(self._measured))
             return codec.encode(0, 0, now, answer)
-        if not isinstance(body, (Command, Control)):
+        if not isinstance(body, (wire.Command, wire.Control)):
             self.counts["direction"] += 1
             return None
         if self.session == 0 or frame.session != self.session or peer != self.peer:
             self.counts["session"] += 1
             return None
-        if isinstance(body, Control):
+        if isinstance(body, wire.Control):
             return self._control(body, now)
         if not newer(frame.sequence, self._sequence):
             self.counts["old"] += 1
@@ -208,7 +196,7 @@ class Firmware:
         session = self.session if status == HelloStatus.WELCOME else 0
         return self._codec.encode(session, 0, now, body)
 
-    def _apply(self, command: Command, now: int) -> None:
+    def _apply(self, command: wire.Command, now: int) -> None:
         # of one that is yet to come, by 2³² periods
         age = ((self._sampled - command.answers) & WRAP) * self.profile.period
         if not self.profile.lockstep:
@@ -228,7 +216,7 @@ class Firmware:
         self._commanded_at, self._answers, self._holding = now, command.answers, False
         self._amplifiers.drive(now, command.held, command.pulsed if command.width else None, command.width)
 
-    def _control(self, control: Control, now: int) -> bytes | None:
+    def _control(self, control: wire.Control, now: int) -> bytes | None:
         last = self._acknowledgement
         if last is None or control.request != last.request:
             if last is not None and not newer(control.request, last.request):
@@ -242,7 +230,7 @@ class Firmware:
             self.session, self.peer = 0, None
         return answer
 
-    def _do(self, control: Control, now: int) -> bool:
+    def _do(self, control: wire.Control, now: int) -> bool:
         """Execute an operation; return True if done."""
         operation = control.operation
         if operation == Operation.TRIP:
