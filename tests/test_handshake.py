@@ -146,7 +146,7 @@ def test_a_device_that_cannot_carry_the_flotor_is_refused_at_once_and_so_are_own
 def test_whatever_goes_wrong_in_the_handshake_closes_the_line(
     kind: type[BaseException], becomes: type[BaseException], place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(body: Any) -> Any:
+    def fail(*_: Any) -> Any:
         raise kind("oh")
 
     link = Doctored(Twin(TwinParameters()), fail if place == "in the handshake" else lambda body: body)

@@ -219,11 +219,10 @@ class Connection:
             self._patience = number("patience", patience, above=0.0)
             self.codec = Codec(key)
             self.welcome = self._join(calibration)
-            self.profile = profile_of(self.welcome)
-            _check_faults(self.welcome, self._greeted)
+            self.profile = profile_of(self.welcome, self._greeted)
             self.samples = SampleCounter(self.profile.period)
         except BaseException as error:
-            self._abandon()
+            self.close()
             if isinstance(error, (ValueError, ArithmeticError)) and not isinstance(error, MaglevError):
                 raise HandshakeError(f"the device's answer makes no sense: {error}") from error
             raise
@@ -300,21 +299,12 @@ class Connection:
         if self.open:
             try:
                 with suppress(Exception):  # there is nothing to be said to a line that is gone
-                    self.control(Operation.BYE)
+                    if self._session:
+                        self.control(Operation.BYE)
             finally:
                 self.open = False
                 with suppress(Exception):
                     self._link.close()
-
-    def _abandon(self) -> None:
-        """Close the link after a handshake that failed."""
-        self.open = False
-        with suppress(Exception):
-            if self._session:
-                bye = wire.Control(1, Operation.BYE, 0, ZERO)
-                self._link.send(self.codec.encode(self._session, 0, self._link.now(), bye))
-        with suppress(Exception):
-            self._link.close()
 
     def _join(self, calibration: bytes) -> wire.HelloAck:
         """Send HELLO until the device answers."""
@@ -401,22 +391,21 @@ class Connection:
         return frame if frame is not None and isinstance(frame.body, StateReport) and self._is_newer(frame) else None
 
 
-def profile_of(welcome: wire.HelloAck) -> Profile:
-    """Return a device's properties; HandshakeError if one is invalid."""
+def profile_of(welcome: wire.HelloAck, time: int) -> Profile:
+    """Return a device's properties at its time [ns].
+
+    HandshakeError if one is invalid, or state and faults contradict each other.
+    """
+    faults, failed = f"faults {fault_names(welcome.faults)}", welcome.state == State.FAULT
     try:
         number("state", welcome.state, at_least=0, at_most=max(State))
+        for said, is_said in (
+            (f"state {State(welcome.state).name} with {faults}", failed != bool(welcome.faults)),
+            (f"first {fault_names(welcome.first)} of {faults}", welcome.first & ~welcome.faults),
+            (f"fault_time {welcome.fault_time} ns at {time} ns", welcome.fault_time > time),
+        ):
+            if is_said:
+                raise ParameterError(said)
         return Profile.of(welcome)
     except ParameterError as error:
         raise HandshakeError(f"the device says what cannot be: {error}") from None
-
-
-def _check_faults(welcome: wire.HelloAck, time: int) -> None:
-    """Refuse state and faults that contradict each other at a device's time [ns]."""
-    faults = f"faults {fault_names(welcome.faults)}"
-    for said, is_said in (
-        (f"state {State(welcome.state).name} with {faults}", (welcome.state == State.FAULT) != bool(welcome.faults)),
-        (f"first {fault_names(welcome.first)} of {faults}", welcome.first & ~welcome.faults),
-        (f"fault_time {welcome.fault_time} ns at {time} ns", welcome.fault_time > time),
-    ):
-        if is_said:
-            raise HandshakeError(f"the device says what cannot be: {said}")

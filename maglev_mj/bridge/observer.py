@@ -35,8 +35,8 @@ _KEPT = 64
 _Drive: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]]
 """Wrench and currents, six numbers each."""
 
-_Sampled: TypeAlias = tuple[int, int, Sequence[float], list[tuple[float, _Drive]]]
-"""One sample: number, sample periods since the one before, pose, drives since then."""
+_Sampled: TypeAlias = tuple[int, Sequence[float], list[tuple[float, _Drive]]]
+"""One sample: number, pose, drives since the sample period before."""
 
 
 class HandObserver:
@@ -125,7 +125,9 @@ class HandObserver:
             for missed in range(tick - min(elapsed, _KEPT), tick - 1):
                 timeline.period(missed)
         segments = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
-        self._waiting.append((tick, elapsed, position, segments))
+        if len(self._waiting) == _KEPT:  # nobody has asked for long
+            self._low = None
+        self._waiting.append((tick, position, segments))
         self.currents = timeline.now()[1] if known else None
         if self.tries:
             self._take()
@@ -143,9 +145,7 @@ class HandObserver:
     def _take(self) -> None:
         """Take up the samples that wait; across lost ones the estimate stays."""
         period, square, keep = self._period, self._period**2, self._keep
-        for tick, elapsed, now, segments in self._waiting:
-            if tick - elapsed != self._taken:  # nobody has asked for long
-                self._low = None
+        for tick, now, segments in self._waiting:
             if tick - 1 != self._taken:
                 self._known, self.coils = 0, CoilEstimator(self._calibration, period)
             self._taken = tick

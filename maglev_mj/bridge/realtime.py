@@ -16,7 +16,6 @@ from functools import partial
 from typing import Any, Literal, NoReturn, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError, check_one_of
 from maglev_mj.parameters import number
@@ -45,24 +44,12 @@ class LatencyHistogram:
         if latency > self.worst:
             self.worst = latency
 
-    @property
-    def kept(self) -> NDArray[np.int64]:
-        """Recent latencies, unordered [ns]."""
-        return np.array(self._ring[: self.count], np.int64)
-
     def percentile(self, share: float) -> float:
         """Return a percentile of recent latencies [s]; NaN without any."""
-        return float(np.percentile(self.kept, share)) * 1e-9 if self.count else math.nan
+        return float(np.percentile(self._ring[: self.count], share)) * 1e-9 if self.count else math.nan
 
-    @property
-    def p50(self) -> float:
-        """Median of the recent latencies [s]."""
-        return self.percentile(50.0)
-
-    @property
-    def p99(self) -> float:
-        """99th percentile of the recent latencies [s]."""
-        return self.percentile(99.0)
+    p50 = property(lambda self: self.percentile(50.0), doc="Median of the recent latencies [s]; NaN without any.")
+    p99 = property(lambda self: self.percentile(99.0), doc="99th percentile of the recent latencies [s].")
 
     @property
     def max(self) -> float:
@@ -114,6 +101,8 @@ def realtime(mode: Realtime, priority: int = 80, cpu: int | None = None) -> Iter
         for name, step in steps:
             try:
                 back.callback(step())
+            except (AttributeError, TypeError):  # a system without that function, or without such a library
+                complaints.append(f"{name}: {os.strerror(errno.ENOSYS)}")
             except (OSError, ValueError, OverflowError) as error:
                 complaints.append(f"{name}: {getattr(error, 'strerror', None) or error}")
         if complaints and mode == "enforce":
@@ -122,20 +111,9 @@ def realtime(mode: Realtime, priority: int = 80, cpu: int | None = None) -> Iter
         yield complaints
 
 
-def _function(owner: object, name: str) -> Any:
-    """Return an optional function; raise OSError if it is missing."""
-    if (function := getattr(owner, name, None)) is None:
-        raise OSError(errno.ENOSYS, os.strerror(errno.ENOSYS))
-    return function
-
-
 def _libc(name: str, *arguments: int) -> int:
     """Call a C library function; raise OSError if it fails."""
-    try:
-        library = ctypes.CDLL(None, use_errno=True)
-    except TypeError:
-        library = None
-    if (result := int(_function(library, name)(*map(ctypes.c_ulong, arguments)))) < 0:
+    if (result := int(getattr(ctypes.CDLL(None, use_errno=True), name)(*map(ctypes.c_ulong, arguments)))) < 0:
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
     return result
 
@@ -147,10 +125,9 @@ def _timer_slack() -> Callable[[], object]:
 
 
 def _scheduler(priority: int) -> Callable[[], object]:
-    change = _function(os, "sched_setscheduler")
     policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    change(0, os.SCHED_FIFO, os.sched_param(priority))
-    return partial(change, 0, policy, parameters)
+    os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    return partial(os.sched_setscheduler, 0, policy, parameters)
 
 
 def _memory() -> Callable[[], object]:
@@ -159,10 +136,9 @@ def _memory() -> Callable[[], object]:
 
 
 def _affinity(cpu: int) -> Callable[[], object]:
-    change = _function(os, "sched_setaffinity")
     before = os.sched_getaffinity(0)
-    change(0, {cpu})
-    return partial(change, 0, before)
+    os.sched_setaffinity(0, {cpu})
+    return partial(os.sched_setaffinity, 0, before)
 
 
 def _no_garbage() -> Callable[[], object]:

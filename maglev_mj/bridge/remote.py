@@ -12,24 +12,14 @@ from typing import Any, NoReturn, Self
 
 import numpy as np
 
+from maglev_mj.bridge import safety
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
 from maglev_mj.bridge.landing import TOLERATED, LandingReport, Leader, Motion, Swing, shown, straight
 from maglev_mj.bridge.links import Link, LinkError, open_link
 from maglev_mj.bridge.observer import CoilEstimator, HandObserver
-from maglev_mj.bridge.safety import (
-    WARNING_RISE,
-    CoilGuard,
-    FlotorGuard,
-    HostLimits,
-    Limits,
-    OutputLimiter,
-    SpotGuard,
-    command_fault,
-    reading_fault,
-    weight_fault,
-)
+from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, HostLimits, Limits, reading_fault
 from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Flag, Frame, Operation, State, StateReport, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.control.loop import ControlLoop
@@ -126,14 +116,14 @@ class RemotePlant:
         self.calibration = known
         self._hover: list[float] = known.hover.tolist()
         weight = known.mass * math.hypot(*known.gravity)
-        if said := weight_fault(weight, self._hover, own, own.narrowed(_MOST)):
+        if said := safety.weight_fault(weight, self._hover, own, own.narrowed(_MOST)):
             link.close()
             raise ParameterError(said)
         self._line = Connection(link, known.digest, key, patience)
         try:
             self._patience, welcome, profile = patience, self._line.welcome, self._line.profile
             self.stated, self.limits = profile.limits, own.narrowed(profile.limits)
-            if said := weight_fault(weight, self._hover, own, self.limits):
+            if said := safety.weight_fault(weight, self._hover, own, self.limits):
                 raise HandshakeError(f"the device does not carry the flotor: {said}")
             self.period, self.delay = profile.period / 1e9, profile.delay / 1e9
             self.lockstep, self.latched = profile.lockstep, self._line.latched
@@ -141,10 +131,10 @@ class RemotePlant:
             self.first, self.fault_time = Fault(welcome.first), welcome.fault_time
             self.samples = self._line.samples
             self._box = BlackBox(Path(folder))
-            self._spots, self._guard = SpotGuard(self.limits, self.period), FlotorGuard(own)
+            self._spots, self._guard = safety.SpotGuard(self.limits, self.period), safety.FlotorGuard(own)
             self._track = PoseTracker(known.beams)
             self._offsets: list[float] | None = known.spot_offsets.tolist() if known.spot_offsets.any() else None
-            self._output = OutputLimiter(known.coils, self.limits, own.wrench, self.period)
+            self._output = safety.OutputLimiter(known.coils, self.limits, own.wrench, self.period)
             self._leader = Leader(known, self.period, self.delay)
             self._hand = HandObserver(known, self.period)
             self._tolerant = Leader(known, self.period, TOLERATED)
@@ -254,7 +244,7 @@ class RemotePlant:
             PlantError: If no sample was read.
         """
         frame = self._answered_frame("drive")
-        if command_fault(self.limits, currents, currents, 0.0):
+        if safety.command_fault(self.limits, currents, currents, 0.0):
             raise ParameterError(f"currents must be within {self.limits.current_limit:g} A, not {list(currents)}")
         self._answer(frame, currents, None, 0.0)
         wrench = self.calibration.coils.wrench(np.asarray(currents)).tolist()

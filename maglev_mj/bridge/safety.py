@@ -8,14 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-from numpy.typing import ArrayLike
-
 from maglev_mj.bridge.wire import VERSION, Fault, HelloAck
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, clipped
-from maglev_mj.parameters import Parameters, flag, number, numbers, param, read_json, store
+from maglev_mj.parameters import Parameters, flag, number, param, read_json, store
 from maglev_mj.plants.coils import CoilMap, limited_wrench
 from maglev_mj.spec import Spec
 
@@ -359,21 +356,15 @@ class OutputLimiter:
     Args:
         coils: The calibrated coils.
         limits: Limits of the device.
-        wrench_limit: Largest wrench, a number or (6,) [N, N m]; None for no limit besides the currents.
+        wrench_limit: Largest wrench [N, N m], six; None for no limit besides the currents.
         period: Sample period [s].
 
     Attributes:
         thermal: Thermal model of the coils, by the currents given to `passed` and `stay`.
-
-    Raises:
-        ParameterError: If a limit is negative or of another shape.
     """
 
-    def __init__(self, coils: CoilMap, limits: Limits, wrench_limit: ArrayLike | None, period: float) -> None:
-        self._limit: list[float] | None = None
-        if wrench_limit is not None:
-            values = numbers("wrench_limit", wrench_limit, at_least=0.0, finite=False)
-            self._limit = [float(part) for part in np.broadcast_to(values, (6,))]
+    def __init__(self, coils: CoilMap, limits: Limits, wrench_limit: Sequence[float] | None, period: float) -> None:
+        self._limit = wrench_limit
         self._inverse_turned, self._current, self._period = coils.inverse_turned, limits.current_limit, period
         self.thermal = ThermalModel(limits)
         self._timeline = Timeline(Timing(period=period, delay=0.0), ZERO)

@@ -8,29 +8,18 @@ from itertools import pairwise
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.conformance.check import HALF, NAN, QUIET, check, close, flipped, stopped, with_crc, zero
 from maglev_mj.bridge.conformance.tester import Tester, fail, is_off, same, shown
-from maglev_mj.bridge.connection import draw
+from maglev_mj.bridge.connection import draw, profile_of
 from maglev_mj.bridge.wire import NEVER, VERSION, WRAP, Fault, Flag, HelloStatus, Operation, Result, State
 from maglev_mj.frames import ZERO
 
 
 @check("HELLO_ACK has this version and calibration, and plausible numbers")
 def _welcome(t: Tester) -> str:
-    one, period = t.welcome, t.welcome.period
-    good = {
-        "version": one.version == VERSION,
-        "calibration": one.calibration == t.calibration.digest,
-        "lockstep": one.lockstep <= 1,
-        "period": 10_000 <= period <= 100_000_000,
-        "delay": one.delay <= 2 * period,
-        "watchdog": 2 * period <= one.watchdog <= 1_000_000_000,
-        "enable": 2 * period <= one.enable <= one.watchdog,
-        "stale": period <= one.stale <= one.watchdog,
-        "currents": 0.0 < one.hover_limit <= one.continuous_current <= one.current_limit <= 20.0,
-        "hover_limit": max(abs(t.calibration.hover)) <= one.hover_limit,
-        "thermal_time": 0.0 < one.thermal_time < math.inf,
-        "spots": 0.0 < one.spot_limit < 1.0 and 0.0 < one.spot_speed < 100.0,
-    }
-    same(f"plausible numbers in {one}:", [name for name, is_good in good.items() if is_good], [*good])
+    one, period, least = t.welcome, t.welcome.period, max(abs(t.calibration.hover))
+    same("version, calibration", (one.version, one.calibration), (VERSION, t.calibration.digest))
+    profile_of(one, t.greeted)
+    if one.enable < 2 * period or one.hover_limit < least:
+        fail(f"enable {one.enable} ns, hover_limit {one.hover_limit} A; needed are {2 * period} ns and {least:.4g} A")
     return f"device {one.device}, {1e9 / period:g} Hz, delay {one.delay / 1e6:g} ms, up to {one.current_limit:g} A"
 
 

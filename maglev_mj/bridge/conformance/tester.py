@@ -45,7 +45,7 @@ class Tester:
         key: Authentication key of the frames.
 
     Attributes:
-        welcome: HELLO_ACK of the session.
+        welcome: HELLO_ACK of the session, sent at `greeted` by the device's clock [ns].
         last: Newest STATE.
         law: Function that returns the currents [A] answering a STATE.
         once: Arguments of `command` for the next answer, in place of the law's.
@@ -59,7 +59,7 @@ class Tester:
     def __init__(self, links: Sequence[Link], calibration: Calibration, key: bytes | None) -> None:
         self.links, self.calibration, self.keyed, self.codec = links, calibration, key is not None, wire.Codec(key)
         self.half = tuple((0.5 * calibration.hover).tolist())
-        self.session = self.sequence = self.request = self.nonce = self.asked_at = self.arrived = 0
+        self.session = self.greeted = self.sequence = self.request = self.nonce = self.asked_at = self.arrived = 0
         self.welcome: wire.HelloAck
         self.last: Any = None
         self.law: _Law = _zeros
@@ -228,7 +228,7 @@ class Tester:
                 raise HandshakeError(f"no device answered within {_PATIENCE:g} s")
             status = frame.body.status
             if status == HelloStatus.WELCOME:
-                self.welcome, self.session, self.last = frame.body, frame.session, None
+                self.welcome, self.session, self.greeted, self.last = frame.body, frame.session, frame.time, None
                 self.sequence = self.request = 0
                 return
             if status != HelloStatus.BUSY or self.now() > end:
@@ -310,7 +310,7 @@ class Tester:
         """Take off from rest, and land in any case."""
         one, period, known = self.welcome, self.welcome.period * 1e-9, self.calibration
         # before ARM: the device would take the time for a host that is gone
-        output = OutputLimiter(known.coils, profile_of(one).limits, None, period)
+        output = OutputLimiter(known.coils, profile_of(one, self.greeted).limits, None, period)
         leader = Leader(known, period, one.delay * 1e-9)
 
         def law(frame: Any) -> Sequence[float]:
