@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge import connection, wire
+from maglev_mj.bridge import wire
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.remote import RemotePlant
@@ -424,8 +424,7 @@ class Foreign(VirtualLink):
 
 def test_a_host_of_another_protocol_version_is_told_both(monkeypatch: pytest.MonkeyPatch) -> None:
     twin = Twin(TwinParameters())
-    for module in (wire, connection):
-        monkeypatch.setattr(module, "VERSION", 3)
+    monkeypatch.setattr(wire, "VERSION", 3)
     with pytest.raises(HandshakeError, match="device speaks version 1 of the protocol, this host version 3"):
         RemotePlant(Foreign(twin))
     assert twin.codec.dropped == {"version": 1}

@@ -145,8 +145,9 @@ class Calibration:
         if values["units"] != _UNITS:
             raise InvalidCalibrationError(f"units must be {json.dumps(_UNITS)}, not {json.dumps(values['units'])}")
         coils, diodes = _arrays("coils", parts, _COILS), _arrays("beams", parts, _BEAMS)
-        rest = {name: parts[name] for name in (*_REST, "name")}
-        return cls(coils=CoilMap(**coils), beams=Beams(**diodes), **rest)
+        rest: dict[str, Any] = {name: _checked(name, parts[name], shape) for name, shape in _REST.items()}
+        rest["mass"] = float(rest["mass"])
+        return cls(coils=CoilMap(**coils), beams=Beams(**diodes), **rest, name=parts["name"])
 
     def save(self, path: str | Path) -> None:
         """Write the calibration to a file, atomically.
