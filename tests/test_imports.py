@@ -47,6 +47,7 @@ ALLOWED = {
     "argcomplete": {"cli"},
     "mcap": {"recording"},
     "foxglove": {"interop", "recording"},
+    "gymnasium": {"interop"},
     "pandas": {"result"},
     "pyarrow": {"recording", "studies"},
     "control": {"theory"},

@@ -1,8 +1,9 @@
 """Pictures of the examples, for the gallery."""
 
+import gymnasium
 import numpy as np
 
-from gym_environment import SAMPLES, TargetEnv, spring_and_damper
+from gym_environment import ENVIRONMENT, spring_and_damper
 from maglev_mj import Timing, run, run_phases
 from maglev_mj.cli.output import script_options
 from maglev_mj.pictures import Panel, small_multiples
@@ -28,14 +29,15 @@ depths = []
 for name, scene in {"pulse": Drop(), "no pulse": Drop(pulse=0.0)}.items():
     depths.append((name, phases, 1e3 * run_phases(scene, phases, plant="exact").figures["penetration"]))
 
-env = TargetEnv()
-observation, _ = env.reset(seed=1)
-heights = [env.height]
-for _ in range(SAMPLES // 4):
+env = gymnasium.make(**ENVIRONMENT)
+observation, _ = env.reset(seed=9)
+seen = [observation]
+for _ in range(200):
     observation, *_ = env.step(spring_and_damper(observation))
-    heights.append(env.height)
-times = np.arange(len(heights)) * Timing().period
-episode = [("flotor", times, 1e3 * np.array(heights)), ("target", times, np.full_like(times, 1e3 * env.target))]
+    seen.append(observation)
+heights, _, targets = 1e3 * np.array(seen).T
+times = np.arange(len(seen)) * Timing().period
+episode = [("flotor", times, heights), ("target", times, targets)]
 
 panels = [
     Panel(title="own_law: a button that clicks", labels=("depth (mm)", "force (N)"), curves=button),

@@ -1,0 +1,191 @@
+"""Gymnasium environments: an agent's force moves the flotor of a scene to a target.
+
+Importing this module registers ``maglev_mj/Joystick-v0`` and, for any scene, ``maglev_mj/Scene-v0``, with gymnasium.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, TypeAlias
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from maglev_mj.frames import ZERO, Array, components, join
+from maglev_mj.parameters import axis_indices
+from maglev_mj.scenes.find import SceneLike, get_scene
+from maglev_mj.scenes.run import checked_plant
+from maglev_mj.spec import INERTIA, RANGE
+
+FORCE = 20.0
+"""Largest force of an agent on a translation [N]."""
+
+LIMITS = tuple(FORCE * inertia * reach / (INERTIA[0] * RANGE[0]) for inertia, reach in zip(INERTIA, RANGE))
+"""Largest wrench of an agent on the six axes [N, N m].
+
+It crosses the range of each axis in the same time.
+"""
+
+_DISTURBANCE, _TARGET = 0.2, 0.6
+_FAR = (1e15, 1e15)
+
+_Info: TypeAlias = dict[str, Any]
+
+
+class TargetTask:
+    """Task of one device or N devices: move the flotor to a target in a scene.
+
+    The agent's wrench is added to that of the scene's laws, and takes effect after the scene's delay. A constant
+    disturbance of at most a fifth of the agent's limit acts with it. Motion is that of the exact plant, without stops.
+
+    Args:
+        scene: See `maglev_mj.run`.
+        axes: Names from AXES along which the agent acts; the scene's shown axis by default.
+        batch: () for one device, (N,) for N devices.
+        parameters: Parameters of the scene.
+
+    Attributes:
+        action_space: Wrench of the agent as a share of `LIMITS`, in [-1, 1], one number an axis.
+        observation_space: Position, position one sample before, and target [m, rad], one number an axis each,
+            clipped at twice the motion range.
+        target: Targets of the episode [m, rad], (..., axes), within 0.6 of the range.
+        steps: Samples of an episode, to the end of the scene's run.
+
+    Raises:
+        ParameterError: If there is no such scene, parameter or axis, or the scene does not run on the exact plant.
+    """
+
+    def __init__(
+        self,
+        scene: SceneLike = "joystick",
+        axes: str | Sequence[str] = "",
+        batch: tuple[int, ...] = (),
+        **parameters: Any,
+    ) -> None:
+        self.scene, self._batch = get_scene(scene).replace(**parameters), batch
+        checked_plant(self.scene, "exact")
+        self._axes = list(axis_indices(axes or self.scene.axis))
+        self._reach, self._limit = np.array(RANGE)[self._axes], np.array(LIMITS)[self._axes]
+        self.action_space = Box(-1.0, 1.0, (len(self._axes),), np.float64)
+        high = np.tile(2.0 * self._reach, 3)
+        self.observation_space = Box(-high, high, dtype=np.float64)
+        self.steps = self.scene.ticks(self.scene.timing())
+
+    def reset(self, random: np.random.Generator) -> Array:
+        """Draw targets and disturbances, and return the first observation, (..., 3 axes)."""
+        drawn = random.uniform(-1.0, 1.0, (*self._batch, 2, len(self._axes)))
+        self.target, self._disturbance = _TARGET * drawn[..., 0, :] * self._reach, _DISTURBANCE * drawn[..., 1, :]
+        phase = np.zeros(self._batch) if self._batch else 0.0
+        self._plant = self.scene.plant("exact", phase=phase, timing=self.scene.timing(), escape=_FAR)
+        self._controller = self.scene.controller()
+        self._sample = self._plant.read()
+        self._position = self._seen()
+        return self._observed(self._position)
+
+    def step(self, action: Array) -> tuple[Array, Array, bool]:
+        """Apply an action (..., axes) for one sample.
+
+        Returns:
+            Observation (..., 3 axes), reward (...,), and True at the end of the episode. The reward is 1 on the
+            target, and 0 from a mean distance of the motion range on.
+
+        Raises:
+            DivergenceError: If the scene's laws are so unstable that numbers overflow.
+        """
+        command, wrench = self._controller.step(self._sample), list(ZERO)
+        for index, part in zip(self._axes, components(self._limit * (np.asarray(action) + self._disturbance))):
+            wrench[index] = part
+        command.force = [one + other for one, other in zip(command.force, wrench)]
+        self._plant.write(command)
+        self._sample, before = self._plant.read(), self._position
+        self._position = self._seen()
+        off = np.abs(self.target - self._position) / self._reach
+        reward = np.maximum(1.0 - off.mean(axis=-1), 0.0)
+        return self._observed(before), reward, self._sample.tick >= self.steps
+
+    def _seen(self) -> Array:
+        """Return the clipped position along the agent's axes, (..., axes)."""
+        position = np.broadcast_to(join(self._sample.position), (*self._batch, 6))[..., self._axes]
+        seen: Array = np.clip(position, -2.0 * self._reach, 2.0 * self._reach)
+        return seen
+
+    def _observed(self, before: Array) -> Array:
+        return np.concatenate([self._position, before, self.target], axis=-1)
+
+
+class TargetEnv(gymnasium.Env[Array, Array]):
+    """One device as an environment; see `TargetTask` for arguments, spaces and reward.
+
+    An episode is truncated at its end and never terminates, as those of dm_control.
+
+    Example:
+        >>> import gymnasium, maglev_mj.interop.gym
+        >>> env = gymnasium.make("maglev_mj/Scene-v0", scene="press", axes=["x", "z"])
+        >>> env.action_space.shape, env.observation_space.shape
+        ((2,), (6,))
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
+
+    def __init__(self, scene: SceneLike = "joystick", axes: str | Sequence[str] = "", **parameters: Any) -> None:
+        self.task = TargetTask(scene, axes, **parameters)
+        self.action_space, self.observation_space = self.task.action_space, self.task.observation_space
+
+    def reset(self, *, seed: int | None = None, options: Mapping[str, Any] | None = None) -> tuple[Array, _Info]:
+        """Begin an episode; the seed draws target and disturbance."""
+        super().reset(seed=seed)
+        return self.task.reset(self.np_random), {}
+
+    def step(self, action: Array) -> tuple[Array, float, bool, bool, _Info]:
+        """See `TargetTask.step`."""
+        observation, reward, over = self.task.step(action)
+        return observation, float(reward), False, over, {}
+
+
+class TargetVectorEnv(VectorEnv[Array, Array, Array]):
+    """N devices as one batch, whose episodes end together; the step after begins the next.
+
+    Args:
+        num_envs: Number of devices.
+        scene: See `TargetTask`.
+        axes: See `TargetTask`.
+        parameters: Parameters of the scene.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # type: ignore[misc]
+
+    def __init__(
+        self, num_envs: int = 1, scene: SceneLike = "joystick", axes: str | Sequence[str] = "", **parameters: Any
+    ) -> None:
+        self.task, self.num_envs, self._over = TargetTask(scene, axes, (num_envs,), **parameters), num_envs, False
+        self.single_action_space, self.single_observation_space = self.task.action_space, self.task.observation_space
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Array, _Info]:
+        """Begin an episode of all; one seed draws targets and disturbances."""
+        super().reset(seed=seed)  # type: ignore[arg-type]
+        self._over = False
+        return self.task.reset(self.np_random), {}
+
+    def step(self, actions: Array) -> tuple[Array, Array, Array, Array, _Info]:
+        """See `TargetTask.step`; actions are (N, axes)."""
+        never = np.zeros(self.num_envs, dtype=bool)
+        if self._over:
+            return self.reset()[0], np.zeros(self.num_envs), never, never, {}
+        observation, reward, self._over = self.task.step(actions)
+        return observation, reward, never, np.full(self.num_envs, self._over), {}
+
+
+for _name, _given in (("Joystick", {"scene": "joystick"}), ("Scene", {})):
+    gymnasium.register(
+        f"maglev_mj/{_name}-v0",
+        entry_point=TargetEnv,
+        vector_entry_point=TargetVectorEnv,
+        kwargs=_given,
+    )
