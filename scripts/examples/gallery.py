@@ -3,7 +3,7 @@
 import gymnasium
 import numpy as np
 
-from gym_environment import ENVIRONMENT, spring_and_damper
+from gym_environment import AXES, ENVIRONMENT, spring_and_damper
 from maglev_mj import Timing, run, run_phases
 from maglev_mj.cli.output import script_options
 from maglev_mj.pictures import Panel, small_multiples
@@ -29,11 +29,11 @@ depths = []
 for name, scene in {"pulse": Drop(), "no pulse": Drop(pulse=0.0)}.items():
     depths.append((name, phases, 1e3 * run_phases(scene, phases, plant="exact").figures["penetration"]))
 
-env = gymnasium.make(**ENVIRONMENT)
-observation, _ = env.reset(seed=9)
+env = gymnasium.make(ENVIRONMENT, axes=AXES)
+observation = env.reset(seed=9)[0]
 seen = [observation]
 for _ in range(200):
-    observation, *_ = env.step(spring_and_damper(observation))
+    observation = env.step(spring_and_damper(observation))[0]
     seen.append(observation)
 heights, _, targets = 1e3 * np.array(seen).T
 times = np.arange(len(seen)) * Timing().period

@@ -6,7 +6,7 @@ from gymnasium.utils.env_checker import check_env
 
 from maglev_mj.interop import gym  # registers the environments
 
-ENVIRONMENT = {"id": "maglev_mj/Joystick-v0", "axes": "z"}
+ENVIRONMENT, AXES = "maglev_mj/Joystick-v0", "z"
 
 
 def spring_and_damper(observation):
@@ -17,20 +17,19 @@ def spring_and_damper(observation):
 
 
 if __name__ == "__main__":
-    env = gymnasium.make(**ENVIRONMENT)
+    env = gymnasium.make(ENVIRONMENT, axes=AXES)
     check_env(env.unwrapped, skip_render_check=True)
     env.action_space.seed(0)
     for name, agent in {"random": lambda _: env.action_space.sample(), "PD": spring_and_damper}.items():
-        observation, total, samples, over = env.reset(seed=9)[0], 0.0, 0, False
-        while not over:
-            observation, reward, _, over, _ = env.step(agent(observation))
-            total, samples = total + reward, samples + 1
-        print(
-            f"{name}: reward {total:.0f} of {samples}, {1e3 * (observation[2] - observation[0]):+.2f} mm off the target"
-        )
-    many = gymnasium.make_vec(**ENVIRONMENT, num_envs=64)  # one batch
-    observation, total = many.reset(seed=9)[0], 0.0
-    for _ in range(samples):
-        observation, reward, *_ = many.step(spring_and_damper(observation))
-        total += reward
-    print(f"PD on 64 devices: reward {total.min():.0f} to {total.max():.0f}")
+        observation, rewards, ends = env.reset(seed=9)[0], [], [False]
+        while not any(ends):
+            observation, reward, *ends, _ = env.step(agent(observation))
+            rewards.append(float(reward))
+        off = 1e3 * (observation[2] - observation[0])
+        print(f"{name}: reward {sum(rewards):.0f} of {len(rewards)}, {off:+.2f} mm off the target")
+    many = gymnasium.make_vec(ENVIRONMENT, num_envs=64, axes=AXES)  # one batch
+    states, totals = many.reset(seed=9)[0], np.zeros(64)
+    for _step in rewards:
+        states, gained = many.step(spring_and_damper(states))[:2]
+        totals += gained
+    print(f"PD on 64 devices: reward {totals.min():.0f} to {totals.max():.0f}")
