@@ -17,6 +17,7 @@ from maglev_mj.scenes.find import find_scene, text_of
 from maglev_mj.scenes.names import GROUP
 from maglev_mj.studies import sweep as sweeping
 from maglev_mj.studies.cells import Workers, dask_workers, local_workers, run_cells
+from maglev_mj.studies.record import Record
 from maglev_mj.studies.sweep import Grid, run_scene_cells, sweep
 
 FILE = '''
@@ -188,6 +189,36 @@ def test_a_grid_is_refused_before_anything_runs() -> None:
     ):
         with pytest.raises(ParameterError, match=words):
             sweep(twist, vary)
+
+
+def test_a_large_grid_is_refused_at_its_corners_at_once_and_inside_by_the_worker(file: Path, tmp_path: Path) -> None:
+    vary: dict[str, list[float]] = {"delay": np.linspace(0.0, 0.0501, 100).tolist(), "mass": [0.6] * 50}
+    with pytest.raises(ParameterError, match=r"delay must be .* not 0\.0501"):
+        Grid(find_scene("wall")(), vary | {"period": np.linspace(0.005, 0.006, 100).tolist()})
+    file.write_text(
+        FILE.replace("FURTHER", "")
+        + """
+    def check(self):
+        if (self.stiffness, self.damping) == (1310.0, 57.0):
+            raise ValueError("stiffness must be another")
+"""
+    )
+    grid = {"stiffness": [1000.0 + 10.0 * k for k in range(60)], "damping": [40.0 + k for k in range(60)]}
+    record = tmp_path / "record"
+    with pytest.raises(ValueError, match="stiffness must be another"):
+        sweep(find_scene(str(file)), grid, plant="exact", record=record)
+    kept = Record(record)
+    kept.begin(Grid(find_scene(str(file))(), grid, plant="exact"))
+    assert 0 < kept.done.sum() < 3600
+
+
+def test_cells_of_a_slice_run_as_those_by_index_derived_parameters_too() -> None:
+    vary = {"axis": ["x", "rx"], "stiffness": [None, 500.0], "plant": ["exact"], "duration": [0.05]}
+    grid = Grid(find_scene("stick-slip")(), vary)
+    cells = list(grid)
+    assert cells[0]["stiffness"] != cells[2]["stiffness"] and cells[1]["stiffness"] == cells[3]["stiffness"] == 500.0
+    assert [grid[-1], *grid[1:3]][0] == cells[3] and len(grid[1:3]) == 2
+    assert run_scene_cells(grid[0:4]) == run_scene_cells(cells)
 
 
 def test_a_parameter_with_the_name_of_an_option_is_refused_in_one_line(file: Path, capsys: Any) -> None:

@@ -184,6 +184,9 @@ def test_a_sweep_has_a_row_for_each_cell_and_a_line_for_each_value() -> None:
     cell = frame[(frame.stiffness == 6000.0) & (frame.damping == 70.0)]
     assert cell["penetration"].item() == run(Drop(damping=70.0), plant="exact").figures["penetration"]
     assert frame.attrs["units"]["damping"] == "N s/m" and "error" not in frame
+    indexed = found.to_pandas(indexed=True)
+    assert indexed.index.names == ["stiffness", "damping"] and indexed.attrs == frame.attrs
+    assert indexed.loc[(6000.0, 70.0), "penetration"] == cell["penetration"].item()
     drawn = lines(found.plot())
     assert [line.get_label() for line in drawn] == [f"damping {damping} N s/m" for damping in (60, 70, 80)]
     np.testing.assert_array_equal(drawn[1].get_ydata(), found.figure("penetration")[:, 1] * 1e3)
