@@ -19,7 +19,6 @@ import numpy as np
 import pytest
 
 from maglev_mj.cli import main
-from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.cells import WorkersError, dask_workers, run_cells
 from maglev_mj.studies.record import Record, _read_table
@@ -244,32 +243,29 @@ def indices_of(record: Path) -> list[np.ndarray[Any, Any]]:
 
 @pytest.mark.study
 def test_workers_and_schedulers_killed_at_random_lose_nothing_and_leave_nothing_twice(tmp_path: Path) -> None:
-    draw, record, kept, ended = random.Random(3), tmp_path / "record", 0, list[str]()
-    grid = {"phase": np.linspace(0.0, 0.999, 600).tolist()}
-    whole = sweep("drop", grid, plant="mujoco")
-    for turn in range(20):
-        with made_cluster(tmp_path / f"scheduler-{turn}") as cluster, ExitStack() as beside:
-            processes = [cluster.process]
-            for _ in range(2):
-                worker = dask("worker", cluster.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny")
-                processes.append(beside.enter_context(worker))
+    draw, record, ended, kept = random.Random(3), tmp_path / "record", list[str](), 0
+    grid = {"phase": np.linspace(0.0, 0.999, 2400).tolist()}
+    while "all" not in ended:
+        with made_cluster(tmp_path / f"scheduler-{len(ended)}") as cluster, ExitStack() as beside:
+            command = "worker", cluster.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny"
+            workers = [beside.enter_context(dask(*command)) for _ in range(2)]
             wait_until(lambda: len(cluster.workers()) == 2, "no workers came")
-            victims = processes[:1] if turn % 2 else processes[1 : 1 + draw.randint(1, 2)]
-            timers = [threading.Timer(draw.uniform(0.0, 1.5), victim.kill) for victim in victims]
-            if len(victims) == 2:
-                timers.append(threading.Timer(3.0, processes[0].kill))  # jobs would wait for others
+            killed = [worker for worker in workers if draw.random() < 0.4]
+            timers = [threading.Timer(draw.uniform(0.0, 1.0), process.kill) for process in [*killed, cluster.process]]
+
+            def first(done: int, total: int, timers: list[threading.Timer] = timers) -> None:
+                while timers and len(ended) < 12:  # at last it may end
+                    timers.pop().start()
+
             try:
-                workers = dask_workers(cluster.address)
-                for timer in timers if turn < 19 else []:
-                    timer.start()
-                found = sweep("drop", grid, plant="mujoco", workers=workers, record=record)
+                found = sweep(
+                    "drop", grid, plant="mujoco", workers=dask_workers(cluster.address), record=record, progress=first
+                )
                 ended.append("all")
-            except (WorkersError, ParameterError) as error:
-                ended.append(type(error).__name__)
-            for timer in timers:
-                timer.cancel()
+            except WorkersError as error:
+                ended.append(str(error))
         indices = np.concatenate([*indices_of(record), []])
-        assert np.unique(indices).size == indices.size >= kept
+        assert np.unique(indices).size == indices.size > kept
         kept = indices.size
-    assert kept == 600 and ended[-1] == "all" and "WorkersError" in ended
-    assert found.results == whole.results
+    assert len(ended) > 3 and found.resumed < kept == 2400
+    assert found.results == sweep("drop", grid, plant="mujoco").results
