@@ -318,10 +318,9 @@ def test_a_recording_is_exported_with_every_field_unit_event_and_attachment(
     wanted = {name: column for name, column in samples.columns().items() if name not in left_out}
     units = {name: unit for name, unit in samples.units.items() if name in wanted}
     table, frame = parquet.read_table(tmp_path / "run.parquet"), pandas.read_csv(tmp_path / "run.csv")
-    titles = ["stretch", *(f"{name} [{unit}]" if unit else name for name, unit in units.items())]
-    assert list(frame.columns) == titles and table.column_names == list(wanted)
-    for (name, column), title in zip(wanted.items(), titles, strict=True):
-        np.testing.assert_allclose(frame[title].to_numpy(), column, rtol=1e-15)
+    assert list(frame.columns) == table.column_names == list(samples.to_pandas()[[*wanted]].columns) == list(wanted)
+    for name, column in wanted.items():
+        np.testing.assert_allclose(frame[name].to_numpy(), column, rtol=1e-15)
         np.testing.assert_array_equal(table[name].to_numpy(), column)
         assert (table.schema.field(name).metadata or {}) == ({b"unit": units[name].encode()} if units.get(name) else {})
     beside = json.loads((tmp_path / "run.csv.json").read_text())
@@ -329,7 +328,8 @@ def test_a_recording_is_exported_with_every_field_unit_event_and_attachment(
     assert beside == inside and beside["events"] == ["missed: too slow"] * 2
     assert beside["setups"] == json.loads(json.dumps([stretch.setup for stretch in recording.stretches]))
     assert base64.b64decode(beside["attachments"]["own.py"]) == b"# mine\xff" and beside["about"] == recording.about
-    assert {name: beside["units"][name] for name in units} == units
+    for told in (beside["units"], samples.to_pandas().attrs["units"]):
+        assert {name: told[name] for name in units} == units
     assert main(["export", str(path), "--to", "npz", "--out", str(other)]) == 0
     again = Recording.load(other)
     assert same(again, recording) and list(again.events) == list(recording.events) and again.about == recording.about

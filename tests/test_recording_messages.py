@@ -51,6 +51,12 @@ def test_the_schema_is_that_of_the_package_of_protobuf() -> None:
     for field in (*FIELDS, *TOTALS):
         kind = ("TYPE_MESSAGE" if field.six else "TYPE_DOUBLE") if field.unit else "TYPE_FIXED64"
         assert named[field.name].type == descriptor_pb2.FieldDescriptorProto.Type.Value(kind)
+    notes = {one.path[-1]: (list(one.path)[:-1], one.leading_comments) for one in file.source_code_info.location}
+    for index, field in enumerate(sample.field):
+        path, note = notes[index]
+        units = {unit for one in (*FIELDS, *TOTALS) if one.name == field.name for _, unit in one.units if unit}
+        assert path == [4, 1, 2] and all(unit in note.rpartition("[")[2] for unit in units)
+    assert notes[3][1] == " what the controller saw [m, rad]\n"
     assert found.SerializeToString(deterministic=True) == mcap.descriptor()
 
 

@@ -127,7 +127,7 @@ def _message(name: str, fields: Sequence[tuple[str, int, str]]) -> bytes:
 
 
 def descriptor() -> bytes:
-    """Return the schema of a sample, a FileDescriptorSet."""
+    """Return the schema of a sample, a FileDescriptorSet; comments give descriptions and units."""
     package, name = NAME.split(".")
     fields = [
         (field.name, _MESSAGE_TYPE, f".{package}.{_SIX}")
@@ -137,7 +137,12 @@ def descriptor() -> bytes:
     ]
     six = _message(_SIX, [(axis, _DOUBLE_TYPE, "") for axis in AXES])
     messages = _part(4, six) + _part(4, _message(name, fields))
-    return _part(1, _part(1, f"{package}.proto") + _part(2, package) + messages + _part(12, "proto3"))
+    # source information: the path to a field of the second message, no span, and its comment
+    notes = b"".join(
+        _part(1, _part(1, bytes([4, 1, 2, index])) + _part(2, bytes(3)) + _part(3, f" {field.text}\n"))
+        for index, field in enumerate(_ORDERED)
+    )
+    return _part(1, _part(1, f"{package}.proto") + _part(2, package) + messages + _part(9, notes) + _part(12, "proto3"))
 
 
 def _head(field: Field) -> bytes:

@@ -429,7 +429,7 @@ _BLOCK = 1 << 14
 def export(recording: Recording, kind: str, path: Path | str) -> None:
     """Write a recording as a table, one row per sample, or as sound.
 
-    All other content goes with a table.
+    A table has the columns of `Recording.columns`, and all other content and the units go with it.
 
     Args:
         recording: The recording.
@@ -484,12 +484,12 @@ def _about(recording: Recording) -> dict[str, Any]:
 
 
 def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
-    columns, unit_of = _columns(recording), units()
+    columns = _columns(recording)
     with aside(path.with_name(f"{path.name}.json")) as beside:
         beside.write_text(json.dumps(_about(recording), indent=1), encoding="utf-8")
         with partial.open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)
-            table.writerow([f"{name} [{unit_of[name]}]" if unit_of.get(name) else name for name in columns])
+            table.writerow(columns)
             for first in range(0, recording.ticks, _BLOCK):
                 table.writerows(zip(*(column[first : first + _BLOCK].tolist() for column in columns.values())))
 

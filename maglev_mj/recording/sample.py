@@ -75,6 +75,12 @@ class Field(NamedTuple):
         return isinstance(self.unit, tuple)
 
     @property
+    def text(self) -> str:
+        """Description with its units in brackets."""
+        unit = ", ".join(self.unit) if isinstance(self.unit, tuple) else self.unit
+        return f"{self.description} [{unit}]" if unit else self.description
+
+    @property
     def units(self) -> Sequence[tuple[str, str]]:
         """Name and unit of each table column."""
         if isinstance(self.unit, str):
@@ -218,10 +224,10 @@ def schema(field: Field) -> dict[str, Any]:
             axis: schema(Field(field.name, unit, f"{field.description}, {axis}"))
             for axis, (_, unit) in zip(AXES, field.units, strict=True)
         }
-        return {"type": "object", "description": field.description, "properties": parts}
+        return {"type": "object", "description": field.text, "properties": parts}
     if not field.unit:
-        return {"type": "integer", "description": field.description}
-    return {"type": "number", "unit": field.unit, "description": f"{field.description} [{field.unit}]"}
+        return {"type": "integer", "description": field.text}
+    return {"type": "number", "unit": field.unit, "description": field.text}
 
 
 def is_recorded(field: Field, values: Array) -> bool:
