@@ -124,9 +124,8 @@ class BlackBox:
         """
         with suppress(Exception):
             told = {"format": _FORMAT, "faults": fault_names(faults), "message": message, "versions": self._versions}
-            text = json.dumps(
-                {**told, **about, "columns": _COLUMNS, "cycles": [_flat(row) for row in (cycles or self._rows)]}
-            )
+            rows = [_flat(row) for row in cycles or self._rows]
+            text = json.dumps({**told, **about, "columns": _COLUMNS, "cycles": rows})
             for folder in (self._folder, Path(tempfile.gettempdir())):
                 with suppress(OSError):
                     folder.mkdir(parents=True, exist_ok=True)

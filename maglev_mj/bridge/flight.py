@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from maglev_mj import session
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
 from maglev_mj.bridge.landing import LandingReport, StopSwitch
 from maglev_mj.bridge.line import LoopTiming
@@ -24,20 +25,7 @@ from maglev_mj.parameters import number
 from maglev_mj.recording import RecordingError, RecordingFile
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import WEIGHT
-from maglev_mj.session import (
-    STEP_FORCE,
-    ChangeRequest,
-    Publisher,
-    Publishers,
-    SampledMotion,
-    Snapshot,
-    begin_scene,
-    changed,
-    check_step,
-    device_actions,
-    device_controller,
-    own_code_refused,
-)
+from maglev_mj.session import STEP_FORCE, ChangeRequest, Publisher, SampledMotion, Snapshot
 from maglev_mj.spec import GRAVITY
 from maglev_mj.terminal import wrapped
 
@@ -107,16 +95,16 @@ class Flight:
         if scene.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
         self._plant, self._scene, self._file = plant, scene, file
-        self._publishers, self._since = Publishers(publishers), 0
+        self._publishers, self._since = session.Publishers(publishers), 0
         self._motion, self._note = SampledMotion(), _NOTE
         self.switch, self.timing = switch or StopSwitch(), LoopTiming()
         self._lost = self._skipped = 0
         self._staged: tuple[ChangeRequest, Controller] | None = None
         self._wanted: tuple[ChangeRequest, Controller] | None = None
         self._begun: ChangeRequest | None = ChangeRequest(scene)
-        self._controller = device_controller(scene)
+        self._controller = session.device_controller(scene)
         self._step_force = number("step_force", step_force, above=0.0)
-        self._actions = device_actions(type(scene))
+        self._actions = session.device_actions(type(scene))
         self._inertia = [*[plant.calibration.mass] * 3, *plant.calibration.inertia]
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
@@ -191,7 +179,7 @@ class Flight:
             weight = (0.0, 0.0, -self._inertia[2] * GRAVITY, 0.0, 0.0, 0.0)
             known = {"inertia": self._inertia, "load": weight, "before": self._force}
             name = f"{scene.name} on a device"
-            record = begin_scene(self._file, scene, plant, controller, kind="device", name=name, **known)
+            record = session.begin_scene(self._file, scene, plant, controller, kind="device", name=name, **known)
         loop, samples = ControlLoop(plant, controller, observe=self._observe(controller), record=record), plant.samples
         while (
             not self.reason
@@ -250,11 +238,11 @@ class Flight:
         self._staged = None
         try:
             if controller is None:  # making one takes half of a period at 1 kHz: it is looked at a sample later
-                with own_code_refused():
-                    scene = changed(self._scene, request.scene)
-                    self._staged = ChangeRequest(scene, request.reply), device_controller(scene)
+                with session.own_code_refused():
+                    scene = session.changed(self._scene, request.scene)
+                    self._staged = ChangeRequest(scene, request.reply), session.device_controller(scene)
                 return
-            check_step(self._controller, controller, sample.position, self._step_force)
+            session.check_step(self._controller, controller, sample.position, self._step_force)
         except MaglevError as error:
             self._note = str(error)
             request.reply(self._note)

@@ -78,8 +78,7 @@ class HandObserver:
         self._taken = self._known = 0
         self._low: Sequence[float] | None = None
         self._lower: Sequence[float]
-        self._before: Sequence[float] = ZERO
-        self._last: Sequence[float] = ZERO
+        self._poses: tuple[Sequence[float], Sequence[float]] = ZERO, ZERO  # the last two
         self._rising: list[tuple[float, _Drive]] = []
 
     def answered(
@@ -155,7 +154,7 @@ class HandObserver:
                 acting.append(((period - middle) * share, drive))
                 self._rising.append((middle * share, drive))
                 start += duration
-            before, last, self._before, self._last = self._before, self._last, self._last, now
+            (before, last), self._poses = self._poses, (self._poses[1], now)
             self._known += 1
             if self._known < 3:
                 continue

@@ -51,10 +51,7 @@ class LatencyHistogram:
     p50 = property(lambda self: self.percentile(50.0), doc="Median of the recent latencies [s]; NaN without any.")
     p99 = property(lambda self: self.percentile(99.0), doc="99th percentile of the recent latencies [s].")
 
-    @property
-    def max(self) -> float:
-        """Maximum of all latencies [s]; NaN without any."""
-        return self.worst * 1e-9 if self.count else math.nan
+    max = property(lambda self: self.worst * 1e-9 if self.count else math.nan, doc="Maximum of all latencies [s].")
 
 
 Realtime: TypeAlias = Literal["enforce", "ignore"]

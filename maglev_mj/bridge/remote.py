@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NoReturn, Self
+from typing import Any, NoReturn, Self, TypeAlias
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import BlackBox, DeviceFault, HandshakeError
 from maglev_mj.bridge.landing import TOLERATED, LandingReport, Leader, Motion, Swing, shown, straight
 from maglev_mj.bridge.links import Link, LinkError, open_link
-from maglev_mj.bridge.observer import CoilEstimator, HandObserver
+from maglev_mj.bridge.observer import HandObserver
 from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, HostLimits, Limits, reading_fault
 from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Flag, Frame, Operation, State, StateReport, fault_names
 from maglev_mj.bridge.wire import Command as CommandFrame
@@ -42,6 +42,7 @@ _TRIES = [7e-4, 0.0, 0.0, 0.0, 0.0, 0.007], [-3.5e-4, 6e-4, 0.0, 0.0, 0.0, -0.00
 _SETTLING, _WATCHING = 0.3, 0.2
 """Longest wait for rest before disarming, and observation after it [s]."""
 
+_Watch: TypeAlias = Callable[[], object]
 _MOST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
@@ -84,6 +85,7 @@ class RemotePlant:
         samples: Counter of received, lost and skipped samples.
         hand_wrench: The hand's wrench as estimated, low-passed at 20 Hz [N, N m]; NaN unless the device is active. A
             touched stop counts as a hand; see `HandObserver`.
+        coils: Estimator of the coils' gains in takeoff.
         arrival: Arrival of the last sample, by the link's clock [s].
 
     Raises:
@@ -100,6 +102,7 @@ class RemotePlant:
     """
 
     hand_wrench = property(lambda self: self._hand.wrench)
+    coils = property(lambda self: self._hand.coils)
     arrival = property(lambda self: self._line.heard * 1e-9)
 
     def __init__(
@@ -325,12 +328,7 @@ class RemotePlant:
         if self._armed:
             self._fail_if_active(Fault.HOST, reason)
 
-    @property
-    def coils(self) -> CoilEstimator:
-        """Estimator of the coils' gains in takeoff."""
-        return self._hand.coils
-
-    def takeoff(self, duration: float = 0.6, *, watch: Callable[[], object] | None = None, tries: bool = False) -> None:
+    def takeoff(self, duration: float = 0.6, *, watch: _Watch | None = None, tries: bool = False) -> None:
         """Check rest, arm, and move the flotor to the centre.
 
         Untouched for 0.1 s, it must rest: up to 5 mm/s and 0.1 rad/s. Slow work is done before the currents flow.
@@ -381,9 +379,7 @@ class RemotePlant:
             self._landed(leader, duration, None)
             raise PlantError(f"no flight: {why}; landed again: keep hands off while it takes off, or calibrate it anew")
 
-    def land(
-        self, duration: float = 0.6, *, watch: Callable[[], object] | None = None, reason: str = ""
-    ) -> LandingReport:
+    def land(self, duration: float = 0.6, *, watch: _Watch | None = None, reason: str = "") -> LandingReport:
         """Move the flotor back to its rest pose and disarm.
 
         Args:
@@ -416,7 +412,7 @@ class RemotePlant:
         if self.state is not _INACTIVE:
             raise PlantError(f"no takeoff: the device is {self.state.name}, faults {fault_names(self.faults)}")
 
-    def _landed(self, leader: Leader, duration: float, watch: Callable[[], object] | None) -> LandingReport:
+    def _landed(self, leader: Leader, duration: float, watch: _Watch | None) -> LandingReport:
         """Lead the flotor back to its rest pose and disarm."""
         loop, self.guided = ControlLoop(self, leader), True
         leader.aim(straight(self.pose, self.rest, duration))
@@ -429,7 +425,7 @@ class RemotePlant:
         rests = motion.at_rest and not self.doubt
         return LandingReport(math.dist(motion.pose[:3], self.rest[:3]), *motion.speeds, rests)
 
-    def _lead(self, loop: ControlLoop, duration: float, watch: Callable[[], object] | None) -> bool:
+    def _lead(self, loop: ControlLoop, duration: float, watch: _Watch | None) -> bool:
         """Run a loop for a time [s]; return True if it was ended early."""
         end = self.samples.tick + max(round(duration / self.period), 1)
         while self.samples.tick < end:

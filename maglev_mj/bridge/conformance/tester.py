@@ -78,10 +78,9 @@ class Tester:
 
     def encode(self, body: Any, *, session: int | None = None, sequence: int = 0) -> bytes:
         """Return a frame, of this session by default."""
-        outside = isinstance(body, (wire.Hello, wire.Estop))
-        return self.codec.encode(
-            0 if outside else self.session if session is None else session, sequence, self.now(), body
-        )
+        if isinstance(body, (wire.Hello, wire.Estop)):
+            session = 0
+        return self.codec.encode(self.session if session is None else session, sequence, self.now(), body)
 
     def command(self, answers: int, held: Sequence[float], pulsed: Sequence[float] = (), width: float = 0.0) -> None:
         """Send currents under the next sequence number."""
