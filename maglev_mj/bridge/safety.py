@@ -158,11 +158,8 @@ class HostLimits(Parameters):
         """Return the smaller of the device's and the host's limits."""
         current = min(limits.current_limit, self.max_current or math.inf)
         steady = min(limits.continuous_current, self.continuous_current or math.inf)
-        return limits.replace(
-            current_limit=current,
-            continuous_current=steady,
-            hover_limit=min(limits.hover_limit, current, steady),
-        )
+        hover = min(limits.hover_limit, current, steady)
+        return limits.replace(current_limit=current, continuous_current=steady, hover_limit=hover)
 
 
 def _by_name(values: Any) -> dict[str, Any]:

@@ -221,11 +221,8 @@ def _period(t: Tester) -> str:
         fail(f"{took / 1e6:.3f} ms by arrival instead of {period / 1e6:g} ms")
     for one in (frame.body for frame in found):
         on = max(map(abs, one.spots)) <= t.welcome.spot_limit
-        same(
-            "valid, flags, spots on their diodes, currents off",
-            (one.valid, one.flags, on, is_off(one.currents)),
-            (7, 0, 1, 1),
-        )
+        seen = one.valid, one.flags, on, is_off(one.currents)
+        same("valid, flags, spots on their diodes, currents off", seen, (7, 0, 1, 1))
     return f"{period / 1e6:g} ms stamped, {took / 1e6:.3f} ms by arrival"
 
 
