@@ -169,12 +169,28 @@ def stiffness(shown: Snapshot) -> float:
 
 
 def test_a_slider_moves_a_gain(run: Run, tab: Any) -> None:
-    slider = tab.locator("[role=slider]").first
+    slider = tab.locator("[role=slider]").nth(1)
     before = stiffness(run.shown)
     slider.focus()
     for _ in range(3):
         tab.keyboard.press("ArrowRight")
     run.until(lambda shown: stiffness(shown) == float(slider.get_attribute("aria-valuenow")) > before + 200.0)
+
+
+def test_a_slider_goes_back_and_buttons_go_on_or_repeat(run: Run, tab: Any) -> None:
+    slider = tab.locator("[role=slider]").first
+    slider.focus()
+    tab.keyboard.press("ArrowRight")
+    shown = run.until(lambda shown: shown.state == "paused" and shown.rewound)
+    tab.wait_for_selector("[role=alert]:has-text('s back')")
+    assert shown.rewound < 0.6
+    tab.get_by_role("button", name="same hand again", exact=True).click()
+    run.until(lambda shown: shown.state == "running" and shown.time > 0.0)
+    slider.focus()
+    tab.keyboard.press("ArrowRight")
+    run.until(lambda shown: shown.state == "paused" and shown.rewound)
+    tab.get_by_role("button", name="go on from here", exact=True).click()
+    run.until(lambda shown: shown.state == "running" and not shown.rewound)
 
 
 def test_the_knob_is_pulled_into_the_wall_which_stops_it(run: Run, tab: Any) -> None:
@@ -254,14 +270,14 @@ def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, ta
 def test_a_refused_value_is_told_and_the_slider_goes_back(run: Run, tab: Any) -> None:
     choose(tab, "press")
     run.until(lambda shown: shown.scene.name == "press")
-    slider = tab.locator("[role=slider]").first
+    slider = tab.locator("[role=slider]").nth(1)
     # the slider of the scene before had the same value
-    tab.wait_for_function("document.querySelector('[role=slider]').getAttribute('aria-valuemin') == '0'")
+    tab.wait_for_function("document.querySelectorAll('[role=slider]')[1].getAttribute('aria-valuemin') == '0'")
     slider.focus()
     tab.keyboard.press("Home")
     tab.wait_for_selector("text=stiffness must be a finite number above 0")
     assert stiffness(run.shown) > 0.0
-    tab.wait_for_function("document.querySelector('[role=slider]').getAttribute('aria-valuenow') != '0'")
+    tab.wait_for_function("document.querySelectorAll('[role=slider]')[1].getAttribute('aria-valuenow') != '0'")
     choose(tab, "joystick")
     run.until(lambda shown: shown.scene.name == "joystick")
 
@@ -332,7 +348,7 @@ def test_without_webgl_and_after_the_token_has_left_the_address_all_but_the_pict
             tab.wait_for_selector("text=joystick")
             assert tab.url == run.url.split("?")[0] and tab.title() == "maglev-mj"
             tab.reload(wait_until="domcontentloaded")
-        tab.locator("[role=slider]").first.focus()
+        tab.locator("[role=slider]").nth(1).focus()
         tab.keyboard.press("ArrowRight")
         run.until(lambda shown: stiffness(shown) > 6000.0)
         tab.get_by_role("button", name="emergency stop", exact=True).click()

@@ -260,6 +260,7 @@ class Panel:
         elif snapshot.rewound is not None and settings:
             hint, bounds = "pauses, and shows the scene as it was before", (0.0, KEPT)
             self._time = Slider(gui, "rewind", "rewind [s]", hint, 0.0, bounds, ask, room=KEPT)
+            self._time.handle.order = 1.1
         self._add_views()
         self.show(snapshot)
 
