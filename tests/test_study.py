@@ -246,6 +246,7 @@ def test_a_writing_that_fails_half_way_leaves_the_shard_before_it(
     monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
     record, write = kept(tmp_path / "record", CELLS), recording._write_table
     record.add(range(5), pack([float(number) for number in range(5)]))
+    record.flush()
 
     def half(kind: str, table: Any, file: Any) -> None:
         write(kind, table, file)
@@ -260,6 +261,17 @@ def test_a_writing_that_fails_half_way_leaves_the_shard_before_it(
     monkeypatch.setattr(recording, "_write_table", write)
     record.flush()
     assert list(kept(tmp_path / "record", CELLS)) == [float(number) for number in range(10)]
+
+
+def test_a_result_is_written_while_a_long_job_runs(tmp_path: Path) -> None:
+    path, deadline = tmp_path / "record", time.monotonic() + 60.0
+
+    def long_last(cells: list[Cell]) -> list[Any]:
+        while cells[0]["x"] == 9 and not kept(path, CELLS).done[:9].all() and time.monotonic() < deadline:
+            time.sleep(0.05)
+        return [time.monotonic() < deadline]
+
+    assert all(run_cells(long_last, CELLS, record=Record(path), workers=Workers(lambda: ThreadPoolExecutor(2), 10)))
 
 
 def test_full_shards_are_not_written_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,7 +29,7 @@ from maglev_mj.process import interrupts_held
 from maglev_mj.studies.record import Cell, Columns, Record, pack
 from maglev_mj.versions import Versions, differences, versions
 
-_STOPPING, _CONNECTING = 1.0, 5.0  # [s]
+_STOPPING, _CONNECTING, _WRITING = 1.0, 5.0, 1.0  # [s]
 
 
 class StudyInterrupted(KeyboardInterrupt):
@@ -309,10 +309,11 @@ class Study:
                         jobs.popleft()
                     except self.workers.deaths:  # since the last result
                         broken = True
-                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                for future in wait(running, _WRITING, FIRST_COMPLETED).done:
                     job = running.pop(future)
                     if not self._collect(future, job):
                         lost, broken = [*lost, *job], True
+                self.record.flush(due=True)
         except BaseException as error:
             stopped = isinstance(error, KeyboardInterrupt)
             running = {future: job for future, job in running.items() if not future.cancel()}

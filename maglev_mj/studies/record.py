@@ -112,8 +112,8 @@ class Record(Sequence[Any]):
         """
         self.columns: dict[str, NDArray[Any]] = {}
         self.done = np.zeros(len(cells), dtype=bool)
-        self._unwritten: list[NDArray[np.int64]] = []  # of the open shard
-        self._written, self._next = 0, 0.0
+        self._open: list[NDArray[np.int64]] = []  # cells of the last shard, which grows
+        self._full, self._dirty, self._next = 0, False, 0.0
         plan = getattr(cells, "plan", None)
         if plan is None:
             plan = {"cells": hash_of("\n".join(json_text("a cell", cell, sort_keys=True) for cell in cells))}
@@ -173,26 +173,26 @@ class Record(Sequence[Any]):
         self.done[indices] = True
 
     def add(self, indices: range, columns: Columns) -> None:
-        """Store results; the folder has them within seconds."""
-        self._unwritten.append(np.array(indices))
-        self.put(self._unwritten[-1], columns)
-        if time.monotonic() >= self._next:
-            self.flush()
+        """Store results for the next writing."""
+        self._open.append(np.array(indices))
+        self.put(self._open[-1], columns)
+        self._dirty = True
 
-    def flush(self) -> None:
-        """Write all results that the folder lacks."""
+    def flush(self, *, due: bool = False) -> None:
+        """Write results that the folder lacks; with `due` only some time after the last writing."""
         start = time.monotonic()
-        if self.path is not None and self._unwritten:
-            self.path.mkdir(parents=True, exist_ok=True)
-            if not (self.path / _PLAN).exists():
-                self._write(_PLAN, lambda file: file.write(json.dumps(self._plan, indent=1).encode()))
-            indices = np.concatenate(self._unwritten)
-            table = {_INDEX: indices, **{name: column[indices] for name, column in self.columns.items()}}
-            kind = ".parquet" if find_spec("pyarrow") else ".npz"
-            self._write(f"cells-{self.name}-{self._written:05}{kind}", lambda file: _write_table(kind, table, file))
-            self._unwritten = [indices]
-            if indices.size >= _ROWS:
-                self._unwritten, self._written = [], self._written + 1
+        if self.path is None or not self._dirty or (due and start < self._next):
+            return
+        self.path.mkdir(parents=True, exist_ok=True)
+        if not (self.path / _PLAN).exists():
+            self._write(_PLAN, lambda file: file.write(json.dumps(self._plan, indent=1).encode()))
+        indices = np.concatenate(self._open)
+        table = {_INDEX: indices, **{name: column[indices] for name, column in self.columns.items()}}
+        kind = ".parquet" if find_spec("pyarrow") else ".npz"
+        self._write(f"cells-{self.name}-{self._full:05}{kind}", lambda file: _write_table(kind, table, file))
+        self._open, self._dirty = [indices], False
+        if indices.size >= _ROWS:
+            self._open, self._full = [], self._full + 1
         self._next = time.monotonic() + max(_PAUSE, _SHARE * (time.monotonic() - start))
 
     def _write(self, name: str, write: Callable[[Any], object]) -> None:

@@ -257,11 +257,9 @@ class Grid(Sequence[Cell]):
         fixed = {name: value for name, value in scene.independent_values().items() if name not in vary}
         self.plan = {"scene": self._head["scene"], **fixed, **self.axes, "vary": [*self.axes]}
         self._fixed = self._head | fixed
-        corners, stride = {0}, count
-        for length in self._shape:
-            stride //= length
-            corners |= {corner + (length - 1) * stride for corner in corners} if len(corners) < _CHECKED else set()
-        for index in sorted(corners.union(np.linspace(0, count - 1, min(count, _CHECKED), dtype=np.int64).tolist())):
+        ends = itertools.islice(itertools.product(*({0, length - 1} for length in self._shape)), _CHECKED)
+        corners = np.ravel_multi_index(tuple(zip(*ends)), self._shape).tolist()
+        for index in sorted({*corners, *np.linspace(0, count - 1, min(count, _CHECKED), dtype=np.int64).tolist()}):
             self[index]
 
     def __len__(self) -> int:
