@@ -196,6 +196,11 @@ def test_bench_measures_sections_and_writes_one_file(
     assert done.value.code == 0 and "| corrected, body: over by hand |" in capsys.readouterr().out
 
 
+def test_the_cost_of_cells_is_a_row_for_each_number_of_them(run_script: Script) -> None:
+    *rows, _ = map(json.loads, run_script("benchmarks/cells.py", "--empty", "100", "--drops", "16").splitlines())
+    assert [row["cells"] for row in rows] == [100, 16] and all(row["bytes a cell"] > 8.0 for row in rows)
+
+
 def test_recorder_prints_what_a_tick_costs(run_script: Script) -> None:
     out = run_script("benchmarks/recorder.py", "--quick")
     assert "recorded to .mcap, into shared memory" in out and "samples a second" in out and "is read in" in out

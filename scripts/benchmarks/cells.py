@@ -32,7 +32,7 @@ def empty(cells: Any, text: str | None = None) -> list[dict[str, Any]]:
     return [{name: cell["stiffness"] / (cell["damping"] + place) for place, name in enumerate(names)} for cell in cells]
 
 
-def run(kind: str, count: int, workers: int, record: Path, digest: bool = False) -> dict[str, Any]:
+def run(kind: str, count: int, workers: int, record: Path) -> dict[str, Any]:
     """Return time and memory of a sweep's parent, and bytes of its record."""
     if kind == "empty":
         sweeping.run_scene_cells = empty
@@ -43,10 +43,10 @@ def run(kind: str, count: int, workers: int, record: Path, digest: bool = False)
     }
     start = time.perf_counter()
     found = sweeping.sweep(find_scene("drop"), vary, plant="exact", workers=local_workers(workers), record=record)
-    table = str(found.table())
+    str(found.table())
     own = resource.getrusage(resource.RUSAGE_SELF)
-    files = [path for path in (record.iterdir() if record.is_dir() else [record])]
-    data: dict[str, Any] = {
+    files = record.iterdir() if record.is_dir() else [record]  # a file before there were folders
+    return {
         "kind": kind,
         "cells": len(found.cells),
         "seconds": time.perf_counter() - start,
@@ -54,11 +54,8 @@ def run(kind: str, count: int, workers: int, record: Path, digest: bool = False)
         "peak MB": own.ru_maxrss / 1e3,
         "bytes a cell": sum(path.stat().st_size for path in files) / len(found.cells),
         "resumed": found.resumed,
-        "first figure": table.splitlines()[3].split()[:2],
+        "figures": hash_of("".join(found.figure(name).tobytes().hex() for name in found.names)),
     }
-    if digest:
-        data["figures"] = [hash_of(found.figure(name).tobytes().hex()) for name in found.names]
-    return data
 
 
 def start(*words: object) -> subprocess.Popen[str]:
@@ -87,7 +84,10 @@ def kills(number: int, count: int, workers: int, folder: Path) -> None:
         again = row("drop", count, workers, folder / f"kill-{turn}")
         once = row("drop", count, workers, folder / f"kill-{turn}")
         same += whole["figures"] == again["figures"] == once["figures"] and once["resumed"] == once["cells"]
-        print(f"killed: {again['resumed']} of {again['cells']} cells were kept; equal so far: {same} of {turn + 1}")
+        print(
+            f"killed: {again['resumed']} of {again['cells']} cells were kept; equal so far: {same} of {turn + 1}",
+            flush=True,
+        )
 
 
 def main() -> None:
@@ -101,13 +101,14 @@ def main() -> None:
     given = parser.parse_args()
     if given.row:
         kind, count, workers, record = given.row
-        print(json.dumps(run(kind, int(count), int(workers), Path(record), digest=kind == "drop")))
+        print(json.dumps(run(kind, int(count), int(workers), Path(record))))
         return
     with tempfile.TemporaryDirectory() as folder:
         for kind, counts in (("empty", given.empty), ("drop", given.drops)):
             for count in counts:
-                print(json.dumps({**row(kind, int(count), given.workers, Path(folder) / f"{kind}-{count:g}")}))
-        kills(given.kills, 20_000, given.workers, Path(folder)) if given.kills else None
+                print(json.dumps(row(kind, int(count), given.workers, Path(folder) / f"{kind}-{count:g}")), flush=True)
+        if given.kills:
+            kills(given.kills, 20_000, given.workers, Path(folder))
     print(json.dumps({"versions": versions()}))
 
 
