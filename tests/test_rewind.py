@@ -69,7 +69,8 @@ def played(session: Session, duration: float, size: float = 5e-3) -> Session:
     """Move the hand on all axes, also into walls and stops, and release it."""
     for frame in range(round(duration / 0.02)):
         x, y, z = (size * np.sin(frame / rate) for rate in (7.0, 5.0, 11.0))
-        session.hand.target = [x, y, z, 0.1 * np.sin(frame / 9.0), 0.1 * np.cos(frame / 6.0), 0.0]
+        turn = 0.1 * (frame > 30)  # upright before
+        session.hand.target = [x, y, z, turn * np.sin(frame / 9.0), turn * np.cos(frame / 6.0), 0.0]
         session.tick(0.02)
     session.hand.target = None
     return session
@@ -136,7 +137,7 @@ def test_a_changed_gain_gives_the_run_from_the_same_state(again: bool) -> None:
     assert stretch.scene == scene and np.array(poses).tobytes() == rows(session)[240:, 1:7].tobytes()
     assert np.array(poses).tobytes() != first[240:, 1:7].tobytes()
     second = rows(session).copy()
-    session.rewind(1.8, again=True)  # into the second try: nothing is left of the first
+    session.rewind(1.3, again=True)  # into the second try: nothing is left of the first
     run_to(session, end)
     assert rows(session).tobytes() == second.tobytes() and session.snapshot().scene == scene
 
