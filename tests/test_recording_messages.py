@@ -1,16 +1,20 @@
 """Contents of recordings for other programs: topics by their schemas, frames, scene, log."""
 
+import json
 from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
+from maglev_mj.cli.output import LAYOUT
 from maglev_mj.frames import ZERO, quaternion
 from maglev_mj.plants.shapes import ARROW, GRIP, shapes
 from maglev_mj.recording import Recording, mcap, open_recording
-from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, RunMetadata, Totals, as_rows
+from maglev_mj.recording.mcap import SAMPLE
+from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, RunMetadata, Totals, as_rows, units
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.stick_slip import StickSlip
@@ -238,6 +242,34 @@ def test_a_force_too_small_to_see_or_that_is_no_number_has_no_arrow(force: tuple
     from maglev_mj.recording.messages import _arrow
 
     assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
+
+
+def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording(tmp_path: Path) -> None:
+    layout, path = json.loads(LAYOUT.read_text()), tmp_path / "run.mcap"
+    write_run(path, Drop(), plant="exact")
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        schemas = {one.topic: summary.schemas[one.schema_id].name for one in summary.channels.values()}
+    panels = layout["configById"]
+    scene = panels["3D!device"]
+    assert all(schemas[topic] == "foxglove.SceneUpdate" and of["visible"] for topic, of in scene["topics"].items())
+    assert sorted(scene["topics"]) == sorted(topic for topic, name in schemas.items() if "Scene" in name)
+    assert schemas[panels["RosOut!log"]["topicToRender"]] == "foxglove.Log"
+    assert schemas["/tf"] == "foxglove.FrameTransforms" and scene["followTf"] == "stator"
+    plotted = [one["value"] for name in ("Plot!position", "Plot!force") for one in panels[name]["paths"]]
+    fields = {f"{SAMPLE}.{name}" for field in FIELDS for name, _ in field.units}
+    assert len(plotted) == 6 and set(plotted) <= fields
+    assert f"[{units()['position.z']}]" in panels["Plot!position"]["foxglovePanelTitle"]
+    # the device is in front of the camera, whole, and not cut off
+    camera, reach = (
+        scene["cameraState"],
+        max(np.linalg.norm(np.abs(one.position) + one.half) for one in shapes("maglev")),
+    )
+    across = camera["distance"] * np.tan(np.radians(camera["fovy"]) / 2)
+    assert camera["near"] < camera["distance"] - reach and reach < across < 3.0 * reach
+    named = json.dumps(layout["layout"])
+    assert all(f'"{name}"' in named for name in panels)
 
 
 @pytest.mark.needs("rerun")

@@ -40,7 +40,7 @@ from maglev_mj.cli.options import (
     chosen,
     chosen_scene,
 )
-from maglev_mj.cli.output import Progress
+from maglev_mj.cli.output import Progress, print_written
 from maglev_mj.cli.peripherals import PageOptions, PublisherOptions
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.recording import RecordingFile, open_recording, tee
@@ -303,7 +303,10 @@ def _keep(file: RecordingFile, _kind: object, error: BaseException | None, _trac
             raise
         say(f"  {problem}", sys.stderr)
         return
-    print(f"  wrote {path}" if path is not None else "  nothing was recorded: it did not come to fly")
+    if path is None:
+        print("  nothing was recorded: it did not come to fly")
+    else:
+        print_written(path)
 
 
 def _opened(address: str, key: bytes | None, calibration: Calibration, limits: HostLimits, folder: Path) -> RemotePlant:

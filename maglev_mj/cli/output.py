@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 _WIDTH, _SLIDER = 30, 6
 _ERASED = "\r\x1b[K"
 
+LAYOUT = Path(__file__).parents[1] / "interop" / "foxglove" / "layout.json"
+"""Layout file for Foxglove: device, walls, arrows, plots of position and force, log."""
+
 
 class Progress:
     """Context manager that draws a progress bar.
@@ -221,7 +224,14 @@ def write_results(
     if json != "-":
         print(text())
         for path in files:
-            print(f"  wrote {path}")
+            print_written(path)
+
+
+def print_written(path: Path) -> None:
+    """Print the path of a written file; for an MCAP file also that of Foxglove's layout."""
+    print(f"  wrote {path}")
+    if path.suffix == ".mcap":
+        print(f"  Foxglove shows it with the layout {LAYOUT}")
 
 
 def write_result(json: str | None, result: Result, pictures: PictureFolder | None = None, picture: str = "") -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
 from maglev_mj.cli.declare import Parser, Shared, count, option
 from maglev_mj.cli.options import parameters
+from maglev_mj.cli.output import LAYOUT
 from maglev_mj.errors import ParameterError, check_one_of, require
 from maglev_mj.terminal import say
 
@@ -156,7 +157,7 @@ def open_foxglove(port: int | None) -> LiveServer | None:
     from maglev_mj.interop.foxglove import LiveServer
 
     live = LiveServer(port)
-    say(f"  live at ws://127.0.0.1:{live.port}, as Foxglove opens it")
+    say(f"  live at ws://127.0.0.1:{live.port}, as Foxglove opens it, with the layout {LAYOUT}")
     return live
 
 

@@ -24,7 +24,7 @@ from maglev_mj.cli.options import (
     json_of,
     warn_of_instability,
 )
-from maglev_mj.cli.output import Progress, keep_partial, write_results
+from maglev_mj.cli.output import Progress, keep_partial, print_written, write_results
 from maglev_mj.cli.peripherals import HandOptions, PageOptions, PublisherOptions, ServedMouse, show_session
 from maglev_mj.errors import DivergenceError, MaglevError, ParameterError
 
@@ -223,7 +223,7 @@ def _show(
         print(show_session(source, front, folder, seconds))
     finally:
         for path in session.recordings:  # after any error the user needs their paths
-            print(f"  wrote {path}")
+            print_written(path)
 
 
 def render(
