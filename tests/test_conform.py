@@ -298,6 +298,8 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("welcome", Profile, "answer", "**times}", "**times, 'hover_limit': limits['current_limit']}"),
     ("welcome", Profile, "answer", "**times}", "**times, 'watchdog': self.period}"),
     ("welcome", Profile, "answer", "**times}", "**times, 'stale': self.period - 1}"),
+    ("welcome", Profile, "answer", "**times}", "**times, 'enable': 2 * self.period - 1}"),
+    ("welcome", Profile, "answer", "**times}", "**times, 'hover_limit': 0.1}"),
     ("frames", F, "_answer_hello", "codec.encode(session, 0,", "codec.encode(self.session, 0,"),
     ("bye", F, "_control", "last.operation == Operation.BYE", "False"),
     ("bye", F, "_do", "if self.state == State.ACTIVE:", "if True:"),
