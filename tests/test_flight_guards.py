@@ -355,7 +355,7 @@ def test_an_answer_that_is_no_longer_kept_is_not_known() -> None:
 def test_samples_that_nobody_asked_about_begin_a_new_estimate() -> None:
     calibration = Calibration.nominal()
     observer = HandObserver(calibration, 0.0001)  # a low pass that remembers more than is kept
-    for tick in range(100):
+    for tick in range(120):
         observer.sampled(tick, 1, [1e-4 * (tick < 36) * (-1) ** tick] * 6, tick - 1, 0.00005)
         observer.answered(tick, Command([0.0] * 6), [0.0] * 6, None, 0.0)
         if tick == 35:
