@@ -128,6 +128,7 @@ REFUSED = {
     # servers and pages
     f"{NEAR} --foxglove 65536": "port must be a whole number of 0 to 65535, not 65536",
     "twin --foxglove -1": "port must be a whole number of 0 to 65535, not -1",
+    "view --allow-origin http://a/b": "argument --allow-origin: origin must be as http://192.168.0.5:8080, without a",
     "view --foxglove 99999": "port must be a whole number of 0 to 65535, not 99999",
     "twin --foxglove x": "must be a whole number, not 'x'",
     f"{NEAR} --identify f.json --foxglove": HELD,

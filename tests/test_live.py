@@ -19,6 +19,7 @@ from asyncio.trsock import TransportSocket
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
+from dataclasses import replace
 from multiprocessing import Pipe, active_children
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -44,6 +45,7 @@ from maglev_mj.scenes import Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import INERTIA, MASS, Box, Corner, Joystick, Table
 from maglev_mj.session import Pacer, Session, Snapshot, UnstableLoop, unstable_loop
+from maglev_mj.session.access import check_origin
 from maglev_mj.spec import RANGE
 from maglev_mj.theory import largest_modulus, largest_stable_stiffness
 from tests.virtual_screen import waited
@@ -219,6 +221,50 @@ EVIL = (
 )
 def test_everything_else_is_refused(asked: str, wrong: str) -> None:
     assert refusal(asked).startswith(wrong)
+
+
+NAMED = ("http://192.168.0.5:8080", "file://", "null")
+
+
+def test_a_named_origin_is_let_in_and_no_other() -> None:
+    for named in NAMED:
+        access = replace(service._ACCESS, allowed=[named])
+        for origin in (named, APP):
+            assert refusal(request(f"Origin: {origin}"), access) == ""
+        for origin in {*EVIL, *NAMED, f"{named}.evil.example", f"{named}/"} - {named}:
+            assert refusal(request(f"Origin: {origin}"), access).startswith("Origin must be this machine or ")
+        assert refusal(request(f"Origin: {named}", host="192.168.0.5:8765"), access).startswith("Host must be")
+        assert check_origin(named) == named
+    every = replace(service._ACCESS, allowed=["http://a.example"])
+    assert refusal(request("Origin: http://axexample"), every)  # a point is a point
+
+
+@pytest.mark.parametrize(
+    "origin", ["", "*", "http://", "http://a/", "http://a/b", "ftp://a", "a.example", "http://a b", "http://a,http://b"]
+)
+def test_an_origin_that_is_none_is_refused(origin: str) -> None:
+    with pytest.raises(ParameterError, match="origin must be as http"):
+        LiveServer(0, [origin])
+
+
+def test_the_server_behind_is_where_no_browser_can_open_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    hosts = {service.hidden_address() for _ in range(20)}
+    assert len(hosts) == 20 and all(re.fullmatch(r"127\.\d+\.\d+\.\d+", host) and not port for host, port in hosts)
+    real, taken = socket.create_server, set[int]()
+
+    def create(address: tuple[str, int]) -> socket.socket:
+        if address[0] != "127.0.0.1" or address[1] in taken:  # as on macOS
+            raise OSError("Can't assign requested address")
+        return real(address)
+
+    monkeypatch.setattr("maglev_mj.interop.foxglove.service.socket.create_server", create)
+    while len(taken) < 3:
+        host, port = service.hidden_address()
+        assert host == "127.0.0.1" and port in service._BLOCKED and port not in taken
+        taken.add(port)
+    taken.update(service._BLOCKED)
+    with pytest.raises(OSError, match=r"ports 1719, .* 10080 of 127\.0\.0\.1 are taken"):
+        service.hidden_address()
 
 
 @contextmanager
@@ -795,11 +841,17 @@ def test_a_check_that_dies_or_does_not_end_is_given_up(
     scene = find_scene(str(tmp_path / "odd.py"))()
     near, far = Pipe()
     with closing(Ring()) as ring, socket.create_server(("127.0.0.1", 0)) as public:
-        serving = threading.Thread(target=service.serve, args=(far, RowReader(ring.descriptor), public))
+        arguments = far, RowReader(ring.descriptor), public, NAMED
+        serving = threading.Thread(target=service.serve, args=arguments)
         serving.start()
         assert near.recv() == ""
         near.send((0, "show", state(scene), None))
-        with LiveClient(f"ws://127.0.0.1:{public.getsockname()[1]}") as client:
+        address = f"ws://127.0.0.1:{public.getsockname()[1]}"
+        for origin in NAMED:
+            connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")], origin=Origin(origin)).close()
+        with pytest.raises(InvalidStatus):
+            connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")], origin=Origin("http://192.168.0.6:8080"))
+        with LiveClient(address) as client:
             for request, said in (
                 ({"stiffness": 1e5}, "must be below 1"),
                 ({"ends": True}, "it is not known whether .* stable: the process that checks them ended"),

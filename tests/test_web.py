@@ -12,7 +12,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from multiprocessing import Pipe
@@ -54,11 +54,11 @@ pytestmark = pytest.mark.xdist_group("screen")
 
 
 @contextmanager
-def served(host: str = "127.0.0.1", token: str | None = None) -> Iterator[PageServer]:
+def served(host: str = "127.0.0.1", token: str | None = None, origins: Sequence[str] = ()) -> Iterator[PageServer]:
     """Yield the server of a page."""
     with listen(0, host) as listener:
         port = listener.getsockname()[1]
-        server = PageServer(Door(host, port, token), listener)
+        server = PageServer(Door(host, port, token, origins), listener)
         assert server.get_port() == port  # no other is taken
         try:
             yield server
@@ -163,6 +163,14 @@ def test_a_server_that_starts_without_the_door_is_refused(monkeypatch: pytest.Mo
     monkeypatch.setattr(viser.ViserServer, "__init__", lambda self, **options: None)
     with listen(0) as listener, pytest.raises(MaglevError, match="without its door"):
         PageServer(Door("127.0.0.1", listener.getsockname()[1]), listener)
+
+
+def test_a_named_origin_is_let_in_with_the_token_alone() -> None:
+    with served(origins=["http://192.168.0.5:8080", "null"]) as server:
+        statuses = [upgrade(server, origin) for origin in ("http://192.168.0.5:8080", "null", "", "http://192.168.0.6")]
+        assert statuses == [101, 101, 101, 403]
+    with served(token=TOKEN, origins=["null"]) as server:
+        assert upgrade(server, "null") == 403
 
 
 def server_url(server: PageServer) -> str:

@@ -6,9 +6,9 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
@@ -40,6 +40,28 @@ _OWN = "port", "no_open", "host", "token"
 _PAGE = "page in a browser"
 
 
+def _origin(text: str) -> str:
+    from maglev_mj.session.access import check_origin
+
+    try:
+        return check_origin(text)
+    except ParameterError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+AllowedOrigins: TypeAlias = Annotated[
+    list[str],
+    option(
+        "let pages of this origin connect to the page and to the live server, such as http://192.168.0.5:8080, file:// "
+        "or null; may be given several times",
+        _PAGE,
+        "URL",
+        kind=_origin,
+    ),
+]
+"""Origins of viewers' pages that may use the servers, besides those that may in any case."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PageOptions:
     """Chosen page in a browser."""
@@ -57,6 +79,7 @@ class PageOptions:
             const="",
         ),
     ] = None
+    allow_origin: AllowedOrigins = field(default_factory=list)
     listens: Annotated[bool, Shared(None, lambda options: "listen" in options)] = False
     """True if the command has an address of its own."""
 
@@ -94,7 +117,7 @@ class PageOptions:
         from maglev_mj.views.page.page import Door, page
 
         listener = listen(PORT if self.port is None else self.port, host)
-        door = Door(host, listener.getsockname()[1], token)
+        door = Door(host, listener.getsockname()[1], token, self.allow_origin)
         print(f"  the page is at {door.url}", flush=True)
         if not self.no_open and (os.name == "nt" or sys.platform == "darwin" or _has_screen()):
             _open_browser(door.url)
@@ -146,8 +169,12 @@ Foxglove: TypeAlias = Annotated[
 ]
 
 
-def open_foxglove(port: int | None) -> LiveServer | None:
+def open_foxglove(port: int | None, origins: Sequence[str]) -> LiveServer | None:
     """Start and return the live server at a port; None without one.
+
+    Args:
+        port: See `LiveServer`.
+        origins: See `LiveServer`.
 
     Raises:
         LiveServerError: See `LiveServer`.
@@ -156,7 +183,7 @@ def open_foxglove(port: int | None) -> LiveServer | None:
         return None
     from maglev_mj.interop.foxglove import LiveServer
 
-    live = LiveServer(port)
+    live = LiveServer(port, origins)
     say(f"  live at ws://127.0.0.1:{live.port}, as Foxglove opens it, with the layout {LAYOUT}")
     return live
 
@@ -308,6 +335,7 @@ class PublisherOptions:
     """Chosen connections to other programs."""
 
     foxglove: Foxglove = None
+    allow_origin: AllowedOrigins = field(default_factory=list)
     step_force: Annotated[
         float,
         option(
@@ -333,7 +361,7 @@ class PublisherOptions:
             for server in self.spacenav.open():
                 last.callback(server.close)
                 publishers.append(server)
-            if (live := open_foxglove(self.foxglove)) is not None:
+            if (live := open_foxglove(self.foxglove, self.allow_origin)) is not None:
                 last.callback(live.close)
                 publishers.append(live)
             yield OpenPublishers(publishers, live)

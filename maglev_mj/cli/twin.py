@@ -98,7 +98,7 @@ def twin(
         if (front := page.front(view)) is not None:
             viewer = RemoteViewer(blank, front)
             last.callback(viewer.close)
-        if (live := open_foxglove(foxglove)) is not None:
+        if (live := open_foxglove(foxglove, page.allow_origin)) is not None:
             last.callback(live.close)
         twin = Twin(parameters, key=key, hand_force=_hand(push, support if viewer is None else viewer.hand))
         server = TwinServer(twin, _server(listen, key))

@@ -83,6 +83,22 @@ def listen(port: int, host: str = "127.0.0.1") -> socket.socket:
         raise ListenError(f"cannot listen at port {port} of {host}: {os.strerror(error.errno or 0)}") from None
 
 
+_ORIGIN = r"https?://(?:[a-z0-9](?:[a-z0-9.-]*[a-z0-9])?|\[[0-9a-f:]+\])(?::\d{1,5})?|file://|null"
+
+
+def check_origin(text: str) -> str:
+    """Return the Origin of a viewer's page after checking it.
+
+    Raises:
+        ParameterError: If it is not one.
+    """
+    if not re.fullmatch(_ORIGIN, text, re.IGNORECASE):
+        raise ParameterError(
+            f"origin must be as http://192.168.0.5:8080, without a path, file:// or null, not {text!r}"
+        )
+    return text
+
+
 @dataclass(frozen=True)
 class Access:
     """Permission to use a server of this machine, by what a browser says of itself.
@@ -94,11 +110,13 @@ class Access:
         hosts: Pattern of the permitted Host.
         named: What that is, in words.
         origins: Pattern of the permitted Origins, and what they are in words; None for those of the page itself.
+        allowed: Further permitted Origins, see `check_origin`.
     """
 
     hosts: str
     named: str
     origins: tuple[str, str] | None = None
+    allowed: Sequence[str] = ()
 
     def refusal(self, hosts: Sequence[str], origins: Sequence[str]) -> str:
         """Return the reason to refuse a request, or an empty text.
@@ -110,5 +128,6 @@ class Access:
         if len(hosts) != 1 or not re.fullmatch(self.hosts, hosts[0], re.IGNORECASE):
             return f"Host must be {self.named}, not {', '.join(hosts)!r}"
         pattern, named = self.origins or (f"https?://{re.escape(hosts[0])}", "the page itself")
+        pattern = "|".join((pattern, *map(re.escape, self.allowed)))
         wrong = [origin for origin in origins if not re.fullmatch(pattern, origin, re.IGNORECASE)]
-        return f"Origin must be {named}, not {wrong[0]!r}" if wrong else ""
+        return f"Origin must be {', '.join((named, *self.allowed))}, not {wrong[0]!r}" if wrong else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
+from collections.abc import Sequence
 from typing import Any
 
 from maglev_mj.control.controller import Controller
@@ -17,7 +18,7 @@ from maglev_mj.recording.sample import RecordedPlant
 from maglev_mj.recording.setup import whole_setup
 from maglev_mj.recording.writer import Ring, RowReader
 from maglev_mj.session import ChangeRequest, Snapshot
-from maglev_mj.session.access import ListenError, check_port, listen
+from maglev_mj.session.access import ListenError, check_origin, check_port, listen
 from maglev_mj.versions import versions
 
 PORT = 8765
@@ -43,12 +44,13 @@ class LiveServer:
 
     Args:
         port: Port of 127.0.0.1; 0 for any free one.
+        origins: Origins of viewers' pages that may connect, besides this machine's and Foxglove's.
 
     Attributes:
         port: Port of the server.
 
     Raises:
-        ParameterError: If the port is invalid.
+        ParameterError: If the port or an origin is invalid.
         MissingPackageError: If the package is not installed.
         LiveServerError: If the port is taken, or the process does not start, as from a script without
             `if __name__ == "__main__":`.
@@ -60,8 +62,9 @@ class LiveServer:
         ...     session.tick(elapsed)
     """
 
-    def __init__(self, port: int = PORT) -> None:
+    def __init__(self, port: int = PORT, origins: Sequence[str] = ()) -> None:
         check_port(port)
+        origins = [check_origin(one) for one in origins]
         require(("foxglove",), "record", "a live server needs foxglove-sdk")
         if not hasattr(os, "fork"):
             raise LiveServerError("a live server needs a POSIX system")
@@ -72,7 +75,7 @@ class LiveServer:
         with listener:  # the other process has it then
             self.port: int = listener.getsockname()[1]
             self._ring, self._versions = Ring(), versions()
-            self._process = SideProcess(_serve, _Shared(self._ring.descriptor), listener)
+            self._process = SideProcess(_serve, _Shared(self._ring.descriptor), listener, origins)
         self._told, self._stuck = State(), repr(None)
         self._answer: Answer | None = None
         self._unsent: deque[tuple[Any, ...]] = deque()

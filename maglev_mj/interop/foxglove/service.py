@@ -15,6 +15,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
@@ -49,11 +50,12 @@ _ACCESS = Access(
 _FIELD = re.compile(r"([\w-]+):[ \t]*([^\r\n]*?)[ \t]*", re.ASCII)
 
 
-def refusal(request: str) -> str:
+def refusal(request: str, access: Access = _ACCESS) -> str:
     """Return the reason to refuse a request, or "".
 
     Args:
         request: First line and header, without the empty line at the end.
+        access: The permission.
     """
     first, *lines = request.split("\r\n")
     fields: dict[str, list[str]] = {"host": [], "origin": [], "upgrade": []}
@@ -63,10 +65,30 @@ def refusal(request: str) -> str:
         fields.setdefault(found[1].lower(), []).append(found[2])
     if not first.startswith("GET ") or [one.lower() for one in fields["upgrade"]] != ["websocket"]:
         return "only WebSockets are served here"
-    return _ACCESS.refusal(fields["host"], fields["origin"])
+    return access.refusal(fields["host"], fields["origin"])
 
 
-def forward(listener: socket.socket, server: tuple[str, int]) -> None:
+# of the ports that browsers do not open (https://fetch.spec.whatwg.org/#port-blocking) those that Chromium refuses too
+_BLOCKED = 1719, 1720, 1723, 2049, 3659, 4045, 5060, 5061, 6000, 6566, *range(6665, 6670), 6697, 10080
+
+
+def hidden_address() -> tuple[str, int]:
+    """Return host and port for a server that no page in a browser can open.
+
+    The host is one of 2^24, with any port (0), where all of 127.0.0.0/8 is this machine; elsewhere, as on macOS, it is
+    127.0.0.1, with a port that browsers refuse to open.
+
+    Raises:
+        OSError: If all of these ports are taken.
+    """
+    host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
+    for address in [(host, 0), *(("127.0.0.1", port) for port in _BLOCKED)]:
+        with suppress(OSError), socket.create_server(address):
+            return address
+    raise OSError(f"ports {', '.join(map(str, _BLOCKED))} of 127.0.0.1 are taken")
+
+
+def forward(listener: socket.socket, server: tuple[str, int], access: Access = _ACCESS) -> None:
     """Forward accepted connections to a server, without end.
 
     It needs a thread of its own.
@@ -76,6 +98,7 @@ def forward(listener: socket.socket, server: tuple[str, int]) -> None:
     Args:
         listener: The public port.
         server: Host and port of the server.
+        access: The permission.
     """
 
     async def run() -> None:
@@ -85,7 +108,7 @@ def forward(listener: socket.socket, server: tuple[str, int]) -> None:
             if not room.locked():
                 with suppress(OSError, asyncio.IncompleteReadError, asyncio.LimitOverrunError, TimeoutError):
                     async with room:
-                        await _accept(reader, writer, server)
+                        await _accept(reader, writer, server, access)
             writer.close()
 
         await (await asyncio.start_server(accept, sock=listener, limit=_LONGEST)).serve_forever()
@@ -93,10 +116,12 @@ def forward(listener: socket.socket, server: tuple[str, int]) -> None:
     asyncio.run(run())
 
 
-async def _accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, server: tuple[str, int]) -> None:
+async def _accept(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, server: tuple[str, int], access: Access
+) -> None:
     async with asyncio.timeout(PATIENCE):
         request = await reader.readuntil(b"\r\n\r\n")
-        if why := refusal(request[:-4].decode("latin-1")):
+        if why := refusal(request[:-4].decode("latin-1"), access):
             said = f"HTTP/1.1 403 Forbidden\r\nConnection: close\r\nContent-Length: {len(why) + 1}\r\n\r\n{why}\n"
             writer.write(said.encode("latin-1"))
             await writer.drain()
@@ -133,13 +158,13 @@ _JSON = MessageSchema(encoding="json", schema=Schema(name=_SET, encoding="jsonsc
 _SCHEMA = ServiceSchema(name=_SET, request=_JSON, response=_JSON)
 
 
-def serve(line: Connection, rows: RowReader, listener: socket.socket) -> None:
+def serve(line: Connection, rows: RowReader, listener: socket.socket, origins: Sequence[str] = ()) -> None:
     """Serve until the line ends, in an own process.
 
     The first message is the reason of a failure, or empty.
     """
     try:
-        service = _Service(line, rows, listener)
+        service = _Service(line, rows, listener, origins)
     except Exception as error:  # any error that keeps the package from starting
         line.send(f"{type(error).__name__}: {error}")
         return
@@ -150,7 +175,7 @@ def serve(line: Connection, rows: RowReader, listener: socket.socket) -> None:
 class _Service(ServerListener):
     """Server that logs rows and events and has requests checked."""
 
-    def __init__(self, line: Connection, rows: RowReader, listener: socket.socket) -> None:
+    def __init__(self, line: Connection, rows: RowReader, listener: socket.socket, origins: Sequence[str] = ()) -> None:
         foxglove.set_log_level(logging.CRITICAL)  # errors of clients are not for the user's terminal
         self._line, self._rows, self._requests, self._greet = line, rows, Requests(), False
         self._orders: deque[Sequence[Any]] = deque()
@@ -160,12 +185,11 @@ class _Service(ServerListener):
         self._over = False
         self._context = foxglove.Context()  # the server does not keep it
         self._messages = Messages(self._context)
-        # browsers cannot find the server behind the guard: there are 2^24 such addresses, with as many ports each
-        host = f"127.{1 + secrets.randbelow(254)}.{secrets.randbelow(256)}.{1 + secrets.randbelow(254)}"
+        host, port = hidden_address()
         self._server = foxglove.start_server(
             name="maglev-mj",
             host=host,
-            port=0,
+            port=port,
             capabilities=[Capability.Parameters, Capability.Services],
             server_listener=self,
             services=[Service(name=_SET, schema=_SCHEMA, handler=self._call)],
@@ -173,7 +197,8 @@ class _Service(ServerListener):
             message_backlog_size=ROWS,
         )
         self._checker.line.poll(_PATIENCE)
-        threading.Thread(target=forward, args=(listener, (host, self._server.port)), daemon=True).start()
+        guard = listener, (host, self._server.port), replace(_ACCESS, allowed=origins)
+        threading.Thread(target=forward, args=guard, daemon=True).start()
 
     def run(self) -> None:
         """Serve until the control loop closes its end."""

@@ -9,7 +9,7 @@ import os
 import re
 import socket
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -56,6 +56,7 @@ class Door:
     host: str
     port: int
     token: str | None = None
+    origins: Sequence[str] = ()
 
     @property
     def url(self) -> str:
@@ -90,7 +91,7 @@ class Door:
         # at every address any number is right, but no name: those are what an attacker can have
         own = r"(?:\d{1,3}\.){3}\d{1,3}" if self.host == "0.0.0.0" else re.escape(self.host)
         hosts = rf"{own}(?::\d{{1,5}})?" + (f"|{LOOPBACK}" if is_loopback(self.host) else "")
-        return Access(hosts, self.host)
+        return Access(hosts, self.host, allowed=self.origins)
 
 
 @contextmanager
