@@ -178,7 +178,7 @@ def test_no_more_than_a_minute_is_kept_whatever_is_changed() -> None:
     session.change({"rewind": 60.0})
     shown = session.snapshot()
     assert 10.0 < now - least < KEPT and shown.time == pytest.approx(least)
-    assert shown.scene == past._states[0].stretch.scene != Joystick(stiffness=3199.0)
+    assert shown.scene == past._states[0][1].scene != Joystick(stiffness=3199.0)
 
 
 def test_a_recording_goes_on_and_loses_nothing() -> None:

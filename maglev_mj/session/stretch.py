@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -166,12 +166,6 @@ def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) 
     return plant
 
 
-class _Saved(NamedTuple):
-    time: float
-    stretch: LiveStretch
-    state: Any
-
-
 class HandAgain:
     """Hand of recorded samples, by the session's time; another one after their end.
 
@@ -208,7 +202,8 @@ class Past:
     """
 
     def __init__(self) -> None:
-        self.history, self._states = History(KEPT), deque[_Saved](maxlen=_MOST_STATES)
+        self.history = History(KEPT)
+        self._states: deque[tuple[float, LiveStretch, Any]] = deque(maxlen=_MOST_STATES)
         self.clear()
 
     def clear(self) -> None:
@@ -221,13 +216,13 @@ class Past:
     def keep(self, stretch: LiveStretch) -> None:
         """Keep the present state of a running scene."""
         for oldest in self.history.rows[:1, 0]:
-            while self._states and self._states[0].time < oldest - _ROUNDING:
+            while self._states and self._states[0][0] < oldest - _ROUNDING:
                 self._states.popleft()
-        self._states.append(_Saved(stretch.time, stretch, stretch.saved()))
+        self._states.append((stretch.time, stretch, stretch.saved()))
 
     def bounds(self, now: float) -> tuple[float, float]:
         """Return the earliest and the newest time that can be shown [s]."""
-        return self._states[0].time, self._end if self.rewound else now
+        return self._states[0][0], self._end if self.rewound else now
 
     def show(self, time: float, now: float) -> LiveStretch:
         """Return the running scene of an earlier time, as it was then.
@@ -240,9 +235,8 @@ class Past:
         """
         if not self.rewound:
             self.rewound, self._end, self._whole = True, now, self.history.rows
-        place = bisect_right(self._states, time + _ROUNDING, key=lambda one: one.time) - 1
-        _, stretch, state = self._states[place]
-        begin, end = np.searchsorted(self._whole[:, 0], (self._states[place].time - _ROUNDING, time - _ROUNDING))
+        since, stretch, state = [saved for saved in self._states if saved[0] <= time + _ROUNDING][-1]
+        begin, end = np.searchsorted(self._whole[:, 0], (since - _ROUNDING, time - _ROUNDING))
         self.history.replace(self._whole[:begin])  # the rest is added by the run
         stretch.restore(state, self._whole[begin:end, 19:].tolist())
         return stretch
@@ -253,7 +247,7 @@ class Past:
             raise ParameterError("the same hand acts again after a rewind alone")
         self.rewound = False
         self._first = self._whole[np.searchsorted(self._whole[:, 0], now - _ROUNDING) :]
-        while self._states[-1].time > now + _ROUNDING:
+        while self._states[-1][0] > now + _ROUNDING:
             self._states.pop()
         return self._first, self._end
 
