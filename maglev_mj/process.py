@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import math
+import os
 import signal
 import sys
 import threading
@@ -16,6 +17,17 @@ from types import FrameType
 from typing import Any, Self
 
 _PATIENCE = 10.0
+
+
+def start_tracker() -> None:
+    """Start the tracker of shared resources, where processes have one.
+
+    Its later start would let interrupts through.
+    """
+    if hasattr(os, "fork"):
+        from multiprocessing import resource_tracker
+
+        resource_tracker.ensure_running()
 
 
 class SideProcess:
@@ -32,13 +44,15 @@ class SideProcess:
 
     def __init__(self, function: Callable[..., object], *arguments: Any) -> None:
         import multiprocessing  # slow to load, and most commands need none
-        from multiprocessing import resource_tracker
+        from multiprocessing.connection import Connection
+        from socket import socketpair
 
         context = multiprocessing.get_context("spawn")
-        self.line, far = context.Pipe()
+        # as its Pipe() on POSIX systems; on Windows that is no socket, for which alone there is `select`
+        self.line, far = (Connection(end.detach()) for end in socketpair())
         self.ended = False
         self._process = context.Process(target=function, args=(far, *arguments))
-        resource_tracker.ensure_running()  # its start would let interrupts through
+        start_tracker()
         try:
             with interrupts_held():  # its parent closes it
                 self._process.start()

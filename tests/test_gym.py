@@ -48,7 +48,9 @@ def test_the_agents_force_is_that_of_the_plant_and_a_reward_that_of_the_distance
     env = gym.TargetEnv(Free())
     observation, _ = env.reset(seed=1)
     target, start = observation[2], observation[0]
-    disturbance = np.random.default_rng(1).uniform(-1.0, 1.0, 2)[1] * 0.2 * 20.0
+    drawn = np.random.default_rng(1).uniform(-1.0, 1.0, 2)
+    disturbance = drawn[1] * 0.2 * 20.0
+    assert target == pytest.approx(drawn[0] * 0.6 * 0.0045)
     with ExactPlant(gravity=9.81, wrench=[0.0] * 6) as plant:
         height = plant.read().position[2]
         for action in (1.0, -0.5, 0.25):

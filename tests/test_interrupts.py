@@ -5,13 +5,15 @@ import signal
 import sys
 import threading
 import time
+from contextlib import suppress
 from importlib import import_module
+from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
-from maglev_mj.process import Interrupts, SideProcess, interrupts_held
+from maglev_mj.process import Interrupts, SideProcess, interrupts_held, start_tracker
 from tests.processes import PATIENCE, run
 
 # Ctrl-C as the n-th module whose name begins so is looked for
@@ -177,6 +179,30 @@ def test_a_process_whose_start_is_interrupted_ends_with_it(monkeypatch: pytest.M
     with pytest.raises(KeyboardInterrupt):
         SideProcess(time.sleep, 30.0)
     assert closed == [0.0]
+
+
+def echo(line: Connection) -> None:
+    with suppress(EOFError):
+        while True:
+            line.send(line.recv())
+
+
+def test_processes_start_and_answer_without_what_windows_lacks(monkeypatch: pytest.MonkeyPatch) -> None:
+    # There `select` takes sockets alone, which a Pipe is not, and the tracker of shared resources cannot start.
+    def missing(*_: object, **__: object) -> None:
+        raise ModuleNotFoundError("No module named '_posixsubprocess'")
+
+    monkeypatch.delattr(os, "fork")
+    monkeypatch.setattr("multiprocessing.connection.Pipe", missing)
+    monkeypatch.setattr("multiprocessing.resource_tracker.ensure_running", missing)
+    process = SideProcess(echo)
+    try:
+        assert process.ready
+        process.send({"a": 1})
+        assert process.line.poll(60.0) and list(process.received()) == [{"a": 1}]
+    finally:
+        process.close()
+    start_tracker()
 
 
 def test_looking_at_the_program_s_module_leaves_signals_alone() -> None:

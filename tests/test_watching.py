@@ -4,12 +4,14 @@ A wall felt through the mouse too.
 """
 
 import multiprocessing
+import os
 import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import Pipe
+from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -72,7 +74,8 @@ class OpenedHere:
     """Replacement of a process, with its line kept here."""
 
     def __init__(self, target: Any, args: Any) -> None:
-        self.line, self.blank, _ = args
+        line, self.blank, _ = args
+        self.line = Connection(os.dup(line.fileno()))  # its parent closes the one that it gives away
 
     def start(self) -> None: ...
 
@@ -90,13 +93,12 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
         ends.append(OpenedHere(**keywords))
         return ends[-1]
 
-    line, far = Pipe()
-    context = SimpleNamespace(Pipe=lambda: (line, SimpleNamespace(close=lambda: None)), Process=opened)
-    monkeypatch.setattr(multiprocessing, "get_context", lambda method: context)
+    monkeypatch.setattr(multiprocessing, "get_context", lambda method: SimpleNamespace(Process=opened))
     motion, blank = SampledMotion(), Snapshot(scene=Joystick())
     viewer, closed = RemoteViewer(blank, show), []
     viewer._inbox = Inbox(0.0)
     viewer.on_close = lambda: closed.append(1)
+    far = ends[0].line
     session = RemoteSession(far, ends[0].blank)
     for tick in range(1, 1001):
         time = tick * 0.005

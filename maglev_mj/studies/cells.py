@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
-from maglev_mj.process import interrupts_held
+from maglev_mj.process import interrupts_held, start_tracker
 from maglev_mj.studies.record import Cell, Columns, Record, pack
 from maglev_mj.versions import Versions, differences, versions
 
@@ -74,10 +74,10 @@ class _Processes(Executor):
 
     def __init__(self, count: int) -> None:
         from concurrent.futures import ProcessPoolExecutor  # a browser's Python has no processes
-        from multiprocessing import get_context, resource_tracker
+        from multiprocessing import get_context
 
         quiet = (signal.SIGINT, signal.SIG_IGN)  # for systems where interrupts cannot be held
-        resource_tracker.ensure_running()  # its start would let interrupts through
+        start_tracker()
         self._pool = ProcessPoolExecutor(count, get_context("spawn"), initializer=signal.signal, initargs=quiet)
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **keywords: Any) -> Future[Any]:
