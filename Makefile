@@ -71,7 +71,11 @@ pictures: $(READY)  ## draw the pictures of the scenes anew
 	for scene in $(SCENES); do $(BIN)/maglev-mj render $$scene --plain --out docs/images/scene_$$scene.png --size 560x350 || exit 1; done
 	$(BIN)/maglev-mj render joystick --plain --out docs/images/joystick.gif --size 640x400 --fps 12 --seconds 4.2
 
+lessons: $(DOCS)  ## run the notebooks and store their outputs in them
+	$(BIN)/python scripts/lessons/store_outputs.py
+
 docs: $(DOCS)  ## build the documentation, docs/_build/html/index.html: notebooks run, a warning is an error
+	$(BIN)/python scripts/lessons/store_outputs.py --check
 	rm -rf docs/reference/api  # of a room that is gone
 	$(BIN)/python -m sphinx -q -j auto --write-all --fail-on-warning --keep-going docs docs/_build/html
 

@@ -1,4 +1,4 @@
-"""Form of the lessons; the documentation runs them."""
+"""Form of the lessons; the documentation's build runs them, and compares what they say with what is stored."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from maglev_mj.cli.lessons import without_solutions
+from maglev_mj.cli.program import main
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "lessons"
 LESSONS = ["why_stiff_walls_buzz", "braking_pulse", "friction", "integrator_step", "model_to_device"]
@@ -31,13 +34,56 @@ def test_every_lesson_is_here() -> None:
 
 
 @pytest.mark.parametrize("name", LESSONS)
-def test_a_lesson_is_saved_without_outputs(name: str) -> None:
+def test_a_lesson_is_saved_with_its_outputs_and_nothing_of_a_machine(name: str) -> None:
     code = [cell for cell in cells(name) if cell["cell_type"] == "code"]
     assert len(code) > 10
+    outputs = [output for cell in code for output in cell["outputs"]]
+    kinds = {kind for output in outputs for kind in output.get("data", ())}
+    assert "image/png" in kinds and any(output["output_type"] == "stream" for output in outputs)
+    assert not any(output["output_type"] == "error" or output.get("name") == "stderr" for output in outputs)
     for cell in code:
-        assert cell["outputs"] == [] and cell["execution_count"] is None
         assert 0 < len(cell["source"].splitlines()) <= MOST_LINES
         ast.parse(cell["source"])
+        assert (
+            cell["outputs"]
+            or not re.search(r"^print\(", cell["source"], re.M)
+            or "remove-output" in cell["metadata"].get("tags", ())
+        )
+        assert "execution" not in cell["metadata"]  # times
+        for data in (output.get("data", {}) for output in cell["outputs"]):
+            assert all(len("".join(text)) < 300_000 for text in data.values())
+    whole = (FOLDER / f"{name}.ipynb").read_text(encoding="utf-8")
+    assert len(whole) < 700_000 and not re.search(
+        r"(/home|/root|/work|/tmp|/Users|ipykernel|[A-Z]:\\\\)[/_\\\\]", whole
+    )
+
+
+@pytest.mark.parametrize("name", LESSONS)
+def test_a_students_version_has_no_solution_(name: str) -> None:
+    notebook = json.loads((FOLDER / f"{name}.ipynb").read_text(encoding="utf-8"))
+    made = without_solutions(notebook)
+    whole = json.dumps(made)
+    assert "Solution" not in whole and "details>" not in whole and "**Question 1.**" in whole
+    changed = [after for before, after in zip(notebook["cells"], made["cells"], strict=True) if before != after]
+    solved = [cell for cell in changed if cell["cell_type"] == "code"]
+    assert len(solved) == sum("hide-cell" in cell["metadata"].get("tags", ()) for cell in notebook["cells"])
+    assert all(cell["outputs"] == [] and cell["source"] == ["# your own answer\n"] for cell in solved)
+
+
+def test_lessons_are_written_to_a_folder_and_never_over_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "class"
+    assert main(["lessons", str(folder), "--students"]) == 0
+    assert f"jupyter lab {folder}" in " ".join(capsys.readouterr().out.split())
+    assert sorted(path.stem for path in folder.glob("*.ipynb")) == sorted(LESSONS)
+    link = "](https://github.com/maglev-mj/maglev_mj/blob/main/docs/explanation/stability.md)"
+    mine = folder / "why_stiff_walls_buzz.ipynb"
+    assert link in mine.read_text(encoding="utf-8") and "../" not in "".join(re.findall(r"\]\([^)]+", mine.read_text()))
+    mine.write_text("my work")
+    (folder / "braking_pulse.ipynb").unlink()
+    assert main(["lessons", str(folder)]) == 2 and "name another folder" in capsys.readouterr().err
+    assert mine.read_text() == "my work" and not (folder / "braking_pulse.ipynb").exists()
 
 
 @pytest.mark.parametrize("name", LESSONS)

@@ -37,6 +37,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
     "feel it": {
         "view": Command("feel a scene in a window: pull with the mouse", "box --stiffness 4000 --friction"),
         "tour": Command("walls and friction in eight steps, guided", "--out tour"),
+        "lessons": Command("notebooks to learn from, with or without solutions", "lessons --students"),
         "render": Command("a picture or a clip of a scene, without a window", "corner --out corner.png --size 800x500"),
         "serve-spacenav": Command("a scene as the 3D mouse of other programs", "joystick --axes rate --seconds 60"),
     },
@@ -79,6 +80,7 @@ MODULES: Mapping[str, str] = {
         "twin": "twin",
         "bridge": "bridge",
         "device": "info estop commission conform",
+        "lessons": "lessons",
         "recordings": "fault replay analyse export",
     }.items()
     for name in names.split()

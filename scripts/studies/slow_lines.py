@@ -157,7 +157,7 @@ class Flown(NamedTuple):
     outcome: str
     """Why it ended: "landed", the reason of an early landing, or the fault."""
     rows: Array
-    """Time [s], pose, twist, largest current [A], and state, at each sample, (N, 15)."""
+    """Time [s], pose, twist, largest current [A], state, and if a stop acted since the sample before, (N, 16)."""
     wrenches: Array
     """Time of each sample [s], and the hand's wrench by the host's estimate, (N, 7)."""
     began: float
@@ -244,8 +244,9 @@ def fly(
     def sample() -> bytes | None:
         frame = take()
         pose, twist = twin.plant.state()
-        current = float(np.abs(twin.plant.currents).max())
-        rows.append(np.array([twin.tick / rate, *pose, *twist, current, twin.firmware.state]))
+        current, met = float(np.abs(twin.plant.currents).max()), twin.plant.met_stops
+        twin.plant._data.maxuse_efc = 0  # asked again from here on
+        rows.append(np.array([twin.tick / rate, *pose, *twist, current, twin.firmware.state, met]))
         return frame
 
     twin.sample = sample  # type: ignore[method-assign]
@@ -305,8 +306,7 @@ def residual(flown: Flown, name: str, hand: str, rate: int) -> tuple[list[float]
     script = ScriptedHand(hand, name, HAND_BEGINS)
     low = lower = np.zeros(6)
     errors: list[Any] = []
-    reach = np.abs(flown.rows[:, 1:4]) + period * np.abs(flown.rows[:, 7:10])  # a tap is at the stop within a sample
-    touched = flown.rows[reach.max(axis=1) > STOP_REACHED, 0]
+    touched = flown.rows[flown.rows[:, 15] != 0.0, 0]  # by angles too: a turned ring meets its stop at 2.2 mm
     known = flown.wrenches[flown.wrenches[:, 0] < flown.ended]
     for time, *estimate in known[known[:, 0] > flown.began - 0.1]:
         tick = round(time * rate)  # as the twin counts its hand's time
