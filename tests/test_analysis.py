@@ -528,7 +528,7 @@ def test_the_hand_on_a_device_is_an_estimate_and_taken_for_none(suffix: str, tmp
         assert main([command[0], str(path), *command[1:]]) == 0
     assert "nan" not in capsys.readouterr().out
     header, *rows = csv.reader((tmp_path / "flight.csv").read_text(encoding="utf-8").splitlines())
-    assert [float(row[header.index("hand.x [N]")]) for row in rows] == stretch.hand[:, 0].tolist()
+    assert [float(row[header.index("hand.x")]) for row in rows] == stretch.hand[:, 0].tolist()
     replay = Replay(recording)
     replay.tick(0.4)
     shown = replay.snapshot()

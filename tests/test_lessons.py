@@ -1,4 +1,4 @@
-"""Form of the lessons; the documentation's build runs them, and compares what they say with what is stored."""
+"""Form of the lessons; the documentation's build runs them and compares their outputs."""
 
 from __future__ import annotations
 

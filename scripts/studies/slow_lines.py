@@ -157,7 +157,7 @@ class Flown(NamedTuple):
     outcome: str
     """Why it ended: "landed", the reason of an early landing, or the fault."""
     rows: Array
-    """Time [s], pose, twist, largest current [A], state, and if a stop acted since the sample before, (N, 16)."""
+    """Time [s], pose, twist, largest current [A], state, and if a stop acted since, (N, 16)."""
     wrenches: Array
     """Time of each sample [s], and the hand's wrench by the host's estimate, (N, 7)."""
     began: float
