@@ -13,6 +13,7 @@ import sys
 import types
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
@@ -412,6 +413,29 @@ def param(
     return field(default=default, metadata={"param": declared})
 
 
+def param_range(
+    name: str,
+    help: str,
+    unit: str,
+    *,
+    default: tuple[float, float] | None,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+) -> Any:
+    """Declare a parameter of a lower and a higher value; see `param`.
+
+    Args:
+        name: Its name.
+        help: Short description.
+        unit: Unit; empty for none.
+        default: Default values; None if it is optional.
+        at_least: Inclusive lower bound of both.
+        at_most: Inclusive upper bound of both.
+    """
+    parse = partial(interval, name, at_least=at_least, at_most=at_most)
+    return param(help, unit, default=default, optional=default is None, parse=parse)
+
+
 @dataclass_transform(kw_only_default=True, frozen_default=True, eq_default=True, field_specifiers=(param,))
 class Parameters:
     """Base of frozen dataclasses of declared, checked parameters.
@@ -464,6 +488,17 @@ class Parameters:
         by_name = {one.name: one for one in cls.parameters()}
         check_one_of("parameter", by_name, name)
         return by_name[name]
+
+    @classmethod
+    def like(cls, name: str, **changes: Any) -> Any:
+        """Declare a parameter of another class as this one does, but for changes; see `param`.
+
+        Raises:
+            ParameterError: If there is no such parameter.
+        """
+        one = cls.parameter(name)
+        kept = {given: value for given, value in vars(one).items() if given not in ("name", "kind", "bounds")}
+        return param(**{**kept, **one.bounds, **changes})
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with changes; derived values are derived again.

@@ -331,7 +331,8 @@ def _hardness(result: RunResult) -> Any:
     return perceived_hardness(result.trace, 0.005, axis=result.scene.axis_index).extended
 
 
-def _press_name(name: str) -> str:
+def press_name(name: str) -> str:
+    """Return the name in `STOCK` of a field of `PressSummary`."""
     return f"hit_{name}" if name in HIT_FIGURES else name if name == "absorbed" else f"press_{name}"
 
 
@@ -358,7 +359,7 @@ STOCK: Mapping[str, Figure] = {
         Figure("transitions", lambda result: len(changes(result)), "", "changes of state", batched=False),
         Figure("ripple", _ripple, "µm", "position over the last 50 ms, peak to peak", 1e6),
         *(
-            Figure(_press_name(name), _press(name), unit, help, scale, batched=False)
+            Figure(press_name(name), _press(name), unit, help, scale, batched=False)
             for name, unit, help, scale in (
                 ("penetration", "mm", "greatest depth of each hit", 1e3),
                 ("approach_speed", "mm/s", "speed at which each hit enters", 1e3),

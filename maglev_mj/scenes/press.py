@@ -17,7 +17,7 @@ from maglev_mj.parameters import number, param
 from maglev_mj.plants import Timing
 from maglev_mj.plants.hand import GuidedHand, Hand, Trajectory, get_hand, motion
 from maglev_mj.scenes.bench import WallScene, hold, others
-from maglev_mj.scenes.figures import PressSummary
+from maglev_mj.scenes.figures import PressSummary, press_name
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import ESCAPE
@@ -41,10 +41,7 @@ class Press(WallScene):
 
     title: ClassVar = "A hand hits the wall several times, then presses against it (figure 6)"
     model: ClassVar = "scenes/press"
-    figures: ClassVar = {
-        name: name if name == "absorbed" else f"hit_{name}" if index < 5 else f"press_{name}"
-        for index, name in enumerate(PressSummary._fields)
-    }
+    figures: ClassVar = {name: press_name(name) for name in PressSummary._fields}
     plots: ClassVar[Mapping[str, str]] = {"press": "maglev_mj.scenes.pictures:figure_6"}
 
     hand: str = param("arm, stylus, fingertip or MASS,DAMPING,STIFFNESS[,GRIP_DAMPING,GRIP_STIFFNESS]", default="arm")

@@ -16,7 +16,7 @@ from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import Turn, axis_indices, number, param
 from maglev_mj.plants.hand import SpringHand, Trajectory
 from maglev_mj.scenes.bench import hold
-from maglev_mj.scenes.scene import DELAY, RATE, Scene, Start
+from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.spec import GRAVITY, RANGE, Spec
 
 MASS = Spec.moving_mass.value
@@ -126,22 +126,15 @@ def friction(scene: InteractiveScene, axes: str | Sequence[str] = AXES, *, coupl
         axes: Names from AXES.
         coupled: See `StickSlip`.
     """
-    if coupled:
-        return StickSlip(
-            axes=axes,
-            stiffness=scene.stiffness,
-            damping=scene.damping,
-            breakaway=scene.breakaway,
-            v_min=_V_MIN,
-            coupled=True,
-        )
-    share, radius = _share(axes), np.sqrt(_share(axes))
+    share = np.ones(()) if coupled else _share(axes)
+    radius = np.sqrt(share)
     return StickSlip(
         axes=axes,
         stiffness=scene.stiffness * share,
         damping=scene.damping * share,
         breakaway=scene.breakaway * radius,
         v_min=_V_MIN / radius,
+        coupled=coupled,
     )
 
 
@@ -228,17 +221,8 @@ class InteractiveScene(Scene):
         at_most=1e4,
         live=Turn(factor=1.25, least=1.0, most=1e3),
     )
-    period: float = param(
-        "sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-4, at_most=0.1, live=RATE
-    )
-    delay: float = param(
-        "from a sample to its command taking effect",
-        "s",
-        default=Spec.transport_delay.value,
-        at_least=0.0,
-        at_most=0.1,
-        live=DELAY,
-    )
+    period: float = Scene.like("period", at_least=1e-4, at_most=0.1)
+    delay: float = Scene.like("delay", at_most=0.1)
     breakaway: float = param(
         "force at which friction breaks away", "N", default=2.0, at_least=0.01, at_most=50.0, live=_PROGRAMS_ONLY
     )

@@ -29,7 +29,7 @@ from maglev_mj.control import (
 from maglev_mj.control import StickSlip as StickSlipFriction
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import param
-from maglev_mj.scenes.bench import hold, others, stepped
+from maglev_mj.scenes.bench import WallScene, hold, others, stepped
 from maglev_mj.scenes.figures import changes
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Scene, Start
@@ -66,17 +66,17 @@ VELOCITIES: Mapping[str, Callable[[float], VelocityEstimator]] = {
 """Velocity estimators by name, from a sensor resolution [m, rad]."""
 
 
-def _at_radius(value: float, power: int) -> Callable[[Any], float]:
-    """Return a function that scales a default for rotations.
+def _scaled(value: float, power: int, help: str, unit: str, **keywords: Any) -> Any:
+    """Declare a parameter along the axis, its default scaled for rotations.
 
-    The default is given for a translation and scaled to the radius of gyration of the scene's axis.
+    The default is given for a translation and scaled by a power of the radius of gyration of the scene's axis.
     """
 
     def derived(scene: StickSlip) -> float:
         radius = 1.0 if AXES.index(scene.axis) < 3 else math.sqrt(scene.inertia / Spec.moving_mass.value)
         return value * radius**power
 
-    return derived
+    return param(help, unit, default=None, derive=derived, along=True, **keywords)
 
 
 class StickSlip(Scene):
@@ -96,59 +96,15 @@ class StickSlip(Scene):
     law: str = param("friction law", default="stick-slip", choices=tuple(LAWS))
     velocity: str = param("velocity estimator", default="difference", choices=tuple(VELOCITIES))
     axis: str = param("axis", default="x", choices=AXES)
-    quantize: float = param(
-        "resolution of the position sensor; 0 for an ideal one", "m", default=0.0, at_least=0.0, at_most=1.0, along=True
+    quantize: float = WallScene.like("quantize", along=True)
+    spring: float = _scaled(1000.0, 2, "stiffness of the virtual spring", "N/m", above=0.0, at_most=1e8)
+    target: float = _scaled(0.003, -1, "where the spring's far end is", "m", at_least=-0.5, at_most=0.5)
+    stiffness: float = _scaled(
+        6000.0, 2, "stiffness of the friction law while stuck", "N/m", above=0.0, at_most=1e8, live=True
     )
-    spring: float = param(
-        "stiffness of the virtual spring",
-        "N/m",
-        default=None,
-        derive=_at_radius(1000.0, 2),
-        above=0.0,
-        at_most=1e8,
-        along=True,
-    )
-    target: float = param(
-        "where the spring's far end is",
-        "m",
-        default=None,
-        derive=_at_radius(0.003, -1),
-        at_least=-0.5,
-        at_most=0.5,
-        along=True,
-    )
-    stiffness: float = param(
-        "stiffness of the friction law while stuck",
-        "N/m",
-        default=None,
-        derive=_at_radius(6000.0, 2),
-        above=0.0,
-        at_most=1e8,
-        live=True,
-        along=True,
-    )
-    damping: float = param(
-        "viscous damping",
-        "N s/m",
-        default=None,
-        derive=_at_radius(80.0, 2),
-        at_least=0.0,
-        at_most=1e6,
-        live=True,
-        along=True,
-    )
-    breakaway: float = param(
-        "breakaway force", "N", default=None, derive=_at_radius(2.0, 1), above=0.0, at_most=1e6, live=True, along=True
-    )
-    v_min: float = param(
-        "speed below which the flotor sticks",
-        "m/s",
-        default=None,
-        derive=_at_radius(0.005, -1),
-        above=0.0,
-        at_most=1e3,
-        along=True,
-    )
+    damping: float = _scaled(80.0, 2, "viscous damping", "N s/m", at_least=0.0, at_most=1e6, live=True)
+    breakaway: float = _scaled(2.0, 1, "breakaway force", "N", above=0.0, at_most=1e6, live=True)
+    v_min: float = _scaled(0.005, -1, "speed below which the flotor sticks", "m/s", above=0.0, at_most=1e3)
     duration: float = param("simulated time", "s", default=0.3, above=0.0, at_most=1000.0)
 
     def start(self) -> Start:

@@ -23,7 +23,7 @@ from maglev_mj.parameters import Parameters, numbers, param
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.result import Result, Table
-from maglev_mj.scenes.bench import along, stepped, wall_controller
+from maglev_mj.scenes.bench import WallScene, along, stepped, wall_controller
 from maglev_mj.scenes.figures import summarise_bounce
 from maglev_mj.spec import GRAVITY, RANGE, Spec
 from maglev_mj.theory.design import Case, DesignedWall
@@ -44,20 +44,9 @@ class Contact(Parameters):
 
     pulse: bool = param("braking pulse at the crossing sample, sized to stop the lightest flotor", default=False)
     pulse_width: float = param("how long the pulse lasts", "s", default=0.003, above=0.0, at_most=1.0)
-    quantize: float = param(
-        "resolution of the position sensor; 0 for an ideal one",
-        "m",
-        default=Spec.translation_resolution.value,
-        at_least=0.0,
-        at_most=1.0,
-    )
-    force_limit: float | None = param(
-        "largest force of the actuators, or none",
-        "N",
-        default=Spec.largest_vertical_force.value,
-        above=0.0,
-        at_most=1e6,
-        optional=True,
+    quantize: float = WallScene.like("quantize", default=Spec.translation_resolution.value)
+    force_limit: float | None = WallScene.like(
+        "force_limit", help="largest force of the actuators, or none", default=Spec.largest_vertical_force.value
     )
     speed: float = param("speed of approach", "m/s", default=0.2, above=0.0, at_most=10.0)
 

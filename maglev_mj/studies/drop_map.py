@@ -19,7 +19,7 @@ from maglev_mj.parameters import param
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.result import Table
-from maglev_mj.scenes.bench import along, stepped, wall_controller
+from maglev_mj.scenes.bench import WallScene, along, stepped, wall_controller
 from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
@@ -64,16 +64,10 @@ class DropMapParameters(StabilityParameters):
         at_least=0.0,
         at_most=1.0,
     )
-    pulse: float = param(
-        "further damping in the braking pulse; 0 for none", "N s/m", default=0.0, at_least=0.0, at_most=1e6
-    )
+    pulse: float = WallScene.like("pulse", default=0.0, live=False)
     pulse_width: float = param("how long the pulse lasts", "s", default=0.003, above=0.0, at_most=1.0)
-    force_limit: float | None = param(
-        "largest force of the actuators along z", "N", default=None, above=0.0, at_most=1e6, optional=True
-    )
-    quantize: float = param(
-        "resolution of the position sensor; 0 for an ideal one", "m", default=0.0, at_least=0.0, at_most=1.0
-    )
+    force_limit: float | None = WallScene.like("force_limit", help="largest force of the actuators along z")
+    quantize: float = WallScene.like("quantize")
 
     @property
     def described(self) -> str:

@@ -9,7 +9,7 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -21,13 +21,13 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.parameters import Parameters, interval, number, param
+from maglev_mj.parameters import Parameters, number, param, param_range
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HANDS, Hand, get_hand
 from maglev_mj.result import Result, Table
-from maglev_mj.scenes.bench import along, hold, others, wall_controller
+from maglev_mj.scenes.bench import WallScene, along, hold, others, wall_controller
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.theory import boundary as bounds
@@ -76,13 +76,10 @@ class RestingWall(Scene):
     plants: ClassVar[Sequence[str]] = ("none", *PLANTS)
     takes_phase: ClassVar[bool] = False
 
-    # the bound is in periods: see `check`
-    delay: float = param(
-        "from a sample to its command taking effect", "s", default=Spec.transport_delay.value, at_least=0.0
-    )
-    stiffness: float = param("wall stiffness", "N/m", default=6000.0, above=0.0, at_most=1e8)
-    damping: float = param("wall damping", "N s/m", default=80.0, at_least=0.0, at_most=1e6)
-    mass: float = param("moving mass", "kg", default=Spec.moving_mass.value, at_least=1e-3, at_most=1e3)
+    delay: float = Scene.like("delay", at_most=None, live=False)  # the bound is in periods: see `check`
+    stiffness: float = WallScene.like("stiffness", above=0.0, at_least=None, live=False)
+    damping: float = WallScene.like("damping", live=False)
+    mass: float = WallScene.like("mass")
     hand: str = param(HAND_HELP, default="none")
 
     def check(self) -> None:
@@ -285,27 +282,17 @@ class StabilityParameters(Parameters):
         ParameterError: If a value is outside its bounds.
     """
 
-    damping: tuple[float, float] | None = param(
-        "least and greatest damping",
-        "N s/m",
-        default=None,
-        optional=True,
-        parse=partial(interval, "damping", at_least=0.0, at_most=1e6),
+    damping: tuple[float, float] | None = param_range(
+        "damping", "least and greatest damping", "N s/m", default=None, at_least=0.0, at_most=1e6
     )
-    stiffness: tuple[float, float] | None = param(
-        "least and greatest stiffness",
-        "N/m",
-        default=None,
-        optional=True,
-        parse=partial(interval, "stiffness", at_least=0.0, at_most=1e8),
+    stiffness: tuple[float, float] | None = param_range(
+        "stiffness", "least and greatest stiffness", "N/m", default=None, at_least=0.0, at_most=1e8
     )
     grid: int = param("points on each axis; one for a range of one value", default=60, at_least=2, at_most=1000)
-    period: float = param("sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0)
-    delay: float = param(
-        "from a sample to its command taking effect", "s", default=Spec.transport_delay.value, at_least=0.0
-    )
-    mass: float = param("moving mass", "kg", default=Spec.moving_mass.value, at_least=1e-3, at_most=1e3)
-    hand: str = param(HAND_HELP, default="none")
+    period: float = RestingWall.like("period", live=False)
+    delay: float = RestingWall.like("delay")
+    mass: float = RestingWall.like("mass")
+    hand: str = RestingWall.like("hand")
     plant: str = param("plant; none for theory alone", default="none", choices=RestingWall.plants)
 
     def check(self) -> None:

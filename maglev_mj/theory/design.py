@@ -9,7 +9,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ import numpy as np
 from maglev_mj.control import Law, ObserverWall
 from maglev_mj.errors import ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array
-from maglev_mj.parameters import Parameters, interval, param
+from maglev_mj.parameters import Parameters, interval, param, param_range
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, Spec
 from maglev_mj.theory.boundary import first_end, flattened, maxima, ranges_of, spans
@@ -64,17 +63,16 @@ class WallRequirements(Parameters):
     """
 
     period: float = param("sample period", "s", default=1.0 / Spec.control_rate.value, at_least=1e-6, at_most=1.0)
-    mass: tuple[float, float] = param(
+    mass: tuple[float, float] = param_range(
+        "mass",
         "least and greatest moving mass",
         "kg",
         default=(Spec.moving_mass.value,) * 2,
-        parse=partial(interval, "mass", at_least=1e-3, at_most=1e3),
+        at_least=1e-3,
+        at_most=1e3,
     )
-    delay: tuple[float, float] = param(
-        "least and greatest transport delay",
-        "s",
-        default=(Spec.transport_delay.value,) * 2,
-        parse=partial(interval, "delay"),
+    delay: tuple[float, float] = param_range(
+        "delay", "least and greatest transport delay", "s", default=(Spec.transport_delay.value,) * 2
     )
     hands: Sequence[str] = param(
         'names or numbers of hands, see `get_hand`; "none" for a flotor without one',
