@@ -234,7 +234,13 @@ def print_written(path: Path) -> None:
         print(f"  Foxglove shows it with the layout {LAYOUT}")
 
 
-def write_result(json: str | None, result: Result, pictures: PictureFolder | None = None, picture: str = "") -> None:
+def write_result(
+    json: str | None,
+    result: Result,
+    pictures: PictureFolder | None = None,
+    picture: str = "",
+    written: Sequence[Path] = (),
+) -> None:
     """Write a result as JSON and pictures if chosen, and print its table.
 
     Args:
@@ -242,13 +248,14 @@ def write_result(json: str | None, result: Result, pictures: PictureFolder | Non
         result: The result.
         pictures: Folder of the pictures; None for none.
         picture: Name of the picture's file, without an ending; empty for all `pictures` of the result, by name.
+        written: Files written before, listed as well.
     """
 
     def draw() -> Sequence[Path]:
         named = {picture: {}} if picture else {name: {"picture": name} for name in getattr(result, "pictures", ())}
         return [] if pictures is None else [result.plot(pictures.path(name), **one) for name, one in named.items()]
 
-    write_results(json, result.as_json, lambda: str(result.table()), draw)
+    write_results(json, result.as_json, lambda: str(result.table()), draw, written)
 
 
 FORMATS = "png", "pdf", "svg"

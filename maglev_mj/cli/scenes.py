@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
@@ -24,7 +24,7 @@ from maglev_mj.cli.options import (
     json_of,
     warn_of_instability,
 )
-from maglev_mj.cli.output import Progress, keep_partial, print_written, write_results
+from maglev_mj.cli.output import Progress, keep_partial, print_written, write_result
 from maglev_mj.cli.peripherals import HandOptions, PageOptions, PublisherOptions, ServedMouse, show_session
 from maglev_mj.errors import DivergenceError, MaglevError, ParameterError
 
@@ -59,10 +59,6 @@ def _add_sampling(parser: Parser, cls: type[Scene]) -> None:
         parser.set_defaults(phase=0.0, phases=None)
 
 
-def _chosen_sampling(options: argparse.Namespace) -> _Sampling:
-    return _Sampling(options.plant, options.phase, options.phases)
-
-
 def _add_scene(parser: Parser) -> None:
     """Add the options of any scene, or of the one that the command is named by."""
     name = parser.prog.split()[-1]
@@ -86,7 +82,7 @@ _RunScene: TypeAlias = Annotated["Scene", Shared(_add_scene, chosen_scene)]
 def run(
     *,
     scene: _RunScene,
-    sampling: Annotated[_Sampling, Shared(None, _chosen_sampling)],
+    sampling: Annotated[_Sampling, Shared(None, lambda given: _Sampling(given.plant, given.phase, given.phases))],
     json: Annotated[str | None, json_of("parameters, motion and figures")] = None,
     pictures: Pictures,
     record: Record = None,
@@ -120,13 +116,7 @@ def run(
     except DivergenceError as error:
         keep_partial(error, json)
         raise
-
-    def draw() -> Sequence[Path]:
-        if pictures is None:
-            return ()
-        return [results.plot(pictures.path(name), picture=name) for name in results.pictures]
-
-    write_results(json, results.as_json, lambda: str(results.table()), draw, written)
+    write_result(json, results, pictures, written=written)
     return 0
 
 
@@ -138,8 +128,7 @@ _OUT, _TURNED = 0.003, 3.5  # of a deflection [m, deg]
 _QUARTER = 0.5
 
 
-def _add_joystick(parser: Parser) -> None:
-    add_scene(parser, default=_SCENE)
+_add_joystick = partial(add_scene, default=_SCENE)
 
 
 def _hand_stiffness() -> float:

@@ -497,8 +497,7 @@ class Sensor:
 
         It maps the components of the true pose to the measured ones; the noise begins at the seed.
         """
-        quantize = _quantizer(np.asarray(self.quantum).tolist())
-        return partial(_measured, _Noise(self.noise, self.seed), quantize) if np.any(self.noise) else quantize
+        return _electronics(np.asarray(self.quantum).tolist(), self.noise, self.seed)
 
 
 _WHOLE = 1.5 * 2.0**52
@@ -557,6 +556,12 @@ class _Noise:
         return map(add, position, components(self._drawn[self._next - 1]))
 
 
+def _electronics(quantum: Sequence[float], noise: ArrayLike, seed: int) -> Measure:
+    """Return a function that adds noise and quantizes six components."""
+    quantize = _quantizer(quantum)
+    return partial(_measured, _Noise(noise, seed), quantize) if np.any(noise) else quantize
+
+
 def _measured(noise: _Noise, quantize: Callable[[Iterable[Component]], list[Component]], pose: Six) -> list[Component]:
     return quantize(noise(pose))
 
@@ -572,6 +577,9 @@ class SpotReader:
         noise: Standard deviation of white Gaussian noise on each coordinate of a spot before quantization [m].
         seed: Seed of the noise: the same seed gives the same run.
 
+    Attributes:
+        read: Function that adds noise and quantization to the six coordinates of true spots, of a batch too.
+
     Raises:
         ParameterError: If a value is negative.
     """
@@ -579,8 +587,7 @@ class SpotReader:
     def __init__(self, beams: Beams, quantum: float = 0.0, noise: float = 0.0, seed: int = 0) -> None:
         self._beams = FastBeams(beams)
         checked = SpotSensor(quantum=quantum, noise=noise, seed=seed)
-        self._quantize = _quantizer([checked.quantum] * 6)
-        self._noise = _Noise(checked.noise, checked.seed) if checked.noise else None
+        self.read = _electronics([checked.quantum] * 6, checked.noise, checked.seed)
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
         """Return six measured spot coordinates [m] of a true pose.
@@ -590,8 +597,7 @@ class SpotReader:
         Raises:
             SensingError: If a beam runs along its diode, or the pose is not finite.
         """
-        spots = self._beams.spots(pose)
-        return self._quantize(spots if self._noise is None else self._noise(spots))
+        return self.read(self._beams.spots(pose))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -641,24 +647,19 @@ class SpotSensor:
         reader = SpotReader(geometry, self.quantum, self.noise, self.seed)
         # the plant checks the distance (its `escape`); no two poses within a quarter turn give the same spots
         tracker = PoseTracker(geometry, farthest=math.inf, most_turned=0.5 * math.pi)
-        return partial(_seen, tracker, reader, self._many(geometry))
+        return partial(_seen, tracker, reader, _many(geometry, reader.read))
 
-    def _many(self, geometry: Beams) -> Measure:
-        """Return the measurement function of a batch."""
-        generator = np.random.default_rng(self.seed)
-        last: Array | None = None
 
-        def measure(position: Six) -> list[Component]:
-            nonlocal last
-            spots = geometry.spots(join(position))
-            if self.noise > 0.0:
-                spots = spots + self.noise * generator.standard_normal(spots.shape)
-            if self.quantum > 0.0:
-                spots = np.rint(spots / self.quantum) * self.quantum
-            last = geometry.pose(spots, last)
-            return components(last)
+def _many(geometry: Beams, read: Measure) -> Measure:
+    """Return the measurement function of a batch."""
+    last: Array | None = None
 
-        return measure
+    def measure(position: Six) -> list[Component]:
+        nonlocal last
+        last = geometry.pose(join(read(components(geometry.spots(join(position))))), last)
+        return components(last)
+
+    return measure
 
 
 def _seen(tracker: PoseTracker, reader: SpotReader, many: Measure, position: Six) -> list[Component]:

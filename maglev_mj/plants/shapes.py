@@ -179,15 +179,11 @@ class DeviceReport(Result):
 
     figures: Mapping[str, Any]
     derived: ClassVar = ("contradictions",)
+    units: ClassVar[Mapping[str, str]] = {}  # each row has its own
 
     def columns(self) -> dict[str, Any]:
         """Return the figures of Table 1 and of the model."""
         return dict(zip(_HEAD, map(np.array, zip(*_rows(self.figures)))))
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each column; each row has its own."""
-        return {}
 
     @property
     def contradictions(self) -> list[str]:

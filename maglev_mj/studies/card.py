@@ -26,7 +26,6 @@ from maglev_mj.theory.verdict import inertia_of
 _MASSES = np.geomspace(1e-3, 1e3, 4001)
 _WINDOW, _LONGEST, _SETTLED = 400, 20_000, 1e-10
 _LOSS = math.sqrt(0.5)
-_IMPEDANCE = {"frequency": "Hz", "wanted": "N s/m", "rendered": "N s/m", "flown": "N s/m"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +63,11 @@ class DeviceCard(Result):
     force_bandwidth: float
     force_resolution: float
     drawn_by: ClassVar = "maglev_mj.studies.pictures:device_card"
+    units: ClassVar = {"frequency": "Hz", "wanted": "N s/m", "rendered": "N s/m", "flown": "N s/m"}
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the impedances over frequency."""
-        return dict(zip(_IMPEDANCE, self.impedance))
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each column."""
-        return _IMPEDANCE
+        return dict(zip(self.units, self.impedance))
 
     def table(self) -> Table:
         """Return figures, walls and masses of each hand, and impedances."""

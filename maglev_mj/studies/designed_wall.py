@@ -98,16 +98,12 @@ class DesignResult(Result):
     map: Array
     drawn_by: ClassVar = "maglev_mj.studies.pictures:design_map"
     derived: ClassVar = ("pulse", "gate")
+    units: ClassVar = {"mass": "kg", "delay": "s"}
 
     def columns(self) -> dict[str, Array]:
         """Return mass, delay and largest modulus of each cell."""
         mass, delay = np.meshgrid(self.masses, self.delays, indexing="ij")
         return {"mass": mass.ravel(), "delay": delay.ravel(), "modulus": self.map.ravel()}
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each column."""
-        return {"mass": "kg", "delay": "s"}
 
     def table(self) -> Table:
         """Return gains, margins, contact and simulated check of the wall."""

@@ -88,27 +88,16 @@ class DropMapParameters(StabilityParameters):
 
 @dataclass(frozen=True, eq=False)
 class DropMap(GainMap):
-    """Endings of drops on a grid of walls.
-
-    The stability boundary by theory is included.
+    """Endings of drops on a grid of walls; see `GainMap`.
 
     Attributes:
-        parameters: The grid.
-        damping: Its dampings [N s/m], (B,).
-        stiffness: Its stiffnesses [N/m], (K,).
         swing: Swing of the samples in the last quarter [m], (K, B).
         ending: Values of `Ending`, (K, B).
-        boundary: Largest stable stiffness at each damping by theory [N/m], (B,).
-        maximum: The stiffest wall by theory over all dampings, in the grid or not.
     """
 
     parameters: DropMapParameters
-    damping: Array
-    stiffness: Array
     swing: Array
     ending: Array
-    boundary: Array
-    maximum: theory.StiffestWall
     drawn_by: ClassVar = "maglev_mj.studies.pictures:drop_map"
     derived: ClassVar = ("endings", "settles_up_to")
     endings: ClassVar = tuple(one.name.lower() for one in Ending)
@@ -209,7 +198,7 @@ def run_drop_map(
         np.concatenate([result[name] for result in results]).reshape(shape) for name in ("swing", "ending")
     )
     boundary = theory.largest_stable_stiffness(damping, **parameters.loop)
-    return DropMap(parameters, damping, stiffness, swing, ending, boundary, best)
+    return DropMap(parameters, damping, stiffness, boundary, best, swing, ending)
 
 
 def _judge_parts(cells: list[Cell]) -> list[dict[str, Any]]:

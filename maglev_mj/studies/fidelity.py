@@ -238,16 +238,12 @@ class FidelityResult(Result):
     unscreened: str = ""
 
     drawn_by: ClassVar = "maglev_mj.studies.pictures:fidelity"
+    units: ClassVar = {**dict.fromkeys(("changes", "worst", "missing"), "m"), "force": "N", "cost": "s"}
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return the figures of each level."""
         rows = [row._asdict() for row in self.levels]
         return {name: np.array([row[name] for row in rows]) for name in LevelResult._fields if name != "adds"}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Unit of each column."""
-        return {**dict.fromkeys(("changes", "worst", "missing"), "m"), "force": "N", "cost": "s"}
 
     def table(self) -> Table:
         """Return the levels, their additions, and the integrators and steps on the chosen level."""

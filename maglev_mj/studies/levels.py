@@ -11,8 +11,9 @@ import math
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache, partial
+from timeit import timeit
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -355,16 +356,8 @@ def boundary_shift(integrator: str, step: float, loop: SampledLoop, *, aligned: 
     """
     if integrator in ("exact", "closed form"):
         return 0.0
-    stepped = SteppedLoop(
-        period=loop.period,
-        delay=loop.delay,
-        mass=loop.mass,
-        hand=loop.hand,
-        driver_lag=loop.driver_lag,
-        integrator=integrator,
-        step=step,
-        aligned=aligned,
-    )
+    around = {one.name: getattr(loop, one.name) for one in fields(SampledLoop) if one.init}
+    stepped = SteppedLoop(**around, integrator=integrator, step=step, aligned=aligned)
     return float(stiffest_of(stepped).stiffness) / _stiffest(loop) - 1.0
 
 
@@ -600,12 +593,7 @@ def median_times(prepare: Sequence[Callable[[], Callable[[], object]]], repeats:
         for kept, make in zip(times, prepare, strict=True):
             if turn > 1 and kept[0] > _LONG:
                 continue
-            first = _timed(make())
-            kept += [first] if first > _LONG else [_timed(make()) for _ in range(min(math.ceil(_SHORT / first), 10))]
+            first = timeit(make(), number=1)
+            repeated = range(min(math.ceil(_SHORT / first), 10))
+            kept += [first] if first > _LONG else [timeit(make(), number=1) for _ in repeated]
     return tuple(statistics.median(kept) for kept in times)
-
-
-def _timed(work: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start

@@ -315,18 +315,24 @@ class StabilityParameters(Parameters):
         return {"period": self.period, "delay": self.delay, "mass": self.mass, "hand": get_hand(self.hand)}
 
 
+@dataclass(frozen=True, eq=False)
 class GainMap(Result):
     """Map over a grid of gains.
 
     Attributes:
-        damping: Dampings of the grid [N s/m], (B,).
+        parameters: The grid.
+        damping: Its dampings [N s/m], (B,).
         stiffness: Its stiffnesses [N/m], (K,).
+        boundary: Largest stable stiffness at each damping by theory [N/m], (B,).
         maximum: The stiffest wall by theory over all dampings, in the grid or not.
     """
 
+    parameters: StabilityParameters
     damping: Array
     stiffness: Array
+    boundary: Array
     maximum: theory.StiffestWall
+    units: ClassVar = {"stiffness": "N/m", "damping": "N s/m", "swing": "m"}
 
     def cells(self) -> Mapping[str, NDArray[Any]]:
         """Return the map's values by name, (K, B) each."""
@@ -341,33 +347,18 @@ class GainMap(Result):
         columns: dict[str, NDArray[Any]] = {"stiffness": stiffness, "damping": damping, **self.cells()}
         return {name: values.ravel() for name, values in columns.items()}
 
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each column."""
-        return {"stiffness": "N/m", "damping": "N s/m", "swing": "m"}
-
 
 @dataclass(frozen=True, eq=False)
 class StabilityMap(GainMap):
-    """Stability of each cell by theory and simulation.
+    """Stability of each cell by theory and simulation; see `GainMap`.
 
     Attributes:
-        parameters: The grid.
-        damping: Its dampings [N s/m], (B,).
-        stiffness: Its stiffnesses [N/m], (K,).
         modulus: Largest eigenvalue modulus, (K, B).
-        boundary: Largest stable stiffness at each damping [N/m], (B,).
-        maximum: The stiffest wall over all dampings, in the grid or not.
         simulated: True if the simulated wall settles, (K, B); None for theory alone.
         near: True if half a percent of a gain changes the theory's verdict, (K, B); False throughout for theory alone.
     """
 
-    parameters: StabilityParameters
-    damping: Array
-    stiffness: Array
     modulus: Array
-    boundary: Array
-    maximum: theory.StiffestWall
     simulated: Mask | None
     near: Mask
     drawn_by: ClassVar = "maglev_mj.studies.pictures:stability_map"
@@ -443,7 +434,7 @@ def run_stability(
         verdict = {(cell["stiffness"], cell["damping"]): _stable(result) for cell, result in zip(cells, results)}
         simulated = np.array([[verdict.get((row, column), False) for column in damping] for row in stiffness])
     boundary = theory.largest_stable_stiffness(damping, **loop)
-    return StabilityMap(p, damping, stiffness, modulus, boundary, best, simulated, near)
+    return StabilityMap(p, damping, stiffness, boundary, best, modulus, simulated, near)
 
 
 def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall]:

@@ -172,6 +172,7 @@ class ClosedLoop(Result):
     seen: Array
     period: float
     drawn_by: ClassVar = "maglev_mj.theory.pictures:pole_map"
+    units: ClassVar = {"frequency": "Hz"}
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
@@ -189,11 +190,6 @@ class ClosedLoop(Result):
         poles = self.eigenvalues
         frequency = np.abs(np.angle(poles)) / (2.0 * np.pi * self.period)
         return {"real": poles.real, "imaginary": poles.imag, "modulus": np.abs(poles), "frequency": frequency}
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each column."""
-        return {"frequency": "Hz"}
 
     def table(self) -> Table:
         """Return the first eigenvalues."""

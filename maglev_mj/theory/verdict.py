@@ -113,16 +113,12 @@ class Verdict(Result):
     away: Array = field(default_factory=lambda: np.zeros((0, 6)))
     states: tuple[LoopState, ...] = ()
     drawn_by: ClassVar = "maglev_mj.theory.pictures:pole_map"
+    units: ClassVar = {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return pose, stiffness and damping of each axis."""
         gains = {"stiffness": np.diag(self.stiffness), "damping": np.diag(self.damping)}
         return {"axis": np.array(AXES), "pose": self.pose, **gains}
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Units of each column: translation, rotation."""
-        return {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
 
     def table(self) -> Table:
         """Return a row for each state of the laws, or without stated gains the worst pose."""
