@@ -11,10 +11,18 @@ import threading
 import time
 from _thread import interrupt_main
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from select import select
 from types import FrameType
 from typing import Any, Self
+
+from maglev_mj.errors import MaglevError
+
+NICE = 5
+"""Niceness of processes without deadlines."""
+
+LONGEST_ANSWER = 10.0
+"""Longest time for an answer from another process [s]."""
 
 _PATIENCE = 10.0
 
@@ -99,6 +107,69 @@ class SideProcess:
         if self._process.is_alive():
             self._process.kill()
             self._process.join(_PATIENCE)
+
+
+class SideAnswers(SideProcess):
+    """Answers of a function in a separate process, to the newest question only.
+
+    Neither question nor answer is waited for. The process gets a question once it has answered the one before.
+
+    Args:
+        function: Function of a question's parts, called there; it, parts and answers can be pickled.
+        unknown: What is not known without an answer, for the error.
+    """
+
+    _question: tuple[Any, ...] | None = None
+    _until, _busy = math.inf, True  # until its modules are loaded, which its first message says
+
+    def __init__(self, function: Callable[..., Any], unknown: str) -> None:
+        super().__init__(_answer, function)
+        self._unknown = unknown
+
+    def ask(self, *question: Any) -> None:
+        """Take a question for the next `answer` to send; one before gets no answer any more."""
+        self._question, self._until = question, time.monotonic() + LONGEST_ANSWER
+
+    def answer(self) -> Any:
+        """Return the answer to the newest question, once; None until then.
+
+        Raises:
+            MaglevError: If the function fails, takes over 10 s, or its process has ended.
+        """
+        answer: Any = None
+        for found in self.received():
+            self._busy = False
+            if self._question is None and self._until < math.inf:  # otherwise of an older question
+                answer = found
+        if self._question is not None and not self._busy:
+            self.send(self._question)
+            self._question, self._busy = None, True
+        if self._until < math.inf and answer is None:
+            if self.ended:
+                answer = MaglevError(f"{self._unknown}: the process that computes it has ended")
+            elif time.monotonic() > self._until:
+                answer = MaglevError(f"{self._unknown}: it takes over {LONGEST_ANSWER:g} s")
+        if answer is not None:
+            self._question, self._until = None, math.inf
+        if isinstance(answer, MaglevError):
+            raise answer
+        return answer
+
+
+def _answer(line: Any, function: Callable[..., Any]) -> None:
+    """Answer questions until the line ends, in an own process."""
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+    answer: Any = None
+    with suppress(OSError):
+        while True:
+            line.send(answer)
+            try:
+                answer = function(*line.recv())
+            except EOFError:
+                return
+            except Exception as error:  # also of a class that this process does not find
+                answer = MaglevError(str(error) or repr(error))
 
 
 _LATER, _LONG = 0.01, 0.5

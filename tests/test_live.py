@@ -36,9 +36,9 @@ from maglev_mj import AXES
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.interop.foxglove import LiveServer, LiveServerError, service
 from maglev_mj.interop.foxglove.service import forward, refusal
-from maglev_mj.interop.foxglove.settings import NICE, Answer, Requests, State, checked, values_of
+from maglev_mj.interop.foxglove.settings import Answer, Requests, State, checked, values_of
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.process import SideProcess
+from maglev_mj.process import NICE, SideAnswers, SideProcess
 from maglev_mj.recording import ArrayFile, tee
 from maglev_mj.recording.writer import Ring, RowReader
 from maglev_mj.scenes import Scene, find_scene
@@ -403,6 +403,14 @@ class Unstarted:
         self.line.close()
 
 
+class Unchecking(Unstarted):
+    """In place of the process that checks."""
+
+    _question, _busy, _until = None, True, math.inf
+    ask: Any = SideAnswers.ask
+    answer: Any = SideAnswers.answer
+
+
 def test_what_rows_and_requests_wait_for_outlasts_a_process_that_hangs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Everything else falls out, the oldest first."""
     monkeypatch.setattr("maglev_mj.interop.foxglove.server.SideProcess", Unstarted)
@@ -428,7 +436,7 @@ def in_service(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
     """Yield a server's service, and the loop's end."""
     from maglev_mj.interop.foxglove import service
 
-    monkeypatch.setattr(service, "SideProcess", Unstarted)
+    monkeypatch.setattr(service, "SideAnswers", Unchecking)
     monkeypatch.setattr(service, "forward", lambda *_: None)
     near, far = Pipe()
     with near, far, closing(Ring()) as ring, socket.create_server(("127.0.0.1", 0)) as public:
@@ -453,14 +461,15 @@ def test_a_process_that_cannot_check_is_started_anew_once_a_second(monkeypatch: 
         def fails(*_: object) -> None:
             raise BlockingIOError(11, "Resource temporarily unavailable")
 
-        monkeypatch.setattr("maglev_mj.interop.foxglove.service.SideProcess", fails)
+        monkeypatch.setattr("maglev_mj.interop.foxglove.service.SideAnswers", fails)
         one._next_checker = 0.0
         one._turn()
         assert answer.result(0).reason.endswith("does not start: [Errno 11] Resource temporarily unavailable")
         one._turn()
-        monkeypatch.setattr("maglev_mj.interop.foxglove.service.SideProcess", Unstarted)
+        monkeypatch.setattr("maglev_mj.interop.foxglove.service.SideAnswers", Unchecking)
         one._next_checker = 0.0
         one._requests.put({"wall": False})
+        one._turn()
         one._turn()
         assert [given for _, given in one._checker.sent] == [{"wall": False}]
 
@@ -760,7 +769,7 @@ def test_the_server_behind_the_guard_is_nowhere_that_a_page_could_find(live: Liv
     assert len(hosts) == 2 and hosts.pop(live.port) == "127.0.0.1"
     (hidden,) = hosts.values()
     assert hidden.startswith("127.") and hidden != "127.0.0.1"
-    assert os.getpriority(os.PRIO_PROCESS, live._process._process.pid or 0) == os.nice(0) + NICE
+    assert os.getpriority(os.PRIO_PROCESS, live._process._process.pid or 0) == min(os.nice(0) + NICE, 19)
 
 
 @realtime
@@ -854,13 +863,13 @@ def test_a_check_that_dies_or_does_not_end_is_given_up(
         with LiveClient(address) as client:
             for request, said in (
                 ({"stiffness": 1e5}, "must be below 1"),
-                ({"ends": True}, "it is not known whether .* stable: the process that checks them ended"),
+                ({"ends": True}, "it is not known whether .* stable: the process that computes it has ended"),
                 ({"stiffness": 1e5}, "must be below 1"),
                 ({"sleeps": True}, r"it is not known whether .* stable: it takes over 0\.5 s"),
                 ({"stiffness": 1e5}, "must be below 1"),
             ):
                 # a process that takes the place of another has to load first
-                monkeypatch.setattr(service, "LONGEST_CHECK", 0.5 if "sleeps" in request else 60.0)
+                monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 0.5 if "sleeps" in request else 60.0)
                 assert re.search(said, client.set(**request)["reason"])
             assert not near.poll()
             answers: list[dict[str, Any]] = []

@@ -6,7 +6,7 @@ import json
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from statistics import median
 from typing import NamedTuple
 
@@ -22,10 +22,11 @@ from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.parameters import number
+from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingError, RecordingFile
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import WEIGHT
-from maglev_mj.session import STEP_FORCE, ChangeRequest, Publisher, SampledMotion, Snapshot
+from maglev_mj.session import REPLACED, STEP_FORCE, ChangeRequest, Publisher, SampledMotion, Snapshot
 from maglev_mj.spec import GRAVITY
 from maglev_mj.terminal import wrapped
 
@@ -68,7 +69,8 @@ class Flight:
         step_force: Largest step of force by new settings [N]; see `check_step`.
         bears: Longest delay from a sample to its answer's effect that the scene bears [s]; see `preflight` and
             `late_delay`.
-        planned: Longest delay after new settings [s], of which it is not known what they bear; 0 for `bears`.
+        judge: `judge_change` in a process of its own, started before the thread is a real-time one; None to take new
+            settings without.
 
     Attributes:
         switch: Switch that ends the flight.
@@ -90,7 +92,7 @@ class Flight:
         warn: Callable[[str], object] | None = None,
         step_force: float = STEP_FORCE,
         bears: float = math.inf,
-        planned: float = 0.0,
+        judge: SideAnswers | None = None,
     ) -> None:
         if scene.period != plant.period:
             raise ParameterError(f"period must be the device's {plant.period:g} s, not {scene.period:g}")
@@ -99,7 +101,8 @@ class Flight:
         self._motion, self._note = SampledMotion(), _NOTE
         self.switch, self.timing = switch or StopSwitch(), LoopTiming()
         self._lost = self._skipped = 0
-        self._staged: tuple[ChangeRequest, Controller] | None = None
+        self._request: ChangeRequest | None = None
+        self._steps: Iterator[None] = iter(())
         self._wanted: tuple[ChangeRequest, Controller] | None = None
         self._begun: ChangeRequest | None = ChangeRequest(scene)
         self._controller = session.device_controller(scene)
@@ -110,7 +113,7 @@ class Flight:
         self._delays: deque[float] = deque(maxlen=_USUAL)
         self._warn, self._checked = warn, 0.0
         self._late, self._power = DelayGuard(late_delay(bears, plant.period)), PowerGuard(plant.period)
-        self.reason, self._planned = "", planned
+        self.reason, self._judge = "", judge
         if file is not None:
             file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
 
@@ -226,29 +229,43 @@ class Flight:
             warn(self._note)
 
     def _listen(self, sample: Sample) -> None:
-        """Record the delay and take up new settings.
-
-        Sample rate and delay stay the device's.
-        """
+        """Record the delay and take up new settings, the newest only."""
         if not math.isnan(self._plant.last_delay):
             self._delays.append(self._plant.last_delay)
-        request, controller = self._staged or (self._publishers.wanted(), None)
-        if request is None:
+        if (newest := self._publishers.wanted()) is not None:
+            older, self._request = self._request, newest
+            if older is not None:
+                older.reply(REPLACED)
+            if older is None or older.scene != newest.scene:  # a key that is held asks again and again
+                self._steps = self._take_up(newest.scene)
+        if self._request is None:
             return
-        self._staged = None
+        self._position = sample.position
         try:
-            if controller is None:  # making one takes half of a period at 1 kHz: it is looked at a sample later
-                with session.own_code_refused():
-                    scene = session.changed(self._scene, request.scene)
-                    self._staged = ChangeRequest(scene, request.reply), session.device_controller(scene)
-                return
-            session.check_step(self._controller, controller, sample.position, self._step_force)
+            with session.own_code_refused():
+                next(self._steps, None)
         except MaglevError as error:
             self._note = str(error)
-            request.reply(self._note)
-        else:
-            self._wanted, self._note = (request, controller), _NOTE
-            self._late.bears = min(self._late.bears, self._planned or math.inf)  # more is not known of new settings
+            self._request.reply(self._note)
+            self._request = None
+
+    def _take_up(self, wanted: Scene) -> Iterator[None]:
+        """Judge settings and put them in force, a step a sample; sample rate and delay stay the device's."""
+        scene, late, note = session.changed(self._scene, wanted), self._late.bears, ""
+        if self._judge is not None:
+            self._judge.ask(scene, self._inertia, tuple(self._delays))
+            while (judged := self._judge.answer()) is None:
+                yield
+            bears, note = judged
+            if bears is None:
+                raise ParameterError(note)
+            late = late_delay(bears, self._plant.period)
+        controller = session.device_controller(scene)
+        yield  # making one takes half of a period at 1 kHz: it is looked at a sample later
+        session.check_step(self._controller, controller, self._position, self._step_force)
+        assert self._request is not None
+        self._wanted, self._note = (ChangeRequest(scene, self._request.reply), controller), note or _NOTE
+        self._request, self._late.bears = None, late
 
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -17,7 +17,7 @@ from maglev_mj.parameters import number
 from maglev_mj.plants.hand import HANDS
 from maglev_mj.result import Result, Table
 from maglev_mj.scenes import Scene
-from maglev_mj.session import device_controller
+from maglev_mj.session import device_controller, own_code_refused
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.verdict import delay_margins, judge, stated_gains
 
@@ -133,6 +133,11 @@ class LineReport(Result):
     def planned(self) -> float:
         """Delay that a scene has to bear [s]: the device's, and 1.5 times the line's."""
         return self.device_delay + MARGIN * max(self.usual - self.device_delay, 0.0)
+
+    @property
+    def anyway(self) -> float:
+        """Delay that a scene is flown with though it does not bear it [s]: twice the planned one."""
+        return 2.0 * self.planned
 
     @property
     def success(self) -> float:
@@ -265,6 +270,33 @@ def preflight(
     return Preflight(scene, report, bears, _problem(scene, report, bears), softened)
 
 
+def judge_change(
+    scene: Scene, inertia: Sequence[float], delays: Sequence[float], *, report: LineReport, anyway: bool
+) -> tuple[float | None, str]:
+    """Check new settings in flight as a scene is checked before takeoff.
+
+    Args:
+        scene: The scene with the new settings, its period and delay the device's.
+        inertia: Mass and moments of inertia of the flotor [kg, kg m²], six.
+        delays: Newest times from a sample to its answer's effect [s]; may be empty.
+        report: The line as measured before takeoff.
+        anyway: True to fly all the same.
+
+    Returns:
+        Longest delay that they are flown with [s], None if they are refused; and why, or "".
+
+    Raises:
+        MaglevError: If a law fails.
+    """
+    with own_code_refused():
+        bears = _bears(scene, np.array(inertia))
+    usual = max(report.usual, float(np.percentile(delays, 95.0)) if delays else 0.0)
+    problem = _weakness(scene, bears, usual)
+    if problem and anyway:
+        return report.anyway, f"warning: {problem}"
+    return None if problem else bears, problem
+
+
 def _bears(scene: Scene, inertia: Array) -> float:
     margins = delay_margins(device_controller(scene), list(HANDS), pose=scene.start().pose, inertia=inertia)
     return float(np.min([*margins.values()]))
@@ -282,14 +314,19 @@ def _problem(scene: Scene, report: LineReport, bears: float) -> str:
             f"only {100.0 * report.success:.0f} % of {report.samples} samples were answered in time, and "
             f"{100.0 * _ANSWERED:.0f} % are needed: keep a processor free or take a quicker line"
         )
+    return _weakness(scene, bears, report.usual)
+
+
+def _weakness(scene: Scene, bears: float, usual: float) -> str:
+    """Return why a scene should not be rendered over a line of a usual delay [s]."""
     if math.isnan(bears):
         return f"it is not known what delay {scene.name} bears: its laws remember too long, or jump"
     if bears == 0.0:
         return f"{scene.name} is UNSTABLE without any delay: lower its stiffness, or raise its damping"
-    if bears < report.usual:
+    if bears < usual:
         return (
             f"{scene.name} bears {bears * 1e3:.2f} ms of delay and is UNSTABLE beyond, and one in 20 answers takes "
-            f"more than {report.usual * 1e3:.2f} ms: lower its stiffness, keep a processor free or take a quicker line"
+            f"more than {usual * 1e3:.2f} ms: lower its stiffness, keep a processor free or take a quicker line"
         )
     return ""
 

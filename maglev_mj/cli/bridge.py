@@ -20,7 +20,7 @@ from maglev_mj.bridge.bench.identification import identify as identify_device
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, fault_meanings
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import LANDING_TIME, StopSwitch
-from maglev_mj.bridge.line import MARGIN, Preflight, measure_line, preflight, stiffest_walls
+from maglev_mj.bridge.line import MARGIN, Preflight, judge_change, measure_line, preflight, stiffest_walls
 from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.realtime import interrupt, stopping
 from maglev_mj.bridge.realtime import realtime as scheduled
@@ -43,9 +43,10 @@ from maglev_mj.cli.options import (
 from maglev_mj.cli.output import Progress, print_written
 from maglev_mj.cli.peripherals import PageOptions, PublisherOptions
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
+from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingFile, open_recording, tee
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, Publisher, Snapshot, device_actions
+from maglev_mj.session import DEVICES_OWN, UNKNOWN, Publisher, Snapshot, device_actions
 from maglev_mj.terminal import say, wrapped
 from maglev_mj.views.remote import Front, RemoteViewer
 
@@ -167,10 +168,10 @@ def bridge(
         with scheduled(realtime):  # as the flight, which says what is refused
             report = measure_line(plant)
         found = preflight(plant, scene, as_written=as_written, report=report)
-        _may_fly(plant, address, found, anyway)
+        anyway = _may_fly(plant, address, found, anyway)
         if found.softened:
             print("\n".join(wrapped(found.softened)), flush=True)
-        flight = _Flown(found, seconds, record, publishing.step_force, realtime)
+        flight = _Flown(found, anyway, seconds, record, publishing.step_force, realtime)
         return _fly(plant, flight, front, page.web, publishers, live)
 
 
@@ -205,22 +206,24 @@ def _checked_line(plant: RemotePlant, scene: Scene, policy: Literal["enforce", "
     return 1 if found.problem else 0
 
 
-def _may_fly(plant: RemotePlant, address: str, found: Preflight, anyway: bool) -> None:
-    """Refuse what the check before takeoff has found, or say it."""
-    if not found.problem:
-        return
-    if not anyway:
-        raise PlantError(f"no takeoff: {found.problem}; --anyway flies it")
+def _may_fly(plant: RemotePlant, address: str, found: Preflight, anyway: bool) -> bool:
+    """Refuse what the check before takeoff has found, or say it; return whether --anyway holds for the flight."""
     half = 0.5 * plant.stated.current_limit
-    if not address.startswith(_TWINS) and plant.limits.current_limit > half:
+    weak = address.startswith(_TWINS) or plant.limits.current_limit <= half
+    if found.problem and not anyway:
+        raise PlantError(f"no takeoff: {found.problem}; --anyway flies it")
+    if found.problem and not weak:
         raise PlantError(f"no takeoff: --anyway needs --max-current of at most {half:g} A on a device: {found.problem}")
-    _warn(f"warning: {found.problem}")
+    if found.problem:
+        _warn(f"warning: {found.problem}")
+    return anyway and weak
 
 
 class _Flown(NamedTuple):
     """Chosen flight of a scene."""
 
     found: Preflight
+    anyway: bool
     seconds: float | None
     record: Path | None
     step_force: float
@@ -241,8 +244,6 @@ def _fly(
     """
     found, switch = flown.found, StopSwitch()
     scene = found.scene
-    # what flies all the same is landed where the line becomes twice as slow as it was
-    bears = 2.0 * found.report.planned if found.problem else found.bears
     with ExitStack() as last:
         last.enter_context(switch.signals())
         viewer = None
@@ -254,6 +255,10 @@ def _fly(
         file = None if flown.record is None else open_recording(flown.record)
         if file is not None:
             last.push(partial(_keep, file))
+        judge = None
+        if publishers:  # before this thread is a real-time one, as a process inherits that
+            judge = SideAnswers(partial(judge_change, report=found.report, anyway=flown.anyway), UNKNOWN)
+            last.callback(judge.close, 0.0)
         flight = Flight(
             plant,
             scene,
@@ -262,8 +267,8 @@ def _fly(
             publishers=publishers,
             warn=_warn,
             step_force=flown.step_force,
-            bears=bears,
-            planned=min(found.report.planned, bears),
+            bears=found.report.anyway if found.problem else found.bears,
+            judge=judge,
         )
         if viewer is not None:
             viewer.on_close, viewer.on_emergency = switch.land, switch.cut

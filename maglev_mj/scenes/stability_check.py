@@ -26,6 +26,9 @@ STEP_FORCE = 2.0
 This force accelerates a free flotor over its whole range of 9 mm to 0.23 m/s, less than a device's host allows.
 """
 
+UNKNOWN = "it is not known whether the scene would be stable"
+"""Beginning of the reason to refuse a scene without a verdict."""
+
 _ARM = 0.05
 """Lever arm that converts a torque to a force [m].
 
@@ -114,7 +117,7 @@ def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: floa
     if verdict.stable:
         return None
     if verdict.stable is None:
-        raise ParameterError("; ".join(("it is not known whether the scene would be stable", *verdict.remarks)))
+        raise ParameterError("; ".join((UNKNOWN, *verdict.remarks)))
     index = AXES.index(verdict.axes[0])
     damping, bound = float(verdict.damping[index, index]), None
     if verdict.stated:

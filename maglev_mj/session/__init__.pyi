@@ -1,4 +1,5 @@
 from maglev_mj.scenes.stability_check import STEP_FORCE as STEP_FORCE
+from maglev_mj.scenes.stability_check import UNKNOWN as UNKNOWN
 from maglev_mj.scenes.stability_check import UnstableLoop as UnstableLoop
 from maglev_mj.scenes.stability_check import check_step as check_step
 from maglev_mj.scenes.stability_check import own_code_refused as own_code_refused
@@ -17,6 +18,7 @@ from maglev_mj.session.pacing import next_scale as next_scale
 from maglev_mj.session.pacing import real_time as real_time
 from maglev_mj.session.session import Session as Session
 from maglev_mj.session.session import device_controller as device_controller
+from maglev_mj.session.snapshot import REPLACED as REPLACED
 from maglev_mj.session.snapshot import SHOWN as SHOWN
 from maglev_mj.session.snapshot import ChangeRequest as ChangeRequest
 from maglev_mj.session.snapshot import History as History

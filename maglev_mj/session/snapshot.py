@@ -274,6 +274,10 @@ class ChangeRequest(NamedTuple):
     reply: Callable[[int | str], object] = _unheard
 
 
+REPLACED = "replaced by a newer request before it was in force"
+"""Reply to a request that a newer one has overtaken."""
+
+
 class Publisher(Protocol):
     """Interface of a publisher to other programs.
 

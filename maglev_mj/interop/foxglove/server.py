@@ -11,8 +11,8 @@ from typing import Any
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record
 from maglev_mj.errors import MaglevError, require
-from maglev_mj.interop.foxglove.settings import NICE, Answer, State
-from maglev_mj.process import SideProcess
+from maglev_mj.interop.foxglove.settings import Answer, State
+from maglev_mj.process import NICE, SideProcess
 from maglev_mj.recording import Setup
 from maglev_mj.recording.sample import RecordedPlant
 from maglev_mj.recording.setup import whole_setup

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
-import math
 import pickle
 import re
 import secrets
@@ -23,12 +22,13 @@ import foxglove
 from foxglove import MessageSchema, Parameter, Schema, Service, ServiceRequest, ServiceSchema, StatusLevel
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener
 
-from maglev_mj.interop.foxglove.settings import Answer, Requests, State, Verdict, check_requests, values_of
-from maglev_mj.process import SideProcess
+from maglev_mj.errors import MaglevError
+from maglev_mj.interop.foxglove.settings import Answer, Requests, State, Verdict, checked, values_of
+from maglev_mj.process import SideAnswers
 from maglev_mj.recording.messages import Messages
 from maglev_mj.recording.writer import ROWS, RowReader, log_in_order
 from maglev_mj.scenes import Scene
-from maglev_mj.session import UnstableLoop
+from maglev_mj.session import UNKNOWN, UnstableLoop
 from maglev_mj.session.access import LOOPBACK, Access
 
 PATIENCE = 5.0
@@ -146,9 +146,6 @@ async def _pass(reader: asyncio.StreamReader, source: asyncio.StreamWriter, writ
             await writer.drain()
 
 
-LONGEST_CHECK = 10.0
-"""Longest time of a check [s]."""
-
 _LOOK = 1.0 / 120.0
 _PAUSE = 1.0  # from one process that checks to the next [s]
 _PATIENCE = 60.0
@@ -181,7 +178,7 @@ class _Service(ServerListener):
         self._orders: deque[Sequence[Any]] = deque()
         self._place = 0
         self._set_state(State())
-        self._checker, self._until, self._next_checker = SideProcess(check_requests), math.inf, 0.0
+        self._checker, self._next_checker = SideAnswers(checked, UNKNOWN), 0.0
         self._over = False
         self._context = foxglove.Context()  # the server does not keep it
         self._messages = Messages(self._context)
@@ -249,36 +246,31 @@ class _Service(ServerListener):
 
     def _check(self) -> None:
         """Handle checked requests and start the next check."""
-        for verdict in self._checker.received():
-            if verdict is not None:
-                self._conclude(verdict)
-        if self._checker.ended or time.monotonic() > self._until:
-            why = "the process that checks them ended" if self._checker.ended else f"it takes over {LONGEST_CHECK:g} s"
-            self._checker.close(0.0)
-            if math.isfinite(self._until):  # otherwise nothing was being checked
-                self._refuse_unchecked(why)
-            self._replace_checker()
         if not self._checker.ended and (given := self._requests.next()) is not None:
-            self._checker.send((self._state, given))
-            self._until = time.monotonic() + LONGEST_CHECK
+            self._checker.ask(self._state, given)
+        try:
+            if (verdict := self._checker.answer()) is not None:
+                self._conclude(verdict)
+        except MaglevError as error:
+            self._checker.close(0.0)
+            self._conclude(str(error))
+        if self._checker.ended:
+            self._replace_checker()
 
     def _replace_checker(self) -> None:
         """Restart the checking process, at intervals."""
         if (now := time.monotonic()) < self._next_checker:
             return
         self._next_checker = now + _PAUSE
+        self._checker.close(0.0)
         try:
-            self._checker = SideProcess(check_requests)
+            self._checker = SideAnswers(checked, UNKNOWN)
         except OSError as error:  # too many processes, or open files
             if self._requests.next() is not None:
-                self._refuse_unchecked(f"the process that checks them does not start: {error}")
-
-    def _refuse_unchecked(self, why: str) -> None:
-        self._conclude(f"it is not known whether the parameters would be stable: {why}")
+                self._conclude(f"{UNKNOWN}: the process that checks them does not start: {error}")
 
     def _conclude(self, verdict: Verdict) -> None:
         """Send a checked scene to the loop, or refuse it."""
-        self._until = math.inf
         if isinstance(verdict, Scene):
             with suppress(OSError):  # that it has ended is heard
                 self._line.send(verdict)

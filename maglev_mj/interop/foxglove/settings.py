@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
 import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
 from multiprocessing import Pipe
-from multiprocessing.connection import Connection
 from typing import Any, NamedTuple, TypeAlias
 
 from maglev_mj.errors import MaglevError
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, UnstableLoop, changed, own_code_refused, settable, unstable_loop
-
-NICE = 5
-"""Niceness of processes without deadlines."""
+from maglev_mj.session import DEVICES_OWN, REPLACED, UnstableLoop, changed, own_code_refused, settable, unstable_loop
 
 _NONE = "none"  # as on the command line: the protocol has no null
 
@@ -84,15 +78,6 @@ def checked(state: State, given: Mapping[str, Any]) -> Verdict:
         return str(error)
 
 
-def check_requests(line: Connection) -> None:
-    """Check requests until the line ends, in an own process."""
-    os.nice(NICE)
-    with suppress(EOFError, OSError):
-        line.send(None)  # all modules are loaded
-        while True:
-            line.send(checked(*line.recv()))
-
-
 class Requests:
     """Hold the newest request until the one before is answered.
 
@@ -119,7 +104,7 @@ class Requests:
             if older is None and self._current is None:
                 self._bell.send(None)
         if older is not None:
-            older[1].set_result(Answer(reason="replaced by a newer request before it was in force"))
+            older[1].set_result(Answer(reason=REPLACED))
         return answer
 
     def next(self) -> Mapping[str, Any] | None:
