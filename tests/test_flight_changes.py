@@ -79,6 +79,10 @@ def test_a_late_answer_is_no_answer_to_the_next_question(monkeypatch: pytest.Mon
         answers.ask("a")
         with pytest.raises(MaglevError, match="no: it takes over 0 s"):
             answered(answers)
+        assert answers.line.poll(600.0) and answers.answer() is None
+        answers.ask("a")
+        with pytest.raises(MaglevError, match="no: it takes over 0 s"):
+            answered(answers)
         monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
         answers.ask("b")
         assert answered(answers) == "B"

@@ -197,7 +197,8 @@ def flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
         flights.clear()
         status = cli.main(["bridge", address, *options])
         said = capsys.readouterr()
-        return status, f"{said.out}{'takes off' * len(flights)}", said.err
+        flies = f"takes off{', settings too' * flights[0].anyway}" if flights else ""
+        return status, f"{said.out}{flies}", said.err
 
     return run
 
@@ -222,6 +223,20 @@ def test_anyway_flies_a_twin_and_a_device_at_half_power(
     status, output, errors = flown(plant, "--scene", "table", "--as-written", *options, address=address)
     assert says in errors and errors.count("\n") == 1
     assert ("takes off" in output) == says.startswith("warning") and status == (0 if "takes off" in output else 1)
+
+
+@pytest.mark.parametrize(("address", "current"), [("udp://[::1]:1", None), ("udp://10.0.0.1:1", 5.0)])
+def test_anyway_holds_for_settings_in_flight_where_it_holds_before(
+    address: str, current: float | None, flown: Flown, tmp_path: Path
+) -> None:
+    limits = HostLimits(max_current=current)
+    for where, options, holds in (
+        (address, ["--anyway"], True),
+        ("udp://10.0.0.1:1", ["--anyway"], current is not None),
+        (address, [], False),
+    ):
+        _, output, _ = flown(device(tmp_path, limits=limits), *options, address=where)
+        assert output.endswith("takes off, settings too" if holds else "takes off")
 
 
 def test_a_softened_scene_is_said_and_as_written_it_is_not(flown: Flown, tmp_path: Path) -> None:

@@ -406,7 +406,7 @@ class Unstarted:
 class Unchecking(Unstarted):
     """In place of the process that checks."""
 
-    _question, _busy, _until = None, True, math.inf
+    _question, _busy, _until, _unknown = None, True, math.inf, ""
     ask: Any = SideAnswers.ask
     answer: Any = SideAnswers.answer
 

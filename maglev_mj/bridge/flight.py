@@ -250,7 +250,10 @@ class Flight:
             self._request = None
 
     def _take_up(self, wanted: Scene) -> Iterator[None]:
-        """Judge settings and put them in force, a step a sample; sample rate and delay stay the device's."""
+        """Judge settings and put them in force, a step a sample.
+
+        Sample rate and delay stay the device's.
+        """
         scene, late, note = session.changed(self._scene, wanted), self._late.bears, ""
         if self._judge is not None:
             self._judge.ask(scene, self._inertia, tuple(self._delays))

@@ -136,7 +136,7 @@ class LineReport(Result):
 
     @property
     def anyway(self) -> float:
-        """Delay that a scene is flown with though it does not bear it [s]: twice the planned one."""
+        """Delay taken for what a scene bears that is flown all the same [s]."""
         return 2.0 * self.planned
 
     @property

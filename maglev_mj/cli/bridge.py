@@ -207,7 +207,11 @@ def _checked_line(plant: RemotePlant, scene: Scene, policy: Literal["enforce", "
 
 
 def _may_fly(plant: RemotePlant, address: str, found: Preflight, anyway: bool) -> bool:
-    """Refuse what the check before takeoff has found, or say it; return whether --anyway holds for the flight."""
+    """Refuse or say what the check before takeoff has found.
+
+    Returns:
+        Whether settings in flight are taken though they would be refused.
+    """
     half = 0.5 * plant.stated.current_limit
     weak = address.startswith(_TWINS) or plant.limits.current_limit <= half
     if found.problem and not anyway:
