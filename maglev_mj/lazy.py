@@ -48,6 +48,12 @@ def has_engine() -> bool:
     return find_spec("mujoco") is not None
 
 
+def loaded(place: str) -> Any:
+    """Return what a text "module:name" names, imported now."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
+
+
 def attach(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` of a package.
 

@@ -7,11 +7,11 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from html import escape
-from importlib import import_module
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from maglev_mj.errors import MaglevError, require
+from maglev_mj.lazy import loaded
 from maglev_mj.terminal import WIDTH, printable, wrapped
 
 if TYPE_CHECKING:
@@ -156,8 +156,7 @@ class Result:
         """
         from maglev_mj.pictures import save  # arrays would be loaded with a command's help
 
-        module, _, name = self.drawn_by.partition(":")
-        return save(getattr(import_module(module), name)(self, **options), path)
+        return save(loaded(self.drawn_by)(self, **options), path)
 
     def __repr__(self) -> str:
         try:

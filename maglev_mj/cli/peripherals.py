@@ -17,6 +17,7 @@ from maglev_mj.cli.declare import Parser, Shared, count, option
 from maglev_mj.cli.options import parameters
 from maglev_mj.cli.output import LAYOUT
 from maglev_mj.errors import ParameterError, check_one_of, require
+from maglev_mj.lazy import loaded
 from maglev_mj.terminal import say
 
 if TYPE_CHECKING:
@@ -237,18 +238,7 @@ def _mouse_mapping() -> SpacenavMapping:
     return SpacenavMapping()
 
 
-def _hand_mapping() -> AxisMapping:
-    from maglev_mj.interop.hand_devices import HAND_MAPPING
-
-    return HAND_MAPPING
-
-
-def _step_force() -> float:
-    from maglev_mj.session import STEP_FORCE
-
-    return STEP_FORCE
-
-
+_hand_mapping = partial(loaded, "maglev_mj.interop.hand_devices:HAND_MAPPING")
 _MouseMapping: TypeAlias = Annotated["SpacenavMapping", parameters(_mouse_mapping, _MOUSE, "spacenav-")]
 _HandMapping: TypeAlias = Annotated["AxisMapping", parameters(_hand_mapping, _HAND, "hand-")]
 
@@ -342,7 +332,7 @@ class PublisherOptions:
             "largest step of force where the flotor is that new settings may make [N]",
             "other programs",
             name="step-force",
-            default=_step_force,
+            default=partial(loaded, "maglev_mj.session:STEP_FORCE"),
             above=0.0,
         ),
     ]

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from maglev_mj.cli.declare import option
 from maglev_mj.cli.options import Picture, Pictures, Recorded, json_of
@@ -131,14 +131,6 @@ def _other_code(recording: Recording, own: OwnCode | None) -> str:
     return f"{said}; the first {most} answers of each stretch are the same here"
 
 
-class _Part(NamedTuple):
-    """Part of a recording that is analysed."""
-
-    stretch: int | None
-    begin: float | None
-    end: float | None
-
-
 def analyse(
     file: Recorded,
     stretch: Annotated[int | None, option("only the N-th stretch, from 1; parameters change between", _PART)] = None,
@@ -173,7 +165,7 @@ def analyse(
         several = len(recording.stretches) > 1
         with progress.aside():
             own = _own_code(scene, recording)
-        wanted = _chosen(recording, file, _Part(stretch, begin, end))
+        wanted = _chosen(recording, file, stretch, is_part=bool(begin) or end is not None)
         reports: list[tuple[int, StretchReport]] = []
         for place, one in wanted:
             reports.append((place, _report(one, begin or 0.0, end, compare, own)))
@@ -206,24 +198,24 @@ def _as_json(file: Path, recording: Recording, reports: Sequence[tuple[int, Stre
     return {**about, "stretches": data}
 
 
-def _chosen(recording: Recording, file: Path, part: _Part) -> list[tuple[int, Stretch]]:
+def _chosen(recording: Recording, file: Path, number: int | None, *, is_part: bool) -> list[tuple[int, Stretch]]:
     """Return the stretches to analyse and their numbers from 1.
 
     Raises:
         InvalidRecordingError: If the recording has no samples.
         ParameterError: If there is no such stretch, or the stretch of a part is ambiguous.
     """
-    from maglev_mj.parameters import number
+    from maglev_mj.parameters import whole
     from maglev_mj.recording import InvalidRecordingError
 
     stretches = recording.stretches
     usable = [(place, stretch) for place, stretch in enumerate(stretches, start=1) if len(stretch.tick) > 1]
     if not usable:
         raise InvalidRecordingError(f"there is nothing in {str(file)!r} to be analysed")
-    if part.stretch is not None:
-        place = int(number("stretch", part.stretch, at_least=1, at_most=len(stretches)))
+    if number is not None:
+        place = whole("stretch", number, at_least=1, at_most=len(stretches))
         return [(place, stretches[place - 1])]
-    if len(usable) > 1 and (part.begin or part.end is not None):
+    if len(usable) > 1 and is_part:
         raise ParameterError(f"from and to are within a stretch: choose one of {len(stretches)} with --stretch")
     return usable
 

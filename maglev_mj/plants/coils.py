@@ -66,10 +66,8 @@ class CoilMap:
         if np.linalg.matrix_rank(upright) < len(upright):
             raise ModelError("the six coils cannot give every wrench: their map is singular")
         # torque a of coil j is linear in the rotation matrix: eps_abc R_bk p_jk f_jc
-        levi_civita = np.zeros((3, 3, 3))
-        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-            levi_civita[i, j, k], levi_civita[i, k, j] = 1.0, -1.0
-        turning = np.einsum("abc,jk,jc->ajbk", levi_civita, self.points, forces).reshape(18, 9)
+        levi_civita = np.cross(np.eye(3)[:, None], np.eye(3))  # [b, c, a]
+        turning = np.einsum("bca,jk,jc->ajbk", levi_civita, self.points, forces).reshape(18, 9)
         store(self, wrench_per_current=upright, current_per_wrench=np.linalg.inv(upright), _turning=turning)
         blocks, spread = _blocks_of(self.current_per_wrench, turning)
         store(self, _blocks=blocks, _spread=spread)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Segment, Timeline, Timing
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, Array, Command, Component, Sample
+from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
 from maglev_mj.parameters import numbers
 from maglev_mj.result import Result
 
@@ -77,6 +77,11 @@ class Trace(Result):
     twist: Array
     wrench: Array
     drawn_by: ClassVar = "maglev_mj.analysis.pictures:trace"
+    units: ClassVar = {"time": "s"} | {
+        f"{name}.{axis}": unit_of(unit, axis)
+        for name, unit in (("pose", "m"), ("twist", "m/s"), ("wrench", "N"))
+        for axis in AXES
+    }
 
     def columns(self) -> dict[str, Array]:
         """Return the knots, a column for each coordinate, (K,) each.
@@ -88,16 +93,7 @@ class Trace(Result):
         """
         if self.pose.ndim != 2 or self.pose.shape[1] != len(AXES):
             raise ParameterError(f"trace must be of one device on six axes, (K, 6), not {self.pose.shape}")
-        parts = {"pose": self.pose, "twist": self.twist, "wrench": self.wrench}
-        six = {f"{name}.{axis}": part[:, index] for name, part in parts.items() for index, axis in enumerate(AXES)}
-        return {"time": self.time, **six}
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each column."""
-        units = {"pose": ("m", "rad"), "twist": ("m/s", "rad/s"), "wrench": ("N", "N m")}
-        six = {f"{name}.{axis}": of[index // 3] for name, of in units.items() for index, axis in enumerate(AXES)}
-        return {"time": "s", **six}
+        return dict(zip(self.units, [self.time, *self.pose.T, *self.twist.T, *self.wrench.T], strict=True))
 
     def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
         """Evaluate at given times.

@@ -16,6 +16,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Component
 from maglev_mj.parameters import axis_indices, param
 from maglev_mj.plants import Sensor
+from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import INERTIA, Spec
 
@@ -140,6 +141,11 @@ class WallScene(Scene):
         if self.pulse == 0.0:
             return {"no pulse": self}
         return {"with pulse": self, "without pulse": self.replace(pulse=0.0)}
+
+    def series(self, result: RunResult, time: Array) -> dict[str, Array]:
+        """Return height [m] and force of the actuators [N]."""
+        place, _, force = result.motion(time)
+        return {"z": place, "force": force}
 
     def plant_options(self) -> dict[str, Any]:
         """See `Scene`."""

@@ -14,7 +14,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import WallScene, hold, others
-from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Start
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 from maglev_mj.theory.ideal import analog_wall
@@ -90,8 +89,3 @@ class Drop(WallScene):
         They are of the same drop on the ideal analog wall; see `analog_wall`.
         """
         return analog_wall(time, height=self.height, stiffness=self.stiffness, damping=self.damping, mass=self.mass)
-
-    def series(self, result: RunResult, time: Array) -> dict[str, Array]:
-        """Return height [m] and force of the actuators [N]."""
-        place, _, force = result.motion(time)
-        return {"z": place, "force": force}

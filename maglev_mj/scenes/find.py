@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copyreg
 import hashlib
-import importlib
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
@@ -15,6 +14,7 @@ from types import ModuleType
 from typing import Any, TypeAlias, TypeVar
 
 from maglev_mj.errors import ParameterError, check_instance, not_one_of, one_line
+from maglev_mj.lazy import loaded
 from maglev_mj.scenes.names import BUILT_IN, installed_scenes, scene_names
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.versions import TEXT, file_of, hash_of
@@ -167,8 +167,7 @@ def scene_again(reference: str, values: Mapping[str, Any]) -> Scene:
 
 
 def _in_module(place: str) -> type[Scene]:
-    module, _, name = place.partition(":")
-    found: type[Scene] = getattr(importlib.import_module(module), name)
+    found: type[Scene] = loaded(place)
     return found
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from importlib import import_module
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from maglev_mj.colours import REFERENCE, STUCK
 from maglev_mj.control import Wall
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import Array, unit_of
+from maglev_mj.lazy import loaded
 from maglev_mj.pictures import (
     FIRST,
     SHADE,
@@ -26,9 +26,6 @@ from maglev_mj.pictures import (
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import Phases, RunResult, Variants, share_below
 from maglev_mj.spec import Spec
-
-Picture: TypeAlias = Callable[[Variants], Any]
-"""Draws runs and their phases, and returns the figure."""
 
 _FINE, _POINTS = 1e-4, 2001
 _MOST_PANELS = 4
@@ -65,9 +62,7 @@ def draw_variants(variants: Variants, picture: str | None = None) -> Any:
     names = variants.pictures
     chosen = next(iter(names)) if picture is None else picture
     check_one_of("picture", names, chosen)
-    module, _, name = names[chosen].partition(":")
-    draw: Picture = getattr(import_module(module), name)
-    return draw(variants)
+    return loaded(names[chosen])(variants)
 
 
 def series(variants: Variants) -> Any:
@@ -309,31 +304,24 @@ def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]
         if wall is not None and (wall[2] > 0.0 or not others):  # else the legend names them all
             panel.set_title(f"{drop.style['label']}: {wall[1] + wall[2]:g} N s/m", fontweight="bold", **TITLE)
     p, label = columns[0][0].scene, columns[0][0].style["label"]
-    gains = _common_gains(one.scene for column in columns for one in column)
-    limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
     result, shaded = variants.runs[label], ""
     if (band := variants.bands.get(label)) is not None:
         share = 100.0 * share_below(band.figures["penetration"], result.figures["penetration"])
         shaded = f", deeper than {share:.0f} % of the phases; shaded: all of {len(band.phase)} phases"
     figure.suptitle(
-        f"{p.height * 1e3:g} mm drop, {gains}{1.0 / p.period:g} Hz, "
-        f"delay {p.delay * 1e3:g} ms{limit} ({result.plant})\n"
-        f"lines: phase {result.phase:g}{shaded}",
+        f"{p.height * 1e3:g} mm drop, {_loop_of(variants)}\nlines: phase {result.phase:g}{shaded}",
         x=0.01,
         ha="left",
         fontsize=10,
     )
 
 
-def _describe(variants: Variants) -> str:
-    """Return hand, gains common to all walls, and timing."""
+def _loop_of(variants: Variants) -> str:
+    """Return gains common to all walls, timing, limit and plant."""
     p = variants.first.scene
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
     gains = _common_gains(one.scene for one in variants.runs.values())
-    return (
-        f"hand {p.hand}, {p.press:g} N in the end\n{gains}{1.0 / p.period:g} Hz, "
-        f"delay {p.delay * 1e3:g} ms{limit} ({variants.first.plant})"
-    )
+    return f"{gains}{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit} ({variants.first.plant})"
 
 
 def figure_6(variants: Variants) -> Any:
@@ -370,7 +358,7 @@ def figure_6(variants: Variants) -> Any:
     upper.set_ylabel("height above the wall (mm)")
     lower.set(xlabel="time (s)", ylabel="control force (N)", xlim=(0.0, p.end))
     name_curves(figure, [upper])
-    upper.set_title(_describe(variants), **TITLE)
+    upper.set_title(f"hand {p.hand}, {p.press:g} N in the end\n{_loop_of(variants)}", **TITLE)
     return figure
 
 

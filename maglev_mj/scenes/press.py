@@ -168,6 +168,5 @@ class Press(WallScene):
 
         The target is the rest point of the arm's spring.
         """
-        place, _, force = result.motion(time)
         path = self.path(result.phase)
-        return {"z": place, "force": force, "target": np.array([path.at(instant)[2] for instant in time.tolist()])}
+        return super().series(result, time) | {"target": np.array([path.at(instant)[2] for instant in time.tolist()])}

@@ -99,11 +99,8 @@ def walls(scene: InteractiveScene, faces: Sequence[Face]) -> list[Law]:
     axes = [axis for axis in AXES if axis in lower or axis in upper]
     if not axes:
         return []
-    edges = {
-        "lower": [lower.get(axis, -math.inf) for axis in axes],
-        "upper": [upper.get(axis, math.inf) for axis in axes],
-    }
-    return [wall(scene, axes, **edges)]
+    low, high = ([edge.get(axis, none) for axis in axes] for edge, none in ((lower, -math.inf), (upper, math.inf)))
+    return [wall(scene, axes, lower=low, upper=high)]
 
 
 def contacts(

@@ -87,11 +87,9 @@ def run(
 
 def figures_of(scene: Scene, plant: str, phase: float = 0.0) -> Mapping[str, Any]:
     """Return the figures of one run by name, by any `run_figures` of the scene."""
-    figures: Mapping[str, Any]
     if scene.run_figures is None:
-        figures = run(scene, plant=plant, phase=phase).figures
-    else:
-        figures = scene.run_figures(plant, phase)
+        return run(scene, plant=plant, phase=phase).figures
+    figures: Mapping[str, Any] = scene.run_figures(plant, phase)
     return figures
 
 

@@ -23,6 +23,7 @@ from maglev_mj.studies.sweep import Sweep
 _DECADES = [10.0**power for power in range(-6, 0)]
 _SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#43a2ca", "#0868ac"]
 _UNSTABLE = "#fbe3da"
+_GAINS = {"xlabel": "damping (N s/m)", "ylabel": "stiffness (N/m)"}
 _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 
 
@@ -91,10 +92,8 @@ def stability_map(result: StabilityMap) -> Any:
         if result.misjudged is not None and result.misjudged.any():
             wrong = result.misjudged
             panel.plot(b[wrong], k[wrong], "x", color=SECOND, label="simulation and theory differ")
-    panel.set_xlabel("damping (N s/m)")
-    panel.set_ylabel("stiffness (N/m)")
-    panel.set_xlim(result.damping.min(), result.damping.max())
-    panel.set_ylim(result.stiffness.min(), result.stiffness.max())
+    (low, high), (soft, stiff) = ((axis.min(), axis.max()) for axis in (result.damping, result.stiffness))
+    panel.set(**_GAINS, xlim=(low, high), ylim=(soft, stiff))
     name_curves(figure, [panel])
     hand = "" if p.hand == "none" else f", hand {p.hand}"
     panel.set_title(
@@ -146,10 +145,7 @@ def drop_panels(figure: Any, panels: Sequence[Any], results: Sequence[DropMap]) 
         panel.contour(x, y, result.settles, levels=[0.5], colors=[STOP], linewidths=0.9)
         panel.plot([], [], color=STOP, linewidth=0.9, label="boundary of the drops that settle")
         panel.plot(x, result.boundary, color=SECOND, linewidth=2.0, label="boundary of stability by theory")
-        panel.set_xlim(edges[:2])
-        panel.set_ylim(edges[2:])
-        panel.set_xlabel("damping (N s/m)")
-        panel.set_ylabel("stiffness (N/m)")
+        panel.set(**_GAINS, xlim=edges[:2], ylim=edges[2:])
     bar = figure.colorbar(image, ax=list(panels), ticks=_DECADES, aspect=40, pad=0.02, fraction=0.04)
     bar.ax.set_yticklabels(["1 µm", "10 µm", "0.1 mm", "1 mm", "10 mm", "0.1 m"])
     bar.ax.tick_params(labelsize=9.0)
@@ -194,8 +190,7 @@ def design_map(result: DesignResult) -> Any:
         panel.plot([], [], color=REFERENCE, label="lines: largest modulus of the eigenvalues")
         panel.clabel(lines, fmt="%.3f", fontsize=8.5)
         panel.plot(worst.delay * 1e3, worst.mass, "*", color=SECOND, markersize=15, label=marked, clip_on=False)
-        panel.set_xlabel("delay (ms)")
-        panel.set_ylabel("mass (kg)")
+        panel.set(xlabel="delay (ms)", ylabel="mass (kg)")
     else:
         along_mass = sizes[0] > 1
         x = result.masses if along_mass else result.delays * 1e3
@@ -203,8 +198,7 @@ def design_map(result: DesignResult) -> Any:
         at = worst.mass if along_mass else worst.delay * 1e3
         panel.plot(at, wall.modulus, "*", color=SECOND, markersize=15, label=marked, clip_on=False)
         panel.axhline(needs.modulus, color=REFERENCE, linestyle=":", label=f"allowed: {needs.modulus:g}")
-        panel.set_xlabel("mass (kg)" if along_mass else "delay (ms)")
-        panel.set_ylabel("largest modulus")
+        panel.set(xlabel="mass (kg)" if along_mass else "delay (ms)", ylabel="largest modulus")
     name_curves(figure, [panel])
     law = "PD wall" if wall.pole is None else "Observer wall"
     panel.set_title(

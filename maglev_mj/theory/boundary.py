@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, TypeAlias, Unpack, overload
+from typing import NamedTuple, Unpack, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,7 +41,6 @@ _SOFTEST = 1e-9
 _AROUND, _BESIDE, _FALL = 1e-2 * np.linspace(-1.0, 1.0, 9), 1e-6 * np.linspace(-1.0, 1.0, 5), 1e-3
 _LEAST, _TRIM = 1e-11, 1e-10
 _PAIRS = np.array([[0.0, 1.0, 0.0, 2.0], [0.0, 0.0, 1.0, 2.0]])
-_Series: TypeAlias = Array
 
 
 class StiffestWall(NamedTuple):
@@ -348,7 +347,7 @@ def _stiffness(damped: Array, stiff: Array, angles: Array) -> Array:
     return np.where(stiffness > _LEAST, stiffness, np.inf)
 
 
-def _turned(one: Array, other: Array) -> _Series:
+def _turned(one: Array, other: Array) -> Array:
     """Return Im(one conj(other)) as a sine series, (..., n).
 
     On the unit circle, as a series of sin((m + 1) theta).
@@ -361,7 +360,7 @@ def _turned(one: Array, other: Array) -> _Series:
     return np.stack(terms, axis=-1)
 
 
-def _roots(series: _Series) -> Array:
+def _roots(series: Array) -> Array:
     """Return the zeros of sine series in [0, pi].
 
     The series are of sin((m + 1) theta), the angles (N, n) to (N, n + 1), NaN for none.

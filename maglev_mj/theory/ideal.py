@@ -57,9 +57,7 @@ def analog_wall(
 
     Source: Salcudean & Vlaar 1997, eq. (1) and figure 4.
     """
-    times = np.atleast_1d(numbers("time", time, at_least=0.0))
-    if times.ndim > 1 or (np.diff(times) < 0.0).any():
-        raise ParameterError("time must be (M,) and ascending")
+    times = _ascending(time)
     k, b = number("stiffness", stiffness, above=0.0), number("damping", damping, at_least=0.0)
     m, g = number("mass", mass, above=0.0), number("gravity", gravity, above=0.0)
     rate = 2.0 * math.pi * number("bandwidth", bandwidth, above=0.0)
@@ -77,6 +75,14 @@ def analog_wall(
             return out[:, 0], out[:, 1], out[:, 2]
         state, start, touching = motion(state, np.array([leave]))[0], start + leave, not touching
         state[0] = 0.0
+
+
+def _ascending(time: ArrayLike) -> Array:
+    """Return checked times, (M,)."""
+    times = np.atleast_1d(numbers("time", time, at_least=0.0))
+    if times.ndim > 1 or (np.diff(times) < 0.0).any():
+        raise ParameterError("time must be (M,) and ascending")
+    return times
 
 
 Motion = Callable[[Array, Array], Array]
@@ -185,9 +191,7 @@ def karnopp(
 
     Source: Karnopp 1985; Salcudean & Vlaar 1997, eq. (10)-(11).
     """
-    times = np.atleast_1d(numbers("time", time, at_least=0.0))
-    if times.ndim > 1 or (np.diff(times) < 0.0).any():
-        raise ParameterError("time must be (M,) and ascending")
+    times = _ascending(time)
     starts = [number("target time", start, at_least=0.0) for start, _ in targets]
     ends = [number("target", target) for _, target in targets]
     if not starts or starts[0] != 0.0 or sorted(set(starts)) != starts:

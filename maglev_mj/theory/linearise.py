@@ -66,6 +66,9 @@ class Linearised(Result):
     jumps: Mask
     settled: Mask
     drawn_by: ClassVar = "maglev_mj.theory.pictures:impulse_response"
+    units: ClassVar = {"time": "s"} | {
+        f"{to}.{come}": f"{unit_of('N', to)}/{unit_of('m', come)}" for to in AXES for come in AXES
+    }
 
     def columns(self) -> dict[str, Array]:
         """Return time and each nonzero response, (M,) each.
@@ -77,12 +80,6 @@ class Linearised(Result):
         for to, come in zip(*np.nonzero(self.response.any(axis=0))):
             columns[f"{AXES[to]}.{AXES[come]}"] = self.response[:, to, come]
         return columns
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each column."""
-        pairs = ((to, come) for to in AXES for come in AXES)
-        return {"time": "s"} | {f"{to}.{come}": f"{unit_of('N', to)}/{unit_of('m', come)}" for to, come in pairs}
 
     def table(self) -> Table:
         """Return stiffness and damping of each axis."""
