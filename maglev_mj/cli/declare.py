@@ -173,12 +173,13 @@ def _inverse(text: str) -> float:
     return 1.0 / value
 
 
-_KINDS: Mapping[type, tuple[Callable[[str], Any], str | None]] = {
+KINDS: Mapping[type, tuple[Callable[[str], Any], str | None]] = {
     float: (number_option, "X"),
     int: (count, "N"),
     Path: (Path, "FILE"),
     str: (str, None),
 }
+"""Function that reads a word, and the word's name in the help, by type."""
 
 T = TypeVar("T")
 Take = Callable[[argparse.Namespace], Any]
@@ -315,7 +316,7 @@ def _reading(kind: Any, about: Option) -> dict[str, Any]:
         return {"choices": get_args(kind), "metavar": about.metavar}
     kinds = [about.kind] if about.kind is not None else [*get_args(kind), kind]
     kind = next(part for part in kinds if part is not NoneType)
-    read, metavar = _KINDS.get(kind, (kind, None))
+    read, metavar = KINDS.get(kind, (kind, None))
     optional = {} if about.const is None else {"nargs": "?", "const": about.const}
     return {"type": read, "metavar": about.metavar or metavar, **optional}
 

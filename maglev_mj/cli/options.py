@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
-from maglev_mj.cli.declare import Container, Option, Parser, Shared, beside_inverse, count, number_option, offer, option
+from maglev_mj.cli.declare import KINDS, Container, Option, Parser, Shared, beside_inverse, number_option, offer, option
 from maglev_mj.cli.output import add_pictures, chosen_pictures
 from maglev_mj.errors import ParameterError
 from maglev_mj.terminal import say
@@ -58,18 +58,11 @@ def _add_parameter(parser: Container, option: str, one: Parameter, default: Any,
     said = described(one, default).replace("%", "%%")
     kept: dict[str, Any] = {"dest": _APART + prefix + one.name, "default": argparse.SUPPRESS, "help": said}
     if one.kind is bool:
-        made = parser.add_argument(option, action=argparse.BooleanOptionalAction, **kept)
-        setattr(made, _DECLARED, one)
-        return
-    kinds: Mapping[type, tuple[Callable[[str], Any], str]] = {
-        float: (number_option, "X"),
-        int: (count, "N"),
-        str: (str, "NAME"),
-    }
-    read, metavar = kinds[one.kind]
-    if one.optional:
-        read = partial(_or_none, read)
-    made = parser.add_argument(option, type=read, metavar=metavar, **kept)
+        kept["action"] = argparse.BooleanOptionalAction
+    else:
+        read, metavar = KINDS[one.kind]
+        kept |= {"type": partial(_or_none, read) if one.optional else read, "metavar": metavar or "NAME"}
+    made = parser.add_argument(option, **kept)
     offer(made, one.choices)
     setattr(made, _DECLARED, one)
 
@@ -118,14 +111,12 @@ def given(options: argparse.Namespace, parameters: type[Parameters]) -> set[str]
     return {one.name for one in parameters.parameters() if hasattr(options, _APART + one.name)}
 
 
-def range_of(name: str, words: Sequence[str] | None) -> tuple[float, float] | None:
-    """Return a range from one or two words; None without.
+def range_of(name: str, words: Sequence[str]) -> tuple[float, float]:
+    """Return a range from one or two words.
 
     Raises:
         ParameterError: If they are not numbers.
     """
-    if words is None:
-        return None
     parts = words[0].split(":") if len(words) == 1 else words
     try:
         values = [float(part) for part in parts]

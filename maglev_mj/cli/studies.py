@@ -232,8 +232,7 @@ def _add_ranges(parser: Parser, group: str, cls: Any, names: Sequence[str]) -> N
     """Add options of one or two values, for parameters that are ranges."""
     for name in names:
         one = cls.parameter(name)
-        default = "what shows the stable region" if one.default is None else f"{one.default[0]:g}"
-        shown = f"(default: {default})" if one.default is None else f"(default {default})"
+        shown = "(default: what shows the stable region)" if one.default is None else f"(default {one.default[0]:g})"
         text = f"{one.help} [{one.unit}]: LOW HIGH, LOW:HIGH, or one value {shown}"
         parser.group(group).add_argument(f"--{name}", nargs="+", metavar="X", help=text)
 

@@ -274,15 +274,14 @@ def _columns(variants: Variants, time: Array) -> list[list[_Drop]]:
     plain: list[_Drop] = []
     for place, (label, result) in enumerate(variants.runs.items()):
         style = line_style(place) | {"label": label, "linewidth": 1.8, "zorder": 4.0 - 0.01 * place}
-        band = _shown(variants.bands[label], time) if label in variants.bands else None
-        drop = _Drop(result.scene, style, _shown(result, time), band)
+        band = _in_mm(*variants.bands[label].motion(time)) if label in variants.bands else None
+        drop = _Drop(result.scene, style, _in_mm(*result.motion(time)), band)
         has_pulse = (_published(result.scene) or (0.0,))[-1] > 0.0
         (pulsed if has_pulse else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
 
 
-def _shown(result: RunResult, time: Array) -> tuple[Array, Array, Array]:
-    z, velocity, force = result.motion(time)
+def _in_mm(z: Array, velocity: Array, force: Array) -> tuple[Array, Array, Array]:
     return z * 1e3, velocity, force
 
 
@@ -291,10 +290,7 @@ def _analog(scene: Drop, time: Array) -> tuple[Array, Array, Array] | None:
 
     None for a wall without stiffness.
     """
-    if scene.stiffness == 0.0:
-        return None
-    z, velocity, force = scene.analog(time)
-    return z * 1e3, velocity, force
+    return _in_mm(*scene.analog(time)) if scene.stiffness else None
 
 
 def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]], variants: Variants) -> None:

@@ -111,8 +111,7 @@ class Figure:
             finite = column[np.isfinite(column)]
             return float(np.percentile(finite, share)) if finite.size else np.nan
 
-        percentiles: Array = np.apply_along_axis(finite_percentile, 0, np.asarray(values, dtype=np.float64))
-        return percentiles
+        return np.asarray(np.apply_along_axis(finite_percentile, 0, np.asarray(values, dtype=np.float64)))
 
 
 def figure(
@@ -203,8 +202,7 @@ class RunResult(Result):
         if np.ndim(self.phase):
             raise ParameterError(f"result must be of one phase, as result[0] is, not of {len(self.phase)}")
         count = math.floor(float(self.trace.time[-1]) / number("step", step, above=0.0) + 1e-9) + 1
-        grid: Array = np.arange(count, dtype=np.float64) * step
-        return grid
+        return np.arange(count, dtype=np.float64) * step
 
     def series(self, step: float = _STEP) -> dict[str, Array]:
         """Return time and the scene's series, by name.

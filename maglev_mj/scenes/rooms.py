@@ -41,8 +41,7 @@ def _share(axes: str | Sequence[str]) -> Array:
 
     Gains scaled by it give rotations the same response as translations.
     """
-    share: Array = INERTIA[list(axis_indices(axes))] / MASS
-    return share
+    return np.asarray(INERTIA[list(axis_indices(axes))] / MASS)
 
 
 def shared(scene: InteractiveScene) -> InteractiveScene:

@@ -110,8 +110,7 @@ class DropMap(GainMap):
     @property
     def settles(self) -> Mask:
         """Cells whose drop settles, (K, B)."""
-        settles: Mask = self.ending == Ending.SETTLES
-        return settles
+        return np.asarray(self.ending == Ending.SETTLES)
 
     @property
     def settles_up_to(self) -> Array:
@@ -129,8 +128,7 @@ class DropMap(GainMap):
     @property
     def stable_by_theory(self) -> Mask:
         """Cells below theory's boundary, (K, B)."""
-        below: Mask = self.stiffness[:, None] <= self.boundary
-        return below
+        return np.asarray(self.stiffness[:, None] <= self.boundary)
 
     def table(self) -> Table:
         """Return the stiffest walls, the endings of the drops, and their differences from theory."""
