@@ -101,6 +101,9 @@ REFUSED = {
     "stability --hand 0.2,0,0,1,0": "grip_stiffness above 0 in a soft grip",
     # sweeps
     "sweep drop": "a sweep needs --vary NAME=VALUES; for one run: maglev-mj run drop",
+    "sweep joystick --vary stiffness=1000,2000 --out .": "out must be left out: joystick has no figures to draw",
+    "card nothing.json": "calibration 'nothing.json' cannot be read: No such file or directory",
+    "card drop --delay 0.06": "delay must be at most 10 periods, not 12 periods",
     "sweep moon": "scene must be one of joystick, drop, press, ",
     "sweep moon.py": "scene must be a file that is there, not 'moon.py'",
     "sweep drop --vary colour=1": "parameter of drop must be one of plant, phase, period, delay, stiffness",

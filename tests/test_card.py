@@ -125,5 +125,9 @@ def test_the_command_takes_scenes_and_calibrations(tmp_path: Path, capsys: pytes
     assert set(device_card(Drop(stiffness=12000.0)).as_json()["impedance"][3]) == {None}  # an unstable wall
 
 
+def test_a_delay_a_period_longer_stays_within_ten_periods() -> None:
+    assert device_card(Drop(delay=0.0475)).delays.tolist() == [0.0, 0.0475, 0.05]
+
+
 def test_gains_that_bear_no_virtual_mass_say_so() -> None:
     assert np.isnan(device_card(Drop(stiffness=30000.0)).masses[0]).all()

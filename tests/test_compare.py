@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import cli
+from maglev_mj import AxisLaw, cli, gain
 from maglev_mj.control import Hold, ObserverWall, Wall
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants.hand import get_hand
@@ -19,6 +19,7 @@ from maglev_mj.scenes.figures import perceived_hardness
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run, run_phases
 from maglev_mj.scenes.scene import Scene
+from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.compare import _MARGINS, LAWS, Comparison, compare
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory.boundary import boundary_of, largest_stable_stiffness
@@ -145,6 +146,24 @@ def test_a_margin_beyond_tenfold_is_not_given() -> None:
     assert found["modulus"] == pytest.approx(float(loop.modulus(6000.0, 80.0)), abs=1e-6)
 
 
+class Bang(AxisLaw):
+    """Constant force from the depth at which 6 kN/m bear the flotor."""
+
+    depth: float = gain("depth", "m", default=0.7 * GRAVITY / 6000.0)
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        """See `AxisLaw`."""
+        return (x <= -gains.depth) * 20.0
+
+
+def test_a_law_that_jumps_where_it_rests_has_noise_and_no_margin() -> None:
+    found = compare(Drop(duration=0.1), [Bang], phases=1).margins["Bang"]
+    assert (
+        found["noise"] > 1.0
+        and np.isnan([found[name] for name in ("stiffness", "modulus", "stiffest", "margin")]).all()
+    )
+
+
 def test_the_margin_of_an_unstable_wall_is_below_one() -> None:
     found = compare(Drop(stiffness=12000.0, duration=0.1), ["pd"], phases=1).margins["pd"]
     stiffest = float(largest_stable_stiffness(80.0, period=0.005, delay=0.0015, mass=0.7))
@@ -260,6 +279,7 @@ def test_the_command_draws_and_prints(own: Path, tmp_path: Path, capsys: pytest.
         ("drop --law colgate", "law colgate must have a hand with damping"),
         ("drop --law pd --plant moon", "plant must be one of exact, mujoco, not 'moon'"),
         ("drop --law pd --phases 0", "phases must be at least 1 and at most 10000, not 0"),
+        ("drop --law pd --stiffness 0", "stiffness must be a finite number above 0, not 0.0"),
         ("twist --law pd", "scene must be one whose first law is a wall, such as drop or press, not twist"),
     ],
 )
@@ -274,4 +294,7 @@ def test_wrong_laws_are_refused_in_one_line(
 def test_laws_in_python_are_checked() -> None:
     with pytest.raises(ParameterError, match="law must be one of pd"):
         compare("drop", ["pid"])
+    held = type("Held", (Drop,), {"laws": lambda scene: [Hold(axes="z", stiffness=scene.stiffness, damping=80.0)]})
+    with pytest.raises(ParameterError, match="scene must be one whose first law is a wall"):
+        compare(held(), ["pd"])
     assert set(LAWS) == {"pd", "pulse", "half-sample", "observer", "disturbance-observer", "colgate"}

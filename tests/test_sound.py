@@ -13,6 +13,7 @@ from maglev_mj import export, record_run
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.stick_slip import StickSlip
 
 PERIOD = 0.001
 
@@ -52,6 +53,18 @@ def test_a_sine_of_force_is_heard_at_its_frequency_and_on_the_stated_scale(axis:
     turn, kept = np.exp(-2j * np.pi * 125 * PERIOD), np.exp(-2 * np.pi * 20 * PERIOD)
     passed = abs(kept * (1 - turn) / (1 - kept * turn)) * np.sinc(125 * PERIOD)  # high-pass, and each sample held
     assert abs(spectrum.max() * 50 / (20 * passed) - 1) < 0.001
+
+
+def test_a_torque_is_heard_where_the_scene_turns_and_what_is_not_known_is_silent(tmp_path: Path) -> None:
+    (stretch,) = record_run(StickSlip(period=PERIOD, delay=0.0, axis="ry", duration=0.1), plant="exact").stretches
+    applied = np.zeros((100, 6))
+    applied[:, 2], applied[50:, 4], applied[60:, 4] = np.arange(100.0), -0.5, np.nan
+    arrays = {name: values[:100] for name, values in stretch.arrays.items()} | {"applied": applied}
+    held = heard(Recording([replace_arrays(stretch, arrays)]), tmp_path / "torque.wav")[1].reshape(-1, 48)[:, 0]
+    kept = np.exp(-2 * np.pi * 20 * PERIOD)
+    step = -0.5 * kept ** np.arange(1, 11)  # of 1 N m
+    assert not held[:50].any() and held[50:60] == pytest.approx(step, abs=1e-4)
+    assert held[60] == pytest.approx(kept * (step[-1] + 0.5), abs=1e-4)
 
 
 def test_a_force_at_rest_is_silent_and_a_slow_one_is_faint(tmp_path: Path) -> None:

@@ -159,6 +159,8 @@ def sweep(
         raise ParameterError(f"a sweep needs --vary NAME=VALUES; for one run: maglev-mj run {name}")
     if both := sorted(fixed.keys() & varied.keys()):
         raise ParameterError(f"{both[0]} must be either set or varied, not both")
+    if pictures is not None and not scene.figures and scene.run_figures is None:
+        raise ParameterError(f"out must be left out: {scene.name} has no figures to draw")
     path = record
     if path is None:  # another grid gets another
         grid = hash_of(json_text("a grid", Grid(scene(), fixed | varied).plan))[:8]

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.control import Law, ObserverWall, PredictiveWall, Wall
 from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.parameters import number
 from maglev_mj.result import Table, plain, with_unit
 from maglev_mj.scenes.bench import WallScene, along
 from maglev_mj.scenes.find import SceneLike, class_in_file, get_scene
@@ -149,8 +150,9 @@ def compare(
         [2.95, 1.76]
     """
     chosen = get_scene(scene)
-    if not isinstance(chosen, WallScene) or not isinstance(chosen.laws()[0], Wall) or not chosen.stiffness:
+    if not isinstance(chosen, WallScene) or not isinstance(chosen.laws()[0], Wall):
         raise ParameterError(f"scene must be one whose first law is a wall, such as drop or press, not {chosen.name}")
+    number("stiffness", chosen.stiffness, above=0.0)
     named = [(label, _named(law)[1]) for label, law in laws.items()] if isinstance(laws, Mapping) else map(_named, laws)
     variants = {label: _with_law(chosen, label, law) for label, law in named}
     if len(variants) < max(len(laws), 1):

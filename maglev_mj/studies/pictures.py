@@ -216,7 +216,10 @@ def sweep(result: Sweep) -> Any:
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
+        ParameterError: If there is no figure of one number a cell.
     """
+    if not any(map(result.is_number, result.names)):
+        raise ParameterError(f"figures must be numbers for a picture: {result.scene.name} has none")
     if len(result.varied) == 2 and all(_even(values) for values in result.varied.values()):
         return _heat_maps(result)
     first, *other_names = result.varied
