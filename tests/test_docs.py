@@ -22,7 +22,8 @@ from contextlib import (
     redirect_stdout,
 )
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
+from unittest.mock import patch
 
 import pytest
 
@@ -31,6 +32,7 @@ from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.connection import estop
 from maglev_mj.bridge.links import UdpServer
+from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.cli import main, parser
@@ -298,10 +300,10 @@ QUOTED = [
 def said_by(commands: list[str]) -> str:
     """Return all that commands print.
 
-    A device is one in lockstep, with the delay of a line.
+    A device is one in lockstep, with the delay of a line. Its host waits long: a busy machine may let both stand.
     """
-    out = io.StringIO()
-    with ExitStack() as flight, redirect_stdout(out), redirect_stderr(out):
+    out, waits = io.StringIO(), patch.dict(cast(Any, RemotePlant.__init__).__kwdefaults__, patience=30.0)
+    with ExitStack() as flight, redirect_stdout(out), redirect_stderr(out), waits:
         for command in commands:
             if command.startswith("bridge"):
                 server = flight.enter_context(closing(UdpServer("127.0.0.1", 0)))

@@ -118,7 +118,7 @@ sweep drop --vary height=1:2                        | 1:2
 sweep drop --vary height=nan                        | nan
 sweep drop --set height=high                        | high
 sweep drop --vary height=0.001 --set height=0.002   | height
-sweep drop --vary height=0:1:100000000              | 100000000
+sweep drop --vary height=0.01:0.02:200000000        | 200000000
 sweep drop --height 3                               | --height 3; parameters are given by --set and --vary
 sweep drop --rate 1000                              | 1000; parameters are given by --set and --vary
 sweep drop --set rate=1000                          | period
@@ -127,6 +127,9 @@ fidelity drop --tolerance nan                       | nan
 fidelity drop --phases 0                            | 0
 fidelity drop --share 0                             | 0
 fidelity raises.py                                  | raises.py, line 6: ZeroDivisionError
+lessons                                             | DIR
+lessons out --students=no                           | no
+lessons notes.jsonl                                 | notes.jsonl
 info extra                                          | extra
 twin --rate nan                                     | nan
 twin --rate fast                                    | fast

@@ -22,20 +22,20 @@ _SOLUTION = re.compile(r"\n*<details>.*?</details>", re.DOTALL)
 
 
 def lessons(
-    folder: Annotated[Path, option("folder to write to; it is made", "", "DIR")],
+    out: Annotated[Path, option("folder to write to; it is made", "", "DIR")],
     *,
     students: Annotated[bool, option("without the solutions")] = False,
 ) -> int:
     """Write the lessons, notebooks for Jupyter, to a folder."""
     notebooks = sorted(LESSONS.glob("*.ipynb"))
-    folder.mkdir(parents=True, exist_ok=True)
-    if taken := [path.name for path in notebooks if (folder / path.name).exists()]:
-        raise ParameterError(f"{folder / taken[0]} is there already, and may hold your work; name another folder")
+    out.mkdir(parents=True, exist_ok=True)
+    if taken := [path.name for path in notebooks if (out / path.name).exists()]:
+        raise ParameterError(f"{out / taken[0]} is there already, and may hold your work; name another folder")
     for path in notebooks:
         notebook = json.loads(path.read_text(encoding="utf-8").replace("](../", f"]({_PAGES}"))
         made = without_solutions(notebook) if students else notebook
-        (folder / path.name).write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    print(f"  wrote {len(notebooks)} notebooks to {folder}; next: jupyter lab {folder}")
+        (out / path.name).write_text(json.dumps(made, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    print(f"  wrote {len(notebooks)} notebooks to {out}; next: jupyter lab {out}")
     return 0
 
 

@@ -189,8 +189,8 @@ def parser() -> Parser:
     made = Parser(prog="maglev-mj", description=f"{str(maglev_mj.__doc__).partition(':')[0]}.")
     made.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
     made.epilog = (
-        "maglev-mj COMMAND --help lists the options of one, with an example. For a --period [s] a --rate [Hz] is "
-        "understood too, and the reverse. In Python, help(maglev_mj) lists all names.\n\n"
+        "maglev-mj COMMAND --help lists its options, with an example; --rate [Hz] does for --period [s]. "
+        "In Python, help(maglev_mj) lists all names.\n\n"
         "Exit status: 0; 1 failed run, 2 bad input, 130 Ctrl-C, 141 unread output."
     )
     made.set_defaults(command=None)

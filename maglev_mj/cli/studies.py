@@ -273,6 +273,8 @@ def stability_map(
             if (limits := getattr(region, name)) is not None and limits[0] == limits[1]:
                 raise ParameterError(f"{name} must be a range for a picture, not {limits[0]:g} alone")
     drops = isinstance(region, DropMapParameters)
+    if record is not None and not drops and region.plant == "none":
+        raise ParameterError(f"record must be left out with plant none, which has no cells to keep, not {record}")
     # a map of drops is simulated on every core where it has more than one part
     running = workers.open(default=None if drops and region.grid**2 > PART else 0)
     run: Any = run_drop_map if drops else run_stability

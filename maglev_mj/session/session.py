@@ -378,7 +378,8 @@ class Session:
         Example:
             >>> from maglev_mj import Session
             >>> session = Session("drop")
-            >>> ticks = session.tick(0.4)
+            >>> while session.snapshot().time < 0.399:
+            ...     ticks = session.tick(0.005)
             >>> height = session.snapshot().pose[2]
             >>> session.rewind(0.1, again=True)
             >>> while session.snapshot().time < 0.399:
@@ -386,6 +387,7 @@ class Session:
             >>> bool(session.snapshot().pose[2] == height)
             True
         """
+        again = flag("again", again)
         least, most = self._past.bounds(self._stretch.time)
         self._show_past(number("time", time, at_least=least, at_most=most))
         self._leave_past(again=flag("again", again))
