@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, overload
+from typing import Any, TypeAlias, overload
 
 import numpy as np
 
@@ -35,6 +35,13 @@ FORMATS = "png", "pdf", "svg"
 
 _DASHES = (), (4, 1.5), (5, 1.5, 1, 1.5), (1.5, 1), (7, 1.5), (4, 1, 1, 1, 1, 1), (1, 2.2), (3, 1, 3, 1, 1, 1)
 
+Quantities: TypeAlias = Mapping[str, tuple[Any, str]]
+"""Arrays of values, in which NaN does not count, and unit of each quantity by name."""
+
+_NOISE = {"mm": 1e-3, "mrad": 1e-3, "mm/s": 0.1, "mrad/s": 0.1, "N": 1e-3, "N m": 1e-5}
+"""Range by unit up to which a quantity is flat: rounding, or less than a step of the sensor makes."""
+
+_FLAT = 1e-3  # likewise, as a share of the value
 _COLUMNS = 3  # of a grid
 _SHOWN = 100.0  # resolution in a notebook [dots per inch]
 _WORDS = 9.0  # size of a legend's words [pt]
@@ -109,17 +116,64 @@ def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[
     return figure, axes
 
 
-def new_grid(count: int, more: float, **options: Any) -> tuple[Any, list[Any]]:
-    """Return a figure of up to three panels a row, and its panels.
+def new_grid(
+    quantities: Quantities,
+    along: str,
+    *,
+    high: int = 0,
+    row: float = 2.8,
+    more: float = 0.6,
+    always: str = "",
+    **options: Any,
+) -> tuple[Any, dict[str, Any]]:
+    """Return a figure, and a panel by name for each quantity that changes.
 
-    It is 2.8 inches a row high, and `more`.
+    The figure names the others. Rounding alone does not fill a panel.
+
+    Args:
+        quantities: The quantities; if none changes, the first has a panel.
+        along: Label of the abscissa, which all share.
+        high: Most panels below one another, with labels at their ordinates; 0 for titled ones, three in a row.
+        row: Height of a row [inch].
+        more: Height of all else [inch].
+        always: Name of a quantity that has a panel in any case.
+        options: Options of matplotlib's `Figure.subplots`.
     """
-    rows = max(-(-count // _COLUMNS), 1)
-    columns = max(-(-count // rows), 1)
-    figure, panels = new_figure(rows, columns, more + 2.8 * rows, **options)
-    for panel in panels[count:]:
+    ranges = {name: _range(values) for name, (values, _) in quantities.items()}
+    least = {name: max(_NOISE.get(unit, 0.0), _FLAT * abs(ranges[name][0])) for name, (_, unit) in quantities.items()}
+    names = [name for name in quantities if ranges[name][1] > least[name] or name == always] or list(quantities)[:1]
+    count = max(len(names), 1)
+    columns = -(-count // (high or -(-count // _COLUMNS)))
+    rows = -(-count // columns)
+    figure, panels = new_figure(rows, columns, more + row * rows, sharex=True, **options)
+    if high:  # column by column
+        panels = [panel for column in range(columns) for panel in panels[column::columns]]
+    lowest = {}
+    for name, panel in zip(names, panels):
+        label, room = axis_label(name, quantities[name][1]), 10.0 * least[name]
+        panel.update_datalim([(0.0, ranges[name][0] + end) for end in (-room, room)], updatex=False)
+        if high:
+            panel.set_ylabel(label)
+        else:
+            panel.set_title(label, **TITLE)
+        lowest[panel.get_subplotspec().colspan.start] = panel
+    for panel in lowest.values():
+        panel.set_xlabel(along)
+        panel.tick_params(labelbottom=True)
+    for panel in panels[len(names) :]:
         panel.set_axis_off()
-    return figure, panels
+    others = ", ".join(name.replace("_", " ") for name in quantities if name not in names)
+    if note := f"left out, as flat: {others}" if others else "" if names else "no figures":
+        figure.suptitle(note, x=0.01, ha="left", fontsize=_WORDS, color=REFERENCE)
+    return figure, dict(zip(names, panels))
+
+
+def _range(values: Any) -> tuple[float, float]:
+    """Return middle and width of the range of arrays of values."""
+    known = np.concatenate([*map(np.ravel, values)]).astype(np.float64)
+    known = known[np.isfinite(known)]
+    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+    return 0.5 * (low + high), high - low
 
 
 def broken(x: Any, y: Any) -> tuple[Any, Any]:

@@ -14,7 +14,7 @@ from maglev_mj.analysis.pictures import staircases, whole_run
 from maglev_mj.bridge.fault import load_black_box
 from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.cli import main
-from maglev_mj.pictures import FORMATS, Panel, broken, name_curves, new_figure, small_multiples
+from maglev_mj.pictures import FORMATS, Panel, broken, name_curves, new_figure, new_grid, small_multiples
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.studies.sweep import sweep
@@ -111,6 +111,7 @@ COMMANDS = {
     "card": "card --rate 1000 --delay 0.0005",
     "sweep": "sweep drop --vary height=1e-3:3e-3:3 --vary damping=60,80 --set plant=exact --workers 0",
     "sweep, two": "sweep drop --vary height=1e-3:4e-3:4 --vary damping=50:80:4 --set plant=exact --workers 0",
+    "sweep, choice": "sweep stick-slip --vary law=stick-slip,elasto-plastic,dahl,lugre,kikuuwe --workers 0",
     "fidelity": "fidelity let-go --duration 0.02 --phases 1 --around 0",
     "design": "design --mass 0.63:0.77 --delay 0.001:0.002",
 }
@@ -147,6 +148,7 @@ def test_each_value_of_a_choice_has_rows_of_its_own() -> None:
     for index, plant in enumerate(("exact", "mujoco")):
         row = next(row for row in table.rows if row[:2] == ("penetration", plant))
         assert row[3] == pytest.approx(1e3 * np.median(found.figure("penetration")[index])) and row[-1] == 2
+    assert [text.get_text() for text in found.plot().axes[0].get_xticklabels()] == ["exact", "mujoco"]
 
 
 def test_the_gains_in_use_are_marked_where_the_map_has_them() -> None:
@@ -156,12 +158,14 @@ def test_the_gains_in_use_are_marked_where_the_map_has_them() -> None:
         assert sum(label == "gains of drop: 6000 N/m, 80 N s/m" for label in labels) == marked
 
 
-@pytest.mark.parametrize("scene", ["drop", "press", "stick-slip"])
+@pytest.mark.parametrize("scene", ["drop", "press", "stick-slip", "run let-go"])
 def test_a_chart_of_a_recording_can_be_read(scene: str, tmp_path: Path, figures: list[Any]) -> None:
     path = tmp_path / "run.npz"
-    assert main([scene, "--plant", "exact", "--record", str(path)]) == 0
+    assert main([*scene.split(), "--plant", "exact", "--record", str(path)]) == 0
     assert main(["analyse", str(path), "--out", str(tmp_path)]) == 0
-    assert len(figures) == 2 and [complaints(figure) for figure in figures] == [[], []]
+    free = scene == "run let-go"  # no wall, and no force
+    assert [complaints(figure) for figure in figures] == [[]] * (2 - free)
+    assert [len(figure.axes) for figure in figures] == ([1] if free else [2, 1 + (scene != "stick-slip")])
     if scene == "stick-slip":  # no empty panel for an axis without friction
         assert [len(panel.lines) for panel in figures[1].axes] == [2]
 
@@ -173,11 +177,33 @@ def test_the_chart_of_a_recording_that_differs_can_be_read() -> None:
 
 
 @pytest.mark.parametrize("count", [1, 4, 6])
-def test_staircases_have_a_panel_for_each_axis(count: int) -> None:
+@pytest.mark.parametrize("quiet", [0, 3])
+def test_staircases_have_a_panel_for_each_axis_that_moves(count: int, quiet: int) -> None:
     time, position = np.linspace(0.0, 1.0, 50), np.random.default_rng(1).normal(size=(50, 6)) * 1e-3
+    position[:, 1 : 1 + quiet] *= 1e-9  # rounding
     said = {axis: "3 slips, resting places 0.73 to 2.3 apart" for axis in range(count)}
     figure = staircases(time, position, position, said)
-    assert sum(panel.axison for panel in figure.axes) == count and complaints(figure) == []
+    out = ["y", "z", "rx"][: min(quiet, count - 1)]
+    assert sum(panel.axison for panel in figure.axes) == count - len(out) and complaints(figure) == []
+    assert figure.get_suptitle() == (f"left out, as flat: {', '.join(out)}" if out else "")
+
+
+@pytest.mark.parametrize(("force", "panels"), [(0.0, 1), (1e-16, 1), (5e-4, 1), (2e-3, 2), (3.0, 2)])
+def test_rounding_fills_no_panel(force: float, panels: int) -> None:
+    time = np.linspace(0.0, 1.0, 50)
+    found = {"position": ([0.0 * time], "mm"), "force": ([force * np.sin(20.0 * time), 0.0 * time], "N")}
+    figure, shown = new_grid(found, "time (s)", high=2, always="position")
+    for name, panel in shown.items():
+        panel.plot(time, found[name][0][0])
+    heights = [float(np.ptp(panel.get_ylim())) for panel in shown.values()]
+    assert len(figure.axes) == panels and heights[0] >= 0.02 and min(heights[1:], default=1.0) >= 0.02
+    figure, shown = new_grid({"pose": ([[np.nan, np.nan]], "mm"), "path": ([[2.0, 2.001]], "mm")}, "time (s)")
+    assert [*shown] == ["pose"] and complaints(figure) == []  # one panel, where all are flat
+    named = {name: ([[np.nan, 1.0, 2.0]], "mm") for name in "abcde"}
+    figure, shown = new_grid(named | {"time": ([[100.0, 100.05]], "ms")}, "time (s)")
+    assert [*shown] == list("abcde") and figure.get_suptitle() == "left out, as flat: time"
+    lowest = [name for name, panel in shown.items() if panel.xaxis.get_tick_params()["labelbottom"]]
+    assert lowest == list("cde")  # numbers where no panel is below
 
 
 def test_the_chart_of_a_fault_can_be_read(tmp_path: Path) -> None:

@@ -173,5 +173,14 @@ def test_a_band_of_curves_is_small_in_an_svg(draw: Any, tmp_path: Path) -> None:
 
 def test_a_figure_that_is_flat_has_no_panel() -> None:
     found = drops(DROP, bands=20)
-    titles = [panel.get_title(loc="left") for panel in spread(found).axes]
+    figure = spread(found)
+    titles = [panel.get_title(loc="left") for panel in figure.axes]
     assert "final z (mm)" not in titles and titles[:2] == ["penetration (mm)", "rebound (mm)"]
+    assert figure.get_suptitle() == "left out, as flat: final z"
+
+
+def test_the_largest_force_of_the_device_is_drawn_among_forces_over_the_phase() -> None:
+    figure = spread(drops(DROP, bands=3))
+    marked = [panel for panel in figure.axes for line in panel.lines if [*line.get_ydata()] == [60.0, 60.0]]
+    assert [panel.get_title(loc="left") for panel in marked] == ["peak force (N)"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()][3:] == ["60 N, the device's largest"]

@@ -13,7 +13,7 @@ import numpy as np
 from maglev_mj.analysis import Run, StretchReport
 from maglev_mj.colours import REFERENCE, SERIES, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_figure
+from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_grid
 from maglev_mj.plants.trace import Trace
 from maglev_mj.recording import Recording, Samples
 
@@ -54,19 +54,22 @@ def _moving(time: Array, position: Array, force: Array) -> Any:
     If none moves, draw z.
     """
     moving = np.flatnonzero(np.ptp(position, axis=0) > _STILL)
-    groups = ((0, 1, 2), "mm", "force (N)"), ((3, 4, 5), "mrad", "torque (N m)")
-    shown = [group for group in groups if np.isin(group[0], moving).any()] or [groups[0]]
-    figure, panels = new_figure(2, len(shown), 5.6, sharex=True)
-    for upper, lower, (axes, length, effort) in zip(panels, panels[len(shown) :], shown):
-        for axis in np.intersect1d(axes, moving) if moving.size else (2,):
-            style = {"color": SERIES[axis % 3], "linewidth": 1.3, "label": AXES[axis]}
-            upper.plot(time, position[:, axis] * 1e3, **style)
-            lower.step(time, force[:, axis], where="post", **style)
-        upper.set_ylabel(f"position ({length})")
-        lower.set_ylabel(effort)
-        lower.set_xlabel("time (s)")
-        _no_narrower(upper, 0.02)
-        name_curves(lower)
+    groups = [axes for axes in (moving[moving < 3], moving[moving > 2]) if axes.size] or [np.array([2])]
+    found, shown, lowest = {}, dict[str, Any](), {}
+    for axes in groups:
+        first = int(axes[0])
+        place, effort = ("position", "force") if first < 3 else ("rotation", "torque")
+        found[place] = 1e3 * position.T[axes], unit_of("mm", first)
+        found[effort] = force.T[axes], unit_of("N", first)
+        shown |= {place: (axes, "default"), effort: (axes, "steps-post")}
+    figure, panels = new_grid(found, "time (s)", high=2, always=next(iter(found)))
+    for name, panel in panels.items():
+        axes, step = shown[name]
+        for axis, curve in zip(axes, found[name][0], strict=True):
+            panel.plot(time, curve, drawstyle=step, color=SERIES[axis % 3], linewidth=1.3, label=AXES[axis])
+        lowest[axes[0]] = panel
+    for panel in lowest.values():
+        name_curves(panel)
     return figure
 
 
@@ -147,30 +150,33 @@ def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    columns = 1 if len(titles) < 4 else 2
-    rows = -(-len(titles) // columns)
-    figure, panels = new_figure(rows, columns, 1.1 + 2.1 * rows, sharex=True)
-    order = [panel for column in range(columns) for panel in panels[column::columns]]
-    for (axis, words), panel in zip(titles.items(), order):
-        panel.plot(time, position[:, axis] * 1e3, color=FIRST, linewidth=1.0, label="position")
-        panel.step(time, anchors[:, axis] * 1e3, color=STUCK, linewidth=2.0, where="post", label="stick position")
-        panel.set_title(f"{AXES[axis]} ({unit_of('mm', axis)}): {words}", **TITLE)
+    found = {AXES[axis]: ([1e3 * position[:, axis]], unit_of("mm", axis)) for axis in titles}
+    figure, panels = new_grid(found, "time (s)", high=3, row=2.1, more=1.1)
+    for name, panel in panels.items():
+        panel.plot(time, *found[name][0], color=FIRST, linewidth=1.0, label="position")
+        panel.step(
+            time, 1e3 * anchors[:, AXES.index(name)], color=STUCK, linewidth=2.0, where="post", label="stick position"
+        )
+        panel.set_title(f"{name}: {titles[AXES.index(name)]}", **TITLE)
         panel.set_xlim(float(time[0]), float(time[-1]))
-        _no_narrower(panel, 0.02)
-    for panel in order[len(titles) :]:
-        panel.set_axis_off()
-    for column in range(columns):
-        order[min((column + 1) * rows, len(titles)) - 1].set_xlabel("time (s)")
-    name_curves(figure, order[:1])
+    name_curves(figure, figure.axes[:1])
     return figure
 
 
 def _over_time(report: StretchReport, axis: int, window: tuple[float, float], *, marks: bool) -> Any:
     """Draw position and force over a time window [s].
 
-    Of recording and simulation.
+    Of recording and simulation; a force that is flat is left out.
     """
-    figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
+    traces = [run.motion.trace for run in (report.recorded, report.simulated) if run is not None]
+    inside = [(one, (one.time >= window[0]) & (one.time <= window[1])) for one in traces]
+    place, effort = (f"position along {AXES[axis]}", "force") if axis < 3 else (AXES[axis], "torque")
+    found = {
+        place: ([1e3 * one.pose[rows, axis] for one, rows in inside], unit_of("mm", axis)),
+        f"{effort} of the actuators": ([one.wrench[rows, axis] for one, rows in inside], unit_of("N", axis)),
+    }
+    figure, panels = new_grid(found, "time (s)", high=2, more=0.8, always=place)
+    upper, *lower = panels.values()
     sides = [("recording", report.recorded, FIRST, "-", 3), ("simulation", report.simulated, SECOND, "--", 4)]
     for label, run, color, dashes, order in sides:
         if run is None:
@@ -185,17 +191,13 @@ def _over_time(report: StretchReport, axis: int, window: tuple[float, float], *,
         time = np.union1d(np.linspace(first, last, _POINTS), knots)
         pose, _, wrench = trace.at(time)
         upper.plot(time, pose[:, axis] * 1e3, label=label, **style)
-        lower.step(time, wrench[:, axis], where="post", **style)
+        for panel in lower:
+            panel.step(time, wrench[:, axis], where="post", **style)
     _dots(upper, report.recorded, axis, window)
     if marks:
         _marks(upper, report.recorded, axis)
-    _no_narrower(upper, 0.02)
     _walls(upper, report, axis)
-    small, force = unit_of("mm", axis), unit_of("N", axis)
-    upper.set_ylabel(f"position along {AXES[axis]} ({small})" if axis < 3 else f"{AXES[axis]} ({small})")
-    lower.set_ylabel(f"force of the actuators ({force})" if axis < 3 else f"torque of the actuators ({force})")
-    lower.set_xlabel("time (s)")
-    lower.set_xlim(*window)
+    upper.set_xlim(window)
     name_curves(figure, [upper])
     upper.set_title(_describe(report), **TITLE)
     return figure
@@ -255,11 +257,3 @@ def _walls(panel: Any, report: StretchReport, axis: int) -> None:
             top = max(top, place + room)
             panel.axhspan(place, top + 1e3, **SHADE)
     panel.set_ylim(bottom, top)
-
-
-def _no_narrower(panel: Any, least: float) -> None:
-    """Widen a range that shows rounding alone [mm, mrad]."""
-    bottom, top = panel.get_ylim()
-    if top - bottom < least:
-        middle = 0.5 * (bottom + top)
-        panel.set_ylim(middle - 0.5 * least, middle + 0.5 * least)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,10 +13,8 @@ from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.lazy import loaded
 from maglev_mj.pictures import (
-    FIRST,
     SHADE,
     TITLE,
-    axis_label,
     broken,
     line_style,
     name_curves,
@@ -75,25 +73,43 @@ def series(variants: Variants) -> Any:
         MissingPackageError: If matplotlib is not installed.
     """
     result = variants.first
-    shown = {label: one.series(_FINE) for label, one in variants.runs.items()}
-    first, units = next(iter(shown.values())), result.units
+    first = result.series(_FINE)
     names = [name for name, values in first.items() if name != "time" and values.dtype.kind in "fiu"][:_MOST_PANELS]
-    figure, panels = new_figure(len(names), 1, 1.2 + 2.2 * len(names), sharex=True)
-    for panel, name in zip(panels, names, strict=True):
-        step = "steps-post" if "force" in name else "default"
-        for place, (label, values) in enumerate(shown.items()):
-            panel.plot(values["time"], values[name], drawstyle=step, label=label, **line_style(place))
-        panel.set_ylabel(axis_label(_NAMES.get(name, name), units.get(name)))
-    panels[-1].set(xlabel="time (s)", xlim=(0.0, max(float(first["time"][-1]), _FINE)))
+    figure, _ = _over_time(variants.runs, {_NAMES.get(name, name): name for name in names}, row=2.2)
     scene = result.scene
-    panels[0].set_title(
+    figure.axes[0].set_title(
         f"{scene.name}, axis {scene.axis}, {1.0 / scene.period:g} Hz, delay {scene.delay * 1e3:g} ms"
         f"{f', phase {result.phase:g}' * scene.takes_phase} ({result.plant})",
         **TITLE,
     )
-    if len(shown) > 1:
-        name_curves(figure, panels[:1])
+    if len(variants.runs) > 1:
+        name_curves(figure, figure.axes[:1])
     return figure
+
+
+def _over_time(runs: Mapping[str, RunResult], named: Mapping[str, str], **options: Any) -> tuple[Any, dict[str, Any]]:
+    """Return a figure of series over time, one line a run, and its panels.
+
+    Lengths and angles are in mm and mrad.
+
+    Args:
+        runs: The runs.
+        named: Names of the series, by label.
+        options: See `new_grid`.
+    """
+    shown = [one.series(_FINE) for one in runs.values()]
+    found = {}
+    for label, name in named.items():
+        unit = next(iter(runs.values())).units.get(name, "")
+        scale, prefix = (1e3, "m") if unit in ("m", "rad", "m/s", "rad/s") else (1.0, "")
+        found[label] = [scale * one[name] for one in shown], prefix + unit
+    figure, panels = new_grid(found, "time (s)", high=_MOST_PANELS, more=1.2, **options)
+    for name, panel in panels.items():
+        for place, (label, one, values) in enumerate(zip(runs, shown, found[name][0], strict=True)):
+            style = line_style(place) | {"label": label, "zorder": 4.0 - 0.01 * place}
+            panel.plot(one["time"], values, drawstyle="steps-post" if "force" in name else "default", **style)
+    panel.set_xlim(0.0, max(float(shown[0]["time"][-1]), _FINE))
+    return figure, panels
 
 
 def first_contact(variants: Variants) -> Any:
@@ -125,26 +141,20 @@ def spread(variants: Variants) -> Any:
     shown = variants.phases or {label: band.over_phases() for label, band in variants.bands.items()}
     if not shown:
         raise ParameterError("phases must be run for their picture: see run_phases")
-    figures = {name: one for name, one in scene.figures.items() if _varies([by.figures[name] for by in shown.values()])}
-    figures = figures or scene.figures
-    figure, panels = new_grid(len(figures), 0.6, sharex=True)
-    for panel, (name, one) in zip(panels, figures.items()):
-        for place, (label, sweep) in enumerate(shown.items()):
-            values = np.asarray(sweep.figures[name], dtype=np.float64).reshape(len(sweep.phases), -1) * one.scale
-            lines = panel.plot(*broken(sweep.phases, values), **line_style(place))
-            lines[0].set_label(label)
-        panel.set_title(axis_label(name, unit_of(one.unit, scene.axis, one.along)), **TITLE)
-        panel.set(xlim=(0.0, 1.0), xlabel="phase of the first sample")
-    if len(shown) > 1:
-        name_curves(figure, panels[:1])
+    found = {}
+    for name, one in scene.figures.items():
+        values = [one.scale * np.asarray(by.figures[name], dtype=np.float64) for by in shown.values()]
+        found[name] = values, unit_of(one.unit, scene.axis, one.along)
+    figure, panels = new_grid(found, "phase of the first sample")
+    for name, panel in panels.items():
+        for place, (label, by, values) in enumerate(zip(shown, shown.values(), found[name][0])):
+            lines = panel.plot(*broken(by.phases, values.reshape(len(by.phases), -1)), **line_style(place))
+            lines[0].set_label(label if len(shown) > 1 else None)
+        if name == "peak_force" and scene.axis == "z":
+            panel.axhline(Spec.largest_vertical_force.value, **_LIMIT)
+        panel.set_xlim(0.0, 1.0)
+    name_curves(figure, figure.axes)
     return figure
-
-
-def _varies(found: Iterable[Any]) -> bool:
-    """Return False for a figure that differs by less than a thousandth."""
-    values = np.concatenate([np.ravel(one) for one in found]).astype(np.float64)
-    values = values[np.isfinite(values)]
-    return bool(values.size and np.ptp(values) > 1e-3 * np.abs(values).max())
 
 
 def time_series(variants: Variants) -> Any:
@@ -331,13 +341,9 @@ def figure_6(variants: Variants) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
-    first = variants.first
-    for place, (label, result) in enumerate(variants.runs.items()):
-        motion = result.series(_FINE)
-        style = line_style(place) | {"label": label, "linewidth": 1.4, "zorder": 4.0 - 0.01 * place}
-        upper.plot(motion["time"], motion["z"] * 1e3, **style)
-        lower.step(motion["time"], motion["force"], where="post", **style)
+    height = "height above the wall"
+    figure, panels = _over_time(variants.runs, {height: "z", "control force": "force"}, row=2.6, always=height)
+    upper, first = panels[height], variants.first
     bottom, top = upper.get_ylim()
     bottom = min(bottom, -0.5)
     p, pulled = first.scene, first.series(_FINE)
@@ -351,8 +357,6 @@ def figure_6(variants: Variants) -> Any:
     upper.axhspan(bottom, 0.0, **SHADE)
     upper.set_ylim(bottom, top)
     upper.text(0.008, 0.02, "wall", transform=upper.transAxes, color=REFERENCE, fontsize=9.0)
-    upper.set_ylabel("height above the wall (mm)")
-    lower.set(xlabel="time (s)", ylabel="control force (N)", xlim=(0.0, p.end))
     name_curves(figure, [upper])
     upper.set_title(f"hand {p.hand}, {p.press:g} N in the end\n{_loop_of(variants)}", **TITLE)
     return figure
@@ -367,19 +371,17 @@ def stick_slip(variants: Variants) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    figure, (upper, lower) = new_figure(2, 1, 6.4, sharex=True)
     result = variants.first
     p, motion = result.scene, result.series(_FINE)
-    time, length = motion["time"], unit_of("mm", p.axis)
-    exact = p.exact(time)
-    upper.plot(time, motion["position"] * 1e3, color=FIRST, linewidth=1.7, label=f"{p.law}, {1.0 / p.period:g} Hz")
+    time, place = motion["time"], f"position along {p.axis}"
+    exact, named = p.exact(time), {place: "position", "velocity": "velocity"}
+    figure, panels = _over_time({f"{p.law}, {1.0 / p.period:g} Hz": result}, named, row=2.6, always=place)
+    upper = panels[place]
     anchor = np.where(motion["state"] == "stuck", motion["stick_position"], np.nan)
     upper.plot(time, anchor * 1e3, color=STUCK, linewidth=1.6, linestyle="--", label="stick position")
     upper.plot(time, exact.position * 1e3, label=f"{p.exact_name}, exact", **_IDEAL)
-    lower.plot(time, motion["velocity"] * 1e3, color=FIRST, linewidth=1.5)
-    lower.plot(time, exact.velocity * 1e3, **_IDEAL)
-    upper.set_ylabel(f"position along {p.axis} ({length})")
-    lower.set(xlabel="time (s)", ylabel=f"velocity ({length}/s)", xlim=(0.0, max(float(time[-1]), 1e-3)))
+    if "velocity" in panels:
+        panels["velocity"].plot(time, exact.velocity * 1e3, **_IDEAL)
     name_curves(figure, [upper])
     upper.set_title(
         f"spring {p.spring:.4g}, breakaway {p.breakaway:.4g}, stiffness {p.stiffness:.4g}, damping {p.damping:.4g} "

@@ -11,7 +11,17 @@ import numpy as np
 from maglev_mj.colours import GRID, REFERENCE, SERIES, STOP
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.pictures import FIRST, SECOND, TITLE, axis_label, line_style, name_curves, new_figure, new_grid
+from maglev_mj.pictures import (
+    FIRST,
+    SECOND,
+    TITLE,
+    Quantities,
+    axis_label,
+    line_style,
+    name_curves,
+    new_figure,
+    new_grid,
+)
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.card import DeviceCard
 from maglev_mj.studies.designed_wall import DesignResult
@@ -210,7 +220,7 @@ def design_map(result: DesignResult) -> Any:
 
 
 def sweep(result: Sweep) -> Any:
-    """Draw each figure over the first varied parameter.
+    """Draw each figure over the first varied parameter, but for those that are flat.
 
     Each combination of the others is a line; two parameters of four or more even values each make heat maps.
 
@@ -218,48 +228,54 @@ def sweep(result: Sweep) -> Any:
         MissingPackageError: If matplotlib is not installed.
         ParameterError: If there is no figure of one number a cell.
     """
-    if not any(map(result.is_number, result.names)):
+    figures = {name: result.shown(name) for name in result.names if result.is_number(name)}
+    found = {
+        name: (one.scale * result.figure(name), result.unit_along(one.unit, one.along)) for name, one in figures.items()
+    }
+    if not found:
         raise ParameterError(f"figures must be numbers for a picture: {result.scene.name} has none")
-    if len(result.varied) == 2 and all(_even(values) for values in result.varied.values()):
-        return _heat_maps(result)
-    first, *other_names = result.varied
-    lines = list(itertools.product(*(result.varied[name] for name in other_names)))
-    named = {name: result.shown(name) for name in result.names if result.is_number(name)}
-    figure, panels = new_grid(len(named), 0.9)
-    for panel, (name, one) in zip(panels, named.items()):
-        values = result.figure(name).reshape(len(result.varied[first]), -1) * one.scale
-        for index, line in enumerate(lines):
-            label = ", ".join(map(_chosen, other_names, line, (result.units.get(other, "") for other in other_names)))
-            panel.plot(result.varied[first], values[:, index], "o-", color=SERIES[index % len(SERIES)], label=label)
-        panel.set_title(axis_label(name, result.unit_along(one.unit, one.along)), **TITLE)
-        panel.set_xlabel(axis_label(first, result.units.get(first)))
-    if other_names:
-        name_curves(figure, panels[:1])
+    (first, along), *others = result.varied.items()
+    label = axis_label(first, result.units.get(first))
+    if len(others) == 1 and _even(along) and _even(others[0][1]):
+        return _heat_maps(result, found, label)
+    lines = list(itertools.product(*(values for _, values in others)))
+    units = [result.units.get(name, "") for name, _ in others]
+    numbers = all(map(_is_number, along))
+    figure, panels = new_grid(found, label, more=0.9)
+    for name, panel in panels.items():
+        for index, values in enumerate(found[name][0].reshape(len(along), -1).T):
+            style = line_style(index) | ({} if numbers else {"linestyle": "none"})
+            named = ", ".join(map(_chosen, dict(others), lines[index], units))
+            panel.plot(along if numbers else range(len(along)), values, marker="o", label=named, **style)
+        if not numbers:
+            panel.set_xticks(range(len(along)), map(str, along), rotation=90)
+    if others:
+        name_curves(figure, figure.axes[:1])
     return figure
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _even(values: Sequence[Any]) -> bool:
     """Return True for four or more evenly spaced numbers."""
-    if len(values) < 4 or not all(isinstance(one, int | float) for one in values):
+    if len(values) < 4 or not all(map(_is_number, values)):
         return False
     steps = np.diff(values)
     return bool(steps[0] > 0.0 and np.allclose(steps, steps[0], rtol=1e-6))
 
 
-def _heat_maps(result: Sweep) -> Any:
+def _heat_maps(result: Sweep, found: Quantities, label: str) -> Any:
     """Draw each figure as a heat map over two parameters; cells without a value are grey."""
-    (first, x), (second, y) = result.varied.items()
-    named = {name: result.shown(name) for name in result.names if result.is_number(name)}
-    figure, panels = new_grid(len(named), 0.3, sharex=True, sharey=True)
+    (_, x), (second, y) = result.varied.items()
+    figure, panels = new_grid(found, label, more=0.3, sharey=True)
     edges = (*_outer(np.array(x)), *_outer(np.array(y)))
-    for panel, (name, one) in zip(panels, named.items()):
+    for name, panel in panels.items():
         panel.grid(visible=False)
         panel.set_facecolor(GRID)
-        values = result.figure(name).T * one.scale
+        values = found[name][0].T
         figure.colorbar(panel.imshow(values, extent=edges, origin="lower", aspect="auto", cmap="cividis"), ax=panel)
-        panel.set_title(axis_label(name, result.unit_along(one.unit, one.along)), **TITLE)
-        panel.tick_params(labelbottom=True)
-        panel.set_xlabel(axis_label(first, result.units.get(first)))
         if panel.get_subplotspec().is_first_col():
             panel.set_ylabel(axis_label(second, result.units.get(second)))
     return figure
@@ -284,7 +300,7 @@ def fidelity(result: FidelityResult) -> Any:
 
 
 def _chosen(name: str, value: Any, unit: str) -> str:
-    return f"{name} {value:g} {unit}".rstrip() if isinstance(value, int | float) else f"{name} {value}"
+    return f"{name} {value:g} {unit}".rstrip() if _is_number(value) else f"{name} {value}"
 
 
 def device_card(result: DeviceCard) -> Any:
