@@ -39,7 +39,7 @@ Quantities: TypeAlias = Mapping[str, tuple[Any, str]]
 """Arrays of values, in which NaN does not count, and unit of each quantity by name."""
 
 _NOISE = {"mm": 1e-3, "mrad": 1e-3, "mm/s": 0.1, "mrad/s": 0.1, "N": 1e-3, "N m": 1e-5}
-"""Range by unit up to which a quantity is flat: rounding, or less than a sensor's step."""
+"""Range by unit up to which a quantity is flat, by rounding or a sensor."""
 
 _FLAT = 1e-3  # likewise, as a share of the value
 _COLUMNS = 3  # of a grid
