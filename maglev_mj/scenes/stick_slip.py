@@ -11,22 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from maglev_mj.control import (
-    AdaptiveWindow,
-    Dahl,
-    ElastoPlastic,
-    FiniteDifference,
-    Friction,
-    HaywardArmstrong,
-    Hold,
-    ImplicitCoulomb,
-    Law,
-    LowPass,
-    LuGre,
-    SpringReset,
-    VelocityEstimator,
-)
-from maglev_mj.control import StickSlip as StickSlipFriction
+from maglev_mj import control
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import param
 from maglev_mj.scenes.bench import WallScene, hold, others, stepped
@@ -36,14 +21,14 @@ from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory.ideal import FrictionEvent, KarnoppMotion, karnopp
 
-LAWS: Mapping[str, Callable[..., Friction]] = {
-    "stick-slip": lambda *, period, **common: StickSlipFriction(**common),
-    "spring-reset": lambda *, v_min, period, **common: SpringReset(**common),
-    "dahl": lambda *, v_min, period, **common: Dahl(**common),
-    "lugre": lambda *, v_min, period, **common: LuGre(period=period, stribeck=v_min, **common),
-    "elasto-plastic": lambda *, v_min, period, **common: ElastoPlastic(**common),
-    "hayward-armstrong": lambda *, v_min, period, **common: HaywardArmstrong(**common),
-    "kikuuwe": lambda *, v_min, period, **common: ImplicitCoulomb(period=period, **common),
+LAWS: Mapping[str, Callable[..., control.Friction]] = {
+    "stick-slip": lambda *, period, **common: control.StickSlip(**common),
+    "spring-reset": lambda *, v_min, period, **common: control.SpringReset(**common),
+    "dahl": lambda *, v_min, period, **common: control.Dahl(**common),
+    "lugre": lambda *, v_min, period, **common: control.LuGre(period=period, stribeck=v_min, **common),
+    "elasto-plastic": lambda *, v_min, period, **common: control.ElastoPlastic(**common),
+    "hayward-armstrong": lambda *, v_min, period, **common: control.HaywardArmstrong(**common),
+    "kikuuwe": lambda *, v_min, period, **common: control.ImplicitCoulomb(period=period, **common),
 }
 """Friction laws by name.
 
@@ -58,10 +43,10 @@ It is 1 for laws not listed.
 Spring reset is intended as stick-slip; in fact its force is a sawtooth.
 """
 
-VELOCITIES: Mapping[str, Callable[[float], VelocityEstimator]] = {
-    "difference": lambda quantum: FiniteDifference(),
-    "low-pass": lambda quantum: LowPass(),
-    "adaptive": lambda quantum: AdaptiveWindow(noise=(max(quantum, 1e-12),) * 6),
+VELOCITIES: Mapping[str, Callable[[float], control.VelocityEstimator]] = {
+    "difference": lambda quantum: control.FiniteDifference(),
+    "low-pass": lambda quantum: control.LowPass(),
+    "adaptive": lambda quantum: control.AdaptiveWindow(noise=(max(quantum, 1e-12),) * 6),
 }
 """Velocity estimators by name, from a sensor resolution [m, rad]."""
 
@@ -111,14 +96,14 @@ class StickSlip(Scene):
         """Return a flotor at rest, its weight compensated."""
         return Start(gravity=0.0)
 
-    def laws(self) -> list[Law]:
+    def laws(self) -> list[control.Law]:
         """Return friction, spring, and hold of the other axes."""
         common = {"axes": self.axis, "stiffness": self.stiffness, "damping": self.damping, "breakaway": self.breakaway}
         friction = LAWS[self.law](v_min=self.v_min, period=self.period, **common)
-        spring = Hold(axes=self.axis, stiffness=self.spring, damping=0.0, target=self.target)
+        spring = control.Hold(axes=self.axis, stiffness=self.spring, damping=0.0, target=self.target)
         return [friction, spring, hold(self, others(self.axis))]
 
-    def velocity_estimator(self) -> VelocityEstimator:
+    def velocity_estimator(self) -> control.VelocityEstimator:
         """Return the chosen velocity estimator.
 
         It is made for the sensor's resolution.

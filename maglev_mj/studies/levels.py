@@ -22,9 +22,9 @@ import numpy as np
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.control.timeline import split_delay
-from maglev_mj.errors import ParameterError, PlantError, SensingError, check_one_of
+from maglev_mj.errors import PlantError, SensingError, check_one_of
 from maglev_mj.frames import Array, Command, Sample
-from maglev_mj.parameters import number
+from maglev_mj.parameters import number, whole
 from maglev_mj.plants import (
     ExactPlant,
     MuJoCoPlant,
@@ -411,13 +411,12 @@ def choice_cases(scene: Scene, phases: int, around: float, phase: float = 0.0) -
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    if number("phases", phases, at_least=1, at_most=_MOST_PHASES) != int(phases):
-        raise ParameterError(f"phases must be a whole number, not {phases:g}")
+    count = whole("phases", phases, at_least=1, at_most=_MOST_PHASES)
     share = number("around", around, at_least=0.0, at_most=0.5)
     gains = [(1.0, 1.0)]
     if has_gains(scene) and share:
         gains += [(k, b) for k in (1.0 - share, 1.0 + share) for b in (1.0 - share, 1.0 + share)]
-    chosen = [(phase + place / int(phases)) % 1.0 for place in range(int(phases))]
+    chosen = [(phase + place / count) % 1.0 for place in range(count)]
     return tuple(Case(at, seed, *pair) for seed, (pair, at) in enumerate(itertools.product(gains, chosen)))
 
 
