@@ -259,6 +259,17 @@ def test_what_a_scene_refuses_ends_no_flight_and_is_told(key: str, said: str) ->
     assert request is not None and request.scene == Steep(level=2.0)
 
 
+def test_a_device_takes_what_its_scene_has_and_is_not_rewound() -> None:
+    viewer = ViewerHere(Joystick())
+    viewer.window.change({"stiffness": 3000.0, "hand_stiffness": 9.0})
+    request = viewer.take()
+    assert request is not None and request.scene == Joystick(stiffness=3000.0)
+    viewer.window.act("of another scene")
+    assert viewer.take() is None and not viewer._note.lines
+    viewer.window.change({"rewind": 1.0})
+    assert viewer.take() is None and "a device cannot be rewound" in viewer._note.lines[0]
+
+
 def test_a_scene_that_has_started_again_is_shown_from_its_beginning() -> None:
     viewer, blank = ViewerHere(Joystick()), Snapshot(scene=Joystick())
     for times in ([0.9, 1.0], [0.005, 0.01], [0.01, 0.015]):

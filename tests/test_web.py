@@ -325,6 +325,9 @@ def shown(page: Page, source: Recorder, **parts: Any) -> Any:
 def test_magnified_the_handle_moves_further_among_its_walls_and_a_drag_asks_for_less() -> None:
     pose, faces = np.array([1e-3, 0.0, 2e-3, 0.0, 0.0, 0.0]), [(0, -1.0, 3.5e-3), (2, -1.0, 2e-3)]
     with page_of(pose=pose, faces=faces) as (page, source):
+        page._panel._motion.value = "x9"  # by no button
+        asyncio.run(page._panel._larger(None))
+        assert page._stage.factor == 1
         page._panel._motion.value = "x5"
         asyncio.run(page._panel._larger(None))
         stage = shown(page, source)
@@ -595,6 +598,25 @@ def test_a_browser_that_is_gone_without_a_word_has_no_hand() -> None:
         assert aimed[-1] is None
         await grab._dragged(SimpleNamespace(**vars(start) | {"client_id": 2}))
         assert aimed[-1] is not None  # the next one has it
+
+    asyncio.run(drag())
+
+
+def test_another_browser_neither_moves_nor_drops_the_knob_that_is_held() -> None:
+    aimed: list[object] = []
+    knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
+    event = {"modifier": None, "start_position": np.zeros(3), "end_position": np.ones(3)}
+
+    async def drag() -> None:
+        grab = Grab(SimpleNamespace(), knob, aimed.append)
+        grab._ask = lambda client: asyncio.sleep(10.0)  # type: ignore[method-assign]
+        await grab._dragged(SimpleNamespace(phase="start", client_id=1, **event))
+        said = len(aimed)
+        for phase in ("start", "move", "end"):
+            await grab._dragged(SimpleNamespace(phase=phase, client_id=2, **event))
+        assert len(aimed) == said and aimed[-1] is not None
+        await grab._dragged(SimpleNamespace(phase="end", client_id=1, **event))
+        assert aimed[-1] is None
 
     asyncio.run(drag())
 

@@ -12,15 +12,7 @@ from maglev_mj.control import Wall
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.lazy import loaded
-from maglev_mj.pictures import (
-    SHADE,
-    TITLE,
-    broken,
-    line_style,
-    name_curves,
-    new_figure,
-    new_grid,
-)
+from maglev_mj.pictures import SHADE, TITLE, broken, line_style, name_curves, new_figure, new_grid
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import Phases, RunResult, Variants, share_below
 from maglev_mj.spec import Spec
