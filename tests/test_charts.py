@@ -14,8 +14,10 @@ from maglev_mj.analysis.pictures import staircases, whole_run
 from maglev_mj.bridge.fault import load_black_box
 from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.cli import main
+from maglev_mj.errors import ParameterError
 from maglev_mj.pictures import FORMATS, Panel, broken, name_curves, new_figure, new_grid, small_multiples
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.studies.pictures import _even
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.studies.sweep import sweep
 from tests.test_analysis import analysed, recorded
@@ -139,6 +141,27 @@ def test_a_sweep_over_two_even_parameters_is_heat_maps_of_its_cells() -> None:
     image = found.plot().axes[0].images[0]
     assert np.asarray(image.get_array()) == pytest.approx(1e3 * found.figure("penetration").T)
     assert image.get_extent() == pytest.approx([5e-4, 4.5e-3, 45.0, 85.0])
+
+
+@pytest.mark.parametrize(
+    ("values", "even"),
+    [
+        ([1.0, 2.0, 3.0, 4.0], True),
+        ([1, 2, 3], False),
+        ([1.0, 2.0, 4.0, 8.0], False),
+        ([4, 3, 2, 1], False),
+        ([True, False, True, False], False),
+        (["a", "b", "c", "d"], False),
+    ],
+)
+def test_values_of_a_heat_map_are_four_even_numbers(values: list[Any], even: bool) -> None:
+    assert _even(values) is even
+
+
+def test_a_sweep_of_a_scene_without_figures_has_no_picture() -> None:
+    found = sweep("joystick", {"stiffness": [1000.0, 2000.0]}, plant="exact")
+    with pytest.raises(ParameterError, match="figures must be numbers for a picture: joystick has none"):
+        found.plot()
 
 
 def test_each_value_of_a_choice_has_rows_of_its_own() -> None:

@@ -129,7 +129,6 @@ NEEDED = {
     "fidelity": "drop",
     "bridge": "udp://127.0.0.1:9",
     "estop": "udp://127.0.0.1:9",
-    "lessons": "folder",
     "commission": "udp://127.0.0.1:9 spots",
     "conform": "udp://127.0.0.1:9",
     "fault": "a.json",
