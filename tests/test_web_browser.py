@@ -145,6 +145,7 @@ def press(tab: Any, run: Run) -> tuple[float, float]:
         tab.mouse.move(x + 6, y, steps=3)
         time.sleep(0.3)
         if run.shown.target is None:
+            tab.mouse.move(x, y, steps=3)  # such a drag turns the view: back again
             tab.mouse.up()
         assert time.monotonic() < end
     return x, y
