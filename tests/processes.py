@@ -12,10 +12,16 @@ import threading
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
+from unittest.mock import patch
 
 from maglev_mj import cli
+from maglev_mj.bridge import Twin, TwinParameters
+from maglev_mj.bridge.links import UdpServer
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.twin.twin import TwinServer
 
 COMMAND = [sys.executable, "-m", "maglev_mj"]
 PATIENCE = 60.0
@@ -177,3 +183,22 @@ def said_by(*arguments: str) -> tuple[int, str]:
     """Run a command as `run_here` does; return its status and all output."""
     status, output, errors = run_here(*arguments)
     return status, output + errors
+
+
+@contextmanager
+def lockstep_twin(parameters: TwinParameters) -> Iterator[str]:
+    """Yield the address of a twin in a thread, whose hosts in this process wait long for it.
+
+    A busy machine may let it stand for more than the usual second.
+    """
+    server = UdpServer("127.0.0.1", 0)
+    twin = TwinServer(Twin(replace(parameters, lockstep=True)), server)
+    thread = threading.Thread(target=twin.run)
+    thread.start()
+    try:
+        with patch.dict(cast(Any, RemotePlant.__init__).__kwdefaults__, patience=30.0):
+            yield "udp://{}:{}".format(*server.address)
+    finally:
+        twin.stop()
+        thread.join()
+        server.close()

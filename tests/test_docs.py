@@ -22,8 +22,7 @@ from contextlib import (
     redirect_stdout,
 )
 from pathlib import Path
-from typing import Any, cast
-from unittest.mock import patch
+from typing import Any
 
 import pytest
 
@@ -32,13 +31,13 @@ from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.connection import estop
 from maglev_mj.bridge.links import UdpServer
-from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.cli import main, parser
 from maglev_mj.cli.declare import joined
 from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.session import Session
+from tests.processes import lockstep_twin
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [
@@ -300,19 +299,14 @@ QUOTED = [
 def said_by(commands: list[str]) -> str:
     """Return all that commands print.
 
-    A device is one in lockstep, with the delay of a line. Its host waits long: a busy machine may let both stand.
+    A device is one in lockstep, with the delay of a line.
     """
-    out, waits = io.StringIO(), patch.dict(cast(Any, RemotePlant.__init__).__kwdefaults__, patience=30.0)
-    with ExitStack() as flight, redirect_stdout(out), redirect_stderr(out), waits:
+    out = io.StringIO()
+    with ExitStack() as flight, redirect_stdout(out), redirect_stderr(out):
         for command in commands:
             if command.startswith("bridge"):
-                server = flight.enter_context(closing(UdpServer("127.0.0.1", 0)))
-                twin = TwinServer(Twin(TwinParameters(delay=0.0025, lockstep=True)), server)
-                thread = threading.Thread(target=twin.run)
-                thread.start()
-                flight.callback(thread.join)
-                flight.callback(twin.stop)
-                command = re.sub(r"udp://\S+", "udp://{}:{}".format(*server.address), command)
+                address = flight.enter_context(lockstep_twin(TwinParameters(delay=0.0025)))
+                command = re.sub(r"udp://\S+", address, command)
             main(re.sub(r"(?<=--workers )\d+", "0", re.sub(r" --out \S+", "", command)).split())
     return out.getvalue()
 

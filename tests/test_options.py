@@ -120,7 +120,6 @@ def test_a_value_outside_its_bounds_is_refused_by_the_parameters() -> None:
 
 
 NEEDED = {
-    "lessons": "lessons",
     "render": "--out a.png",
     "run": "drop",
     "stability": "drop",

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import AbstractContextManager, closing
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,8 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, drive
-from maglev_mj.bridge import Calibration, RemotePlant, Twin, TwinParameters, open_link
-from maglev_mj.bridge.links import UdpServer
+from maglev_mj.bridge import Calibration, RemotePlant, TwinParameters, open_link
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.cli import main
 from maglev_mj.control import AxisLaw, Bias, gain
 from maglev_mj.recording import Recording
@@ -27,6 +24,7 @@ from maglev_mj.session import Pacer, Session
 from maglev_mj.theory import stability
 from maglev_mj.versions import hash_of
 from maglev_mj.views.window.screen import Plots
+from tests.processes import lockstep_twin
 from tests.test_dask_workers import cluster
 
 __all__ = ["cluster"]
@@ -127,19 +125,8 @@ def test_a_run_is_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
     assert_checked_with_the_scene_alone(say, "run.npz")
 
 
-@contextmanager
-def served() -> Iterator[str]:
-    """Yield the address of a twin in a thread."""
-    server = TwinServer(Twin(TwinParameters(limits=Limits(watchdog=1.0), lockstep=True)), UdpServer("127.0.0.1", 0))
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    try:
-        host, port = server.address
-        yield f"udp://{host}:{port}"
-    finally:
-        server.stop()
-        thread.join()
-        server.close()
+def served() -> AbstractContextManager[str]:
+    return lockstep_twin(TwinParameters(limits=Limits(watchdog=1.0)))
 
 
 @pytest.mark.xdist_group("realtime")
