@@ -187,7 +187,7 @@ def said_by(*arguments: str) -> tuple[int, str]:
 
 @contextmanager
 def lockstep_twin(parameters: TwinParameters) -> Iterator[str]:
-    """Yield the address of a twin in a thread; hosts of this process wait long for it.
+    """Yield the address of a twin in a thread; hosts here wait long for it.
 
     A busy machine may let it stand for more than the usual second.
     """
