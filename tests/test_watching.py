@@ -352,8 +352,9 @@ def test_what_was_asked_for_before_an_emergency_stop_does_not_start_the_scene_ag
     inbox = Inbox(0.0)
     inbox.put("act", "centre")
     inbox.put("change", {"stiffness": 5.0})
+    inbox.put("hand", [1e-3] * 6)
     inbox.put("act", EMERGENCY_STOP)
-    assert inbox.take() == [("act", EMERGENCY_STOP)]
+    assert inbox.take() == [("act", EMERGENCY_STOP), ("hand", [1e-3] * 6)]
     inbox.put("act", "centre")
     assert inbox.take() == [("act", "centre")]
 

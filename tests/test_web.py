@@ -427,6 +427,8 @@ def test_a_control_is_as_the_parameter_declares() -> None:
         assert isinstance(stiffness, Slider) and stiffness.handle.max == 20_000.0
         stiffness.show(30_000.0)  # by a key
         assert stiffness.handle.max >= 30_000.0 and stiffness.handle.value == 30_000.0
+        stiffness.show(50.0)  # by a program
+        assert stiffness.handle.min == stiffness.handle.value == 50.0
         assert isinstance(control(server.gui, joystick.parameter("wall"), joystick, lambda *_: None), Switch)
 
 

@@ -423,6 +423,41 @@ def test_a_key_draws_the_handle_and_its_walls_further_out_and_says_so(shot: Snap
     assert screen.factor == 1
 
 
+def test_a_press_on_the_knob_is_the_hands_and_any_other_the_engines(monkeypatch: pytest.MonkeyPatch) -> None:
+    pixel, engine, ours = [100.0, 100.0], list[Any](), list[Any]()
+
+    def taken(window: Any, call: Any) -> Any:
+        ours.append(call)
+        return lambda *event: engine.append(event)
+
+    raw = SimpleNamespace(glfwSetMouseButtonCallback=taken, glfwSetCursorPosCallback=taken)
+    size = lambda window: (800, 600)  # noqa: E731
+    parts: dict[str, Any] = {"_glfw": raw, "get_framebuffer_size": size, "get_window_size": size}
+    parts |= dict.fromkeys(("_GLFWmousebuttonfun", "_GLFWcursorposfun"), lambda call: call)
+    parts |= dict.fromkeys(("get_primary_monitor", "set_window_size", "set_window_pos"), lambda *_: None)
+    parts |= {"get_monitor_workarea": lambda monitor: (0, 0, 800, 600), "get_cursor_pos": lambda window: pixel}
+    for name, part in parts.items():
+        monkeypatch.setattr(glfw, name, part)
+    grab, knob = Grab(), (np.array([100.0, 500.0]), 1e-3 * np.eye(3)[0], 1e-3 * np.eye(3)[2])
+    grab.attach(None)
+    button, cursor = ours
+    # another button, with a key, beside the knob, a knob that no hand moves
+    for number, keys, beside, seen in ((1, 0, 0.0, knob), (0, 2, 0.0, knob), (0, 0, 30.0, knob), (0, 0, 0.0, None)):
+        pixel[0], grab.knob = 100.0 + beside, seen
+        button(None, number, glfw.PRESS, keys)
+        assert grab.moved is None and engine.pop() == (None, number, glfw.PRESS, keys)
+    pixel[0], grab.knob = 100.0, knob
+    button(None, 0, glfw.PRESS, 0)
+    pixel[:] = 104.0, 98.0
+    cursor(None, *pixel)
+    assert grab.moved == pytest.approx([4e-3, 0.0, 2e-3]) and not engine
+    button(None, 0, glfw.RELEASE, 0)
+    assert grab.moved is None and not engine
+    cursor(None, *pixel)
+    button(None, 0, glfw.RELEASE, 0)
+    assert len(engine) == 2
+
+
 @pytest.mark.parametrize("factor", [1, 3])
 def test_a_plain_drag_is_the_hand_and_a_magnified_one_is_divided(shot: Snapshot, factor: int) -> None:
     window: Any = _Window.__new__(_Window)
