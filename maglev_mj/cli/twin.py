@@ -208,6 +208,7 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
 
     def each() -> None:
         currents, pose, time = plant.currents, twin.pose, twin.tick * blank.scene.period
+        faults = fault_names(twin.firmware.faults) if twin.firmware.faults else ""
         force = coils.wrench(currents) - carried if currents.any() else np.zeros(6)
         motion.add(time, pose, force, plant.hand_wrench)
         publishers.show(
@@ -223,9 +224,9 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
                 history=motion.history.rows,
                 work=motion.work,
                 state="stopped" if twin.firmware.state == State.FAULT else "running",
-                reason=fault_names(twin.firmware.faults) if twin.firmware.faults else "",
+                reason=faults,
                 remedy="maglev-mj bridge ADDRESS --reset goes on",
-                notes=[f"a device, {twin.firmware.state.name.lower()}{_faults(twin)}"],
+                notes=[", ".join(filter(None, ("a device", twin.firmware.state.name.lower(), faults)))],
             )
         )
         publishers.wanted()  # the mouse; the settings are the host's
@@ -258,9 +259,3 @@ def _logged(live: LiveServer, twin: Twin) -> Callable[[], None]:
         reported = faults
 
     return each
-
-
-def _faults(twin: Twin) -> str:
-    from maglev_mj.bridge.wire import fault_names
-
-    return f", {fault_names(twin.firmware.faults)}" if twin.firmware.faults else ""

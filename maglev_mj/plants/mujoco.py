@@ -16,27 +16,15 @@ from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Command, Component, Six, components, join, rotation_vector
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag, number, numbers
+from maglev_mj.plants import engine
 from maglev_mj.plants.base import PlantKeywords, SampledPlant, restore, states_of
 from maglev_mj.plants.coils import UPRIGHT, CoilDrive, CoilMap
-from maglev_mj.plants.engine import (
-    NOTHING,
-    CorrectedSteps,
-    Drive,
-    Steps,
-    effort_addresses,
-    longest_step,
-    near_stops,
-    prepared,
-    start_state,
-    turned_back,
-    turned_work,
-)
 from maglev_mj.plants.hand import Hand
 from maglev_mj.plants.model import COILS, Model, load_model
 from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
 
-_Kept: TypeAlias = tuple[Sequence[float], Sequence[float], Drive]
+_Kept: TypeAlias = tuple[Sequence[float], Sequence[float], engine.Drive]
 """Snapshot: position and quaternion, velocity, acting drive.
 
 The velocity is in the engine's form.
@@ -149,7 +137,7 @@ class MuJoCoPlant(SampledPlant):
                 f"not {start.shape}, {motion.shape} and {np.shape(timing.phase)}"
             )
         self.hand, self.start = hand, (start, motion)
-        self.device = prepared(
+        self.device = engine.prepared(
             model,
             gravity=gravity,
             integrator=integrator,
@@ -173,11 +161,13 @@ class MuJoCoPlant(SampledPlant):
             known = load_model(model, coil_map=coil_map).coils
         self._coil_drive = None if known is None else CoilDrive(known, self.current_limit)
         self._open(integrator, force_falloff, flag("stop_damping", stop_damping), hand)
-        self._data.qpos[:], self._data.qvel[:] = start_state(self.device, start, motion, hand)
+        self._data.qpos[:], self._data.qvel[:] = engine.start_state(self.device, start, motion, hand)
         free = False
         if keywords.get("longest_step") is None:
             free = not (driver_lag or hand is not None or force_falloff or flexible)
-            keywords["longest_step"] = longest_step(self.device, driver_lag, hand, stops, force_falloff, flexible)
+            keywords["longest_step"] = engine.longest_step(
+                self.device, driver_lag, hand, stops, force_falloff, flexible
+            )
         super().__init__(timing, batch=(), **keywords)
         # if only the stops need short steps, these are made only near a stop
         self._reach = None
@@ -204,16 +194,16 @@ class MuJoCoPlant(SampledPlant):
         mujoco.mj_step(model, self._data)  # the first step fetches its memory, which would make the first tick late
         mujoco.mj_resetData(model, self._data)
         self._model = model
-        steps = CorrectedSteps if integrator == "corrected" else Steps
+        steps = engine.CorrectedSteps if integrator == "corrected" else engine.Steps
         self._steps = steps(device, self._data, falloff, stop_damping)
         self._look, self._settle = self._steps.look, self._steps.settle
         self._qpos = self._data.qpos[device.position_address :][:7]
         self._qvel = self._data.qvel[device.velocity_address :][:6]
         self._push_on = self._data.qfrc_applied
-        self._effort_addresses = effort_addresses(device, hand)
+        self._effort_addresses = engine.effort_addresses(device, hand)
         self._turning = slice(device.velocity_address + 3, device.velocity_address + 6)
         self._rotation = np.zeros(9)
-        self._last: Drive = (), (), None
+        self._last: engine.Drive = (), (), None
         # flag of an outdated coil map, renewed for the next wrench; and the measured angle if there is a sensor
         self._stale = self._turned = False
         self._angle: Sequence[float] | None = None
@@ -335,7 +325,7 @@ class MuJoCoPlant(SampledPlant):
         assert self._coil_drive is not None
         return self._coil_drive.limited(command)
 
-    def _prepare(self, force: Sequence[float]) -> Drive:
+    def _prepare(self, force: Sequence[float]) -> engine.Drive:
         given = tuple(force)  # the caller may use its list again
         if self._coils is None:
             return given, given, None
@@ -351,7 +341,7 @@ class MuJoCoPlant(SampledPlant):
     def _carry(self) -> Callable[..., None]:
         return self._steps.advance if self._total is None else self._advance_metered  # a call less than `_advance`
 
-    def _advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
+    def _advance(self, duration: float, drive: engine.Drive, pieces: int = 1) -> None:
         self._steps.advance(duration, drive, pieces)
 
     def _exert(self, effort: Sequence[float]) -> None:
@@ -380,7 +370,7 @@ class MuJoCoPlant(SampledPlant):
         elif self._turned:
             self._stale, self._turned = True, False
         if self._reach is not None:
-            near = near_stops(self._reach, (x, y, z, q0), self._qvel.tolist(), self._period)
+            near = engine.near_stops(self._reach, (x, y, z, q0), self._qvel.tolist(), self._period)
             self._run = self._run_in_pieces if near else self._carry
         return position
 
@@ -412,12 +402,12 @@ class MuJoCoPlant(SampledPlant):
     def _where(self) -> Sequence[float]:
         return self._look()
 
-    def _work(self, drive: Drive, before: Sequence[float], after: Sequence[float]) -> float:
+    def _work(self, drive: engine.Drive, before: Sequence[float], after: Sequence[float]) -> float:
         known = drive[0][0] is not None
         force: Any = drive[0] if known else self._wrench(self._acting(drive), before)
-        return float(turned_work(force, before, after))
+        return float(engine.turned_work(force, before, after))
 
-    def _acting(self, drive: Drive) -> Drive:
+    def _acting(self, drive: engine.Drive) -> engine.Drive:
         """Return a drive as it acts now.
 
         It has the actual currents of the coils, and no wrench if these give another than the commanded one.
@@ -429,7 +419,7 @@ class MuJoCoPlant(SampledPlant):
         currents = np.array(self._data.act if self._model.na else controls)
         return (None,), (currents if falloff is None else currents * falloff.share()).tolist(), inverse
 
-    def _wrench(self, acting: Drive, place: Sequence[float]) -> Sequence[float]:
+    def _wrench(self, acting: engine.Drive, place: Sequence[float]) -> Sequence[float]:
         """Return the wrench on the flotor, six components.
 
         `acting` is a drive of `_acting`, `place` is x y z and a quaternion.
@@ -444,7 +434,7 @@ class MuJoCoPlant(SampledPlant):
         wrench: list[float] = np.linalg.solve(inverse, currents).tolist()
         return wrench
 
-    def _kept(self, drive: Drive) -> _Kept:
+    def _kept(self, drive: engine.Drive) -> _Kept:
         return self._look(), self._qvel.tolist(), self._acting(drive)
 
     def _arrays(self, kept: Sequence[_Kept]) -> tuple[Array, Array, Array]:
@@ -462,7 +452,7 @@ def _copy_of(sensor: Measure | None) -> Measure | None:
         return sensor
 
 
-def _of_currents(currents: Sequence[float]) -> Drive:
+def _of_currents(currents: Sequence[float]) -> engine.Drive:
     """Return the drive of directly commanded currents.
 
     Drives of this kind are never equal.
@@ -538,7 +528,7 @@ class MuJoCoBatchPlant(SampledPlant):
         count = int(number("threads", threads, at_least=0))
         if driver_lag and not coils:
             raise ParameterError("driver_lag needs coils=True")
-        self.device = prepared(
+        self.device = engine.prepared(
             model,
             gravity=gravity,
             integrator=integrator,
@@ -554,7 +544,7 @@ class MuJoCoBatchPlant(SampledPlant):
 
         self._engine = Batch(self.device.model, len(start), count)
         for row, (place, speed) in enumerate(zip(start, np.broadcast_to(motion, start.shape), strict=True)):
-            self._engine.qpos[row], self._engine.qvel[row] = start_state(self.device, place, speed, hand)
+            self._engine.qpos[row], self._engine.qvel[row] = engine.start_state(self.device, place, speed, hand)
         self._qpos = self._engine.bind("qpos")[:, self.device.position_address :][:, :7]
         self._qvel = self._engine.bind("qvel")[:, self.device.velocity_address :][:, :6]
         self._controls = (
@@ -564,11 +554,11 @@ class MuJoCoBatchPlant(SampledPlant):
         )
         self._timestep = self._engine.expand("opt.timestep")
         self._efforts = self._engine.bind("qfrc_applied")
-        self._effort_addresses = effort_addresses(self.device, hand)
+        self._effort_addresses = engine.effort_addresses(self.device, hand)
         # inverse maps of the coils, (N, 6, 6) while any flotor is turned; None without coils
         self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
         if keywords.get("longest_step") is None:
-            keywords["longest_step"] = longest_step(self.device, driver_lag, hand)
+            keywords["longest_step"] = engine.longest_step(self.device, driver_lag, hand)
         self._corrects, self._excess = integrator == "corrected", np.zeros((len(start), 6))
         super().__init__(timing, batch=start.shape[:1], **keywords)
         if driver_lag:
@@ -592,7 +582,7 @@ class MuJoCoBatchPlant(SampledPlant):
         self._excess = self._excess + half * (self._qvel - before)
 
     def _work(self, drive: _BatchDrive, before: Sequence[Component], after: Sequence[Component]) -> Component:
-        return turned_work(components(drive[0]), before, after)
+        return engine.turned_work(components(drive[0]), before, after)
 
     def _where(self) -> list[Component]:
         """Return x y z and a quaternion, corrected.
@@ -604,8 +594,8 @@ class MuJoCoBatchPlant(SampledPlant):
             return places
         over = self._excess.T
         moved = [place - ahead for place, ahead in zip(places[:3], over[:3])]
-        turned = np.abs(over[3:]).max() > NOTHING
-        return [*moved, *(turned_back(*places[3:], *over[3:]) if turned else places[3:])]
+        turned = np.abs(over[3:]).max() > engine.NOTHING
+        return [*moved, *(engine.turned_back(*places[3:], *over[3:]) if turned else places[3:])]
 
     def _exert(self, effort: Six) -> None:
         wrench = np.broadcast_to(join(effort), (*self.batch, 6))

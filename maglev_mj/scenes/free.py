@@ -23,6 +23,10 @@ class _Body(Scene):
 
     takes_phase: ClassVar[bool] = False
 
+    def laws(self) -> list[Law]:
+        """Return no laws."""
+        return []
+
     def ticks(self, timing: Timing) -> int:
         """See `Scene`."""
         return max(math.ceil(self.end / self.period - 1e-9), 1)
@@ -38,10 +42,6 @@ class Twist(_Body):
     shown_axis: ClassVar[str] = "rx"
 
     duration: float = param("simulated time", "s", default=0.04, above=0.0, at_most=1e6)
-
-    def laws(self) -> list[Law]:
-        """Return no laws."""
-        return []
 
     def start(self) -> Start:
         """Return a rotating flotor, its weight compensated."""
@@ -64,10 +64,6 @@ class LetGo(_Body):
     tolerance_reason: ClassVar[str] = "well below the 0.5 mm over which the stop gives"
 
     duration: float = param("simulated time", "s", default=0.08, above=0.0, at_most=1e6)
-
-    def laws(self) -> list[Law]:
-        """Return no laws."""
-        return []
 
     def describe(self) -> str:
         """Return a one-line description."""
