@@ -11,7 +11,7 @@ import pytest
 import maglev_mj
 from maglev_mj.cli.declare import Parser
 from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import flag, number, numbers, parsed_number
+from maglev_mj.parameters import Parameters, flag, number, numbers, param, param_range, parsed_number
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.base import PlantKeywords
 from maglev_mj.plants.model import load_model
@@ -131,3 +131,34 @@ def test_a_number_in_a_text_is_asked_for_as_such() -> None:
     for bad in ("", "a", "nan", "inf", "0x7"):
         with pytest.raises(ParameterError, match=f"mass must be a finite number, not '{bad}'"):
             parsed_number("mass", bad)
+
+
+class Lever(Parameters):
+    """A length, and two ends."""
+
+    length: float = param("arm", "m", default=0.5, at_least=0.0, at_most=1.0, along=True)
+    ends: tuple[float, float] | None = param_range("ends", "both ends", "m", default=None, at_least=0.0, at_most=1.0)
+    range: tuple[float, float] = param_range("range", "both", "m", default=(0.0, 1.0))
+
+
+def test_a_parameter_like_another_is_declared_as_it_is_but_for_changes() -> None:
+    class Longer(Parameters):
+        length: float = Lever.like("length", default=2.0, at_least=None, above=0.0, at_most=3.0)
+
+    one = Longer.parameter("length")
+    assert (one.help, one.unit, one.along, one.default) == ("arm", "m", True, 2.0)
+    assert one.bounds == {"above": 0.0, "at_most": 3.0} and Lever.parameter("length").default == 0.5
+    with pytest.raises(ParameterError, match="parameter must be one of length, ends, range, not 'lenght'"):
+        Lever.like("lenght")
+
+
+def test_a_range_has_a_lower_and_a_higher_value_within_its_bounds() -> None:
+    assert Lever().ends is None and Lever(ends=(0, 1)).ends == (0.0, 1.0) and Lever().range == (0.0, 1.0)
+    wrong: list[tuple[dict[str, Any], str]] = [
+        ({"ends": (0.5, 2.0)}, "ends must be a finite number at least 0 and at most 1, not 2.0"),
+        ({"ends": (1.0, 0.0)}, "ends must be from a lower to a higher value"),
+        ({"range": None}, "range must be a lower and a higher value, not None"),
+    ]
+    for values, said in wrong:
+        with pytest.raises(ParameterError, match=said):
+            Lever(**values)
