@@ -21,7 +21,7 @@ from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.run import run_variants
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, record_run, recorded
-from maglev_mj.views.window.offscreen import write_clip, write_picture
+from maglev_mj.views.window.offscreen import slow_motion, write_clip, write_picture
 
 
 def test_a_run_that_diverges_is_recorded_up_to_there(tmp_path: Path) -> None:
@@ -103,18 +103,24 @@ def test_a_scene_is_drawn_without_a_window(tmp_path: Path) -> None:
     import imageio_ffmpeg
 
     paths = {ending: tmp_path / f"scene.{ending}" for ending in ("png", "gif", "mp4")}
-    options = ["--seconds", "0.4", "--fps", "10", "--size", "320x200"]
+    options = ["--seconds", "0.4", "--fps", "5", "--time-scale", "0.5", "--size", "320x200"]
     program = "import sys; from maglev_mj.cli import main\n"
     program += f"for path in sys.argv[1:]: assert main(['render', 'drop', '--out', path, *{options}]) == 0"
     command = [sys.executable, "-c", program, *map(str, paths.values())]
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+    assert "silent" not in done.stdout
     assert imageio_ffmpeg.count_frames_and_secs(str(paths["mp4"]))[0] == 4
     picture, frames = imageio.v2.imread(paths["png"]), imageio.v2.mimread(paths["gif"])
     assert len(frames) == 4 and (frames[0] != frames[-1]).any()
     for one in (picture, frames[0]):
         assert one.shape[:2] == (200, 320)
         assert float(np.asarray(one, dtype=float).std()) > 10.0
+
+
+def test_a_clip_of_a_short_run_is_slowed_to_last_four_seconds() -> None:
+    scales = {2e-3: 0.001, 0.04: 0.01, 0.08: 0.02, 0.3: 0.05, 0.4: 0.1, 0.99: 0.2, 1.0: 1.0, 4.6: 1.0}
+    assert {seconds: slow_motion(seconds) for seconds in scales} == scales
 
 
 def test_a_picture_is_written_as_it_is(tmp_path: Path) -> None:

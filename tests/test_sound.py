@@ -1,7 +1,8 @@
-"""Recordings as sound: `maglev-mj export --to wav`."""
+"""Forces as sound: `maglev-mj export --to wav`, and in clips."""
 
 from __future__ import annotations
 
+import subprocess
 import wave
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,12 @@ import pytest
 from maglev_mj import export, record_run
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording
+from maglev_mj.recording.recording import write_sound
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.views.window import offscreen
+from maglev_mj.views.window.offscreen import render
+from tests.closed_loop import pd_matrix
 
 PERIOD = 0.001
 
@@ -79,6 +84,17 @@ def test_each_force_is_held_and_one_beyond_the_scale_is_cut(tmp_path: Path) -> N
     assert (held == held[:, :1]).all() and set(held[40:, 0]) == {-1.0, 1.0}
 
 
+def test_a_step_of_a_slowed_force_fades_as_fast_as_in_real_time(tmp_path: Path) -> None:
+    wrench = np.zeros((2, 6))
+    wrench[1, 2] = 40.0
+    with (tmp_path / "step.wav").open("wb") as file:
+        write_sound(file, [(wrench, 0.1)], turns=False)
+    with wave.open(str(tmp_path / "step.wav")) as sound:
+        frames = np.frombuffer(sound.readframes(sound.getnframes()), "<i2") / 32767
+    kept = np.exp(-2 * np.pi * 20.0 * 0.005 * (1 + np.arange(4800) // 240))
+    assert not frames[:4800].any() and frames[4800:] == pytest.approx(40 / 50 * kept, abs=1e-4)
+
+
 def test_a_wall_that_buzzes_is_louder_than_one_that_does_not(tmp_path: Path) -> None:
     loud, calm = (
         heard(record_run(Drop(stiffness=stiffness, pulse=0.0), plant="exact"), tmp_path / "drop.wav")[1]
@@ -94,3 +110,48 @@ def test_an_empty_and_a_wrong_file_are_refused_in_one_line(tmp_path: Path, capsy
         assert main(["export", str(tmp_path / f"{name}.npz"), "--to", "wav"]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert words in line and not (tmp_path / f"{name}.wav").exists()
+
+
+def render_buzz(path: Path, time_scale: float) -> float:
+    """Write a clip of 1.5 s of a wall that rings; return its frequency [Hz]."""
+    scene = Drop(height=1e-4, stiffness=9_500.0, pulse=0.0, duration=3.0)
+    render(scene, path, seconds=1.5, time_scale=time_scale, width=160, height=160, rate=2, plots=False)
+    matrix = pd_matrix(scene.stiffness, scene.damping, period=scene.period, delay=scene.delay, mass=scene.mass)
+    roots = np.linalg.eigvals(matrix)
+    return float(abs(np.angle(roots[np.abs(roots).argmax()]))) / (2.0 * np.pi * scene.period)
+
+
+def decoded(path: Path, *options: str) -> Any:
+    """Return the sound of a file, by ffmpeg."""
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    command = [get_ffmpeg_exe(), "-loglevel", "error", "-i", str(path), "-f", "s16le", "-ar", "48000", *options, "-"]
+    return np.frombuffer(subprocess.run(command, check=True, capture_output=True).stdout, "<i2") / 32767
+
+
+@pytest.mark.needs("drawing")
+@pytest.mark.parametrize("time_scale", [1.0, 0.5])
+def test_a_clip_has_the_buzz_of_a_wall_slowed_as_its_pictures(time_scale: float, tmp_path: Path) -> None:
+    frequency = render_buzz(tmp_path / "buzz.mp4", time_scale)
+    sound, length = decoded(tmp_path / "buzz.mp4"), 1.5 / time_scale
+    assert len(sound) == pytest.approx(48_000 * length, abs=2048)  # a block of the encoder
+    ringing = sound[len(sound) // 3 :]
+    spectrum = np.abs(np.fft.rfft(ringing * np.hanning(len(ringing))))
+    assert np.argmax(spectrum) * 48_000 / len(ringing) == pytest.approx(frequency * time_scale, abs=1.5 / length)
+
+
+@pytest.mark.needs("drawing")
+def test_a_clip_without_an_encoder_for_sound_is_silent_and_says_so(
+    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refused = subprocess.CompletedProcess((), 1, b"", b"Unknown encoder 'aac'\nnothing written")
+    parts: list[Any] = []
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: refused)
+    monkeypatch.setattr(offscreen, "write_sound", lambda file, heard, turns: parts.extend(heard))
+    render_buzz(tmp_path / "buzz.mp4", 1.0)
+    assert capsys.readouterr().out.splitlines() == [f"  {tmp_path / 'buzz.mp4'} is silent: Unknown encoder 'aac'"]
+    assert [one.name for one in tmp_path.iterdir()] == ["buzz.mp4"]
+    assert [(forces.shape, period) for forces, period in parts] == [((300, 6), 0.005)]  # each sample once
+    monkeypatch.undo()
+    with pytest.raises(subprocess.CalledProcessError):
+        decoded(tmp_path / "buzz.mp4")  # no sound in it

@@ -179,3 +179,11 @@ def test_a_thinned_chart_ends_with_the_newest_sample() -> None:
     rows[:, 0] = rows[:, 1] = np.arange(401) * 0.005
     line = Charts(200).of(Snapshot(scene=StickSlip(axis="x"), history=rows), 0)[0].lines[-1]
     assert np.asarray(line.x)[-1] == 0.0 and np.asarray(line.y)[-1] == 1e3 * rows[-1, 1] and np.size(line.x) <= 200
+
+
+@pytest.mark.parametrize(("samples", "across"), [(0, 0.2), (3, 0.2), (61, 0.5), (150, 1.0), (400, 2.0), (402, 2.0)])
+def test_a_chart_is_as_wide_as_what_has_passed(samples: int, across: float) -> None:
+    rows = np.zeros((samples, 25))
+    rows[:, 0] = 7.0 + np.arange(samples) * 0.005
+    chart = Charts(200).of(Snapshot(scene=StickSlip(axis="x"), history=rows), 0)[0]
+    assert chart.across == pytest.approx((-across, 0.0))

@@ -523,7 +523,7 @@ def test_shadows_go_once_when_a_second_of_frames_was_slow() -> None:
 
 def test_slow_motion_is_said_where_there_is_room_for_little(shot: Snapshot) -> None:
     slow = status_rows(replace(shot, time_scale=0.1))
-    assert slow[1] == ("time", f"{shot.time:.1f} s, 1/10 of real time")
+    assert slow[1] == ("time", f"{shot.time:.3f} s, 1/10 of real time")
     assert status_rows(shot)[1][0] == "gains"
 
 

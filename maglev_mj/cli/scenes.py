@@ -222,11 +222,15 @@ def render(
     seconds: Annotated[
         float | None,
         option(
-            "length of a clip, or when a picture is taken [s] (default: as long as the scene lasts, or half)",
+            "simulated time of a clip, or when a picture is taken [s] (default: as long as the scene lasts, or half)",
             "output",
             at_least=0.0,
             at_most=600.0,
         ),
+    ] = None,
+    time_scale: Annotated[
+        float | None,
+        option("simulated time per second of a clip (default 1; less if short)", "output", at_least=1e-3, at_most=1.0),
     ] = None,
     size: Annotated[str, option("pixels", "output", "WxH")] = "1200x750",
     fps: Annotated[int, option("pictures a second", "output", at_least=1, at_most=50)] = 20,
@@ -246,6 +250,7 @@ def render(
             scene,
             out,
             seconds=seconds,
+            time_scale=time_scale,
             width=width,
             height=height,
             rate=fps,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import csv
 import json
+import math
 import os
 import wave
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -511,24 +512,36 @@ def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
 _SOUND_RATE, _LOWEST, _LOUDEST = 48_000, 20.0, (50.0, 1.0)
 """Frames a second, lowest frequency [Hz] and full scale [N, N m] of a sound."""
 
+_STEP = 0.005  # at which a sound is filtered, at least [s]
+
 
 def _as_wav(recording: Recording, partial: Path, _path: Path) -> None:
-    """Write the held force on the axis where it changes most."""
-    stretches = recording.stretches
     if not recording.ticks:
         raise InvalidRecordingError("there is nothing to hear: the recording has no samples")
-    turns = AXES.index(stretches[0].metadata.axis) > 2
-    forces = [np.nan_to_num(one.applied[:, 3:] if turns else one.applied[:, :3]) for one in stretches]
+    parts = [(one.applied, one.metadata.period) for one in recording.stretches]
+    with partial.open("wb") as file:
+        write_sound(file, parts, turns=AXES.index(recording.stretches[0].metadata.axis) > 2)
+
+
+def write_sound(file: IO[bytes], parts: Sequence[tuple[Array, float]], *, turns: bool) -> None:
+    """Write held forces as WAV, on the axis where they change most.
+
+    Args:
+        file: Open file.
+        parts: One after the other, wrenches at the samples [N, N m], (N, 6), and the time that each is heard [s].
+        turns: True for a torque, False for a force.
+    """
+    forces = [np.nan_to_num(wrench[:, 3:] if turns else wrench[:, :3]) for wrench, _ in parts]
     axis = int(np.argmax(sum(np.square(np.diff(force, axis=0)).sum(axis=0) for force in forces)))
-    with partial.open("wb") as file, wave.open(file, "wb") as sound:
+    with wave.open(file, "wb") as sound:
         sound.setnchannels(1)
         sound.setsampwidth(2)
         sound.setframerate(_SOUND_RATE)
-        for stretch, force in zip(stretches, forces, strict=True):
-            period = stretch.metadata.period
-            heard = _without_slow(force[:, axis], period) / _LOUDEST[turns]
+        for (_, period), force in zip(parts, forces, strict=True):
+            count = math.ceil(period / _STEP)  # a step fades within a longer sample
+            heard = _without_slow(np.repeat(force[:, axis], count), period / count) / _LOUDEST[turns]
             frames = np.round(np.clip(heard, -1.0, 1.0) * 32767).astype("<i2")
-            edges = np.round(np.arange(len(frames) + 1) * (period * _SOUND_RATE)).astype(np.int64)
+            edges = np.round(np.arange(len(frames) + 1) * (period / count * _SOUND_RATE)).astype(np.int64)
             for first in range(0, len(frames), _BLOCK):  # an hour is 350 MB
                 held = np.diff(edges[first : first + _BLOCK + 1])
                 sound.writeframes(np.repeat(frames[first : first + _BLOCK], held).tobytes())

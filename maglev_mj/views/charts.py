@@ -133,6 +133,7 @@ def _boundary(period: float, delay: float, mass: float) -> tuple[Array, Array]:
 
 _ROUNDING = 1e-6
 _LEAST_GAIN = 1e-3
+_LEAST_TIME = 0.2  # shown of a run that has just begun [s]
 
 Range: TypeAlias = tuple[float, float]
 
@@ -200,7 +201,8 @@ class Charts:
         position, speed = 1e3 * rows[:, 1 + axis], 1e3 * rows[:, 7 + axis]
         device, hand = rows[:, 13 + axis], rows[:, 19 + axis]
         walls = [edge * 1e3 for index, _, edge in snapshot.faces if index == axis]
-        name, unit, across = AXES[axis], unit_of("mm", axis), (-SHOWN, 0.0)
+        past = now - snapshot.history[0, 0] if len(rows) else 0.0
+        name, unit, across = AXES[axis], unit_of("mm", axis), (-round_up(min(max(past, _LEAST_TIME), SHOWN)), 0.0)
         before = snapshot.first
         places, speeds = self._places(position, walls, 1e3 * before[:, 1 + axis]), self._speeds(speed)
         kind = f"{'torque about' if axis > 2 else 'force on'} {name} [{unit_of('N', axis)}]"

@@ -148,7 +148,8 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
 def _time(snapshot: Snapshot) -> str:
     """Return the time and its pace."""
     whole = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
-    return ", ".join(filter(None, (f"{snapshot.time:.1f}{whole} s", pace(snapshot))))
+    digits = 3 if snapshot.time_scale < 1.0 else 1
+    return ", ".join(filter(None, (f"{snapshot.time:.{digits}f}{whole} s", pace(snapshot))))
 
 
 def _force(name: str, wrench: Array, colour: Colour, note: str = "") -> Reading:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import struct
+import subprocess
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Self
 
@@ -14,13 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.errors import ParameterError, check_one_of, require
+from maglev_mj.frames import Array
 from maglev_mj.lazy import mujoco
 from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import interrupts_held
+from maglev_mj.recording.recording import write_sound
 from maglev_mj.scenes import Scene
-from maglev_mj.session import Pacer, Session, Snapshot
+from maglev_mj.session import TIME_SCALES, Pacer, Session, Snapshot
+from maglev_mj.terminal import say
 from maglev_mj.views.magnifier import MAGNIFICATIONS
 from maglev_mj.views.window.backend import NEEDS, DisplayError, drawing_library
 from maglev_mj.views.window.layout import Area
@@ -202,11 +207,21 @@ def _context(width: int, height: int, library: str) -> Any:
 _FOR_EVER = 3600.0
 
 
+def slow_motion(seconds: float) -> float:
+    """Return the time scale of a clip of so many simulated seconds.
+
+    It is 1 from a second on, and else one of TIME_SCALES at which the clip lasts 4 s at least.
+    """
+    slow = [scale for scale in TIME_SCALES if seconds / scale >= 4.0]
+    return 1.0 if seconds >= 1.0 else max(slow, default=TIME_SCALES[0])
+
+
 def render(
     scene: Scene,
     path: Path,
     *,
     seconds: float | None = None,
+    time_scale: float | None = None,
     width: int = 1200,
     height: int = 750,
     rate: int = 20,
@@ -216,12 +231,13 @@ def render(
 ) -> int:
     """Run a scene and write a picture or clip.
 
-    The scripted hand moves the flotor.
+    The scripted hand moves the flotor. An MP4 file has the force as sound, slowed as its pictures are.
 
     Args:
         scene: The scene.
         path: File with the ending .png, .gif or .mp4.
-        seconds: Time of the picture, or duration of the clip [s]; None for half the run, or all of it.
+        seconds: Simulated time of the picture, or of the whole clip [s]; None for half the run, or all of it.
+        time_scale: Simulated time for each second of a clip, 0.001 to 1; None for `slow_motion`.
         width: Width [pixels].
         height: Height [pixels].
         rate: Frames per second of a clip.
@@ -245,14 +261,21 @@ def render(
         hand=scene.scripted_hand() or SpringHand(),
         pacer=Pacer(budget=_FOR_EVER, patience=_FOR_EVER),  # no hurry
     )
-    drawn = max(round(end * rate), 1) if moving else 1
+    if time_scale is None:
+        time_scale = slow_motion(end) if moving else 1.0
+    session.change({"time_scale": time_scale})
+    drawn, forces = max(round(end * rate / time_scale), 1) if moving else 1, list[Array]()
     with OffscreenPainter(scene, width, height, plots=plots, factor=magnify) as painter, engine_warnings_silenced():
         painter.wait(session.snapshot())
         if not moving:
-            session.tick(end)
+            session.tick(end / time_scale)
             write_picture(painter.picture(session.snapshot()), path)
         else:
-            write_clip(_pictures(session, painter, drawn, 1.0 / rate, progress), path, rate)
+            write_clip(_pictures(session, painter, drawn, 1.0 / rate, progress, forces), path, rate)
+    if path.suffix == ".mp4" and forces:
+        sound = BytesIO()
+        write_sound(sound, [(np.concatenate(forces), scene.period / time_scale)], turns=scene.axis_index > 2)
+        _add_sound(path, sound.getvalue(), drawn / rate)
     session.close()
     return drawn
 
@@ -263,8 +286,26 @@ def _pictures(
     count: int,
     step: float,
     progress: Callable[[int, int], object],
+    forces: list[Array],
 ) -> Iterator[Any]:
+    """Yield the pictures; add the wrenches at the samples between them, (N, 6) each."""
     for place in range(count):
         yield painter.picture(session.snapshot())
-        session.tick(step)
+        if ticks := session.tick(step):
+            forces.append(session.snapshot().history[-ticks:, 13:19])
         progress(place + 1, count)
+
+
+def _add_sound(path: Path, sound: bytes, length: float) -> None:
+    """Add a WAV file to a clip of some length [s]; say why if it fails."""
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    partial = path.with_suffix(".partial.mp4")
+    how = f"-c:v copy -c:a aac -af apad -t {length} -loglevel error -y".split()
+    command = [get_ffmpeg_exe(), "-i", str(path), "-i", "pipe:0", *how, str(partial)]
+    told = subprocess.run(command, input=sound, capture_output=True)
+    if told.returncode:
+        say(f"  {path} is silent: {told.stderr.decode(errors='replace').partition(chr(10))[0]}")
+        partial.unlink(missing_ok=True)
+    else:
+        partial.replace(path)
