@@ -4,6 +4,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,18 +12,19 @@ import numpy as np
 import pytest
 
 from maglev_mj.analysis.report import analyse
+from maglev_mj.cli import main
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants import Sensor, SpotSensor, Timing
-from maglev_mj.plants.hand import RecordedHand
-from maglev_mj.recording import ArrayFile
-from maglev_mj.recording.verify import verify
+from maglev_mj.plants.hand import GuidedHand, Hand, RecordedHand, Trajectory
+from maglev_mj.recording import ArrayFile, OwnCodeError, Recording
+from maglev_mj.recording.verify import first_other_answer, verify
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, KEPT, Pacer, Session, Snapshot, live_plant
-from maglev_mj.session.replay import Replay, rebuild, rebuild_for
+from maglev_mj.session.replay import OwnCode, Replay, expected, rebuild, rebuild_for, stick_positions_of
 from maglev_mj.session.stretch import _MOST_STATES
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.charts import Charts
@@ -181,6 +183,63 @@ def test_no_more_than_a_minute_is_kept_whatever_is_changed() -> None:
     assert shown.scene == past._states[0][1].scene != Joystick(stiffness=3199.0)
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".mcap"])
+@pytest.mark.parametrize("make", [Joystick, Rough, Spots, find_scene("table")], ids=lambda one: one.name)
+def test_a_recording_of_many_rewinds_is_checked_to_the_last_bit(
+    make: type[Scene], suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, random = tmp_path / f"run{suffix}", np.random.default_rng(11)
+    session = made(make(), record=path)
+    for turn in range(7):
+        played(session, random.uniform(0.1, 0.5))
+        if turn == 4:
+            session.act("centre")  # forgets all before
+        elif turn % 3 == 1:  # the next one may go back before it
+            session.change({"delay": 0.0018 + 1e-4 * turn})
+            played(session, 0.2)
+        session.rewind(random.uniform(*session._past.bounds(session.snapshot().time)), again=bool(turn % 2))
+    for back in 0.2, 0.05:  # into the part before, of which no state is kept in between
+        session.rewind(played(session, 0.25).snapshot().time - back)
+    played(session, 0.3)
+    session.rewind(session.snapshot().time)  # not at all
+    session.rewind(session._past.bounds(1.0)[0])  # to the start, after which a plant is as new
+    played(session, 0.1)
+    session.close()
+    recording = Recording.load(path)
+    leads = [0 if one.before is None else len(one.whole) - len(one) for one in recording.stretches]
+    assert len(leads) > 8 and sum(map(bool, leads)) > 4 and not leads[-1]
+    assert any(one.before is not None and one.before.before is not None for one in recording.stretches)
+    assert first_other_answer(recording, rebuild, 10) is None
+    assert main(["replay", str(path), "--check"]) == 0
+    said, count = " ".join(capsys.readouterr().out.split()), len(leads)
+    assert f"{recording.ticks} of {recording.ticks} the same: tick, time, position" in said and "cannot" not in said
+    assert f"{count} of {count} the same: period, delay, carried, inertia, load, before, faces, hand_recorded" in said
+
+
+def test_a_rewind_before_a_change_takes_its_scripted_hand_along_and_sticks_alike() -> None:
+    file, hand = ArrayFile(), Hand(mass=0.1, damping=4.0, stiffness=1500.0, axes="x")
+    path = Trajectory([0.0, 0.3, 0.5, 0.9], [[place, 0.0, 0.0, 0.0, 0.0, 0.0] for place in (0.0, 3e-3, 0.0, 2e-3)])
+    session = made(find_scene("table")(), file=file, hand=GuidedHand(hand=hand, path=path))
+    session.tick(0.5)
+    session.change({"delay": 0.0016})  # a hand's path begins again
+    session.tick(0.6)
+    session.rewind(0.3, again=True)
+    run_to(session, 1.2)
+    session.close()
+    first, _, again = file.recording.stretches
+    verdict = verify(file.recording, rebuild, expect=expected)
+    assert verdict.same and verdict.fields["hand"].compared == len(first) + len(file.recording.stretches[1])
+    firsts, sticks = stick_positions_of(first), stick_positions_of(again)
+    assert firsts is not None and sticks is not None and sticks[:40].tobytes() == firsts[60:].tobytes()
+    shown = Replay(file.recording)
+    shown.change({"time": 1.2})
+    for _ in range(3):
+        shown.tick(0.0)
+    place = shown.snapshot().tick - len(first) - len(file.recording.stretches[1])
+    anchors = shown.snapshot().anchors
+    assert anchors is not None and anchors.tobytes() == sticks[place].tobytes()
+
+
 def test_a_recording_goes_on_and_loses_nothing() -> None:
     file = ArrayFile()
     session = played(made(file=file), 1.0)
@@ -196,10 +255,27 @@ def test_a_recording_goes_on_and_loses_nothing() -> None:
     again = recording.stretches[1]
     assert again.metadata.before.tobytes() == recording.stretches[0].applied[79].tobytes()
     assert again.position.tobytes() == recording.stretches[0].position[80:].tobytes()
-    assert rebuild_for(again) is None  # it has begun before: only the other two are whole runs
-    assert all(verify(replace(recording, stretches=[recording.stretches[place]]), rebuild).same for place in (0, 2))
-    assert len(analyse(again, None).recorded.motion.time) == 120
+    assert verify(recording, rebuild).same
+    report = analyse(again, rebuild_for(again))
+    assert len(report.recorded.motion.time) == 120 and report.comparison is not None and report.comparison.same
     assert Replay(recording).snapshot().duration == pytest.approx(1.9)
+    wrong = again.replace(position=again.position + 1e-12 * (again.tick == 100.0)[:, None])
+    first, alone = recording.stretches[0], replace(again, before=None)
+    assert verify(Recording([first, wrong]), rebuild).first == (1, 100)
+    assert verify(Recording([first[:79], alone]), rebuild).first == (1, 80)
+    assert rebuild_for(alone) is None and analyse(alone).as_json()["recorded"] == report.as_json()["recorded"]
+    for stretches in (
+        [alone],
+        [alone, first],
+        [first[100:], alone],
+        [replace(first, setup={**first.setup, "session": None}), alone],
+    ):
+        lost = Recording(stretches)  # with nothing that it goes on from
+        with pytest.raises(OwnCodeError, match="from a sample that is not in the recording"):
+            verify(lost, partial(rebuild, own=OwnCode("joystick", lost)))
+    for broken, said in (("no", "a message must have after"), ({"first": 0.5, "after": None}, "first must be")):
+        with pytest.raises(ParameterError, match=said):
+            Recording([replace(first, setup={**first.setup, "session": broken})])
 
 
 @pytest.mark.parametrize(

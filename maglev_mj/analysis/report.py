@@ -313,8 +313,9 @@ def simulate(stretch: Stretch, motion: Motion, rebuild: Rebuild, scene: type[Sce
         RecordingError: If the setup is not known here.
         ParameterError: If a plant cannot be made at the recorded start.
     """
-    rows = np.round(stretch.tick - stretch.tick[0]).astype(np.intp)
-    plant, controller = rebuild(stretch.setup, RecordedHand(stretch.known_hand))
+    run = stretch.whole
+    rows = np.round(stretch.tick - run.tick[0]).astype(np.intp)
+    plant, controller = rebuild(run.setup, RecordedHand(run.known_hand))
     if plant is None:
         device = recorded_scene(stretch.setup["scene"], stretch.setup["parameters"], scene)
         start = {"pose": motion.trace.pose[motion.starts[0]], "twist": motion.trace.twist[motion.starts[0]]}

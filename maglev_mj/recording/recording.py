@@ -68,6 +68,7 @@ class Stretch:
             it for that reason. The totals, if recorded, are energy absorbed by the rendered world, `taken` [J], work
             of the hand, `hand_work` [J], and samples `missed`, each from the beginning on.
         gaps: Samples missed without a gap in the ticks: row that follows, and number.
+        before: Samples of earlier stretches of the same run, if it goes on from them after a rewind; else None.
         metadata: Metadata of the setup.
 
     Raises:
@@ -77,6 +78,7 @@ class Stretch:
     setup: Setup
     arrays: Mapping[str, Array]
     gaps: Sequence[tuple[int, int]] = ()
+    before: Stretch | None = None
     metadata: RunMetadata = field(init=False)
 
     def __post_init__(self) -> None:
@@ -95,6 +97,17 @@ class Stretch:
         totals = {one.name for one in TOTALS}
         arrays = {name: values[rows] for name, values in self.arrays.items() if name not in totals}
         return replace(self, arrays=arrays, gaps=())
+
+    @property
+    def whole(self) -> Stretch:
+        """The run since its plant and controller were made: with the samples before it."""
+        if self.before is None:
+            return self
+        parts = [self]
+        while (part := parts[0].before) is not None:
+            parts.insert(0, part)
+        arrays = {name: np.concatenate([part.arrays[name] for part in parts]) for name in _RECORDED}
+        return Stretch(setup={**parts[0].setup, "run": self.setup["run"]}, arrays=arrays)
 
     @property
     def known_hand(self) -> Array:
@@ -137,6 +150,7 @@ class Recording(Result):
 
     def __post_init__(self) -> None:
         check_instance("stretches", self.stretches, list | tuple, "a list of Stretch, as Recording.load(FILE) reads")
+        object.__setattr__(self, "stretches", _joined(self.stretches))
 
     def samples(self, fields: Sequence[str] = _RECORDED) -> Samples:
         """Return fields of all samples as arrays; NaN for totals that were not recorded."""
@@ -218,6 +232,22 @@ class Recording(Result):
     def ticks(self) -> int:
         """Total number of samples."""
         return sum(len(stretch) for stretch in self.stretches)
+
+
+def _joined(stretches: Sequence[Stretch]) -> list[Stretch]:
+    """Return the stretches of a session, each with the samples that it goes on from."""
+    joined: list[Stretch] = []
+    begun: list[tuple[int, Stretch]] = []
+    for one in stretches:
+        if (session := one.setup.get("session")) is not None:
+            after = value_in(session, "after")
+            if after is not None and (known := [part for part in begun if part[0] <= whole("after", after)]):
+                part = known[-1][1]
+                if count := int(np.searchsorted(part.tick, one.tick[0])):
+                    one = replace(one, before=part[:count])
+            begun.append((whole("first", value_in(session, "first")), one))
+        joined.append(one)
+    return joined
 
 
 def _read(path: Path | str, names: frozenset[str] | None = None) -> Recording:

@@ -78,6 +78,7 @@ def setup_of(
     source: str | None = None,
     parameters: Mapping[str, Any] | None = None,
     samples: int | None = None,
+    session: Mapping[str, int | None] | None = None,
     **metadata: Any,
 ) -> dict[str, Any]:
     """Return the setup of a run before its first sample.
@@ -92,6 +93,8 @@ def setup_of(
         source: Hash of the scene's file; None for none.
         parameters: Parameters of the run by name, ready for JSON.
         samples: Number of samples unless the run fails before; None if not known.
+        session: Numbers in a session of the `first` sample, and of that `after` which it goes on, None for a run of its
+            own; see `Stretch.before`.
         metadata: Values in place of those of plant and controller: see `RunMetadata.of`.
 
     Raises:
@@ -109,6 +112,8 @@ def setup_of(
         "plant": _description("plant", plant),
         "run": RunMetadata.of(plant, controller, **metadata).as_json(),
     }
+    if session is not None:
+        setup["session"] = session
     return dict(check_setup(setup))
 
 

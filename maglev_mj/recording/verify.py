@@ -135,7 +135,7 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
     check_instance("recording", recording, Recording, READ)
     verdicts: dict[str, FieldVerdict] = {}
     for place, stretch in enumerate(recording.stretches):
-        for name, values, again in _fields(stretch, rebuild, expect(stretch.setup) if expect else Expected()):
+        for name, values, again in _fields(stretch, rebuild, expect or (lambda _: Expected())):
             same = np.ones(0, np.bool_) if again is None else _same(values, again)
             verdicts[name] = _added(verdicts.get(name, FieldVerdict(0, 0, None)), same, place, stretch.tick)
     return Verdict(recording.ticks, verdicts, recording.damage)
@@ -156,7 +156,8 @@ def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tup
     """
     for place, stretch in enumerate(recording.stretches):
         part = stretch[:most]
-        answers = _answers(part, rebuild(part.setup, None)[1])
+        whole = part.whole
+        answers = _answers(whole, rebuild(whole.setup, None)[1])[-len(part) :]
         same = {field.name: _same(part.arrays[field.name], answers[field.name]) for field in _COMMANDED}
         first = {name: int(np.argmin(one)) for name, one in same.items() if not one.all()}
         if first:
@@ -184,25 +185,29 @@ def _same(recorded: Array, again: Array) -> Mask:
     return np.asarray(good.all(axis=1))
 
 
-def _fields(stretch: Stretch, rebuild: Rebuild, expected: Expected) -> Iterator[_Field]:
+def _fields(stretch: Stretch, rebuild: Rebuild, expect: Callable[[Setup], Expected]) -> Iterator[_Field]:
     """Yield name, recorded and replayed values of each field.
 
     None in place of values that are not replayed.
     """
-    _, controller = rebuild(stretch.setup, None)
-    plant, other = rebuild(stretch.setup, None if expected.scripted else RecordedHand(stretch.known_hand))
+    whole = stretch.whole
+    expected = expect(whole.setup)
+    if stretch.before is not None:  # after a rewind a recorded hand may act again
+        expected = expected._replace(scripted=False)
+    _, controller = rebuild(whole.setup, None)
+    plant, other = rebuild(whole.setup, None if expected.scripted else RecordedHand(whole.known_hand))
     metadata = _metadata(stretch, plant, controller, expected)
-    seen, failed = (None, False) if plant is None else _seen(plant, other, len(stretch))
+    seen, failed = (None, False) if plant is None else _seen(plant, other, len(whole))
     if expected.samples is not None:
         count = float(len(stretch))
         yield "samples", np.array([count]), np.array([count if failed else float(expected.samples)])
-    answers = _answers(stretch, controller)
+    answers = _answers(whole, controller)
     for field in (field for array in ARRAYS.values() for field in array):
         recorded = stretch.arrays[field.name]
         if not is_recorded(field, recorded):
             continue
         again = answers if field in _COMMANDED else seen if field.name != "hand" or expected.scripted else None
-        yield field.name, recorded, None if again is None else again[field.name]
+        yield field.name, recorded, None if again is None else again[field.name][-len(recorded) :]
     if all(field.name in stretch.arrays for field in TOTALS):
         for field, totals in zip(TOTALS, _totals(stretch).T, strict=True):
             yield field.name, stretch.arrays[field.name], totals
@@ -218,6 +223,8 @@ def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controll
         metadata = RunMetadata.of(plant, controller)
         values |= {name: getattr(metadata, name) for name in names if name not in (*values, "hand_recorded")}
         values["hand_recorded"] = plant.held if expected.scripted else None
+    if stretch.before is not None:
+        values["before"] = stretch.before.applied[-1]
     values |= expected.metadata
     return [(name, *_rows(getattr(recorded, name), values.get(name))) for name in names]
 

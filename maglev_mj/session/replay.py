@@ -158,6 +158,8 @@ def rebuild(
 
 
 def _controller(setup: Setup, own: OwnCode | None) -> Controller:
+    if (setup.get("session") or {}).get("after") is not None:
+        raise OwnCodeError("a stretch goes on, after a rewind, from a sample that is not in the recording")
     if own is None or own.scene is None or not setup.get("scene"):
         return controller_again(setup, own)
     with refused(*_INVALID):
@@ -191,7 +193,7 @@ def rebuild_for(stretch: Stretch, own: OwnCode | None = None) -> Rebuild | None:
         own: User code allowed to run.
     """
     try:
-        _controller(stretch.setup, own)
+        _controller(stretch.whole.setup, own)
     except OwnCodeError:
         return None
     return partial(rebuild, own=own)
@@ -357,7 +359,7 @@ def shown_scene(setup: Setup, metadata: RunMetadata, own: OwnCode | None = None)
 
 
 def stick_positions(stretch: Stretch, again: Rebuild | None = rebuild) -> Iterator[Array]:
-    """Yield the stick positions at each sample [m, rad], (6,).
+    """Yield the stick positions at each sample of a stretch's whole run [m, rad], (6,).
 
     They are as seen by the controller; there are none without friction.
 
@@ -367,10 +369,11 @@ def stick_positions(stretch: Stretch, again: Rebuild | None = rebuild) -> Iterat
     """
     if again is None:
         return
-    _, controller = again(stretch.setup, None)
-    for first in range(0, len(stretch), _CHUNK):  # as lists, a long stretch would take a second and much memory
+    whole = stretch.whole
+    _, controller = again(whole.setup, None)
+    for first in range(0, len(whole), _CHUNK):  # as lists, a long stretch would take a second and much memory
         part = slice(first, first + _CHUNK)
-        for tick, place in zip(stretch.tick[part].tolist(), stretch.position[part].tolist(), strict=True):
+        for tick, place in zip(whole.tick[part].tolist(), whole.position[part].tolist(), strict=True):
             controller.step(Sample(int(tick), 0.0, place))
             if (found := controller.stick_positions) is None:
                 return
@@ -382,7 +385,7 @@ def stick_positions_of(stretch: Stretch, again: Rebuild | None = rebuild) -> Arr
 
     None without friction. See `stick_positions`.
     """
-    positions = list(stick_positions(stretch, again))
+    positions = list(stick_positions(stretch, again))[-len(stretch) :]
     return np.array(positions) if positions else None
 
 
@@ -581,7 +584,7 @@ class _Shown:
         else:
             work = hand_work(stretch.position, stretch.hand).sum(axis=1)
             self.work = np.concatenate([[0.0], np.cumsum(work)])
-        self._sticking = stick_positions(stretch, self._again)
+        self._sticking, self._lead = stick_positions(stretch, self._again), len(stretch.whole) - len(stretch)
         self._anchors: list[Array] = []
 
     def find_sticking(self) -> None:
@@ -593,7 +596,8 @@ class _Shown:
 
         None without friction, or if they are not found yet.
         """
-        return self._anchors[row] if row < len(self._anchors) else None
+        place = self._lead + row
+        return self._anchors[place] if place < len(self._anchors) else None
 
     def history(self, low: int, high: int) -> Array:
         """Return motion and forces of a range of samples.

@@ -406,7 +406,8 @@ class Session:
         self._acting = HandAgain(rows, end, lambda: self._stretch.time, self._hand) if again else self._hand
         if self._scene == self._stretch.scene:
             self._changed = False
-            self._stretch.begin(self._acting, self._recorder.whole)
+            self._stretch.begin(self._acting, self._recorder.whole, self._ticks)
+            self._past.keep(self._stretch)  # with where this part begins
         else:
             self._go_on()
 
@@ -512,6 +513,7 @@ class Session:
             wrench=wrench,
             file=self._recorder.whole,
             began=began,
+            first=self._since,
             keep=self._past.history.add,
         )
         self._past.keep(stretch)

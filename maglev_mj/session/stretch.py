@@ -64,6 +64,7 @@ class LiveStretch:
         wrench: Coil wrench until the first command takes effect [N, N m].
         file: Recording of every sample; None for none.
         began: Session time at the start [s].
+        first: Number of its first sample in the session.
         keep: Called after each tick with a row of history, see `History.add`.
 
     Attributes:
@@ -84,6 +85,7 @@ class LiveStretch:
         wrench: Sequence[float],
         file: RecordingFile | None,
         began: float,
+        first: int,
         keep: Callable[..., object],
     ) -> None:
         self.plant = live_plant(scene, hand, pose=pose, twist=twist, wrench=wrench)
@@ -96,14 +98,33 @@ class LiveStretch:
         self.pose, self.twist = np.array(pose, dtype=np.float64), np.array(twist, dtype=np.float64)
         self.force: Sequence[float] = wrench
         self.pulsed = False
-        self.begin(hand, file)
+        self._parts: list[tuple[int, int]] = []
+        self.begin(hand, file, first)
 
-    def begin(self, hand: HandForce, file: RecordingFile | None) -> None:
-        """Go on by a hand, recorded from here on; None for no file."""
-        self.plant.hold(hand)
-        name, record = f"scene {self.scene.name}", None
+    def begin(self, hand: HandForce, file: RecordingFile | None, first: int) -> None:
+        """Go on by a hand, recorded from here on.
+
+        Args:
+            hand: The hand.
+            file: The recording; None for none.
+            first: Number of the next sample in the session, whose numbers go up through all rewinds.
+        """
+        # by tick; one at which nothing was answered before a rewind is none
+        self._parts = [part for part in self._parts if part[0] < self.ticks]
+        after = self._parts[-1][1] + self.ticks - self._parts[-1][0] - 1 if self._parts else None
+        self._parts.append((self.ticks, first))
+        record = None
         if file is not None:
-            record = begin_scene(file, self.scene, self.plant, self.controller, name=name, before=self.force)
+            about = {
+                "name": f"scene {self.scene.name}",
+                "before": self.force,
+                "session": {"first": first, "after": after},
+            }
+            record = begin_scene(file, self.scene, self.plant, self.controller, **about)
+        self._go_on(hand, record)
+
+    def _go_on(self, hand: HandForce, record: Record | None) -> None:
+        self.plant.hold(hand)
         self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
 
     def tick(self) -> None:
@@ -121,7 +142,7 @@ class LiveStretch:
         restore(states)
         self.plant.restore(plant)
         again = iter(efforts)
-        self.begin(lambda *_: next(again), None)
+        self._go_on(lambda *_: next(again), None)
         for _ in efforts:
             self.tick()
 
