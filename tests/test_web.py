@@ -108,9 +108,10 @@ def test_the_page_is_for_its_own_origin_and_host() -> None:
         page = ask(server)
         assert page.status == 200 and "<html" in page.text
         assert upgrade(server) == 101
-        for origin in ("http://evil.example", "null", "http://127.0.0.1:1", "http://127.0.0.1.evil.example", None):
-            assert upgrade(server, origin) == 403
         port = server.get_port()
+        others = "http://evil.example", "null", "http://127.0.0.1:1", "http://127.0.0.1.evil.example"
+        for origin in (*others, f"http://127x0x0x1:{port}", None):
+            assert upgrade(server, origin) == 403
         for host in (f"evil.example:{port}", f"127.0.0.1.evil.example:{port}", f"127.0.0.2:{port}", ""):
             assert ask(server, Host=host).status == 403
         assert ask(server, Origin="http://evil.example").status == 403
@@ -139,6 +140,7 @@ def test_a_token_is_shown_once_and_kept_as_a_cookie_that_scripts_and_other_sites
         assert page.status == 200 and page.headers["Referrer-Policy"] == "no-referrer"
         assert {"HttpOnly", "SameSite=Strict"} <= set(cookie.split("; ")[1:])
         kept = cookie.split(";")[0]
+        assert kept == f"maglev_mj_{server.get_port()}={TOKEN}"  # browsers do not keep cookies apart by the port
         assert ask(server, Cookie=kept).status == 200 and upgrade(server, Cookie=f"a=b; {kept}") == 101
         assert upgrade(server, Cookie=kept.replace(TOKEN, "wrong")) == 403
         assert upgrade(server, "http://evil.example", Cookie=kept) == 403
@@ -156,6 +158,7 @@ def test_the_page_has_a_title_an_icon_and_a_layout_of_its_own() -> None:
                 head.count('<link rel="icon"') == 1 and f'button[style*="{hex_of(BAD)}"]' in head
             )  # the stop's colour
             assert int(page.headers["Content-Length"]) == len(page.text.encode())
+            assert page.text.rstrip().endswith("</html>")
 
 
 def test_a_server_that_starts_without_the_door_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -491,6 +494,11 @@ def test_a_target_glides_and_a_silent_line_lets_go() -> None:
         shares.append(hand.target[0])
         now[0] += 0.0125
     assert shares == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0, 1.0])
+    now[0] += 0.2
+    glide.aim([2.0] * 6)  # after a pause it takes no longer
+    now[0] += 0.025
+    glide.move(hand)
+    assert hand.target == pytest.approx([1.5] * 6)
     now[0] += SILENCE
     glide.move(hand)
     assert hand.target is None

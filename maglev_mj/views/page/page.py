@@ -260,7 +260,5 @@ def _serve(door: Door, listener: socket.socket, options: Mapping[str, bool], sou
     server = PageServer(door, listener)
     try:
         Page(server, source, **options).run()
-    except MaglevError:
-        pass  # the source has ended, and says why
     finally:
         server.stop()
