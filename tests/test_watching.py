@@ -28,7 +28,7 @@ from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Session, Snapshot, device_actions
-from maglev_mj.views.remote import Inbox, RemoteSession, RemoteViewer
+from maglev_mj.views.remote import Inbox, RemoteSession, RemoteViewer, show_remotely
 from maglev_mj.views.window.keys import keys_of
 from maglev_mj.views.window.window import show
 from tests.processes import Program, started
@@ -275,6 +275,19 @@ def test_a_scene_that_has_started_again_is_shown_from_its_beginning() -> None:
     for times in ([0.9, 1.0], [0.005, 0.01], [0.01, 0.015]):
         viewer.show(replace(blank, time=times[-1], history=np.full((2, 25), 1.0) * np.array(times)[:, None]))
     assert [shown.history[:, 0].tolist() for shown in viewer.sent] == [[0.9, 1.0], [0.005, 0.01], [0.015]]
+
+
+def test_where_a_recording_has_jumped_few_rows_are_sent_and_the_newest_of_them() -> None:
+    viewer, rows = ViewerHere(Joystick()), np.zeros((5000, len(SampledMotion().history.rows.T)))
+    rows[:, 0] = 0.005 * np.arange(5000)
+    viewer.show(Snapshot(scene=Joystick(), time=25.0, history=rows))
+    sent = viewer.sent[0].history[:, 0]
+    assert 350 <= len(sent) <= 400 and sent[-1] == rows[-1, 0] and np.ptp(np.diff(sent)) < 1e-9
+
+
+def test_a_page_whose_process_ends_ends_the_session() -> None:
+    with pytest.raises(MaglevError, match="the process that shows the scene has ended"):
+        show_remotely(Session(), id, 60.0)
 
 
 def test_a_folder_that_takes_no_recording_ends_no_session() -> None:
