@@ -43,6 +43,7 @@ _NOISE = {"mm": 1e-3, "mrad": 1e-3, "mm/s": 0.1, "mrad/s": 0.1, "N": 1e-3, "N m"
 
 _FLAT = 1e-3  # likewise, as a share of the value
 _COLUMNS = 3  # of a grid
+_LARGE, _MANY = 300_000, 1000  # size of an SVG [bytes], and points of a curve, which is then drawn as pixels
 _SHOWN = 100.0  # resolution in a notebook [dots per inch]
 _WORDS = 9.0  # size of a legend's words [pt]
 _UNDER = 36.0  # what stands between a panel and its legend: ticks, their numbers, the axis' name [pt]
@@ -224,11 +225,16 @@ def save(figure: Any, path: Path | None) -> Any: ...
 def save(figure: Any, path: Path | None) -> Any:
     """Write the figure in its path's format; return the path.
 
-    Without a path, return the figure.
+    Long curves of an SVG that would be large are pixels. Without a path, return the figure.
     """
     if path is None:
         return figure
-    figure.savefig(path, dpi=150 if path.suffix == ".png" else 110)  # of the bands among curves
+    dpi = 150 if path.suffix == ".png" else 110  # of the pixels among curves
+    figure.savefig(path, dpi=dpi)
+    if path.suffix == ".svg" and path.stat().st_size > _LARGE:
+        for line in (line for panel in figure.axes for line in panel.lines if len(line.get_xdata()) > _MANY):
+            line.set_rasterized(True)
+        figure.savefig(path, dpi=dpi)
     return path
 
 

@@ -15,7 +15,7 @@ from maglev_mj.bridge.fault import load_black_box
 from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
-from maglev_mj.pictures import FORMATS, Panel, broken, name_curves, new_figure, new_grid, small_multiples
+from maglev_mj.pictures import FORMATS, Panel, broken, name_curves, new_figure, new_grid, save, small_multiples
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.pictures import _even
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
@@ -126,6 +126,14 @@ def test_a_chart_of_a_command_can_be_read(
     monkeypatch.chdir(tmp_path)  # a sweep keeps its cells there
     assert main([*command.split(), "--out", str(tmp_path)]) == 0
     assert figures and [complaints(figure) for figure in figures] == [[]] * len(figures)
+
+
+@pytest.mark.parametrize(("points", "pixels"), [(50_000, True), (500, False)])
+def test_a_curve_of_many_points_is_small_in_an_svg(points: int, pixels: bool, tmp_path: Path) -> None:
+    figure, (panel,) = new_figure(1, 1, 3.0)
+    panel.plot(np.random.default_rng(1).normal(size=points), ".")
+    text = save(figure, tmp_path / "noise.svg").read_text()
+    assert len(text) < 300_000 and ("image/png" in text) is pixels
 
 
 def test_a_curve_has_a_gap_at_a_jump_and_none_at_a_slope() -> None:
