@@ -143,11 +143,13 @@ class Lever(Parameters):
 
 def test_a_parameter_like_another_is_declared_as_it_is_but_for_changes() -> None:
     class Longer(Parameters):
-        length: float = Lever.like("length", default=2.0, at_least=None, above=0.0, at_most=3.0)
+        length: float = Lever.like("length", default=2.0, at_most=3.0)
+        above: float = Lever.like("length", at_least=None, above=0.0)
 
     one = Longer.parameter("length")
     assert (one.help, one.unit, one.along, one.default) == ("arm", "m", True, 2.0)
-    assert one.bounds == {"above": 0.0, "at_most": 3.0} and Lever.parameter("length").default == 0.5
+    assert one.bounds == {"at_least": 0.0, "at_most": 3.0} and Longer.parameter("above").default == 0.5
+    assert Longer.parameter("above").bounds == {"above": 0.0, "at_most": 1.0}
     with pytest.raises(ParameterError, match="parameter must be one of length, ends, range, not 'lenght'"):
         Lever.like("lenght")
 
