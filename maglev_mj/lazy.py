@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from importlib import import_module
-from importlib.util import find_spec
 from types import ModuleType
 
 TYPE_CHECKING = False  # as in typing, whose import would take longer than all else before a program's first line
@@ -45,6 +44,8 @@ else:
 
 def has_engine() -> bool:
     """Return True if MuJoCo is installed: exact plants, laws and theory need none."""
+    from importlib.util import find_spec  # half as long to load as the package's face
+
     return find_spec("mujoco") is not None
 
 

@@ -75,7 +75,7 @@ NEEDS = {
     "linux": Need("Linux", lambda: sys.platform == "linux"),
     "workers": Need("several workers, -n", lambda: "PYTEST_XDIST_WORKER" in os.environ),
 }
-PEERS = {"bdsim", "control", "drake", "mujoco", "pinocchio", "pybullet", "rerun", "scipy"}
+PEERS = {"bdsim", "control", "drake", "mujoco", "pinocchio", "pybullet", "rerun", "scipy", "xarray"}
 """Others' programs, which `make test` does not install."""
 
 

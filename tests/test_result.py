@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from functools import cache
 from typing import Any
 
@@ -177,6 +178,16 @@ def test_a_figure_knows_the_unit_without_its_prefix(unit: str, scale: float, wan
     assert Figure("any", lambda result: 0.0, unit, scale=scale).si_unit == wanted
 
 
+@pytest.mark.needs("xarray")
+def test_a_sweep_is_a_data_set_over_its_parameters_with_units() -> None:
+    found: Any = results()["sweep"]
+    data = found.to_xarray()
+    assert data["penetration"].sel(stiffness=6000.0, damping=70.0).item() == found.figure("penetration")[1, 1]
+    assert {data[name].attrs["units"] for name in ("damping", "peak_force")} == {"N s/m", "N"}
+    pressed = sweep(Press(), {"stiffness": [4000.0]}, plant="exact")  # some of its figures are a number for each hit
+    assert set(pressed.units) > set(pressed.to_xarray().variables)
+
+
 def test_a_sweep_has_a_row_for_each_cell_and_a_line_for_each_value() -> None:
     found: Any = results()["sweep"]
     frame = found.to_pandas()
@@ -272,6 +283,9 @@ def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> 
         one.to_pandas()
     with pytest.raises(MissingPackageError, match=r"pictures need matplotlib: .* -m pip install 'matplotlib>="):
         one.plot()
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(MissingPackageError, match="a data set needs xarray: pip install xarray"):
+        results()["sweep"].to_xarray()  # type: ignore[attr-defined]
 
 
 def test_text_in_a_table_is_no_markup() -> None:

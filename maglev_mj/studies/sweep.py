@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, ClassVar, SupportsIndex, TypeAlias
 
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import maglev_mj
-from maglev_mj.errors import MaglevError, ParameterError, check_instance, check_one_of
+from maglev_mj.errors import MaglevError, MissingPackageError, ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.parameters import parsed_number
 from maglev_mj.result import Result, Table, plain
@@ -84,13 +85,26 @@ class Sweep(Result):
         """Return the columns as a data frame, their units in its `attrs["units"]`.
 
         Args:
-            indexed: True for an index by parameter; `.to_xarray()` of that frame is a data set, where xarray is.
+            indexed: True for an index by parameter.
 
         Raises:
             MissingPackageError: If pandas is not installed.
         """
         frame = super().to_pandas()
         return frame.set_index([*self.varied]) if indexed else frame
+
+    def to_xarray(self) -> Any:
+        """Return the figures as an `xarray.Dataset` over the parameters, each variable with its `units`.
+
+        Raises:
+            MissingPackageError: If xarray or pandas is not installed.
+        """
+        if find_spec("xarray") is None:
+            raise MissingPackageError("a data set needs xarray: pip install xarray")
+        data = self.to_pandas(indexed=True).to_xarray()
+        for name in self.units.keys() & data.variables.keys():
+            data[name].attrs["units"] = self.units[name]
+        return data
 
     @property
     def units(self) -> dict[str, str]:
