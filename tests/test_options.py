@@ -128,6 +128,7 @@ NEEDED = {
     "fidelity": "drop",
     "bridge": "udp://127.0.0.1:9",
     "estop": "udp://127.0.0.1:9",
+    "lessons": "lessons",
     "commission": "udp://127.0.0.1:9 spots",
     "conform": "udp://127.0.0.1:9",
     "fault": "a.json",
