@@ -12,7 +12,7 @@ import pytest
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.interop.spacenav.mapping import Mode, Navigation, Navigator
+from maglev_mj.interop.spacenav.mapping import Navigation, Navigator
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes.rooms import CENTRING, WEIGHT, Joystick
 from maglev_mj.session import live_plant
@@ -23,7 +23,6 @@ FRAME = 1.0 / 60.0
 EDGE, SCALE, GAIN, GIVE = 0.0025, 1.0, 10.0, 2.0 / 6000.0
 SLIDES = np.full(6, np.nan)
 LONG = 0.1  # enough for a push to count
-POSITION, RATE = Mode.POSITION, Mode.RATE
 
 
 def along(x: float) -> Array:
@@ -93,12 +92,12 @@ def test_the_slave_never_jumps_whatever_the_hand_does(seed: int, friction: bool)
         elapsed = random.uniform(0.0, 2.0 * FRAME)
         moved = navigator.move(pose, anchors if friction else None, elapsed)
         beyond = pose - edge * np.sign(pose)
-        rate = np.array([mode is RATE for mode in navigator.modes])
-        seen |= set(navigator.modes)
+        rate = navigator.rates
+        seen |= set(rate.tolist())
         assert (moved == np.where(rate, gain * beyond * elapsed, scale * (pose - before))).all()
         assert (np.abs(pose[rate]) > edge[rate]).all()
         total = total + moved
-    assert seen == {POSITION, RATE}
+    assert seen == {False, True}
     assert (navigator.slave == total).all()
 
 
@@ -109,10 +108,8 @@ def test_the_mode_follows_the_stretch_of_the_spring_with_hysteresis(side: float)
     modes = []
     for share in shares:
         navigator.move(along(side * (0.003 + share * GIVE)), stuck(side * 0.003), LONG)
-        modes.append(navigator.modes[0])
-    assert [mode is RATE for mode in modes] == [
-        share in (0.26, 0.9, 0.11) or place == 5 for place, share in enumerate(shares)
-    ]
+        modes.append(navigator.rates[0])
+    assert modes == [share in (0.26, 0.9, 0.11) or place == 5 for place, share in enumerate(shares)]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -123,7 +120,7 @@ def test_what_the_device_gives_tells_how_hard_the_hand_pushes_where_it_is_known(
     modes = []
     for share in shares:
         navigator.move(along(side * 0.003), stuck(side * 0.003), LONG, along(-side * share * 2.0))
-        modes.append(navigator.modes[0] is RATE)
+        modes.append(navigator.rates[0])
     assert modes == [False, False, True, True, True, True, False, False, True, False, False]
 
 
@@ -132,7 +129,7 @@ def test_a_push_counts_where_it_lasts_for_a_tenth_of_a_second() -> None:
     navigator, modes = sliding(0.003), []
     for share in [0.5] * 6 + [0.0] + [0.5] * 9:
         navigator.move(along(0.003 + share * GIVE), stuck(0.003), 1.0 / 64.0)
-        modes.append(navigator.modes[0] is RATE)
+        modes.append(navigator.rates[0])
     assert modes == [False] * 13 + [True] * 3
 
 
@@ -141,8 +138,8 @@ def test_sliding_outward_beyond_the_edge_is_rate_and_inward_is_position() -> Non
     modes = []
     for x in (0.002, 0.003, 0.004, 0.0038, 0.003, 0.0031, 0.001, -0.003, -0.0035, -0.003):
         navigator.move(along(x), SLIDES, FRAME)
-        modes.append(navigator.modes[0])
-    assert [mode is RATE for mode in modes] == [False, True, True, False, False, True, False, True, True, False]
+        modes.append(navigator.rates[0])
+    assert modes == [False, True, True, False, False, True, False, True, True, False]
 
 
 def test_an_axis_that_has_never_stuck_has_no_friction_and_is_rate_beyond_the_edge() -> None:
@@ -152,7 +149,7 @@ def test_an_axis_that_has_never_stuck_has_no_friction_and_is_rate_beyond_the_edg
     navigator.move(np.zeros(6), table, 0.0)
     navigator.move([0.003, 0.0, 0.003, 0.0, 0.0, 0.0], SLIDES, FRAME)
     navigator.move([0.003, 0.0, 0.003, 0.0, 0.0, 0.0], SLIDES, FRAME)
-    assert (navigator.modes[0], navigator.modes[2]) == (POSITION, RATE)
+    assert navigator.rates[[0, 2]].tolist() == [False, True]
 
 
 def test_a_flotor_put_elsewhere_does_not_move_the_slave() -> None:
@@ -206,7 +203,7 @@ def pushed(
         if time >= len(rows) * EVERY:
             pose, elapsed = plant.state()[0], time - rows[-1][0] if rows else 0.0
             navigator.move(pose, controller.stick_positions, elapsed, given[-1] - np.array(WEIGHT) if forces else None)
-            rows.append((time, pose[0], navigator.slave[0], navigator.modes[0] is RATE))
+            rows.append((time, pose[0], navigator.slave[0], navigator.rates[0]))
     plant.close()
     time, position, slave, rate = np.array(rows).T
     return {"time": time, "position": position, "slave": slave, "rate": rate.astype(bool)}

@@ -6,6 +6,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeAlias
@@ -145,8 +146,7 @@ class Gamepad:
         if not found:
             self.close()
             raise MaglevError(f"no gamepad{f' called {name!r}' if name else ''}")
-        self.name, self._state = found[0], None
-        self._state = _first(self._process)
+        self.name, self._state = found[0], _first(self._process)
 
     def read(self) -> Reading:
         """Return the state; see `InputDevice`."""
@@ -170,12 +170,9 @@ def gamepad_names() -> list[str]:
 
     Empty without a display.
     """
-    process = SideProcess(watch, "")
-    try:
+    with closing(SideProcess(watch, "")) as process:
         found: list[str] = _first(process)
         return found
-    finally:
-        process.close()
 
 
 def gamepad_shares(axes: Sequence[float], turn: float) -> tuple[float, ...]:

@@ -115,12 +115,10 @@ class LiveStretch:
         self._parts.append((self.ticks, first))
         record = None
         if file is not None:
-            about = {
-                "name": f"scene {self.scene.name}",
-                "before": self.force,
-                "session": {"first": first, "after": after},
-            }
-            record = begin_scene(file, self.scene, self.plant, self.controller, **about)
+            session, name = {"first": first, "after": after}, f"scene {self.scene.name}"
+            record = begin_scene(
+                file, self.scene, self.plant, self.controller, name=name, before=self.force, session=session
+            )
         self._go_on(hand, record)
 
     def _go_on(self, hand: HandForce, record: Record | None) -> None:

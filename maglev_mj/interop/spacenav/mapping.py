@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 from functools import cached_property
 from typing import TypeAlias
 
@@ -24,15 +23,6 @@ _PUSHES, _LETS_GO, _FOR = 0.25, 0.10, 0.1
 _BREAKAWAY = 2.0
 _GIVE = _BREAKAWAY / 6000.0
 _RADII = [math.sqrt(inertia / INERTIA[0]) for inertia in INERTIA[3:]]
-
-
-class Mode(Enum):
-    """Relation of an axis to the slave's motion."""
-
-    POSITION = "position"
-    """The slave goes as far as the flotor goes."""
-    RATE = "rate"
-    """Rate of the slave over the distance beyond the edge."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,6 +81,8 @@ class Navigator:
 
     Attributes:
         slave: Pose of the slave, from where it was first [m, rad], (6,).
+        rates: True for an axis in rate mode, the slave's rate over the distance beyond the edge; False in position
+            mode, where it goes as far as the flotor goes, (6,).
 
     Source: two modes, and friction that lets one change between them without the slave being returned: Salcudean &
         Vlaar 1997, section 4. How the mode is told from the friction's spring is this package's own.
@@ -105,18 +97,13 @@ class Navigator:
         self.slave: Array = np.zeros(len(AXES))
         self.restart()
 
-    @property
-    def modes(self) -> tuple[Mode, ...]:
-        """Mode of each axis."""
-        return tuple(Mode.RATE if one else Mode.POSITION for one in self._rate)
-
     def restart(self) -> None:
         """Forget the last pose; the slave stays in place.
 
         For a flotor that was moved elsewhere.
         """
         self._last: Array | None = None
-        self._rate: Mask = np.zeros(len(AXES), dtype=np.bool_)
+        self.rates: Mask = np.zeros(len(AXES), dtype=np.bool_)
         self._rubs: Mask = np.zeros(len(AXES), dtype=np.bool_)
         self._pressed: Array = np.zeros(len(AXES))
 
@@ -146,9 +133,9 @@ class Navigator:
             self._rubs |= np.isfinite(anchors)
             share = (now - anchors) / self._give if force is None else -_six("force", force) / self._breakaway
             pushed = self._pushed(np.sign(now), np.isfinite(anchors), way, share, elapsed)
-        self._rate = (np.abs(now) > self._edge) & pushed
+        self.rates = (np.abs(now) > self._edge) & pushed
         rate = self._gain * (now - self._edge * np.sign(now)) * elapsed
-        moved: Array = np.where(self._rate, rate, self._scale * way)
+        moved: Array = np.where(self.rates, rate, self._scale * way)
         self.slave = self.slave + moved
         self._last = now
         return moved
@@ -160,7 +147,7 @@ class Navigator:
         """
         outward = np.where(stuck, share * side, 0.0)
         self._pressed = np.where(outward > _PUSHES, self._pressed + elapsed, 0.0)
-        held = (self._pressed >= _FOR) | (self._rate & (outward > _LETS_GO))
+        held = (self._pressed >= _FOR) | (self.rates & (outward > _LETS_GO))
         pushed: Mask = np.where(stuck, held, np.where(self._rubs, way * side > 0.0, True))
         return pushed
 

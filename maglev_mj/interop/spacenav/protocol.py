@@ -28,7 +28,9 @@ _MOTION, _PRESS, _RELEASE = 0, 1, 2
 GREETING = _FLOAT.pack(1.0)
 """First word of a protocol 0 client: its sensitivity."""
 
-_WANTS_MOTION, _WANTS_BUTTONS = 1, 2
+MOTIONS, BUTTONS = 1, 2
+"""Bits of the event mask: for motions, for buttons."""
+
 MOST = 32767
 """Largest value of an axis that is told."""
 _LEAST_SENSITIVITY, _MOST_SENSITIVITY = 1e-3, 1e3
@@ -82,16 +84,6 @@ class Conversation:
     def __init__(self) -> None:
         self.version, self.begun, self.mask = 0, False, ALL_EVENTS
         self.sensitivity, self._rest = 1.0, b""
-
-    @property
-    def wants_motion(self) -> bool:
-        """True if the program receives motion events."""
-        return bool(self.mask & _WANTS_MOTION)
-
-    @property
-    def wants_buttons(self) -> bool:
-        """True if the program receives button events."""
-        return bool(self.mask & _WANTS_BUTTONS)
 
     def scaled(self, axes: Sequence[int]) -> tuple[int, ...]:
         """Return the axes by its sensitivity, rounded."""

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.interop.spacenav.mapping import NO_BUTTONS, REST, Axes, Buttons, PoseAxes
-from maglev_mj.interop.spacenav.protocol import Conversation, GarbageError, button_event, motion_event
+from maglev_mj.interop.spacenav.protocol import BUTTONS, MOTIONS, Conversation, GarbageError, button_event, motion_event
 from maglev_mj.session import Snapshot
 
 _LONGEST = 107  # bytes: what a Unix socket's address has room for
@@ -173,12 +173,12 @@ class _Client:
         What there was no room for is said again if it is still so, above all that nothing moves any more.
         """
         axes = self.talk.scaled(axes)
-        if self.talk.wants_motion and (self._moves or axes != REST):
+        if self.talk.mask & MOTIONS and (self._moves or axes != REST):
             period = min(round((now - self._last) * 1e3), _LONGEST_PERIOD)
             yield (told := self.send(motion_event(axes, period)))
             if told:
                 self._moves, self._last = axes != REST, now
-        for number, is_down in enumerate(down if self.talk.wants_buttons else ()):
+        for number, is_down in enumerate(down if self.talk.mask & BUTTONS else ()):
             if is_down != self._down[number]:
                 yield (told := self.send(button_event(number, is_down)))
                 if told:

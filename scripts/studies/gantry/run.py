@@ -13,7 +13,7 @@ from gantry.task import BLOCK_DAMPING, FIRM, Coupling, CouplingLaw, Gains, Slave
 from maglev_mj import Controller, drive
 from maglev_mj.control import Bias, Hold, StickSlip
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.interop.spacenav.mapping import Mode, Navigation, Navigator
+from maglev_mj.interop.spacenav.mapping import Navigation, Navigator
 from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.plants.hand import HANDS, GuidedHand, get_hand
 from maglev_mj.scenes.rooms import INERTIA, MASS, WEIGHT
@@ -109,7 +109,7 @@ class _Exchange:
     def __call__(self, sample: Sample, command: Command) -> None:
         law, slave = self._law, self._slave
         pushes = np.array(self._plant.hand_wrench[:3], dtype=np.float64)
-        self.rows.append((law.target, pushes, [mode is Mode.RATE for mode in law.modes], slave.contacts))
+        self.rows.append((law.target, pushes, law.rates.tolist(), slave.contacts))
         slave.step(law.force / law.coupling.reflection)
 
 

@@ -16,7 +16,7 @@ from maglev_mj.control import Law, StickSlip
 from maglev_mj.control.timeline import Timeline
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array
-from maglev_mj.interop.spacenav.mapping import Mode, Navigator
+from maglev_mj.interop.spacenav.mapping import Navigator
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import Timing
 from maglev_mj.plants.hand import Hand, Trajectory, motion, transition
@@ -215,7 +215,7 @@ class CouplingLaw(Law):
     Attributes:
         force: What draws the slave, and the joystick the other way [N], (3,).
         target: Where the slave is drawn to [m, the slave's], (3,).
-        modes: Of the three axes.
+        rates: True for each of the three axes in rate mode.
     """
 
     def __init__(
@@ -230,7 +230,7 @@ class CouplingLaw(Law):
         self.coupling, self._place, self._period = coupling, place, period
         self._navigator, self._friction = navigator, friction
         self.force, self.target = np.zeros(3), place()
-        self.modes = navigator.modes[:3]
+        self.rates = navigator.rates[:3]
         self._stretch: Array | None = None
 
     def start(self) -> Any:
@@ -248,7 +248,7 @@ class CouplingLaw(Law):
             for index, anchor in self._friction.stick_positions(state).items():
                 anchors[index] = anchor
         moved = self._navigator.move(position, anchors, self._period)[:3]
-        self.modes = self._navigator.modes[:3]
+        self.rates = self._navigator.rates[:3]
         place = self._place()
         self.target = self.target + self._allowed(moved, self.target - place)
         self.force = self._pull((self.target - place) / self.coupling.scale)
@@ -266,10 +266,9 @@ class CouplingLaw(Law):
 
     def _allowed(self, moved: Array, ahead: Array) -> Array:
         """Return the target's allowed movement [m]: the slave's, given its wish and its lead."""
-        rates = [mode is Mode.RATE for mode in self.modes]
         most = self.coupling.bound / self.coupling.stiffness * self.coupling.scale
         cut = np.clip(moved, np.minimum(-most - ahead, 0.0), np.maximum(most - ahead, 0.0))
-        return np.where(rates, cut, moved)
+        return np.where(self.rates, cut, moved)
 
 
 MODEL = Path(__file__).with_name("slave.xml")
