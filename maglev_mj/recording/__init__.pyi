@@ -10,7 +10,6 @@ from maglev_mj.recording.sample import Setup as Setup
 from maglev_mj.recording.setup import OwnCodeError as OwnCodeError
 from maglev_mj.recording.setup import RecordingFile as RecordingFile
 from maglev_mj.recording.setup import setup_of as setup_of
-from maglev_mj.recording.verify import Expected as Expected
 from maglev_mj.recording.verify import Rebuild as Rebuild
 from maglev_mj.recording.verify import Verdict as Verdict
 from maglev_mj.recording.writer import ArrayFile as ArrayFile

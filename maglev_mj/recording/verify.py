@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from types import MappingProxyType
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -12,6 +11,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
+from maglev_mj.parameters import whole
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HandForce, RecordedHand
 from maglev_mj.recording.recording import READ, Recording, Stretch
@@ -29,6 +29,7 @@ from maglev_mj.recording.sample import (
     compiled,
     is_recorded,
 )
+from maglev_mj.recording.setup import refused, scripted
 from maglev_mj.recording.writer import row_of
 from maglev_mj.terminal import wrapped
 
@@ -39,20 +40,6 @@ None in place of a plant that cannot be made, such as a device.
 """
 
 _Field: TypeAlias = tuple[str, Array, Array | None]
-
-
-class Expected(NamedTuple):
-    """Expected properties of a run besides plant and controller.
-
-    Attributes:
-        scripted: True if the hand is part of the setup.
-        samples: Number of samples, unless the run fails before; None for the recorded number.
-        metadata: Further metadata by name, besides those of plant and controller; None for an unknown value.
-    """
-
-    scripted: bool = False
-    samples: int | None = None
-    metadata: Mapping[str, Any] = MappingProxyType({})
 
 
 class FieldVerdict(NamedTuple):
@@ -111,7 +98,7 @@ class Verdict(NamedTuple):
         return "\n".join([f"  {self.ticks} samples, run again and compared to the last bit", *lines])
 
 
-def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], Expected] | None = None) -> Verdict:
+def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
     """Replay a recording and compare every field bitwise.
 
     A new controller gets the recorded samples, and a new plant the recorded hand.
@@ -121,7 +108,6 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
     Args:
         recording: The recording.
         rebuild: Makes plant and controller from a setup and a hand.
-        expect: Function of a setup that returns its further expected properties; None for none.
 
     Raises:
         ParameterError: If a setup cannot be rebuilt.
@@ -135,7 +121,7 @@ def verify(recording: Recording, rebuild: Rebuild, *, expect: Callable[[Setup], 
     check_instance("recording", recording, Recording, READ)
     verdicts: dict[str, FieldVerdict] = {}
     for place, stretch in enumerate(recording.stretches):
-        for name, values, again in _fields(stretch, rebuild, expect or (lambda _: Expected())):
+        for name, values, again in _fields(stretch, rebuild):
             same = np.ones(0, np.bool_) if again is None else _same(values, again)
             verdicts[name] = _added(verdicts.get(name, FieldVerdict(0, 0, None)), same, place, stretch.tick)
     return Verdict(recording.ticks, verdicts, recording.damage)
@@ -156,8 +142,8 @@ def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tup
     """
     for place, stretch in enumerate(recording.stretches):
         part = stretch[:most]
-        whole = part.whole
-        answers = _answers(whole, rebuild(whole.setup, None)[1])[-len(part) :]
+        run = part.whole
+        answers = _answers(run, rebuild(run.setup, None)[1])[-len(part) :]
         same = {field.name: _same(part.arrays[field.name], answers[field.name]) for field in _COMMANDED}
         first = {name: int(np.argmin(one)) for name, one in same.items() if not one.all()}
         if first:
@@ -185,28 +171,29 @@ def _same(recorded: Array, again: Array) -> Mask:
     return np.asarray(good.all(axis=1))
 
 
-def _fields(stretch: Stretch, rebuild: Rebuild, expect: Callable[[Setup], Expected]) -> Iterator[_Field]:
+def _fields(stretch: Stretch, rebuild: Rebuild) -> Iterator[_Field]:
     """Yield name, recorded and replayed values of each field.
 
     None in place of values that are not replayed.
     """
-    whole = stretch.whole
-    expected = expect(whole.setup)
-    if stretch.before is not None:  # after a rewind a recorded hand may act again
-        expected = expected._replace(scripted=False)
-    _, controller = rebuild(whole.setup, None)
-    plant, other = rebuild(whole.setup, None if expected.scripted else RecordedHand(whole.known_hand))
-    metadata = _metadata(stretch, plant, controller, expected)
-    seen, failed = (None, False) if plant is None else _seen(plant, other, len(whole))
-    if expected.samples is not None:
+    run = stretch.whole
+    _, controller = rebuild(run.setup, None)
+    # after a rewind a recorded hand may act again
+    has_hand = stretch.before is None and scripted(run.setup)
+    plant, other = rebuild(run.setup, None if has_hand else RecordedHand(run.known_hand))
+    with refused(KeyError, TypeError, ParameterError):
+        metadata = _metadata(stretch, plant, controller, has_hand)
+        samples = None if run.setup.get("samples") is None else float(whole("samples", run.setup["samples"]))
+    seen, failed = (None, False) if plant is None else _seen(plant, other, len(run))
+    if samples is not None:
         count = float(len(stretch))
-        yield "samples", np.array([count]), np.array([count if failed else float(expected.samples)])
-    answers = _answers(whole, controller)
+        yield "samples", np.array([count]), np.array([count if failed else samples])
+    answers = _answers(run, controller)
     for field in (field for array in ARRAYS.values() for field in array):
         recorded = stretch.arrays[field.name]
         if not is_recorded(field, recorded):
             continue
-        again = answers if field in _COMMANDED else seen if field.name != "hand" or expected.scripted else None
+        again = answers if field in _COMMANDED else seen if field.name != "hand" or has_hand else None
         yield field.name, recorded, None if again is None else again[field.name][-len(recorded) :]
     if all(field.name in stretch.arrays for field in TOTALS):
         for field, totals in zip(TOTALS, _totals(stretch).T, strict=True):
@@ -214,18 +201,19 @@ def _fields(stretch: Stretch, rebuild: Rebuild, expect: Callable[[Setup], Expect
     yield from metadata
 
 
-def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controller, expected: Expected) -> list[_Field]:
+def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controller, has_hand: bool) -> list[_Field]:
     """Return the metadata fields, one row each, names excluded."""
-    recorded = stretch.metadata
+    recorded, setup = stretch.metadata, stretch.whole.setup
     values: dict[str, Any] = {name: getattr(controller, name) for name in ("period", "carried", "faces")}
     names = "period", "delay", "carried", "inertia", "load", "before", "faces", "hand_recorded", "hand_acts_on_flotor"
     if plant is not None:
         metadata = RunMetadata.of(plant, controller)
         values |= {name: getattr(metadata, name) for name in names if name not in (*values, "hand_recorded")}
-        values["hand_recorded"] = plant.held if expected.scripted else None
+        values["hand_recorded"] = plant.held if has_hand else True if isinstance(setup.get("plant"), dict) else None
+    if setup["kind"] == "device":  # inertia and previous wrench are recorded with the flight, not in the setup
+        values |= {"delay": setup["parameters"]["delay"], "hand_recorded": False, "hand_acts_on_flotor": True}
     if stretch.before is not None:
         values["before"] = stretch.before.applied[-1]
-    values |= expected.metadata
     return [(name, *_rows(getattr(recorded, name), values.get(name))) for name in names]
 
 

@@ -17,14 +17,13 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.frames import AXES, Array, Sample
-from maglev_mj.parameters import number, param, whole
+from maglev_mj.parameters import number, param
 from maglev_mj.plants import SampledPlant
 from maglev_mj.plants.hand import HandForce, SpringHand
 from maglev_mj.plants.model import load_model
 from maglev_mj.plants.trace import hand_work
 from maglev_mj.recording import (
     ArrayFile,
-    Expected,
     InvalidRecordingError,
     OwnCodeError,
     Rebuild,
@@ -37,7 +36,7 @@ from maglev_mj.recording import (
     open_recording,
 )
 from maglev_mj.recording.sample import check_setup
-from maglev_mj.recording.setup import ALLOW, controller_again, plant_again, refused, scripted
+from maglev_mj.recording.setup import ALLOW, controller_again, plant_again, refused
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
 from maglev_mj.scenes.find import SceneLike, defined_in, object_of_text, recorded_scene, text_of
 from maglev_mj.scenes.run import Begin, checked_phase, run
@@ -197,24 +196,6 @@ def rebuild_for(stretch: Stretch, own: OwnCode | None = None) -> Rebuild | None:
     except OwnCodeError:
         return None
     return partial(rebuild, own=own)
-
-
-def expected(setup: Setup) -> Expected:
-    """Return the expected metadata of a recording's setup.
-
-    They are those besides plant and controller.
-
-    Raises:
-        InvalidRecordingError: If the setup is not known here.
-    """
-    kind, metadata, in_setup = setup["kind"], dict[str, Any](), scripted(setup)
-    with refused(*_INVALID):
-        samples = None if setup.get("samples") is None else whole("samples", setup["samples"])
-        if kind == "device":  # inertia and previous wrench are recorded with the flight, not in the setup
-            metadata = {"delay": setup["parameters"]["delay"], "hand_recorded": False, "hand_acts_on_flotor": True}
-        elif isinstance(setup.get("plant"), dict) and not in_setup:
-            metadata = {"hand_recorded": True}
-    return Expected(scripted=in_setup, samples=samples, metadata=metadata)
 
 
 def unmade_plant(setup: Setup, own: OwnCode | None = None) -> str:
