@@ -355,7 +355,7 @@ def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, mon
         assert samples.recording.stretches[0].metadata.faces and samples.recording.stretches[0].setup["kind"]
         some = load_samples(path, fields=("time", "hand"))
         assert list(some.arrays) == ["time", "hand"] and (some.time == samples.time).all()
-        with pytest.raises(AttributeError, match="the samples have no 'position'"):
+        with pytest.raises(AttributeError, match="these samples have no 'position'"):
             _ = some.position
         frame = samples.to_pandas()
         assert (frame["position.z"] == stretch.position[:, 2]).all() and frame["tick"].dtype == np.int64

@@ -55,8 +55,18 @@ class InvalidRecordingError(RecordingError, ParameterError):
     """A file is not a recording, or has invalid content."""
 
 
+class _Fields:
+    """Fields of samples as attributes."""
+
+    def __getattr__(self, name: str) -> Array:
+        arrays = self.__dict__.get("arrays", {})
+        if name not in arrays:
+            raise AttributeError(f"these samples have no {name!r}: it was not loaded, or is no field")
+        return np.asarray(arrays[name])
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Stretch:
+class Stretch(_Fields):
     """N samples under one controller.
 
     Each field of a sample is an attribute: `stretch.position` is `stretch.arrays["position"]`, (N, 6). An index gives
@@ -83,12 +93,6 @@ class Stretch:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", RunMetadata.from_json(value_in(self.setup, "run", dict)))
-
-    def __getattr__(self, name: str) -> Array:
-        arrays = self.__dict__.get("arrays", {})
-        if name not in arrays:
-            raise AttributeError(f"a stretch has no {name!r}")
-        return np.asarray(arrays[name])
 
     def __len__(self) -> int:
         return len(next(iter(self.arrays.values())))
@@ -197,19 +201,12 @@ class Recording(Result):
                 columns = [stretch.arrays[one.name] for one in fields if one.name in stretch.arrays]
                 if any(is_recorded(one, values) for one, values in zip(fields, columns)):
                     arrays[f"{index}/{name}"] = columns[0] if len(columns) == 1 else np.column_stack(columns)
-        header: dict[str, Any] = {
+        header = _about(self, list(self.attachments)) | {
             "format": _FORMAT,
             "axes": AXES,
-            "units": units(),
             "gaps": [list(stretch.gaps) for stretch in self.stretches],
-            "setups": [stretch.setup for stretch in self.stretches],
-            "events": list(self.events),
-            "damage": self.damage,
-            "attachments": list(self.attachments),
-            "about": dict(self.about),
+            "event_samples": list(self.event_samples),
         }
-        if self.event_samples:
-            header["event_samples"] = list(self.event_samples)
         with aside(Path(path)) as partial, partial.open("wb") as file:
             np.savez(file, header=np.array(json.dumps(header)), **arrays)
 
@@ -366,7 +363,7 @@ def _read_stretch(stored: Any, index: int, setup: Any, gaps: Any) -> Stretch:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Samples(Result):
+class Samples(_Fields, Result):
     """All N samples of a recording, fields as attributes.
 
     For example `samples.position`.
@@ -382,12 +379,6 @@ class Samples(Result):
     stretch: NDArray[np.int64]
     recording: Recording
     drawn_by: ClassVar = "maglev_mj.analysis.pictures:samples"
-
-    def __getattr__(self, name: str) -> Array:
-        arrays = self.__dict__.get("arrays", {})
-        if name not in arrays:
-            raise AttributeError(f"the samples have no {name!r}: it was not loaded, or is no field")
-        return np.asarray(arrays[name])
 
     def __len__(self) -> int:
         return len(self.stretch)
@@ -498,26 +489,27 @@ def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
     return replace(samples, arrays=recorded).columns()
 
 
-def _about(recording: Recording) -> dict[str, Any]:
-    """Return the content besides samples, ready for JSON.
-
-    Attachments are in base64.
-    """
-    attached = {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()}
+def _about(recording: Recording, attachments: Any) -> dict[str, Any]:
+    """Return the content besides samples, ready for JSON."""
     return {
         "units": units(),
         "setups": [stretch.setup for stretch in recording.stretches],
         "events": list(recording.events),
         "about": dict(recording.about),
         "damage": recording.damage,
-        "attachments": attached,
+        "attachments": attachments,
     }
+
+
+def _encoded(recording: Recording) -> dict[str, Any]:
+    """Return the content besides samples, with attachments in base64."""
+    return _about(recording, {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()})
 
 
 def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
     columns = _columns(recording)
     with aside(path.with_name(f"{path.name}.json")) as beside:
-        beside.write_text(json.dumps(_about(recording), indent=1), encoding="utf-8")
+        beside.write_text(json.dumps(_encoded(recording), indent=1), encoding="utf-8")
         with partial.open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)
             table.writerow(columns)
@@ -535,7 +527,7 @@ def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
         pyarrow.field(name, column.type, metadata={"unit": unit_of[name]} if unit_of.get(name) else None)
         for name, column in columns.items()
     ]
-    about = {f"maglev_mj.{name}": json.dumps(part) for name, part in _about(recording).items()}
+    about = {f"maglev_mj.{name}": json.dumps(part) for name, part in _encoded(recording).items()}
     parquet.write_table(pyarrow.table([*columns.values()], schema=pyarrow.schema(fields, metadata=about)), partial)
 
 

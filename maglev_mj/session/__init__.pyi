@@ -4,6 +4,7 @@ from maglev_mj.scenes.stability_check import UnstableLoop as UnstableLoop
 from maglev_mj.scenes.stability_check import check_step as check_step
 from maglev_mj.scenes.stability_check import own_code_refused as own_code_refused
 from maglev_mj.scenes.stability_check import unstable_loop as unstable_loop
+from maglev_mj.session.changes import CHOOSES as CHOOSES
 from maglev_mj.session.changes import DEVICES_OWN as DEVICES_OWN
 from maglev_mj.session.changes import EMERGENCY_STOP as EMERGENCY_STOP
 from maglev_mj.session.changes import REWINDS as REWINDS

@@ -20,6 +20,9 @@ They belong to the device, or to the user at the machine.
 EMERGENCY_STOP = "emergency stop"
 """Action of the emergency stop key of every window."""
 
+CHOOSES = "scene "
+"""Prefix of a session's actions that choose a scene by name."""
+
 REWINDS = "rewind", "go on from here", "same hand again"
 """Actions of a session that can be rewound; the first goes back by a second."""
 

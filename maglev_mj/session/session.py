@@ -24,7 +24,7 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
-from maglev_mj.session.changes import EMERGENCY_STOP, REWINDS, actions, changed, settable
+from maglev_mj.session.changes import CHOOSES, EMERGENCY_STOP, REWINDS, actions, changed, settable
 from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
 from maglev_mj.session.snapshot import SHOWN, Publisher, Publishers, Snapshot
 from maglev_mj.session.stretch import KEPT, HandAgain, LiveStretch, Past
@@ -183,8 +183,6 @@ def device_controller(scene: Scene) -> Controller:
 
 
 _OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", *REWINDS, EMERGENCY_STOP
-_CHOOSES = "scene "
-"""Prefix of actions that choose a scene by name."""
 
 _MADE = -0.1
 _BACK = 1.0  # by a key [s]
@@ -296,7 +294,7 @@ class Session:
     @property
     def actions(self) -> Sequence[str]:
         """Names of the actions of the present scene."""
-        names = (f"{_CHOOSES}{cls.name}" for cls in self._scenes)
+        names = (f"{CHOOSES}{cls.name}" for cls in self._scenes)
         return *actions(type(self._scene)), *_OWN, *names
 
     def act(self, action: str) -> None:
@@ -325,7 +323,7 @@ class Session:
             self._leave_past(again=True)
         elif action == "next scene":
             self._choose((self._scenes.index(type(self._scene)) + 1) % len(self._scenes))
-        elif action in (chosen := [f"{_CHOOSES}{cls.name}" for cls in self._scenes]):
+        elif action in (chosen := [f"{CHOOSES}{cls.name}" for cls in self._scenes]):
             self._choose(chosen.index(action))
         elif action == "drop":
             self._scene, pose = lifted(self._scene)

@@ -206,7 +206,7 @@ class HandAgain:
         """See `HandForce`."""
         now = self._clock() + _ROUNDING
         place = bisect_right(self._times, now) - 1
-        if place < 0 or now >= self._end:
+        if now >= self._end:
             return self._after(tick, time, state)
         effort: list[float] = self._efforts[place].tolist()
         return effort

@@ -15,7 +15,7 @@ from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array, Mask
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
-from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, REWINDS, Session, Snapshot, TourLine, settable
+from maglev_mj.session import CHOOSES, DEVICES_OWN, EMERGENCY_STOP, REWINDS, Session, Snapshot, TourLine, settable
 from maglev_mj.theory import stability
 
 _LOOK, _SHOWN = 1.0 / 30.0, 2.0
@@ -154,7 +154,7 @@ class Tour:
         Changes of scene, drops and rewinds are excluded, because they would end the tour.
         """
         own = (name for name in self._session.actions if name not in ("next scene", "drop", *REWINDS))
-        return "next", "back", *(name for name in own if not name.startswith("scene "))
+        return "next", "back", *(name for name in own if not name.startswith(CHOOSES))
 
     def _begin(self, place: int) -> None:
         """Begin a step with its parameters."""

@@ -13,7 +13,7 @@ from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of
 from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter, flag
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, EMERGENCY_STOP, KEPT, REWINDS, Snapshot
+from maglev_mj.session import CHOOSES, DEVICES_OWN, EMERGENCY_STOP, KEPT, REWINDS, Snapshot
 from maglev_mj.session.changes import actions
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.views.charts import round_up
@@ -225,7 +225,6 @@ _ROWS = {
     "skip": ("skip back", "skip forward"),
     "tour": ("back", "next"),
 }
-_SCENE = "scene "
 _USUAL_STIFFNESS, _MOST_STIFFNESS = 200.0, 5000.0  # of the hand [N/m]
 _INPUTS = "gains", "on"
 _MOTIONS = {f"x{factor}": factor for factor in MAGNIFICATIONS}
@@ -289,7 +288,7 @@ class Panel:
             REWINDS[0],
             *actions(type(snapshot.scene)),
         }
-        others = tuple(name for name in known if name not in shown and not name.startswith(_SCENE))
+        others = tuple(name for name in known if name not in shown and not name.startswith(CHOOSES))
         with self._buttons:
             for label, row in (_ROWS | {"more": others}).items():
                 if there := tuple(name for name in row if name in known):
@@ -328,7 +327,7 @@ class Panel:
         if not self._settings:
             return
         with self._parameters:
-            names = [name.removeprefix(_SCENE) for name in snapshot.actions if name.startswith(_SCENE)]
+            names = [name.removeprefix(CHOOSES) for name in snapshot.actions if name.startswith(CHOOSES)]
             if scene.name in names:
                 handle = gui.add_dropdown("scene", names, initial_value=scene.name, hint="starts it")
                 choose = Choice("scene", handle, self._choose, str, {name: name for name in names})
@@ -342,7 +341,7 @@ class Panel:
             self._followed.append((spring, lambda snapshot: snapshot.hand_stiffness))
 
     def _choose(self, _: str, given: Any) -> None:
-        self._ask("act", _SCENE + given["scene"])
+        self._ask("act", CHOOSES + given["scene"])
 
 
 def _value(name: str, snapshot: Snapshot) -> Any:

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeVar
 import glfw
 
 from maglev_mj.parameters import flag
-from maglev_mj.session import EMERGENCY_STOP, REWINDS
+from maglev_mj.session import CHOOSES, EMERGENCY_STOP, REWINDS
 
 SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY = "screenshot", "axis of the plots", "camera", "keys", "magnify motion"
 """Actions of every window."""
@@ -93,7 +93,6 @@ See `_SWITCHES`.
 
 _Name = TypeVar("_Name")
 _NAMED = {*(key.action for key in _KEYS), *REWINDS}
-_CHOOSES = "scene "
 HAND = "drag the knob"
 """Mouse action that pulls the flotor."""
 
@@ -108,7 +107,7 @@ def _there(actions: Sequence[str]) -> list[Key]:
             own.setdefault(key.code, key)
     numbers = [name.removesuffix(" up") for name in actions if name.endswith(" up")]
     switches = [name for name in actions if name not in _NAMED and not name.endswith((" up", " down"))]
-    switches = [name for name in switches if not name.startswith(_CHOOSES)]
+    switches = [name for name in switches if not name.startswith(CHOOSES)]
     free = {name: found for name, found in _PAIRS.items() if not own.keys() & {*found[:2]}}
     switched = {name: owner for name, (_, owner) in _SWITCHES.items()}
     paired = {names: owner for names, (*_, owner) in free.items()}
