@@ -24,6 +24,9 @@ BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1.0, 0.5), "f
 TITLE: dict[str, Any] = {"loc": "left", "fontsize": 10.0}
 """Style of the title of a panel."""
 
+HEAD: dict[str, Any] = {"x": 0.01, "ha": "left", "fontsize": 10.0}
+"""Style of the title of a figure."""
+
 WIDTH = 8.0
 """Width of every chart [inch].
 
@@ -165,7 +168,7 @@ def new_grid(
         panel.set_axis_off()
     others = ", ".join(name.replace("_", " ") for name in quantities if name not in names)
     if note := f"left out, as flat: {others}" if others else "" if names else "no figures":
-        figure.suptitle(note, x=0.01, ha="left", fontsize=_WORDS, color=REFERENCE)
+        figure.suptitle(note, **HEAD, color=REFERENCE)
     return figure, dict(zip(names, panels))
 
 

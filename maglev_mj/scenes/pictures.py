@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from maglev_mj.control import Wall
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.lazy import loaded
-from maglev_mj.pictures import SHADE, TITLE, broken, line_style, name_curves, new_figure, new_grid
+from maglev_mj.pictures import HEAD, SHADE, TITLE, broken, line_style, name_curves, new_figure, new_grid
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import Phases, RunResult, Variants, share_below
 from maglev_mj.spec import Spec
@@ -161,29 +161,14 @@ def time_series(variants: Variants) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    time = _times(variants)
-    columns = _columns(variants, time)
-    figure, panels = new_figure(2, len(columns), 6.4, sharex=True, sharey="row")
-    heights, forces = panels[: len(columns)], panels[len(columns) :]
-    analog = _analog(columns[0][0].scene, time)
-    for row, part, step in ((heights, 0, None), (forces, 2, "post")):
-        for panel, column in zip(row, columns, strict=True):
-            for drop in column:
-                if drop.band is not None:
-                    low, high = drop.band[part].min(axis=1), drop.band[part].max(axis=1)
-                    shade = {"color": drop.style["color"], "alpha": 0.2, "linewidth": 0.0} | _AS_PIXELS
-                    panel.fill_between(time, low, high, step=step, **shade)
-                panel.plot(time, drop.line[part], drawstyle="steps-post" if step else "default", **drop.style)
-            if analog is not None:
-                panel.plot(time, analog[part], **_ANALOG)
+    figure, (heights, forces) = _draw_drops(variants, [(_TIME, _HEIGHT), (_TIME, _FORCE)], 6.4)
     bottom = min(heights[0].get_ylim()[0], -0.5)
     for upper, lower in zip(heights, forces, strict=True):
         upper.axhspan(bottom, 0.0, **SHADE)
         lower.axhline(Spec.largest_vertical_force.value, **_LIMIT)
         lower.set_xlabel("time after release (s)")
-    heights[0].set(ylim=(bottom, None), xlim=(0.0, time[-1]), ylabel="height above the wall (mm)")
+    heights[0].set(ylim=(bottom, None), ylabel="height above the wall (mm)")
     forces[0].set_ylabel("force on the flotor (N)")
-    _explain(figure, heights, columns, variants)
     name_curves(figure, forces)
     return figure
 
@@ -200,27 +185,43 @@ def phase_plane(variants: Variants) -> Any:
     Raises:
         MissingPackageError: If matplotlib is not installed.
     """
-    time = _times(variants)
-    columns = _columns(variants, time)
-    figure, panels = new_figure(1, len(columns), 5.0, sharex=True, sharey=True)
-    analog = _analog(columns[0][0].scene, time)
-    for panel, column in zip(panels, columns, strict=True):
-        for drop in column:
-            if drop.band is not None:
-                panel.plot(*drop.band[:2], color=drop.style["color"], linewidth=0.5, alpha=0.13, **_AS_PIXELS)
-            panel.plot(*drop.line[:2], **drop.style)
-        if analog is not None:
-            panel.plot(*analog[:2], **_ANALOG)
-        panel.set_xlabel("height above the wall (mm)")
+    figure, (panels,) = _draw_drops(variants, [(_HEIGHT, _VELOCITY)], 5.0)
     left = min(panels[0].get_xlim()[0], -0.5)
     for panel in panels:
         panel.axvspan(left, 0.0, **SHADE)
+        panel.set_xlabel("height above the wall (mm)")
     panels[0].set(xlim=(left, None), ylabel="velocity (m/s)")
-    _explain(figure, panels, columns, variants)
     name_curves(figure, panels)
     return figure
 
 
+def _draw_drops(variants: Variants, pairs: Sequence[tuple[int, int]], height: float) -> tuple[Any, list[list[Any]]]:
+    """Draw drops and bands, a row for each abscissa and ordinate; return the rows."""
+    time = _times(variants)
+    columns = _columns(variants, time)
+    figure, panels = new_figure(len(pairs), len(columns), height, sharex=True, sharey="row")
+    rows = [panels[first : first + len(columns)] for first in range(0, len(panels), len(columns))]
+    analog = _analog(columns[0][0].scene, time)
+    for row, (x, y) in zip(rows, pairs, strict=True):
+        step = "post" if y == _FORCE else None
+        for panel, column in zip(row, columns, strict=True):
+            for drop in column:
+                pixels = {"color": drop.style["color"], **_AS_PIXELS}
+                if drop.band is not None and x == _TIME:
+                    low, high = drop.band[y].min(axis=1), drop.band[y].max(axis=1)
+                    panel.fill_between(time, low, high, step=step, alpha=0.2, linewidth=0.0, **pixels)
+                elif drop.band is not None:
+                    panel.plot(drop.band[x], drop.band[y], linewidth=0.5, alpha=0.13, **pixels)
+                panel.plot(drop.line[x], drop.line[y], drawstyle="steps-post" if step else "default", **drop.style)
+            if analog is not None:
+                panel.plot(analog[x], analog[y], **_ANALOG)
+            if x == _TIME:
+                panel.set_xlim(0.0, time[-1])
+    _explain(figure, rows[0], columns, variants)
+    return figure, rows
+
+
+_TIME, _HEIGHT, _VELOCITY, _FORCE = range(4)
 _AS_PIXELS = {"rasterized": True}
 """Of a band of many curves, which would be megabytes of an SVG."""
 
@@ -261,13 +262,16 @@ def _times(variants: Variants) -> Array:
     return np.linspace(0.0, settled if settled < end else end, _POINTS)
 
 
+_Motion: TypeAlias = tuple[Array, Array, Array, Array]
+
+
 class _Drop(NamedTuple):
-    """Drop alone and at N phases: z [mm], velocity [m/s] and force [N] over (M,) times."""
+    """Drop alone and at N phases: time [s], z [mm], velocity [m/s], force [N]."""
 
     scene: Drop
     style: dict[str, Any]
-    line: tuple[Array, Array, Array]
-    band: tuple[Array, Array, Array] | None
+    line: _Motion
+    band: _Motion | None
 
 
 def _columns(variants: Variants, time: Array) -> list[list[_Drop]]:
@@ -276,23 +280,23 @@ def _columns(variants: Variants, time: Array) -> list[list[_Drop]]:
     plain: list[_Drop] = []
     for place, (label, result) in enumerate(variants.runs.items()):
         style = line_style(place) | {"label": label, "linewidth": 1.8, "zorder": 4.0 - 0.01 * place}
-        band = _in_mm(*variants.bands[label].motion(time)) if label in variants.bands else None
-        drop = _Drop(result.scene, style, _in_mm(*result.motion(time)), band)
+        band = _in_mm(time, *variants.bands[label].motion(time)) if label in variants.bands else None
+        drop = _Drop(result.scene, style, _in_mm(time, *result.motion(time)), band)
         has_pulse = (_published(result.scene) or (0.0,))[-1] > 0.0
         (pulsed if has_pulse else plain).append(drop)
     return [[drop, *plain] for drop in pulsed] or [plain]
 
 
-def _in_mm(z: Array, velocity: Array, force: Array) -> tuple[Array, Array, Array]:
-    return z * 1e3, velocity, force
+def _in_mm(time: Array, z: Array, velocity: Array, force: Array) -> _Motion:
+    return time, z * 1e3, velocity, force
 
 
-def _analog(scene: Drop, time: Array) -> tuple[Array, Array, Array] | None:
+def _analog(scene: Drop, time: Array) -> _Motion | None:
     """Return the drop on the analog wall.
 
     None for a wall without stiffness.
     """
-    return _in_mm(*scene.analog(time)) if scene.stiffness else None
+    return _in_mm(time, *scene.analog(time)) if scene.stiffness else None
 
 
 def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]], variants: Variants) -> None:
@@ -306,12 +310,7 @@ def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]
     if (band := variants.bands.get(label)) is not None:
         share = 100.0 * share_below(band.figures["penetration"], result.figures["penetration"])
         shaded = f", deeper than {share:.0f} % of the phases; shaded: all of {len(band.phase)} phases"
-    figure.suptitle(
-        f"{p.height * 1e3:g} mm drop, {_loop_of(variants)}\nlines: phase {result.phase:g}{shaded}",
-        x=0.01,
-        ha="left",
-        fontsize=10,
-    )
+    figure.suptitle(f"{p.height * 1e3:g} mm drop, {_loop_of(variants)}\nlines: phase {result.phase:g}{shaded}", **HEAD)
 
 
 def _loop_of(variants: Variants) -> str:
@@ -339,13 +338,8 @@ def figure_6(variants: Variants) -> Any:
     bottom, top = upper.get_ylim()
     bottom = min(bottom, -0.5)
     p, pulled = first.scene, first.series(_FINE)
-    upper.plot(
-        pulled["time"],
-        pulled["target"] * 1e3,
-        color=REFERENCE,
-        linewidth=0.8,
-        label=f"where the hand pulls to, down to {p.resting_point * 1e3:.1f} mm",
-    )
+    label = f"where the hand pulls to, down to {p.resting_point * 1e3:.1f} mm"
+    upper.plot(pulled["time"], pulled["target"] * 1e3, color=REFERENCE, linewidth=0.8, label=label)
     upper.axhspan(bottom, 0.0, **SHADE)
     upper.set_ylim(bottom, top)
     upper.text(0.008, 0.02, "wall", transform=upper.transAxes, color=REFERENCE, fontsize=9.0)

@@ -13,6 +13,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.pictures import (
     FIRST,
+    HEAD,
     SECOND,
     TITLE,
     Quantities,
@@ -30,6 +31,14 @@ from maglev_mj.studies.fidelity import MARGIN, FidelityResult
 from maglev_mj.studies.stability_map import StabilityMap
 from maglev_mj.studies.sweep import Sweep
 
+_STAR: dict[str, Any] = {
+    "color": SECOND,
+    "marker": "*",
+    "markersize": 15,
+    "linestyle": "none",
+    "clip_on": False,
+    "zorder": 5,
+}
 _DECADES = [10.0**power for power in range(-6, 0)]
 _SHADES = ["#f7fcf0", "#e0f3db", "#ccebc5", "#a8ddb5", "#7bccc4", "#43a2ca", "#0868ac"]
 _UNSTABLE = "#fbe3da"
@@ -84,16 +93,7 @@ def stability_map(result: StabilityMap) -> Any:
         name = f"gains of drop: {used.stiffness:g} N/m, {used.damping:g} N s/m"
         panel.plot(used.damping, used.stiffness, "D", color=FIRST, markeredgecolor="white", markersize=9, label=name)
     best = result.maximum
-    panel.plot(
-        best.damping,
-        best.stiffness,
-        "*",
-        color=SECOND,
-        markersize=14,
-        label="stiffest by theory",
-        clip_on=False,
-        zorder=5,
-    )
+    panel.plot(best.damping, best.stiffness, label="stiffest by theory", **_STAR)
     if result.simulated is not None:
         k, b = np.meshgrid(result.stiffness, result.damping, indexing="ij")
         settles = result.simulated
@@ -199,14 +199,14 @@ def design_map(result: DesignResult) -> Any:
         lines = panel.contour(result.delays * 1e3, result.masses, result.map, levels=levels[1:-1], colors=[REFERENCE])
         panel.plot([], [], color=REFERENCE, label="lines: largest modulus of the eigenvalues")
         panel.clabel(lines, fmt="%.3f", fontsize=8.5)
-        panel.plot(worst.delay * 1e3, worst.mass, "*", color=SECOND, markersize=15, label=marked, clip_on=False)
+        panel.plot(worst.delay * 1e3, worst.mass, label=marked, **_STAR)
         panel.set(xlabel="delay (ms)", ylabel="mass (kg)")
     else:
         along_mass = sizes[0] > 1
         x = result.masses if along_mass else result.delays * 1e3
         panel.plot(x, result.map.ravel(), color=FIRST, linewidth=2.0)
         at = worst.mass if along_mass else worst.delay * 1e3
-        panel.plot(at, wall.modulus, "*", color=SECOND, markersize=15, label=marked, clip_on=False)
+        panel.plot(at, wall.modulus, label=marked, **_STAR)
         panel.axhline(needs.modulus, color=REFERENCE, linestyle=":", label=f"allowed: {needs.modulus:g}")
         panel.set(xlabel="mass (kg)" if along_mass else "delay (ms)", ylabel="largest modulus")
     name_curves(figure, [panel])
@@ -291,7 +291,7 @@ def fidelity(result: FidelityResult) -> Any:
     names, missing = result.columns()["level"], 1e6 * result.columns()["missing"]
     panel.plot(missing[missing > 0.0], names[missing > 0.0], "o", color=SERIES[0], label="missing")
     allowed = 1e6 * result.tolerance / MARGIN
-    panel.axvline(allowed, color=REFERENCE, linestyle="--", label=f"tolerance by the margin, {allowed:g} µm")
+    panel.axvline(allowed, color=REFERENCE, linestyle="--", zorder=1, label=f"tolerance by the margin, {allowed:g} µm")
     panel.set_yticks(range(len(names)), names)
     panel.set(ylim=(len(names) - 0.5, -0.5), xscale="log", xlabel="distance from the levels above (µm)")
     panel.set_title(result.preset.name, **TITLE)
@@ -323,5 +323,5 @@ def device_card(result: DeviceCard) -> Any:
     size.set_title("impedance that a hand meets", **TITLE)
     for panel in (width, size):
         name_curves(panel)
-    figure.suptitle(result.title, fontsize=10.0, x=0.02, ha="left")
+    figure.suptitle(result.title, **HEAD)
     return figure
