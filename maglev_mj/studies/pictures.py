@@ -47,7 +47,7 @@ _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 
 
 def level_sets(panel: Any, x: Array, y: Array, modulus: Array) -> None:
-    """Draw level sets of the largest modulus, the boundary bold.
+    """Draw level sets of the largest modulus that have room for a number, the boundary bold.
 
     Args:
         panel: matplotlib axes.
@@ -55,13 +55,18 @@ def level_sets(panel: Any, x: Array, y: Array, modulus: Array) -> None:
         y: Values along the ordinate, (K,).
         modulus: (K, B).
     """
-    panel.contourf(x, y, modulus, levels=[0.0, *_LEVELS], cmap="GnBu_r", vmin=0.2, vmax=1.1)
+    sets = panel.contour(x, y, modulus, levels=_LEVELS[:-1])
+    extents = np.ptp(x), np.ptp(y)
+    wide = [level for level, segments in zip(sets.levels, sets.allsegs) if _room(segments, extents)]
+    sets.remove()
+    floor = min(wide, default=1.0) - 0.1  # all below it has one shade
+    shown = np.maximum(modulus, floor + 0.05)
+    panel.contourf(x, y, shown, levels=[floor, *wide, 1.0], cmap="GnBu_r", vmin=0.2, vmax=1.1)
     panel.set_facecolor(_UNSTABLE)
     panel.grid(visible=False)
-    lines = panel.contour(x, y, modulus, levels=_LEVELS[:-1], colors=[REFERENCE], linewidths=0.7)
-    extents = np.ptp(x), np.ptp(y)
-    wide = [level for level, segments in zip(lines.levels, lines.allsegs) if _room(segments, extents)]
-    panel.clabel(lines, wide, fmt="%g", fontsize=8)
+    if wide:
+        lines = panel.contour(x, y, modulus, levels=wide, colors=[REFERENCE], linewidths=0.7)
+        panel.clabel(lines, fmt="%g", fontsize=8)
     panel.contour(x, y, modulus, levels=[1.0], colors=[FIRST], linewidths=2.2)
     panel.plot([], [], color=REFERENCE, linewidth=0.7, label="lines: largest modulus of the eigenvalues")
     panel.plot([], [], color=FIRST, linewidth=2.2, label="modulus 1: boundary of stability")
@@ -89,11 +94,16 @@ def stability_map(result: StabilityMap) -> Any:
     x, y, modulus = result.level_sets()
     level_sets(panel, x, y, modulus)
     used = Drop()
-    if x[0] <= used.damping <= x[-1] and y[0] <= used.stiffness <= y[-1]:
+
+    def is_shown(gains: Any) -> bool:
+        return bool(x[0] <= gains.damping <= x[-1] and y[0] <= gains.stiffness <= y[-1])
+
+    if is_shown(used):
         name = f"gains of drop: {used.stiffness:g} N/m, {used.damping:g} N s/m"
         panel.plot(used.damping, used.stiffness, "D", color=FIRST, markeredgecolor="white", markersize=9, label=name)
     best = result.maximum
-    panel.plot(best.damping, best.stiffness, label="stiffest by theory", **_STAR)
+    if is_shown(best):
+        panel.plot(best.damping, best.stiffness, label="stiffest by theory", **_STAR)
     if result.simulated is not None:
         k, b = np.meshgrid(result.stiffness, result.damping, indexing="ij")
         settles = result.simulated
