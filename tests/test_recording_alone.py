@@ -680,6 +680,18 @@ def of_device(folder: Path) -> Path:
     return HERE / "recordings" / "flight.mcap"
 
 
+def test_a_flight_has_the_delay_of_its_setup_and_an_unmeasured_hand() -> None:
+    flight = Recording.load(of_device(Path()))
+    fields = verify(flight, rebuild).fields
+    assert {fields[name].compared for name in ("delay", "hand_recorded", "hand_acts_on_flotor")} == {
+        len(flight.stretches)
+    }
+    setup = dict(flight.stretches[0].setup)
+    setup["parameters"] = {name: one for name, one in setup["parameters"].items() if name != "delay"}
+    with pytest.raises(InvalidRecordingError, match="setup cannot be made here: 'delay'"):
+        verify(Recording([replace(flight.stretches[0], setup=setup)]), rebuild)
+
+
 RECORDED = {"script": of_script, "scene": of_scene, "session": of_session, "device": of_device}
 
 

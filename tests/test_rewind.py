@@ -138,6 +138,8 @@ def test_a_changed_gain_gives_the_run_from_the_same_state(again: bool) -> None:
     drive(plant, scene.controller(), 160, observe=lambda sample, command: poses.append(plant.state()[0]))
     assert stretch.scene == scene and np.array(poses).tobytes() == rows(session)[240:, 1:7].tobytes()
     assert np.array(poses).tobytes() != first[240:, 1:7].tobytes()
+    times = [saved[0] for saved in session._past._states]
+    assert times == sorted(times)  # those of the first try take no room
     second = rows(session).copy()
     session.rewind(1.3, again=True)  # into the second try: nothing is left of the first
     run_to(session, end)
