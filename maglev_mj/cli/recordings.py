@@ -76,8 +76,8 @@ def _check(recording: Recording, own: OwnCode | None) -> int:
     with Progress("replay"):
         verdict = verify(recording, partial(rebuild, own=own))
     print(verdict)
-    simulated = (stretch.whole.setup for stretch in recording.stretches if stretch.setup["kind"] != "device")
-    for plant in sorted({unmade_plant(setup) for setup in simulated} - {""}):
+    simulated = (stretch for stretch in recording.stretches if stretch.setup["kind"] != "device")
+    for plant in sorted({*map(unmade_plant, simulated)} - {""}):
         text = f"the plant, {plant}, cannot be made here: the controller's answers alone are compared"
         for line in wrapped(text):
             say(line)
@@ -226,7 +226,7 @@ def _report(stretch: Stretch, begin: float, end: float | None, compare: bool, ow
 
     again = rebuild_for(stretch, own)
     anchors = stick_positions_of(stretch, again)
-    simulated = compare and not unmade_plant(stretch.whole.setup, own)
+    simulated = compare and not unmade_plant(stretch, own)
     scene = own.scene if own else None
     return analyse(stretch, again, anchors=anchors, scene=scene, begin=begin, end=end, simulated=simulated)
 

@@ -87,7 +87,7 @@ class HandDevice:
 
     def __init__(self, device: InputDevice, hand: SpringHand, mapping: AxisMapping | None = None) -> None:
         self.note, self._device, self._hand, self._mapping = "", device, hand, mapping or HAND_MAPPING
-        self.act: Callable[[str], object] = _nothing
+        self.act: Callable[[str], object] = lambda action: None
 
     def take(self) -> None:
         """Return None: a device requests no scene."""
@@ -112,9 +112,6 @@ class HandDevice:
         outside = self._mapping.outside(np.asarray(shares), _FULL)
         target = np.clip(self._mapping(outside) * RANGE, -_FURTHEST, _FURTHEST)
         return target.tolist() if target.any() else None
-
-
-def _nothing(_: str) -> None: ...
 
 
 _PERIOD = 1.0 / 120.0

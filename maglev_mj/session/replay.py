@@ -30,7 +30,6 @@ from maglev_mj.recording import (
     Recording,
     RecordingError,
     RecordingFile,
-    RunMetadata,
     Setup,
     Stretch,
     open_recording,
@@ -198,26 +197,18 @@ def rebuild_for(stretch: Stretch, own: OwnCode | None = None) -> Rebuild | None:
     return partial(rebuild, own=own)
 
 
-def unmade_plant(setup: Setup, own: OwnCode | None = None) -> str:
+def unmade_plant(stretch: Stretch, own: OwnCode | None = None) -> str:
     """Return the class name of a plant not simulated here.
 
-    Empty for one that can be simulated.
+    Empty for one that can be simulated, as a device of a known scene.
 
     Args:
-        setup: The setup.
+        stretch: The stretch.
         own: User code allowed to run.
     """
-    plant = setup.get("plant")
-    if not isinstance(plant, str):
-        return ""
-    if setup["kind"] != "device":
-        return plant
-    try:
-        with refused(*_INVALID):
-            _scene(setup, own)  # its simulated device replaces the real one
-    except InvalidRecordingError:
-        return plant
-    return ""
+    plant = stretch.whole.setup.get("plant")
+    is_twin = stretch.setup["kind"] == "device" and not isinstance(shown_scene(stretch, own), _Unknown)
+    return plant if isinstance(plant, str) and not is_twin else ""
 
 
 def record_run(scene: SceneLike, *, plant: str | None = None, phase: float = 0.0) -> Recording:
@@ -322,20 +313,20 @@ def recorded_to(path: Path | str, written: list[Path], *, quiet: bool = False) -
             written.append(done)
 
 
-def shown_scene(setup: Setup, metadata: RunMetadata, own: OwnCode | None = None) -> Scene:
+def shown_scene(stretch: Stretch, own: OwnCode | None = None) -> Scene:
     """Return the scene that displays a stretch.
 
     It is the stretch's own if that is known here.
 
     Args:
-        setup: The setup.
-        metadata: Metadata of the run, for an unknown scene.
+        stretch: The stretch.
         own: User code allowed to run.
     """
     try:
         with refused(*_INVALID):
-            return _scene(setup, own)
+            return _scene(stretch.setup, own)
     except InvalidRecordingError:
+        metadata = stretch.metadata
         return _Unknown(period=metadata.period, delay=metadata.delay, axis=metadata.axis)
 
 
@@ -556,7 +547,7 @@ class _Shown:
     def __init__(self, stretch: Stretch, own: OwnCode | None) -> None:
         self._again = rebuild_for(stretch, own)
         metadata = stretch.metadata
-        self.stretch, self.scene = stretch, shown_scene(stretch.setup, metadata, own)
+        self.stretch, self.scene = stretch, shown_scene(stretch, own)
         self.time: Array = stretch.time - stretch.time[0]
         self.duration = float(self.time[-1]) + metadata.period
         self.carried, self.faces = metadata.carried, tuple(metadata.faces)
