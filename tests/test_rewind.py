@@ -164,6 +164,8 @@ def test_the_first_try_is_shown_until_its_end_and_the_live_hand_follows() -> Non
     run_to(session, end + 0.05)
     after = session.snapshot()
     assert not len(after.first) and after.hand[0] < 0.0
+    session.change({"rewind": after.time - 0.7})  # where that hand acted again
+    assert not len(session.snapshot().first)
 
 
 def test_no_more_than_a_minute_is_kept_whatever_is_changed() -> None:

@@ -137,6 +137,36 @@ def test_a_torn_or_changed_shard_is_computed_again(
     assert kept(path, CELLS).done.all()
 
 
+@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
+def test_a_changed_bit_in_a_shard_is_no_result_and_no_error(
+    suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
+    run_cells(squares, CELLS, record=Record(tmp_path / "a"))
+    (shard,) = shards(tmp_path / "a")
+    whole = shard.read_bytes()
+    footer = len(whole) - 8 - int.from_bytes(whole[-8:-4], "little")  # which has no checksum, as a zip's directory
+    tables = footer if suffix == ".parquet" else whole.index(b"PK\x01\x02")
+    lost = 0
+    for place in range(len(whole)):
+        shard.write_bytes(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :])
+        found = kept(tmp_path / "a", CELLS)
+        lost += not found.done.any()
+        assert place >= tables or not found.done.any() or list(found) == squares(CELLS)
+    assert lost > 0.5 * tables
+
+
+def test_a_record_is_written_again_only_after_some_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.studies.record.time.monotonic", lambda: 100.0)
+    record, written = Record(tmp_path / "a"), []
+    record.begin(CELLS)
+    for index, due in enumerate((True, True, False)):
+        record.add(range(index, index + 1), recording.pack(squares(CELLS[index : index + 1])))
+        record.flush(due=due)
+        written.append(int(kept(tmp_path / "a", CELLS).done.sum()))
+    assert written == [1, 1, 3]
+
+
 def other_cells(path: Path) -> str:
     shutil.rmtree(path)
     run_cells(squares, CELLS[:9], record=Record(path))

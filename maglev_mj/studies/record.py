@@ -16,12 +16,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, SupportsIndex, TypeAlias
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from maglev_mj.errors import ParameterError, require
+from maglev_mj.errors import MissingPackageError, ParameterError, require
 from maglev_mj.frames import Array
 from maglev_mj.result import plain
 from maglev_mj.versions import differences, hash_of, versions, versions_read
@@ -125,8 +124,10 @@ class Record(Sequence[Any]):
             try:
                 columns = _read_table(path)
                 self.put(columns.pop(_INDEX), columns)
-            except (OSError, ValueError, KeyError, TypeError, IndexError, EOFError, BadZipFile):
-                continue  # torn: its cells are computed again
+            except MissingPackageError:
+                raise
+            except Exception:  # a torn or changed table fails in many ways
+                continue  # its cells are computed again
 
     def __len__(self) -> int:
         return self.done.size
