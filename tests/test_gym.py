@@ -72,6 +72,15 @@ def test_a_flotor_beyond_its_range_is_seen_at_the_bound_until_the_end() -> None:
     assert not ended and rewards[-1] == 0.0 and observation[0] == pytest.approx(0.009)
 
 
+def test_a_batch_that_is_reset_at_its_end_goes_on_at_once() -> None:
+    env, over = gym.TargetVectorEnv(2, "drop", duration=0.02), np.zeros(2, dtype=bool)
+    env.reset(seed=1)
+    while not over.any():
+        _, _, _, over, _ = env.step(np.zeros((2, 1)))
+    env.reset(seed=1)
+    assert env.step(np.zeros((2, 1)))[1].any()  # a step that begins an episode has no reward
+
+
 def test_a_scene_or_an_axis_that_is_not_there_is_refused() -> None:
     with pytest.raises(ParameterError, match="scene must be one of"):
         gymnasium.make("maglev_mj/Scene-v0", scene="nothing")

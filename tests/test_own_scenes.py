@@ -203,6 +203,8 @@ def test_a_large_grid_is_refused_at_its_corners_at_once_and_inside_by_the_worker
             raise ValueError("stiffness must be another")
 """
     )
+    with pytest.raises(ValueError, match="stiffness must be another"):  # in the middle of a small one
+        Grid(find_scene(str(file))(), {"stiffness": [1300.0, 1310.0, 1320.0], "damping": [56.0, 57.0, 58.0]})
     grid = {"stiffness": [1000.0 + 10.0 * k for k in range(60)], "damping": [40.0 + k for k in range(60)]}
     record = tmp_path / "record"
     with pytest.raises(ValueError, match="stiffness must be another"):

@@ -205,6 +205,9 @@ def test_a_sweep_has_a_row_for_each_cell_and_a_line_for_each_value() -> None:
     assert failed["error"][0] == "" and "diverged" in failed["error"][1] and np.isnan(failed["penetration"][1])
     with pytest.raises(ParameterError, match=r"vary must give .* one parameter, not \{\}; run\(\) does one run"):
         sweep(Drop(), {}, plant="exact")
+    pressed = sweep(Press(), {"stiffness": [4000.0]}, plant="exact")
+    with pytest.raises(ParameterError, match="figure must be one number a cell, not peak_force"):
+        pressed.figure("peak_force")
     with pytest.raises(ParameterError, match=r"figure must be one of penetration, .* not 'penetraton'; did you mean"):
         found.figure("penetraton")
     walls = sweep(find_scene("wall"), {"stiffness": [7000.0, 11000.0]}, plant="exact")

@@ -338,6 +338,13 @@ def test_single_steps_go_on_from_there_and_a_program_waits_for_none() -> None:
     assert now.rewound == 0.0 and now.time == pytest.approx(0.505)
 
 
+def test_a_period_longer_than_the_time_between_kept_states_keeps_one_each() -> None:
+    session = made(Drop(period=1.0))
+    session.tick(2.0)
+    session.rewind(1.0)
+    assert session.snapshot().time == 1.0
+
+
 def test_of_many_rewinds_the_newest_is_shown_and_a_device_has_none() -> None:
     inbox = Inbox(clock=lambda: 0.0)
     for place in range(1000):

@@ -388,7 +388,7 @@ class Session:
         again = flag("again", again)
         least, most = self._past.bounds(self._stretch.time)
         self._show_past(number("time", time, at_least=least, at_most=most))
-        self._leave_past(again=flag("again", again))
+        self._leave_past(again=again)
 
     def _show_past(self, time: float) -> None:
         """Show, paused, the scene of an earlier time [s], or of the earliest."""
