@@ -135,7 +135,7 @@ def new_grid(
     The figure names the others. Rounding alone does not fill a panel.
 
     Args:
-        quantities: The quantities; if none changes, the first has a panel.
+        quantities: One or more; if none changes, the first has a panel.
         along: Label of the abscissa, which all share.
         high: Most panels below one another, with labels at their ordinates; 0 for titled ones, three in a row.
         row: Height of a row [inch].
@@ -146,9 +146,8 @@ def new_grid(
     ranges = {name: _range(values) for name, (values, _) in quantities.items()}
     least = {name: max(_NOISE.get(unit, 0.0), _FLAT * abs(ranges[name][0])) for name, (_, unit) in quantities.items()}
     names = [name for name in quantities if ranges[name][1] > least[name] or name == always] or list(quantities)[:1]
-    count = max(len(names), 1)
-    columns = -(-count // (high or -(-count // _COLUMNS)))
-    rows = -(-count // columns)
+    columns = -(-len(names) // (high or -(-len(names) // _COLUMNS)))
+    rows = -(-len(names) // columns)
     figure, panels = new_figure(rows, columns, more + row * rows, sharex=True, **options)
     if high:  # column by column
         panels = [panel for column in range(columns) for panel in panels[column::columns]]
@@ -166,9 +165,8 @@ def new_grid(
         panel.tick_params(labelbottom=True)
     for panel in panels[len(names) :]:
         panel.set_axis_off()
-    others = ", ".join(name.replace("_", " ") for name in quantities if name not in names)
-    if note := f"left out, as flat: {others}" if others else "" if names else "no figures":
-        figure.suptitle(note, **HEAD, color=REFERENCE)
+    if others := ", ".join(name.replace("_", " ") for name in quantities if name not in names):
+        figure.suptitle(f"left out, as flat: {others}", **HEAD, color=REFERENCE)
     return figure, dict(zip(names, panels))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import wave
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -146,7 +147,7 @@ def test_a_clip_without_an_encoder_for_sound_is_silent_and_says_so(
 ) -> None:
     refused = subprocess.CompletedProcess((), 1, b"", b"Unknown encoder 'aac'\nnothing written")
     parts: list[Any] = []
-    monkeypatch.setattr(subprocess, "run", lambda *_, **__: refused)
+    monkeypatch.setattr(offscreen, "subprocess", SimpleNamespace(run=lambda *_, **__: refused))
     monkeypatch.setattr(offscreen, "write_sound", lambda file, heard, turns: parts.extend(heard))
     render_buzz(tmp_path / "buzz.mp4", 1.0)
     assert capsys.readouterr().out.splitlines() == [f"  {tmp_path / 'buzz.mp4'} is silent: Unknown encoder 'aac'"]

@@ -127,12 +127,12 @@ def spread(variants: Variants) -> Any:
 
     Raises:
         MissingPackageError: If matplotlib is not installed.
-        ParameterError: If there are neither phases nor bands.
+        ParameterError: If there are neither phases nor bands, or no figures.
     """
     scene = variants.first.scene
     shown = variants.phases or {label: band.over_phases() for label, band in variants.bands.items()}
-    if not shown:
-        raise ParameterError("phases must be run for their picture: see run_phases")
+    if not shown or not scene.figures:
+        raise ParameterError("phases must be run for their picture: see run_phases; the scene needs figures")
     found = {}
     for name, one in scene.figures.items():
         values = [one.scale * np.asarray(by.figures[name], dtype=np.float64) for by in shown.values()]

@@ -360,7 +360,7 @@ class Variants(Result):
         """Pictures by file name without ending, each the function that draws it as "module:function"."""
         scene = self.first.scene
         general = {scene.name: "maglev_mj.scenes.pictures:series"} if self.runs else {}
-        if self.phases:
+        if self.phases and scene.figures:
             general[f"{scene.name}_phases"] = "maglev_mj.scenes.pictures:spread"
         return scene.plots or general
 

@@ -267,33 +267,25 @@ def render(
     drawn, forces = max(round(end * rate / time_scale), 1) if moving else 1, list[Array]()
     with OffscreenPainter(scene, width, height, plots=plots, factor=magnify) as painter, engine_warnings_silenced():
         painter.wait(session.snapshot())
+
+        def pictures() -> Iterator[Pixels]:
+            for place in range(drawn):
+                yield painter.picture(session.snapshot())
+                if ticks := session.tick(1.0 / rate):
+                    forces.append(session.snapshot().history[-ticks:, 13:19])
+                progress(place + 1, drawn)
+
         if not moving:
             session.tick(end / time_scale)
             write_picture(painter.picture(session.snapshot()), path)
         else:
-            write_clip(_pictures(session, painter, drawn, 1.0 / rate, progress, forces), path, rate)
+            write_clip(pictures(), path, rate)
     if path.suffix == ".mp4" and forces:
         sound = BytesIO()
         write_sound(sound, [(np.concatenate(forces), scene.period / time_scale)], turns=scene.axis_index > 2)
         _add_sound(path, sound.getvalue(), drawn / rate)
     session.close()
     return drawn
-
-
-def _pictures(
-    session: Session,
-    painter: OffscreenPainter,
-    count: int,
-    step: float,
-    progress: Callable[[int, int], object],
-    forces: list[Array],
-) -> Iterator[Any]:
-    """Yield the pictures; add the wrenches at the samples between them, (N, 6) each."""
-    for place in range(count):
-        yield painter.picture(session.snapshot())
-        if ticks := session.tick(step):
-            forces.append(session.snapshot().history[-ticks:, 13:19])
-        progress(place + 1, count)
 
 
 def _add_sound(path: Path, sound: bytes, length: float) -> None:
