@@ -304,6 +304,7 @@ def test_an_unstable_scene_is_rewound_and_an_emergency_stop_stays() -> None:
     session.tick(8.0)
     assert session.snapshot().reason.startswith("the rendered world made")
     session.act("rewind")
+    assert (session.snapshot().state, session.snapshot().reason) == ("paused", "")
     session.change({"stiffness": 0.5 * limit})
     session.act("pause")
     session.tick(1.0)

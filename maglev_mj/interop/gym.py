@@ -128,8 +128,6 @@ class TargetEnv(gymnasium.Env[Array, Array]):
         ((2,), (6,))
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}  # type: ignore[misc]
-
     def __init__(self, scene: SceneLike = "joystick", axes: str | Sequence[str] = "", **parameters: Any) -> None:
         self.task = TargetTask(scene, axes, **parameters)
         self.action_space, self.observation_space = self.task.action_space, self.task.observation_space
@@ -182,10 +180,5 @@ class TargetVectorEnv(VectorEnv[Array, Array, Array]):
         return observation, reward, never, np.full(self.num_envs, self._over), {}
 
 
-for _name, _given in (("Joystick", {"scene": "joystick"}), ("Scene", {})):
-    gymnasium.register(
-        f"maglev_mj/{_name}-v0",
-        entry_point=TargetEnv,
-        vector_entry_point=TargetVectorEnv,
-        kwargs=_given,
-    )
+for _name in ("Joystick", "Scene"):  # the joystick is the scene by default
+    gymnasium.register(f"maglev_mj/{_name}-v0", entry_point=TargetEnv, vector_entry_point=TargetVectorEnv)

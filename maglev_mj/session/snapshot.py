@@ -259,9 +259,6 @@ class SampledMotion:
         self._last = time, pose
 
 
-def _unheard(_: int | str) -> None: ...
-
-
 class ChangeRequest(NamedTuple):
     """Scene requested by another program.
 
@@ -271,7 +268,7 @@ class ChangeRequest(NamedTuple):
     """
 
     scene: Scene
-    reply: Callable[[int | str], object] = _unheard
+    reply: Callable[[int | str], object] = lambda since: None
 
 
 REPLACED = "replaced by a newer request before it was in force"

@@ -115,10 +115,9 @@ class LiveStretch:
         self._parts.append((self.ticks, first))
         record = None
         if file is not None:
-            session, name = {"first": first, "after": after}, f"scene {self.scene.name}"
-            record = begin_scene(
-                file, self.scene, self.plant, self.controller, name=name, before=self.force, session=session
-            )
+            details = {"before": self.force, "session": {"first": first, "after": after}}
+            name, plant = f"scene {self.scene.name}", self.plant
+            record = begin_scene(file, self.scene, plant, self.controller, name=name, **details)
         self._go_on(hand, record)
 
     def _go_on(self, hand: HandForce, record: Record | None) -> None:

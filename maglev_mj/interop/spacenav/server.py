@@ -229,6 +229,7 @@ class SpacenavServer:
 
     Attributes:
         path: Where the socket is.
+        clients: Connected programs.
         sent: Events, to all programs together.
         missed: Events for which programs had no room.
         dropped: Programs let go because they sent rubbish.
@@ -251,14 +252,9 @@ class SpacenavServer:
     ) -> None:
         self.sent = self.missed = self.dropped = self.refused = 0
         self._axes, self._buttons, self._clock = axes or PoseAxes(), buttons or (lambda _: NO_BUTTONS), clock
-        self._clients: list[_Client] = []
+        self.clients: list[_Client] = []
         self._place = Place(path)
         self.path = self._place.path
-
-    @property
-    def clients(self) -> int:
-        """Number of connected programs."""
-        return len(self._clients)
 
     def take(self) -> None:
         """Return None: programs ask for nothing here."""
@@ -283,9 +279,9 @@ class SpacenavServer:
         self._tell(REST, NO_BUTTONS, self._clock())
         if self.sent > before:
             time.sleep(_FAREWELL)
-        for client in self._clients:
+        for client in self.clients:
             client.line.close()
-        self._clients.clear()
+        self.clients.clear()
         self._place.close()
 
     def _admit(self, now: float) -> None:
@@ -295,14 +291,14 @@ class SpacenavServer:
                 line, _ = self._place.listener.accept()
             except OSError:  # nobody waits, has gone again, or there are no descriptors left for it
                 return
-            if len(self._clients) < _MOST_CLIENTS:
-                self._clients.append(_Client(line, now))
+            if len(self.clients) < _MOST_CLIENTS:
+                self.clients.append(_Client(line, now))
             else:
                 line.close()
                 self.refused += 1
 
     def _tell(self, axes: tuple[int, ...], down: tuple[bool, ...], now: float) -> None:
-        for client in self._clients:
+        for client in self.clients:
             for had_room in client.tell(axes, down, now) if client.listens(now) else ():
                 self.sent += had_room
                 self.missed += not had_room
@@ -310,10 +306,10 @@ class SpacenavServer:
     def _receive(self) -> None:
         """Hear each client; drop those gone or invalid."""
         kept = []
-        for client in self._clients:
+        for client in self.clients:
             if client.hear():
                 kept.append(client)
             else:
                 client.line.close()
                 self.dropped += not client.gone
-        self._clients = kept
+        self.clients = kept
