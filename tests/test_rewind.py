@@ -339,6 +339,19 @@ def test_single_steps_go_on_from_there_and_a_program_waits_for_none() -> None:
     assert now.rewound == 0.0 and now.time == pytest.approx(0.505)
 
 
+def test_a_restart_forgets_all_before_and_the_recorded_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    session = played(made(), 0.5)
+    session.rewind(0.2, again=True)
+    session.tick(0.1)
+    assert session.snapshot().hand.any()
+    session.act("centre")
+    session.tick(0.1)
+    assert session._past.bounds(0.1) == (0.0, 0.1) and len(rows(session)) == 20
+    assert not session.snapshot().hand.any()
+    monkeypatch.setattr("maglev_mj.session.snapshot._MOST_ROWS", 5)
+    assert len(rows(session)) == 5
+
+
 def test_a_period_longer_than_the_time_between_kept_states_keeps_one_each() -> None:
     session = made(Drop(period=1.0))
     session.tick(2.0)
