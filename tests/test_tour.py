@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from maglev_mj.errors import ParameterError
-from maglev_mj.session import EMERGENCY_STOP, Pacer, Session, TourLine
+from maglev_mj.session import EMERGENCY_STOP, REWINDS, Pacer, Session, TourLine
 from maglev_mj.session.tour import STEPS, Step, Tour
 
 TICK = 0.02
@@ -243,7 +243,8 @@ def test_a_tour_takes_what_leaves_the_joystick_as_it_is() -> None:
     user = User(1)
     actions = user.tour.snapshot().actions
     assert {"next", "back", "pause", "centre", "slower", EMERGENCY_STOP, "stiffness up"} <= set(actions)
-    for action in ("next scene", "scene drop", "drop"):
+    assert user.tour.snapshot().rewound is None
+    for action in ("next scene", "scene drop", "drop", *REWINDS):
         assert action not in actions
         with pytest.raises(ParameterError, match="action must be one of next, back"):
             user.tour.act(action)
