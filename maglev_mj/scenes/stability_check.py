@@ -5,10 +5,12 @@ The stability check covers the closed loop of every axis; the force step is that
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj import theory
@@ -16,9 +18,13 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Sample, components, unit_of
 from maglev_mj.parameters import numbers
+from maglev_mj.plants.hand import Hand
+from maglev_mj.scenes.bench import along
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
-from maglev_mj.theory.verdict import inertia_of, stability
+from maglev_mj.spec import GRAVITY
+from maglev_mj.theory.closed_loop import bisect
+from maglev_mj.theory.verdict import axis_loop, inertia_of, stability
 
 STEP_FORCE = 2.0
 """Default limit of force steps by other programs [N].
@@ -34,6 +40,11 @@ _ARM = 0.05
 
 It is about the distance of the flotor's rim from the axis.
 """
+
+_FACTOR, _MOST, _HALVINGS = 1.2, 14, 13
+"""Step of a gain's factor, most steps, and halvings of the last."""
+_DEPTH = 1e-3
+"""Depth in a wall of a scene without a stiffness [m]."""
 
 _ACTING = {"contact": "walls", "stuck": "friction"}
 
@@ -133,6 +144,86 @@ def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: floa
         period=period,
         delay=delay,
     )
+
+
+class WallMargin(NamedTuple):
+    """Stability of a wall that the flotor rests in.
+
+    Attributes:
+        stiffness: Static stiffness [N/m, N m/rad].
+        modulus: Largest modulus of the wall's own eigenvalues, below 1 for a stable wall; NaN if not known.
+        margin: Factor of the scene's stiffness at which that changes, the other gains as they are; NaN if it does not
+            change up to tenfold.
+    """
+
+    stiffness: float
+    modulus: float
+    margin: float
+
+    def __str__(self) -> str:
+        if math.isnan(self.modulus):
+            return "root not known"
+        limit = "" if math.isnan(self.margin) else f", stiffness {100.0 / self.margin:.0f} % of its limit"
+        return f"root {self.modulus:.3f}{'' if self.modulus < 1.0 else ' UNSTABLE'}{limit}"
+
+
+def wall_margin(
+    scene: Scene,
+    *,
+    faces: Sequence[tuple[int, float, float]] = (),
+    inertia: ArrayLike | None = None,
+    delay: float | None = None,
+    hand: Hand | None = None,
+) -> WallMargin | None:
+    """Return the margin of a scene's wall, of several that with the largest root; None without a stiff one.
+
+    By the laws' own gains where they state them, otherwise by linearisation where the wall bears the weight.
+
+    Args:
+        scene: See `unstable_loop`.
+        faces: Index into AXES, normal and edge of each wall [m, rad], for laws that do not tell them.
+        inertia: See `unstable_loop`.
+        delay: See `stability`.
+        hand: The hand that holds the translations; None for a free flotor.
+
+    Raises:
+        MaglevError: If a law fails.
+
+    Example:
+        >>> from maglev_mj import find_scene
+        >>> print(wall_margin(find_scene("drop")()))
+        root 0.877, stiffness 59 % of its limit
+    """
+    body = inertia_of(scene) if inertia is None else numbers("inertia", inertia)
+    late, gain = scene.delay if delay is None else delay, getattr(scene, "stiffness", math.nan)
+    own = scene.controller()
+    if not (faces := own.faces or faces) or not gain:
+        return None
+
+    def loop(controller: Controller, axis: int, normal: float, edge: float) -> tuple[float, float]:
+        gains = theory.stated_gains(controller) or {}
+        stated = [(k[axis], b[axis]) for states, (k, b) in gains.items() if "contact" in states]
+        if not stated:
+            depth = _DEPTH if math.isnan(gain) else float(body[0]) * GRAVITY / gain
+            pose = along(AXES[axis], edge - normal * depth)
+            return axis_loop(controller, axis, pose=pose, delay=late, inertia=body, hand=hand)
+        around: Any = {"period": scene.period, "delay": late, "mass": body[axis], "velocity": controller.velocity}
+        moduli = theory.largest_modulus(*np.transpose(stated), hand=hand if axis < 3 else None, **around)
+        return float(stated[int(moduli.argmax())][0]), float(moduli.max())
+
+    (stiffness, modulus), worst = max(((loop(own, *face), face) for face in faces), key=lambda found: found[0][1])
+
+    def changed(factor: Any) -> Any:
+        try:
+            other = scene.replace(stiffness=float(factor) * gain).controller()
+        except ParameterError:  # beyond the bounds of a scene
+            return False
+        return loop(other, *worst)[1] < 1.0 if modulus >= 1.0 else loop(other, *worst)[1] >= 1.0  # NaN is no change
+
+    factors = (_FACTOR if modulus < 1.0 else 1.0 / _FACTOR) ** np.arange(1 if math.isnan(gain) else _MOST)
+    last = next((index for index, factor in enumerate(factors[1:]) if changed(factor)), None)
+    margin = math.nan if last is None else float(bisect(changed, factors[last], factors[last + 1], _HALVINGS))
+    return WallMargin(stiffness, modulus, margin)
 
 
 def check_step(present: Controller, wanted: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:

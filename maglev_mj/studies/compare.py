@@ -19,23 +19,22 @@ from maglev_mj.control import Law, ObserverWall, PredictiveWall, Wall
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.parameters import number
 from maglev_mj.result import Table, plain, with_unit
-from maglev_mj.scenes.bench import WallScene, along
+from maglev_mj.scenes.bench import WallScene
 from maglev_mj.scenes.find import SceneLike, class_in_file, get_scene
 from maglev_mj.scenes.results import Figure, Variants
 from maglev_mj.scenes.run import run_variants
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.spec import GRAVITY, Spec
+from maglev_mj.scenes.stability_check import wall_margin
+from maglev_mj.spec import Spec
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory.boundary import colgate
-from maglev_mj.theory.closed_loop import bisect
-from maglev_mj.theory.verdict import axis_loop, inertia_of
 
 _SHARES = {"": 50.0, "_10": 10.0, "_90": 90.0}
 _BESIDE = {"final_z", "approach_speed", "contact_time", "final_force", "final_depth", "ripple", "force_ripple"}
 """Figures left out; they describe hand, weight or sensor more than the law."""
 _PICTURES = "maglev_mj.scenes.pictures"
-_TICKS, _STEP, _MOST, _HALVINGS = 800, 1.2, 14, 13
-"""Samples of a noise; step of a gain's factor, most steps, and halvings of the last."""
+_TICKS = 800
+"""Samples of a noise."""
 
 LawMaker = Callable[..., Law]
 """Class of a law, or function that returns one, of numbers that `compare` gives by name."""
@@ -216,22 +215,11 @@ def _made(label: str, maker: LawMaker, scene: WallScene, wall: Wall) -> Law:
 def _margins(scene: WallScene) -> dict[str, float]:
     """Return the figures of a scene's first law at rest.
 
-    It rests at the depth at which the scene's own wall bears the weight.
+    Laws that state no gains rest at the depth at which the scene's own wall bears the weight.
     """
-    body, place = inertia_of(scene), along("z", -scene.mass * GRAVITY / scene.stiffness)
-
-    def loop(scale: float) -> tuple[float, float]:
-        controller = scene.replace(stiffness=scale * scene.stiffness).controller()
-        return axis_loop(controller, 2, pose=place, delay=scene.delay, inertia=body, hand=_hand(scene))
-
-    def changed(scale: Any) -> Any:
-        # NaN, not known, is no change
-        return loop(float(scale))[1] >= 1.0 if modulus < 1.0 else loop(float(scale))[1] < 1.0
-
-    stiffness, modulus = loop(1.0)
-    factors = (_STEP if modulus < 1.0 else 1.0 / _STEP) ** np.arange(_MOST)
-    last = next((index for index, factor in enumerate(factors[1:]) if changed(factor)), None)
-    margin = math.nan if last is None else float(bisect(changed, factors[last], factors[last + 1], _HALVINGS))
+    found = wall_margin(scene, faces=[(2, 1.0, 0.0)], hand=_hand(scene))
+    assert found is not None
+    stiffness, modulus, margin = found
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
     around |= {"hand": _hand(scene), "quantum": scene.quantize or Spec.translation_resolution.value}
