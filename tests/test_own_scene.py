@@ -23,6 +23,7 @@ from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import Pacer, Session
 from maglev_mj.theory import stability
 from maglev_mj.versions import hash_of
+from maglev_mj.views.charts import STABILITY
 from maglev_mj.views.window.screen import Plots
 from tests.processes import lockstep_twin
 from tests.test_dask_workers import cluster
@@ -277,7 +278,7 @@ def test_the_viewer_takes_it_and_says_whether_it_is_stable(cls: type[Mine]) -> N
         shot, plots = session.snapshot(), Plots()
     assert shot.state == "running" and np.abs(shot.pose).max() < np.abs(START).max()
     verdict = stability(cls())
-    plots.wait(shot.scene)
+    STABILITY.wait(shot)
     title = plots.update(shot)[2].title
     text = title if isinstance(title, str) else bytes(title).split(b"\0")[0].decode()
     assert verdict.stable and text == str(verdict) and set(verdict.axes) <= set(AXES)

@@ -19,6 +19,7 @@ from maglev_mj.scenes.rooms import INERTIA, MASS, InteractiveScene, Joystick, Ta
 from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, unstable_loop
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
+from maglev_mj.views.charts import STABILITY
 from maglev_mj.views.window.screen import Plots
 from tests.test_linearise import Detent, Echo
 
@@ -277,7 +278,7 @@ def test_the_stability_plot_shows_gains_only_where_all_laws_state_them() -> None
         session = Session(scene)
         snapshot, plots = session.snapshot(), Plots()
         session.close()
-        plots.wait(snapshot.scene)
+        STABILITY.wait(snapshot)
         figure = plots.update(snapshot)[2]
         title = bytes(figure.title).split(b"\0")[0].decode() if not isinstance(figure.title, str) else figure.title
         return title, int(np.count_nonzero(figure.linepnt))
@@ -292,7 +293,7 @@ def test_the_boundary_in_the_plot_is_that_of_the_scenes_own_mass() -> None:
     def most(mass: float) -> float:
         """Return the largest damping of a stable wall [N s/m]."""
         plots, snapshot = Plots(), Snapshot(scene=Drop(mass=mass))
-        plots.wait(snapshot.scene)
+        STABILITY.wait(snapshot)
         figure = plots.update(snapshot)[2]
         lowest = int(np.count_nonzero(figure.linepnt)) - 1
         return float(figure.linedata[lowest, 2 * int(figure.linepnt[lowest]) - 2])

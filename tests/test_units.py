@@ -18,7 +18,7 @@ from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Snapshot
 from maglev_mj.theory.verdict import stability
-from maglev_mj.views.charts import Charts
+from maglev_mj.views.charts import STABILITY, Charts
 from maglev_mj.views.page import plots as page_plots
 from maglev_mj.views.page.panel import control
 from maglev_mj.views.window import screen as window_plots
@@ -74,7 +74,7 @@ def page_curves(snapshot: Any) -> str:
     """Return the texts of the page's plots."""
     gui = PlotGui()
     shown = page_plots.Plots(gui, snapshot.scene)
-    shown._charts.wait(snapshot.scene)
+    STABILITY.wait(snapshot)
     shown.show(snapshot)
     return "\n".join(re.sub("<[^>]*>", " ", plot.content) for plot in gui.plots)
 
@@ -82,7 +82,7 @@ def page_curves(snapshot: Any) -> str:
 def window_curves(snapshot: Any) -> str:
     """Return the texts of the window's plots."""
     shown = window_plots.Plots()
-    shown.wait(snapshot.scene)
+    STABILITY.wait(snapshot)
     return "\n".join(f"{one.title}\n{one.xlabel}" for one in shown.update(snapshot))
 
 

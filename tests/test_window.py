@@ -26,7 +26,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import Note, Pacer, Session, Snapshot, TourLine, device_actions
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
-from maglev_mj.views.charts import SteadyRange, fitted_range, margin
+from maglev_mj.views.charts import STABILITY, SteadyRange, fitted_range, margin
 from maglev_mj.views.window.grab import Grab, fitted_size
 from maglev_mj.views.window.keys import AXIS, KEYS, MAGNIFY, help_rows
 from maglev_mj.views.window.layout import Area, Font, Layout, arrange
@@ -307,7 +307,7 @@ def test_the_cross_is_green_or_red_and_the_axis_of_the_plots_is_on_a_key(shot: S
     screen, view = Screen(), Area(0, 0, 1280, 800)
     for scene, colour in ((Joystick(), GOOD), (Joystick(stiffness=30000.0), BAD)):
         shown = replace(shot, scene=scene)
-        screen.wait(scene)
+        STABILITY.wait(shown)
         _, gains = titled(screen.draw(shown, view, 100).figures, "% of the boundary")
         assert gains.linergb[1] == pytest.approx(colour)
         assert gains.textrgb == pytest.approx(shown_colour(colour))

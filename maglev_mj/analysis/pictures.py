@@ -204,8 +204,9 @@ def _over_time(report: StretchReport, axis: int, window: tuple[float, float], *,
 
 
 def _describe(report: StretchReport) -> str:
+    wall = "" if report.wall is None else f"; wall: {report.wall}"
     compared = "" if report.comparison is None else f"\n{report.comparison.sentence}"
-    return f"{report.run_named}{compared}"
+    return f"{report.run_named}{wall}{compared}"
 
 
 def _dots(panel: Any, run: Run, axis: int, window: tuple[float, float]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -18,9 +19,11 @@ from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
 from maglev_mj.recording.recording import READ_STRETCH
+from maglev_mj.recording.setup import scripted
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.find import recorded_scene
+from maglev_mj.scenes.stability_check import WallMargin, wall_margin
 from maglev_mj.session import live_plant
 
 _STILL = 1e-9
@@ -130,6 +133,7 @@ class StretchReport(Result):
         simulated: Motion and figures of the simulation; None if none was requested, or it failed at once.
         comparison: Distance between both; None if none was requested.
         identified: Identified walls, friction, mass, delay and sensor.
+        wall: Margin of the simulated scene's wall; None without one, for a device, or where the scene is not known.
     """
 
     kind: str
@@ -138,6 +142,10 @@ class StretchReport(Result):
     simulated: Run | None
     comparison: Comparison | None
     identified: Identification
+    wall: WallMargin | None = None
+    units: ClassVar = {"time": "s"} | {
+        f"{side}.{axis}": unit_of("m", axis) for side in ("recorded", "simulated") for axis in AXES
+    }
     drawn_by: ClassVar = "maglev_mj.analysis.pictures:stretch_report"
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -154,12 +162,6 @@ class StretchReport(Result):
                 poses[: len(run.motion.starts)] = run.motion.trace.pose[run.motion.starts]
                 columns |= {f"{name}.{axis}": poses[:, index] for index, axis in enumerate(AXES)}
         return columns
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of each column."""
-        sides = "recorded", "simulated"
-        return {"time": "s"} | {f"{side}.{axis}": unit_of("m", axis) for side in sides for axis in AXES}
 
     @property
     def run_named(self) -> str:
@@ -262,7 +264,11 @@ def analyse(
         until = min(last, len(twin.tick) - 1)
         if until - first >= 1:
             other = _run(twin, reconstruct(twin), None, (first, until), rest)
-    run = _run(stretch, whole, anchors, (first, last), rest)
+    run, wall = _run(stretch, whole, anchors, (first, last), rest), None
+    if stretch.setup["kind"] != "device":  # with the delay of a line, which no setup has
+        with suppress(MaglevError, KeyError):
+            known = recorded_scene(stretch.setup["scene"], stretch.setup["parameters"], scene)
+            wall = wall_margin(known, held=scripted(stretch.setup))
     return StretchReport(
         kind=stretch.setup["kind"],
         metadata=stretch.metadata,
@@ -270,6 +276,7 @@ def analyse(
         simulated=other,
         comparison=comparison,
         identified=identify(stretch[first : last + 1], anchors=run.anchors),
+        wall=wall,
     )
 
 

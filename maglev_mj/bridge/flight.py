@@ -111,7 +111,7 @@ class Flight:
         self._inertia = [*[plant.calibration.mass] * 3, *plant.calibration.inertia]
         self._force: Sequence[float] = WEIGHT
         self._delays: deque[float] = deque(maxlen=_USUAL)
-        self._warn, self._checked = warn, 0.0
+        self._warn, self._check_due = warn, session.Due(1.0)
         self._late, self._power = DelayGuard(late_delay(bears, plant.period)), PowerGuard(plant.period)
         self.reason, self._judge = "", judge
         if file is not None:
@@ -219,9 +219,8 @@ class Flight:
 
     def _check(self, file: RecordingFile, warn: Callable[[str], object]) -> None:
         """Report once a second if the recording has ended."""
-        if (now := time.monotonic()) < self._checked:
+        if not self._check_due():
             return
-        self._checked = now + 1.0
         try:
             file.check()
         except RecordingError as error:

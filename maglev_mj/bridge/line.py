@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -120,6 +120,7 @@ class LineReport(Result):
     late: int
     clock: float
     lockstep: bool
+    units: ClassVar = {"delay": "s", "answer": "s"}
 
     @property
     def usual(self) -> float:
@@ -147,11 +148,6 @@ class LineReport(Result):
     def columns(self) -> Mapping[str, Array]:
         """Return the times of each answer."""
         return {"delay": self.delay, "answer": self.answer}
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Units of the columns."""
-        return {"delay": "s", "answer": "s"}
 
     def table(self) -> Table:
         """Return the times, and below what was lost."""
@@ -290,8 +286,8 @@ def judge_change(
     """
     with own_code_refused():
         bears = _bears(scene, np.array(inertia))
-    usual = max(report.usual, float(np.percentile(delays, 95.0)) if delays else 0.0)
-    problem = _weakness(scene, bears, usual)
+    newest = replace(report, delay=np.array(delays), samples=len(delays), late=0)
+    problem = _problem(scene, max(report, newest, key=lambda one: one.usual), bears)
     if problem and anyway:
         return report.anyway, f"warning: {problem}"
     return None if problem else bears, problem
@@ -314,19 +310,14 @@ def _problem(scene: Scene, report: LineReport, bears: float) -> str:
             f"only {100.0 * report.success:.0f} % of {report.samples} samples were answered in time, and "
             f"{100.0 * _ANSWERED:.0f} % are needed: keep a processor free or take a quicker line"
         )
-    return _weakness(scene, bears, report.usual)
-
-
-def _weakness(scene: Scene, bears: float, usual: float) -> str:
-    """Return why a scene should not be rendered over a line of a usual delay [s]."""
     if math.isnan(bears):
         return f"it is not known what delay {scene.name} bears: its laws remember too long, or jump"
     if bears == 0.0:
         return f"{scene.name} is UNSTABLE without any delay: lower its stiffness, or raise its damping"
-    if bears < usual:
+    if bears < report.usual:
         return (
             f"{scene.name} bears {bears * 1e3:.2f} ms of delay and is UNSTABLE beyond, and one in 20 answers takes "
-            f"more than {usual * 1e3:.2f} ms: lower its stiffness, keep a processor free or take a quicker line"
+            f"more than {report.usual * 1e3:.2f} ms: lower its stiffness, keep a processor free or take a quicker line"
         )
     return ""
 

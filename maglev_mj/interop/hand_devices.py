@@ -168,8 +168,7 @@ def gamepad_names() -> list[str]:
     Empty without a display.
     """
     with closing(SideProcess(watch, "")) as process:
-        found: list[str] = _first(process)
-        return found
+        return list(_first(process))
 
 
 def gamepad_shares(axes: Sequence[float], turn: float) -> tuple[float, ...]:
@@ -274,12 +273,8 @@ def _first(process: SideProcess) -> Any:
 
     An empty list if it ends first.
     """
-    end = time.monotonic() + _PATIENCE
-    while not process.ended and time.monotonic() < end:
-        for message in process.received():
-            return message
-        time.sleep(0.005)
-    return []
+    process.line.poll(_PATIENCE)
+    return next(process.received(), [])
 
 
 _AT_ONCE = 65_536

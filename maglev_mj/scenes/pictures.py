@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -15,6 +15,7 @@ from maglev_mj.lazy import loaded
 from maglev_mj.pictures import HEAD, SHADE, TITLE, broken, line_style, name_curves, new_figure, new_grid
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.results import Phases, RunResult, Variants, share_below
+from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.spec import Spec
 
 _FINE, _POINTS = 1e-4, 2001
@@ -244,13 +245,6 @@ def _published(scene: Any) -> tuple[float, float, float] | None:
     return None
 
 
-def _common_gains(scenes: Iterable[Any]) -> str:
-    """Return stiffness and damping where all scenes have the published wall with the same ones."""
-    walls = {(_published(scene) or ())[:2] for scene in scenes}
-    common = walls.pop() if len(walls) == 1 else ()
-    return "wall of {:g} N/m and {:g} N s/m, ".format(*common) if common else ""
-
-
 def _times(variants: Variants) -> Array:
     """Return the times to draw [s].
 
@@ -314,11 +308,14 @@ def _explain(figure: Any, tops: Sequence[Any], columns: Sequence[Sequence[_Drop]
 
 
 def _loop_of(variants: Variants) -> str:
-    """Return gains common to all walls, timing, limit and plant."""
-    p = variants.first.scene
+    """Return gains and stability of the wall that all scenes have, then timing, limit and plant."""
+    scenes, wall = [one.scene for one in variants.runs.values()], ""
+    p, gains = scenes[0], {(_published(scene) or ())[:2] for scene in scenes}
+    if len(gains) == 1 and (common := gains.pop()):
+        margin = wall_margin(p, held=True)
+        wall = "wall of {:g} N/m and {:g} N s/m".format(*common) + (f" ({margin})\n" if margin else "\n")
     limit = "" if p.force_limit is None else f", limit {p.force_limit:g} N"
-    gains = _common_gains(one.scene for one in variants.runs.values())
-    return f"{gains}{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit} ({variants.first.plant})"
+    return f"{wall}{1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms{limit} ({variants.first.plant})"
 
 
 def figure_6(variants: Variants) -> Any:

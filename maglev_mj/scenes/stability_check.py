@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,8 +18,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Sample, components, unit_of
 from maglev_mj.parameters import numbers
-from maglev_mj.plants.hand import Hand
-from maglev_mj.scenes.bench import along
+from maglev_mj.scenes.bench import WallScene, along
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.spec import GRAVITY
@@ -43,8 +42,6 @@ It is about the distance of the flotor's rim from the axis.
 
 _FACTOR, _MOST, _HALVINGS = 1.2, 14, 13
 """Step of a gain's factor, most steps, and halvings of the last."""
-_DEPTH = 1e-3
-"""Depth in a wall of a scene without a stiffness [m]."""
 
 _ACTING = {"contact": "walls", "stuck": "friction"}
 
@@ -168,23 +165,17 @@ class WallMargin(NamedTuple):
 
 
 def wall_margin(
-    scene: Scene,
-    *,
-    faces: Sequence[tuple[int, float, float]] = (),
-    inertia: ArrayLike | None = None,
-    delay: float | None = None,
-    hand: Hand | None = None,
+    scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None, held: bool = False
 ) -> WallMargin | None:
     """Return the margin of a scene's wall, of several that with the largest root; None without a stiff one.
 
-    By the laws' own gains where they state them, otherwise by linearisation where the wall bears the weight.
+    Laws that state no gains are linearised at the depth at which the wall bears the weight.
 
     Args:
         scene: See `unstable_loop`.
-        faces: Index into AXES, normal and edge of each wall [m, rad], for laws that do not tell them.
         inertia: See `unstable_loop`.
         delay: See `stability`.
-        hand: The hand that holds the translations; None for a free flotor.
+        held: True for the hand of the scene's script on the flotor; False for nobody's.
 
     Raises:
         MaglevError: If a law fails.
@@ -195,34 +186,28 @@ def wall_margin(
         root 0.877, stiffness 59 % of its limit
     """
     body = inertia_of(scene) if inertia is None else numbers("inertia", inertia)
-    late, gain = scene.delay if delay is None else delay, getattr(scene, "stiffness", math.nan)
-    own = scene.controller()
-    if not (faces := own.faces or faces) or not gain:
+    late, gain = scene.delay if delay is None else delay, getattr(scene, "stiffness", 0.0)
+    faces = scene.controller().faces or ([(2, 1.0, 0.0)] if isinstance(scene, WallScene) else [])
+    if not (faces and gain):
         return None
+    hand = getattr(scene.scripted_hand(), "hand", None) if held else None
 
-    def loop(controller: Controller, axis: int, normal: float, edge: float) -> tuple[float, float]:
-        gains = theory.stated_gains(controller) or {}
-        stated = [(k[axis], b[axis]) for states, (k, b) in gains.items() if "contact" in states]
-        if not stated:
-            depth = _DEPTH if math.isnan(gain) else float(body[0]) * GRAVITY / gain
-            pose = along(AXES[axis], edge - normal * depth)
-            return axis_loop(controller, axis, pose=pose, delay=late, inertia=body, hand=hand)
-        around: Any = {"period": scene.period, "delay": late, "mass": body[axis], "velocity": controller.velocity}
-        moduli = theory.largest_modulus(*np.transpose(stated), hand=hand if axis < 3 else None, **around)
-        return float(stated[int(moduli.argmax())][0]), float(moduli.max())
+    def loop(factor: float, axis: int, normal: float, edge: float) -> tuple[float, float]:
+        controller = (scene if factor == 1.0 else scene.replace(stiffness=factor * gain)).controller()
+        pose = along(AXES[axis], edge - normal * float(body[0]) * GRAVITY / gain)
+        return axis_loop(controller, axis, pose=pose, delay=late, inertia=body, hand=hand)
 
-    (stiffness, modulus), worst = max(((loop(own, *face), face) for face in faces), key=lambda found: found[0][1])
+    worst = max(faces, key=lambda face: loop(1.0, *face)[1])
+    (stiffness, modulus), margin = loop(1.0, *worst), math.nan
 
     def changed(factor: Any) -> Any:
-        try:
-            other = scene.replace(stiffness=float(factor) * gain).controller()
-        except ParameterError:  # beyond the bounds of a scene
-            return False
-        return loop(other, *worst)[1] < 1.0 if modulus >= 1.0 else loop(other, *worst)[1] >= 1.0  # NaN is no change
+        other = loop(float(factor), *worst)[1]
+        return other >= 1.0 if modulus < 1.0 else other < 1.0  # NaN, not known, is no change
 
-    factors = (_FACTOR if modulus < 1.0 else 1.0 / _FACTOR) ** np.arange(1 if math.isnan(gain) else _MOST)
-    last = next((index for index, factor in enumerate(factors[1:]) if changed(factor)), None)
-    margin = math.nan if last is None else float(bisect(changed, factors[last], factors[last + 1], _HALVINGS))
+    factors = (_FACTOR if modulus < 1.0 else 1.0 / _FACTOR) ** np.arange(_MOST)
+    with suppress(StopIteration, ParameterError):  # not up to tenfold, or beyond the scene's bounds
+        last = next(index for index, factor in enumerate(factors[1:]) if changed(factor))
+        margin = float(bisect(changed, factors[last], factors[last + 1], _HALVINGS))
     return WallMargin(stiffness, modulus, margin)
 
 

@@ -322,10 +322,7 @@ class Publishers:
 
     def wanted(self) -> ChangeRequest | None:
         """Return a program's request once, else None."""
-        for publisher in self._publishers:
-            if (request := publisher.take()) is not None:
-                return request
-        return None
+        return next(filter(None, (publisher.take() for publisher in self._publishers)), None)
 
     def close(self) -> None:
         """Close all publishers."""

@@ -217,7 +217,7 @@ def _margins(scene: WallScene) -> dict[str, float]:
 
     Laws that state no gains rest at the depth at which the scene's own wall bears the weight.
     """
-    found = wall_margin(scene, faces=[(2, 1.0, 0.0)], hand=_hand(scene))
+    found = wall_margin(scene, held=True)
     assert found is not None
     stiffness, modulus, margin = found
     law: Any = scene.laws()[0]

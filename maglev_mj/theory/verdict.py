@@ -485,7 +485,9 @@ def _grouped(loops: Sequence[_Loop]) -> Iterator[_Group]:
 def axis_loop(
     controller: Controller, axis: int, *, pose: ArrayLike, delay: float, inertia: Array, hand: Hand | None = None
 ) -> tuple[float, float]:
-    """Return static stiffness and largest modulus of one axis' loop at a pose, by linearisation.
+    """Return static stiffness and largest modulus of one axis' loop with all that acts there.
+
+    By the laws' own gains if all state them, otherwise by linearisation at a pose.
 
     Args:
         controller: The controller, of laws for one device; it is not changed.
@@ -511,6 +513,12 @@ def axis_loop(
         >>> round(stiffness), round(modulus, 3)
         (6000, 0.877)
     """
+    held = hand if hand is not None and axis in hand.indices else None
+    if (gains := stated_gains(controller)) is not None:
+        stiffness, damping = (float(both[axis]) for both in list(gains.values())[-1])
+        around: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
+        modulus = SampledLoop(mass=inertia[axis], hand=held, **around).modulus(stiffness, damping)
+        return stiffness, float(modulus)
     (near,) = linearise(controller, pose)
     loop = _loop(near, (axis,), near.scaled(inertia)[:, axis : axis + 1, axis : axis + 1], [])
     if near.jumps[axis] or (loop.system is None and not loop.settles):

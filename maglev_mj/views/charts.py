@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +12,9 @@ from numpy.typing import ArrayLike
 from maglev_mj.colours import BAD, BOUNDARY, DEVICE, FIRST, GOOD, HAND, MEASURED, Colour
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene
+from maglev_mj.scenes.stability_check import WallMargin, wall_margin
 from maglev_mj.session import SHOWN, Snapshot
 from maglev_mj.theory import Verdict, inertia_of, largest_stable_stiffness, stability, stated_gains
 
@@ -32,6 +33,7 @@ class Margin(NamedTuple):
         damping: Likewise [N s/m, N m s/rad].
         dampings: Of the axis' boundary, increasing, (N,).
         stiffnesses: Largest stable stiffness at each, (N,).
+        wall: Of the scene's wall alone; None without one.
     """
 
     words: str
@@ -41,6 +43,7 @@ class Margin(NamedTuple):
     damping: float = 0.0
     dampings: Array = _NOTHING
     stiffnesses: Array = _NOTHING
+    wall: WallMargin | None = None
 
     @property
     def shown(self) -> tuple[float, str]:
@@ -48,26 +51,32 @@ class Margin(NamedTuple):
         return (1.0, "N m/rad") if self.axis.startswith("r") else (1e-3, "kN/m")
 
 
-def margin(scene: Scene) -> Margin:
+def margin(scene: Scene, delay: float | None = None, inertia: Sequence[float] | None = None) -> Margin:
     """Return a scene's gains and their stability boundary.
 
     The loop is that of a flotor that nobody holds: of all axes and combinations of laws the one nearest its boundary.
+
+    Args:
+        scene: The scene.
+        delay: See `stability`.
+        inertia: See `stability`.
     """
+    body, late = inertia_of(scene) if inertia is None else np.array(inertia), scene.delay if delay is None else delay
     try:
         gains = stated_gains(scene.controller())
-        verdict = stability(scene)
+        verdict, wall = stability(scene, inertia=body, delay=late), wall_margin(scene, inertia=body, delay=late)
         if gains is None:
-            return Margin(str(verdict), verdict.stable)
-        return _placed(scene, verdict, list(gains.values()))
+            return Margin(str(verdict), verdict.stable, wall=wall)
+        return _placed(scene, verdict, list(gains.values()), body, late)._replace(wall=wall)
     except MaglevError:
         return Margin("stability not known")
 
 
-def _placed(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]]) -> Margin:
+def _placed(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]], body: Array, delay: float) -> Margin:
     stiffness, damping = (np.array(both) for both in zip(*gains, strict=True))
-    body, shares = inertia_of(scene), np.zeros_like(stiffness)
+    shares = np.zeros_like(stiffness)
     if stiffness.any():
-        most = largest_stable_stiffness(damping, period=scene.period, delay=scene.delay, mass=body)
+        most = largest_stable_stiffness(damping, period=scene.period, delay=delay, mass=body)
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = np.where(stiffness > 0.0, stiffness / most, 0.0)
         # of those that are alike but for rounding the first
@@ -86,32 +95,52 @@ def _placed(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]]) ->
         words = f"stable: {100.0 * share:.0f} % of the boundary"
     else:
         words = "stable: no stiffness"
-    return Margin(words, verdict.stable, AXES[index], *own, *_boundary(scene.period, scene.delay, float(body[index])))
+    return Margin(words, verdict.stable, AXES[index], *own, *_boundary(scene.period, delay, float(body[index])))
 
 
 class StabilityMap:
-    """Margin of the newest parameters, found beside the session."""
+    """Margin of the newest scene, found in a process beside the viewers of this one.
+
+    Attributes:
+        scene: Scene of the last margin; None before the first.
+    """
 
     def __init__(self) -> None:
-        self._key: Scene | None = None
-        self._found = Margin("")
-        self._busy: threading.Thread | None = None
+        self.scene: Scene | None = None
+        self._answers: SideAnswers | None = None
+        self._asked: Any = None
+        self._found, self._waits = Margin(""), False
 
-    def of(self, scene: Scene) -> Margin:
-        """Return a scene's margin, or the last one meanwhile."""
-        if scene != self._key and (self._busy is None or not self._busy.is_alive()):
-            self._busy = threading.Thread(target=self._find, args=(scene,), daemon=True)
-            self._busy.start()
+    def of(self, snapshot: Snapshot) -> Margin:
+        """Return the margin of a snapshot's scene, or the last one meanwhile."""
+        if not self._waits and (question := _question(snapshot)) != self._asked:
+            if self._answers is None or self._answers.ended:
+                self._answers = SideAnswers(margin, "")
+            self._answers.ask(*question)
+            self._asked, self._waits = question, True
+        if self._waits and self._answers is not None:
+            try:
+                found = self._answers.answer()
+            except Exception:  # no answer, or a scene that another process cannot get
+                found = Margin("stability not known")
+            if found is not None:
+                self.scene, self._found, self._waits = self._asked[0], found, False
         return self._found
 
-    def wait(self, scene: Scene) -> None:
+    def wait(self, snapshot: Snapshot) -> None:
         """Compute a missing margin at once."""
-        if scene != self._key:
-            self._find(scene)
+        if self.scene != snapshot.scene:
+            self.scene, self._asked, self._waits = snapshot.scene, _question(snapshot), False
+            self._found = margin(*self._asked)
 
-    def _find(self, scene: Scene) -> None:
-        self._found = margin(scene)
-        self._key = scene
+
+STABILITY = StabilityMap()
+"""That of all viewers of this process."""
+
+
+def _question(snapshot: Snapshot) -> tuple[Scene, float | None, Sequence[float] | None]:
+    """Return the arguments of `margin`; a measured delay to 0.1 ms, as it fluctuates."""
+    return snapshot.scene, round(snapshot.delay, 4) if snapshot.state == "flying" else None, snapshot.inertia
 
 
 @lru_cache
@@ -182,7 +211,7 @@ class Charts:
     """
 
     def __init__(self, most: int) -> None:
-        self._most, self._axis, self._stability = most, -1, StabilityMap()
+        self._most, self._axis = most, -1
 
     def of(self, snapshot: Snapshot, axis: int) -> list[Chart]:
         """Return position, force, gains and phase plane, the most important first.
@@ -225,7 +254,7 @@ class Charts:
                 across,
                 self._forces(device, hand, [0.0]),
             ),
-            self._gains(snapshot.scene),
+            self._gains(snapshot),
             Chart(
                 [(f"speed [{unit}/s] over {name} [{unit}]", None)],
                 [
@@ -237,13 +266,9 @@ class Charts:
             ),
         ]
 
-    def wait(self, scene: Scene) -> None:
-        """Wait until the stability of a scene is computed."""
-        self._stability.wait(scene)
-
-    def _gains(self, scene: Scene) -> Chart:
+    def _gains(self, snapshot: Snapshot) -> Chart:
         """Return the gains under their stability boundary; the verdict alone if a law states no gains."""
-        margin = self._stability.of(scene)
+        margin = STABILITY.of(snapshot)
         colour = None if margin.stable is None else GOOD if margin.stable else BAD
         if not margin.axis:
             return Chart([(margin.words, colour)], [], (0.0, 1.0), (0.0, 1.0))

@@ -7,7 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from itertools import islice
 from multiprocessing.connection import Connection
@@ -303,18 +303,13 @@ def show_remotely(source: SnapshotSource, front: Front, duration: float | None =
     """
     viewer, ticks, wall_time = RemoteViewer(source.snapshot(), front), 0, 0.0
     viewer.on_close = _ended
-    try:
+    with closing(viewer), closing(source):
         with engine_warnings_silenced(), suppress(KeyboardInterrupt):  # the way in which a page is ended
             for elapsed, passed in real_time(duration, _NAP):
                 ticks, wall_time = ticks + source.tick(elapsed), passed
                 viewer.serve(source)
         missed = source.snapshot().missed
         return ShowReport(viewer.frames, 0.0, wall_time, source.simulated, ticks, missed)
-    finally:
-        try:
-            source.close()
-        finally:
-            viewer.close()
 
 
 class RemoteSession:

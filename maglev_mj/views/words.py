@@ -13,6 +13,7 @@ from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.plants.shapes import LEAST_FORCE
 from maglev_mj.session import DEVICES_OWN, Snapshot
+from maglev_mj.views.charts import STABILITY
 
 
 class Banner(NamedTuple):
@@ -132,6 +133,7 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
         *((time,) if early else ()),
         *(Reading("", note) for note in (met_stops(snapshot).words, *snapshot.notes, *notes)),
         Reading("gains", "  ".join(gains)),
+        _wall(snapshot),
         Reading("on", ", ".join(on)),
         Reading("rate", f"{1.0 / scene.period:.0f} Hz, delay {scene.delay * 1e3:.1f} ms"),
         *(() if early else (time,)),
@@ -156,6 +158,14 @@ def _force(name: str, wrench: Array, colour: Colour, note: str = "") -> Reading:
     """Return a force's size, if known."""
     known = np.isfinite(wrench).all()
     return Reading(name, f"{np.linalg.norm(wrench[:3]):.1f} N{note}" if known else "", colour)
+
+
+def _wall(snapshot: Snapshot) -> Reading:
+    """Return the stability of the wall alone, if there is one."""
+    wall = STABILITY.of(snapshot).wall
+    if STABILITY.scene != snapshot.scene:
+        return Reading("wall", "..." if snapshot.faces else "")
+    return Reading("wall", str(wall or ""), BAD if wall and wall.modulus >= 1.0 else None)
 
 
 def _makes_energy(snapshot: Snapshot) -> bool:

@@ -26,6 +26,7 @@ from maglev_mj.recording.recording import write_sound
 from maglev_mj.scenes import Scene
 from maglev_mj.session import TIME_SCALES, Pacer, Session, Snapshot
 from maglev_mj.terminal import say
+from maglev_mj.views.charts import STABILITY
 from maglev_mj.views.magnifier import MAGNIFICATIONS
 from maglev_mj.views.window.backend import NEEDS, DisplayError, drawing_library
 from maglev_mj.views.window.layout import Area
@@ -153,16 +154,14 @@ class OffscreenPainter:
         self._render = mujoco.MjrContext(model, self._scale)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._render)
 
-    def wait(self, snapshot: Snapshot) -> None:
-        """Wait until all data of the plots is computed."""
-        if self._screen is not None:
-            self._screen.wait(snapshot.scene)
-
     def picture(self, snapshot: Snapshot) -> NDArray[np.uint8]:
         """Return a picture, (height, width, 3)."""
         scenery, scene, whole, render = self.scenery, self._scene, self._whole, self._render
         view = Area(0, 0, whole.width, whole.height)
-        over = None if self._screen is None else self._screen.draw(snapshot, view, self._scale)
+        over = None
+        if self._screen is not None:
+            STABILITY.wait(snapshot)
+            over = self._screen.draw(snapshot, view, self._scale)
         self._gl.make_current()
         scenery.place(snapshot, self._factor)
         self._framing.follow(self._camera, view, view if over is None else over.layout.handle)
@@ -266,7 +265,6 @@ def render(
     session.change({"time_scale": time_scale})
     drawn, forces = max(round(end * rate / time_scale), 1) if moving else 1, list[Array]()
     with OffscreenPainter(scene, width, height, plots=plots, factor=magnify) as painter, engine_warnings_silenced():
-        painter.wait(session.snapshot())
 
         def pictures() -> Iterator[Pixels]:
             for place in range(drawn):

@@ -65,10 +65,6 @@ class Plots:
             figure.xlabel = "" if low else foot
         return self.figures
 
-    def wait(self, scene: Scene) -> None:
-        """Wait until the stability of a scene is computed."""
-        self._charts.wait(scene)
-
 
 _TEXT = 0.95, 0.96, 0.98
 
@@ -263,10 +259,6 @@ class Screen:
         self._wanted: bool | None = None
         self._shown = False
         self._engine: set[int] = set()
-
-    def wait(self, scene: Scene) -> None:
-        """Wait until all data of the plots is computed."""
-        self._plots.wait(scene)
 
     def press(self, action: str, scene: Scene) -> None:
         """Run a key's action on the screen itself."""

@@ -12,7 +12,7 @@ import threading
 import time
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -128,14 +128,8 @@ def show(
     require_display()
     with interrupts_delayed():  # half open it cannot be closed, and its drawing thread crashes a program that ends
         window = _Window(session, folder, shadows)
-    try:
-        with engine_warnings_silenced():
-            return window.run(duration)
-    finally:
-        try:
-            session.close()
-        finally:
-            window.close()
+    with closing(window), closing(session), engine_warnings_silenced():
+        return window.run(duration)
 
 
 class _Window:
@@ -323,7 +317,6 @@ class _Window:
             with self._handle.lock():  # it may be loading a model, and the engine's table of GL functions is one
                 painter = OffscreenPainter(snapshot.scene, *_PICTURE, default="glfw", factor=self._screen.factor)
             with painter:
-                painter.wait(snapshot)
                 write_picture(painter.picture(snapshot), path)
             self._note.say(f"wrote {path}")
         except (MaglevError, OSError, mujoco.FatalError) as error:
