@@ -29,6 +29,12 @@ from maglev_mj.session import REPLACED, UNKNOWN, ChangeRequest, Snapshot
 GOOD, STIFF, SLOW = Joystick(stiffness=4000.0), Joystick(stiffness=60_000.0), Joystick(stiffness=10_000.0)
 
 
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a busy machine load the process for long."""
+    monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
+
+
 # the process
 
 

@@ -167,9 +167,10 @@ class WallMargin(NamedTuple):
 def wall_margin(
     scene: Scene, *, inertia: ArrayLike | None = None, delay: float | None = None, held: bool = False
 ) -> WallMargin | None:
-    """Return the margin of a scene's wall, of several that with the largest root; None without a stiff one.
+    """Return the margin of a scene's wall; None without a stiff one.
 
-    Laws that state no gains are linearised at the depth at which the wall bears the weight.
+    Of several walls it is that with the largest root. Laws that state no gains are linearised at the depth at which the
+    wall bears the weight.
 
     Args:
         scene: See `unstable_loop`.
