@@ -97,7 +97,7 @@ def test_gains_and_linearisation_give_one_loop(scene: Any, monkeypatch: pytest.M
 
 @pytest.fixture
 def beside(monkeypatch: pytest.MonkeyPatch) -> Iterator[StabilityMap]:
-    """Give viewers a process of their own, and a busy machine time for it.
+    """Give viewers a process of their own, and a busy machine time for it."""
     monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
     own = StabilityMap()
     monkeypatch.setattr("maglev_mj.views.words.STABILITY", own)
