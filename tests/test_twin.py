@@ -340,6 +340,35 @@ def test_a_flood_without_end_keeps_the_twin_from_no_sample(frame: bytes) -> None
     assert report.ticks > 4
 
 
+class Silent(Queue):
+    """Server whose clock is virtual, and whose host is silent after its first frames."""
+
+    now = 0
+
+    def receive(self, timeout: float) -> tuple[bytes, tuple[str, int]] | None:
+        self.now += round(timeout * 1e9)
+        data = next(self.waiting, None)
+        return None if data is None else (data, ("anyone", 1))
+
+
+@pytest.mark.parametrize(("state", "longest"), [(State.INACTIVE, 60.0), (State.ACTIVE, 2.0), (State.FAULT, 2.0)])
+def test_a_silent_host_in_lockstep_is_let_go_but_may_compute_before_a_flight(
+    state: State, longest: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    twin = Twin(TwinParameters(lockstep=True))
+    queue = Silent([CODEC.encode(0, 0, 0, Hello(1, twin.firmware.profile.calibration))])
+    monkeypatch.setattr("time.monotonic_ns", lambda: queue.now)
+    gone = list[float]()
+
+    def let_go(now: int) -> None:
+        gone.append(queue.now * 1e-9)
+        twin.firmware.session = 0
+
+    monkeypatch.setattr(twin.firmware, "lose_host", let_go)
+    TwinServer(twin, queue).run(longest + 1.0, each=lambda: setattr(twin.firmware, "state", state))
+    assert gone == [pytest.approx(longest, abs=0.2)]
+
+
 class Late(Queue):
     """Silent server whose clock is virtual and wakes late.
 

@@ -284,7 +284,13 @@ def _plant(parameters: TwinParameters, truth: Calibration, hand_force: HandForce
     )
 
 
-_AGAIN, _LET_GO, _LOOK = 0.02, 2.0, 0.05
+_AGAIN, _LOOK = 0.02, 0.05
+_LET_GO, _COMPUTES = 2.0, 60.0
+"""Longest silence of a host in lockstep [s], and before a flight.
+
+There it computes what a scene bears.
+"""
+
 _MOST, _FEW = 4096, 32
 _ESTOP = b"\x07"
 """Frame type of ESTOP, the fourth byte."""
@@ -329,7 +335,8 @@ class TwinServer:
 
     In real time it is the clock of both ends: it samples at absolute deadlines, and if it is late by whole periods
     simulated time stands still for as long. In lockstep it takes a sample when the one before is answered, repeats it
-    after 20 ms without answer, and drops the host after 2 s. Emergency stops are handled before all other frames.
+    after 20 ms without answer, and drops the host after 2 s, or 60 s while it is inactive. Emergency stops are handled
+    before all other frames.
 
     Args:
         twin: The device.
@@ -410,7 +417,8 @@ class TwinServer:
         """Wait until the last sample is answered or host lost."""
         twin, clock = self.twin, time.monotonic_ns
         asked = clock()
-        patience, again = asked + round(_LET_GO * 1e9), asked + round(_AGAIN * 1e9)
+        longest = _COMPUTES if twin.firmware.state == State.INACTIVE else _LET_GO
+        patience, again = asked + round(longest * 1e9), asked + round(_AGAIN * 1e9)
         spun = asked + round(self._spin * 1e9)
         while not twin.answered and twin.firmware.session and not self._stopped.is_set():
             self._receive(0.0 if clock() < spun else _AGAIN)

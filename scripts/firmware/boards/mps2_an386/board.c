@@ -12,7 +12,8 @@ enum { FULL = 1, CAME = 2 };                     /* in a UART's state */
 enum { SENDS = 1, RECEIVES = 2, INTERRUPTS = 12 }; /* in its control */
 enum { LEFT_INTERRUPT = 1, CAME_INTERRUPT = 2 };
 #define AGAIN UINT64_C(20000000)    /* [ns]; a STATE is sent again after so long without an answer */
-#define LET_GO UINT64_C(6000000000) /* [ns]; and the host is given up after so long: it computes before takeoff */
+#define LET_GO UINT64_C(2000000000)   /* [ns]; and the host is given up after so long, */
+#define COMPUTES UINT64_C(60000000000) /* [ns]; or so long before a flight: it computes what a scene bears */
 
 struct uart { volatile uint32_t data, state, control, interrupts, divisor; };
 struct timer { volatile uint32_t control, value, reload; };
@@ -197,7 +198,7 @@ static void run(void) {
         length = maglev_sample(&device, frame);
         note(&most.sample, before);
         send(frame, length);
-    } else if (now - first > LET_GO) maglev_lose_host(&device);
+    } else if (now - first > (device.state == MAGLEV_INACTIVE ? COMPUTES : LET_GO)) maglev_lose_host(&device);
     else if (now - last >= AGAIN) last = now, most.again++, send(frame, length);
 }
 
