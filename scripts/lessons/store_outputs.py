@@ -79,7 +79,8 @@ def main() -> int:
         for path, now in zip(paths, found):
             path.write_text(json.dumps(now, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     changed = [path.name for path, before, now in zip(paths, stored, found) if not alike(said(before), said(now))]
-    print("other outputs than stored: " + ", ".join(changed) if changed else f"{len(paths)} lessons, as stored")
+    other = f"other outputs than stored: {', '.join(changed)}; make lessons stores them"
+    print(other if changed else f"{len(paths)} lessons, as stored")
     return int(check and bool(changed))
 
 
