@@ -124,7 +124,6 @@ REFUSED = {
     f"{WALL} --workers 2 --scheduler tcp://x:1": "workers must be left to the scheduler",
     # files
     "press --json no/such.json": "json must be a file in a folder that is there, not 'no/such.json'",
-    f"{WALL} --record .": "record must be a new folder or one with plan.json, not '.'",
     "stick-slip --out pictures --format bmp": "--format must be one of png, pdf, svg, not 'bmp'",
     "stick-slip --format pdf": "format must be given with out, the folder of pictures, not 'pdf' alone",
     f"{NEAR} --record a.foo": "record must be a file that ends in .mcap or .npz, not 'a.foo'",

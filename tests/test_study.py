@@ -167,6 +167,14 @@ def test_a_record_is_written_again_only_after_some_time(tmp_path: Path, monkeypa
     assert written == [1, 1, 3]
 
 
+def test_a_run_that_was_killed_before_its_plan_was_written_leaves_a_new_record(tmp_path: Path) -> None:
+    path = tmp_path / "record"
+    path.mkdir()
+    (path / "0a1b2c3d.partial").write_text('{"cells": ')
+    assert list(run_cells(squares, CELLS, record=Record(path))) == list(run_cells(squares, CELLS))
+    assert kept(path, CELLS).done.all()
+
+
 def other_cells(path: Path) -> str:
     shutil.rmtree(path)
     run_cells(squares, CELLS[:9], record=Record(path))
@@ -175,12 +183,12 @@ def other_cells(path: Path) -> str:
 
 def other_folder(path: Path) -> str:
     (path / "plan.json").unlink()
-    return "record must be a new folder or one with plan.json, not '.*record'$"
+    return "record must be a new or empty folder, or one with plan.json, not '.*record'$"
 
 
 def torn_plan(path: Path) -> str:
     (path / "plan.json").write_text('{"cells": ')
-    return "record must be a new folder or one with plan.json, not '.*record'$"
+    return "record must be a new or empty folder, or one with plan.json, not '.*record'$"
 
 
 def old_record(path: Path) -> str:

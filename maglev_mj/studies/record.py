@@ -39,7 +39,7 @@ ABSENT: float = struct.unpack("<d", _ABSENT)[0]
 """NaN of its own bits, which files keep."""
 
 _INDEX, _BARE, _ERROR = "#", "=", "error"
-_PLAN = "plan.json"
+_PLAN, _PARTIAL = "plan.json", ".partial"
 _ROWS = 65_536  # in a shard
 _PAUSE, _SHARE = 1.0, 10.0  # [s]; between two writings at least so many times the last one's duration
 
@@ -117,7 +117,7 @@ class Record(Sequence[Any]):
         if plan is None:
             plan = {"cells": hash_of("\n".join(json_text("a cell", cell, sort_keys=True) for cell in cells))}
         self._plan = json.loads(json_text("a cell", {**plan, "versions": versions()}))  # as it is read
-        if not cells or self.path is None or not self.path.exists():
+        if not cells or self.path is None or _is_new(self.path):
             return
         _check(self.path, self._plan)
         for path in sorted(self.path.glob("cells-*")):
@@ -199,7 +199,7 @@ class Record(Sequence[Any]):
     def _write(self, name: str, write: Callable[[Any], object]) -> None:
         """Write a file beside its place and rename it."""
         assert self.path is not None
-        beside = self.path / f"{self.name}.partial"
+        beside = self.path / f"{self.name}{_PARTIAL}"
         with beside.open("wb") as file:
             write(file)
         os.replace(beside, self.path / name)
@@ -211,13 +211,20 @@ class Record(Sequence[Any]):
             yield from (range(first, min(first + most, stop)) for first in range(start, stop, most))
 
 
+def _is_new(path: Path) -> bool:
+    """Return True without a record: nothing, or a folder whose run was killed at once."""
+    return not path.exists() or (path.is_dir() and all(one.suffix == _PARTIAL for one in path.iterdir()))
+
+
 def _check(path: Path, plan: Mapping[str, Any]) -> None:
     """Refuse a path that is no record of this study and code."""
     try:
         found = dict(json.loads((path / _PLAN).read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError):
         old = "; maglev_mj 0.2.0 reads a file of JSON lines" if path.is_file() else ""
-        raise ParameterError(f"record must be a new folder or one with {_PLAN}, not {str(path)!r}{old}") from None
+        raise ParameterError(
+            f"record must be a new or empty folder, or one with {_PLAN}, not {str(path)!r}{old}"
+        ) from None
     code = versions_read(found.pop("versions", None)) or {}
     others = [name for name in {**plan, **found} if name != "versions" and found.get(name) != plan.get(name)]
     if others:
