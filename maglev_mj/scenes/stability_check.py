@@ -198,8 +198,11 @@ def wall_margin(
         pose = along(AXES[axis], edge - normal * float(body[0]) * GRAVITY / gain)
         return axis_loop(controller, axis, pose=pose, delay=late, inertia=body, hand=hand)
 
-    worst = max(faces, key=lambda face: loop(1.0, *face)[1])
-    (stiffness, modulus), margin = loop(1.0, *worst), math.nan
+    loops = {face: loop(1.0, *face) for face in faces}
+    worst = max(faces, key=lambda face: loops[face][1])
+    (stiffness, modulus), margin = loops[worst], math.nan
+    if math.isnan(modulus):  # nor is it with another stiffness
+        return WallMargin(stiffness, modulus, margin)
 
     def changed(factor: Any) -> Any:
         other = loop(float(factor), *worst)[1]
