@@ -121,7 +121,7 @@ def test_the_series_of_a_run_are_those_of_its_trace() -> None:
         one.plot(picture="x")
     with pytest.raises(ParameterError, match="phases must be run for their picture: see run_phases"):
         one.plot(picture="drop_phases")
-    with pytest.raises(ParameterError, match="the scene needs figures"):
+    with pytest.raises(ParameterError, match="has no figures to draw"):
         run_phases("corner", 2, plant="exact").plot()
 
 

@@ -132,8 +132,10 @@ def spread(variants: Variants) -> Any:
     """
     scene = variants.first.scene
     shown = variants.phases or {label: band.over_phases() for label, band in variants.bands.items()}
-    if not shown or not scene.figures:
-        raise ParameterError("phases must be run for their picture: see run_phases; the scene needs figures")
+    if not shown:
+        raise ParameterError("phases must be run for their picture: see run_phases")
+    if not scene.figures:
+        raise ParameterError(f"phases have no picture: {scene.name} has no figures to draw")
     found = {}
     for name, one in scene.figures.items():
         values = [one.scale * np.asarray(by.figures[name], dtype=np.float64) for by in shown.values()]
