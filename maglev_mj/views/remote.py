@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from itertools import islice
-from multiprocessing.connection import Connection
-from typing import Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -34,6 +33,9 @@ from maglev_mj.session import (
     settable,
 )
 from maglev_mj.session.changes import actions
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection  # not everywhere there
 
 SILENCE = 0.5
 """Silence after which the hand is released [s].
