@@ -129,6 +129,7 @@ REFUSED = {
     f"{NEAR} --record a.foo": "record must be a file that ends in .mcap or .npz, not 'a.foo'",
     # servers and pages
     f"{NEAR} --foxglove 65536": "port must be a whole number of 0 to 65535, not 65536",
+    "twin --plant euler": "plant must be one of exact, mujoco, not 'euler'",
     "twin --foxglove -1": "port must be a whole number of 0 to 65535, not -1",
     "view --allow-origin http://a/b": "argument --allow-origin: origin must be as http://192.168.0.5:8080, without a",
     "view --foxglove 99999": "port must be a whole number of 0 to 65535, not 99999",

@@ -445,6 +445,7 @@ def test_options_of_a_plant_go_to_another_process() -> None:
 def test_a_twin_has_the_inertia_that_it_truly_has() -> None:
     nominal = Calibration.nominal()
     values = nominal.as_json() | {"inertia": [1.3e-3, 1.1e-3, 9e-4]}
-    twin = Twin(TwinParameters(truth=Calibration.from_json(values)))
-    np.testing.assert_allclose(twin.plant.device.inertia, [1.3e-3, 1.1e-3, 9e-4], rtol=1e-12)
-    np.testing.assert_array_equal(Twin(TwinParameters()).plant.device.inertia, load_model().inertia)
+    other: Any = Twin(TwinParameters(truth=Calibration.from_json(values))).plant
+    usual: Any = Twin(TwinParameters()).plant
+    np.testing.assert_allclose(other.device.inertia, [1.3e-3, 1.1e-3, 9e-4], rtol=1e-12)
+    np.testing.assert_array_equal(usual.device.inertia, load_model().inertia)

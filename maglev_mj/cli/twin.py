@@ -45,6 +45,9 @@ def twin(
     noise: Annotated[float, option("standard deviation of a spot's noise [m]", _DEVICE)] = 4e-7,
     seed: Annotated[int, option("of the noise", _DEVICE)] = 0,
     lockstep: Annotated[bool, option("wait for each answer instead of keeping real time", _DEVICE)] = False,
+    plant: Annotated[
+        str, option("mujoco, or exact, which needs no engine where --calibration is given", _DEVICE, "NAME")
+    ] = "mujoco",
     fault: Annotated[list[str], option(f"what goes wrong, and when: {_FAULTS}", _HANDS, "NAME:K@SECONDS")],
     push: Annotated[
         list[str],
@@ -90,6 +93,7 @@ def twin(
         seed=seed,
         limits=Limits(watchdog=watchdog),
         faults=[InjectedFault.parse(text) for text in fault],
+        plant=plant,
     )
     support = None if block is None else foam(block)
     _hand(push, None)  # a push that is none is said before a window opens
@@ -201,8 +205,7 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
     from maglev_mj.session import Publishers, SampledMotion
 
     twin, plant = server.twin, server.twin.plant
-    coils, carried = plant.device.coils, np.array(WEIGHT)
-    assert coils is not None  # it is driven through them
+    coils, carried = twin.truth.coils, np.array(WEIGHT)
     motion, publishers = SampledMotion(), Publishers([viewer])
     viewer.on_close, viewer.on_emergency = server.stop, twin.estop
 
@@ -244,8 +247,7 @@ def _logged(live: LiveServer, twin: Twin) -> Callable[[], None]:
     from maglev_mj.frames import Command, Sample
     from maglev_mj.recording import setup_of
 
-    plant, period, coils = twin.plant, twin.parameters.period, twin.plant.device.coils
-    assert coils is not None  # it is driven through them
+    plant, period, coils = twin.plant, twin.parameters.period, twin.truth.coils
     controller, reported = Controller([], period=period), Fault(0)
     record = live.begin(plant, controller, setup_of(plant, controller, name="twin"))
 

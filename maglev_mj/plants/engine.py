@@ -26,7 +26,7 @@ Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
 The wrench is (None, six currents) if currents were commanded; the map is None without coils.
 """
 
-_STOP_TIME = 0.02
+STOP_TIME = 0.02
 """Time constant of friction along a stop [s]; assumed."""
 
 _HAND_STEP, _STOP_STEP, _FALLOFF_STEP, _BEND_STEP = 5e-4, 2.5e-4, 2.5e-4, 5e-5
@@ -376,7 +376,7 @@ class _DampedStops:
         self._damping = device.model.dof_damping[device.velocity_address :][:6]
         self._free = self._damping.copy()
         device.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_DAMPER)
-        self._touching = self._free + np.append([device.mass] * 3, device.inertia) / _STOP_TIME
+        self._touching = self._free + np.append([device.mass] * 3, device.inertia) / STOP_TIME
         self._touched = False
 
     def __call__(self, steps: int = 1) -> None:

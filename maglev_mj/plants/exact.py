@@ -111,7 +111,7 @@ class ExactPlant(SampledPlant):
         self._uses_force = special or bool(keywords.get("record") or keywords.get("metered"))
         super().__init__(timing, batch=start.shape[:-1], **keywords)
         self._pull: tuple[Component, ...] | None = None
-        self._actual = list(self._timeline.acting[1])
+        self._actual = list(self._timeline.acting[1]) if special else []
         self._amendments = tuple(self._amended(body, hand, dry_friction)) if special else ()
 
     def _amended(

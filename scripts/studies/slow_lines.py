@@ -240,12 +240,13 @@ def fly(
     rows: list[Array] = []
     wrenches: list[Array] = []
     take = twin.sample
+    simulated: Any = twin.plant  # in the engine
 
     def sample() -> bytes | None:
         frame = take()
-        pose, twist = twin.plant.state()
-        current, met = float(np.abs(twin.plant.currents).max()), twin.plant.met_stops
-        twin.plant._data.maxuse_efc = 0  # asked again from here on
+        pose, twist = simulated.state()
+        current, met = float(np.abs(simulated.currents).max()), simulated.met_stops
+        simulated._data.maxuse_efc = 0  # asked again from here on
         rows.append(np.array([twin.tick / rate, *pose, *twist, current, twin.firmware.state, met]))
         return frame
 

@@ -1,4 +1,4 @@
-"""Simulated device: MuJoCo flotor, coils, amplifiers, LEDs and diodes.
+"""Simulated device: flotor, coils, amplifiers, LEDs and diodes.
 
 It is reached by the device's own protocol.
 """
@@ -23,11 +23,13 @@ from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, Effect, InjectedFault
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.wire import WRAP, Codec, Fault, State, StateReport, fault_names
-from maglev_mj.errors import check_instance
+from maglev_mj.errors import check_instance, check_one_of
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.parameters import number
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
+from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.plants.hand import HandForce
+from maglev_mj.scenes.scene import PLANTS
 from maglev_mj.spec import Spec
 from maglev_mj.terminal import wrapped
 
@@ -42,6 +44,9 @@ _MARGIN = 1.25
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TwinParameters:
     """Parameters of a twin.
+
+    A twin in closed form, `plant="exact"`, flies where there is no engine; it then needs a calibration, as from a file.
+    See `ExactCoilPlant` for how it differs.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -63,10 +68,12 @@ class TwinParameters:
     seed: int = 0  # of the noise
     limits: Limits = field(default_factory=Limits)
     faults: Sequence[InjectedFault] = ()
+    plant: str = "mujoco"  # name from PLANTS
 
     profile: Profile = field(init=False)  # handshake properties, limits narrowed by calibration, period and sensor
 
     def __post_init__(self) -> None:
+        check_one_of("plant", PLANTS, self.plant)
         # whole nanoseconds, the wire's unit of time
         period, delay = (round(number(name, getattr(self, name)) * 1e9) for name in ("period", "delay"))
         limits, most = self.limits, _MARGIN * np.abs(self.calibration.hover).max()
@@ -91,7 +98,7 @@ class AmplifierBoard:
         stuck: Constant currents of stuck amplifiers [A], by coil.
     """
 
-    def __init__(self, plant: MuJoCoPlant, parameters: TwinParameters) -> None:
+    def __init__(self, plant: MuJoCoPlant | ExactCoilPlant, parameters: TwinParameters) -> None:
         self._plant, self._lockstep, self._delay = plant, parameters.lockstep, parameters.delay
         self._enable = round(parameters.profile.limits.enable * 1e9)
         self._sampled_at, self.now, self._opens = -1, 0, 0
@@ -154,7 +161,8 @@ class Twin:
         draw: See `Firmware`.
 
     Attributes:
-        plant: The device in the engine; only `board`, its amplifiers, commands it.
+        plant: The device in the engine or in closed form; only `board`, its amplifiers, commands it.
+        truth: The true calibration.
         tick: Number of the last sample; -1 before the first.
         ahead: Jump of the firmware's clock [ns].
         hung: True if the firmware hangs.
@@ -177,7 +185,7 @@ class Twin:
     ) -> None:
         check_instance("parameters", parameters, TwinParameters, "TwinParameters(...)")
         self.parameters = parameters
-        truth = parameters.truth or parameters.calibration
+        self.truth = truth = parameters.truth or parameters.calibration
         self.plant = _plant(parameters, truth, hand_force)
         self._read = SpotReader(truth.beams, quantum=parameters.quantum, noise=parameters.noise, seed=parameters.seed)
         self._offsets: list[float] | None = truth.spot_offsets.tolist() if truth.spot_offsets.any() else None
@@ -267,12 +275,25 @@ class Twin:
         return self.codec.encode(frame.session, frame.sequence, frame.time, body)
 
 
-def _plant(parameters: TwinParameters, truth: Calibration, hand_force: HandForce | None) -> MuJoCoPlant:
+def _plant(
+    parameters: TwinParameters, truth: Calibration, hand_force: HandForce | None
+) -> MuJoCoPlant | ExactCoilPlant:
+    timing = Timing(period=parameters.period, delay=parameters.delay)
+    if parameters.plant == "exact":
+        return ExactCoilPlant(
+            timing,
+            coils=truth.coils,
+            mass=truth.mass,
+            inertia=truth.inertia,
+            gravity=truth.gravity,
+            pose=parameters.pose,
+            hand_force=hand_force,
+        )
     known = Calibration.nominal()
     # the model's own numbers where they are the truth: what is set anew is rounded
     same = np.array_equal(truth.coils.wrench_per_current, known.coils.wrench_per_current)
     return MuJoCoPlant(
-        Timing(period=parameters.period, delay=parameters.delay),
+        timing,
         coil_map=None if same else truth.coils,
         gravity=truth.gravity,
         mass=None if truth.mass == known.mass else truth.mass,

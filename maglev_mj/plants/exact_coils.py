@@ -1,0 +1,123 @@
+"""Device in closed form that takes coil currents and moves between metal stops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from maglev_mj.control.timeline import Segment, Timing
+from maglev_mj.errors import PlantError
+from maglev_mj.frames import Array, Component, Six, rotation_matrix
+from maglev_mj.plants.coils import CoilMap
+from maglev_mj.plants.engine import STOP_TIME
+from maglev_mj.plants.exact import ExactPlant
+from maglev_mj.plants.hand import HandForce
+from maglev_mj.spec import RANGE
+
+
+class ExactCoilPlant(ExactPlant):
+    """One device in closed form, driven by coil currents between metal stops.
+
+    From one switch of the currents to the next the wrench is constant: that of the currents at the angle halfway,
+    extrapolated by the velocity. Translation is exact, because forces keep their directions in stator axes; the error
+    of a rotation about one axis is of second order in the time between switches. The coupling between rotations is left
+    out, as in `ExactPlant`.
+
+    Stops are inelastic: at the end of a segment, an axis beyond its range is put on its stop and keeps no velocity,
+    which never adds energy. As in `MuJoCoPlant` with `stop_damping`, a touched stop also slows motion along it. Each
+    axis has its own stops at `RANGE`; the engine limits the angle instead of each rotation.
+
+    Args:
+        timing: Sample period and delay.
+        coils: The coils.
+        mass: Moving mass [kg].
+        inertia: Moments of inertia about x, y, z [kg m²], (3,).
+        gravity: Acceleration of free fall in stator axes [m/s²], (3,).
+        pose: Pose at release [m, rad], (6,).
+        hand_force: Force of a hand on the flotor; see `SampledPlant`.
+
+    Attributes:
+        stop_wrench: Mean wrench of the stops over the last segment [N, N m], (6,).
+
+    Raises:
+        ParameterError: If a value is outside its bounds or the shapes do not fit.
+    """
+
+    def __init__(
+        self,
+        timing: Timing,
+        *,
+        coils: CoilMap,
+        mass: float,
+        inertia: ArrayLike,
+        gravity: Array,
+        pose: ArrayLike,
+        hand_force: HandForce | None = None,
+    ) -> None:
+        self._coils, self._constants = coils, coils.force_constants.copy()
+        super().__init__(timing, mass=mass, inertia=inertia, gravity=0.0, pose=pose, hand_force=hand_force)
+        self.load, self.stop_wrench = np.append(mass * gravity, np.zeros(3)), np.zeros(6)
+        self._timeline.compares = False  # equal currents are the same drive, but one equal current is not
+
+    def drive(
+        self,
+        currents: Sequence[float],
+        pulsed: Sequence[float] | None = None,
+        width: float = 0.0,
+        *,
+        after: float | None = None,
+    ) -> None:
+        """Switch the currents as `MuJoCoPlant.drive` does.
+
+        Raises:
+            PlantError: If a current is not finite, or no sample was read.
+        """
+        if self._tick < 0 or not math.isfinite(sum(currents) + sum(pulsed or ()) + width):
+            raise PlantError(f"currents must be finite and follow a sample, not {tuple(currents)} for {width:g} s")
+        held = tuple(currents)
+        self._timeline.answer(self._tick, held, held if pulsed is None else tuple(pulsed), width, after=after)
+
+    def open_coil(self, coil: int) -> None:
+        """Disable a coil (0 to 5), simulating a broken wire."""
+        self._constants[coil] = 0.0
+
+    @property
+    def currents(self) -> Array:
+        """Commanded coil currents at the last sample [A], (6,)."""
+        return np.array(self._timeline.now())
+
+    @property
+    def segments(self) -> list[Segment]:
+        """Durations [s] and six currents [A] of the last period, in order."""
+        return self._segments
+
+    def _prepare(self, force: Six) -> Any:
+        return tuple(self._coils.inverse_turned(*self._place[3:]).dot(force).tolist())
+
+    def _wrench(self, currents: Sequence[float], ahead: Component = 0.0) -> Array:
+        """Return the wrench [N, N m] of currents [A], (6,).
+
+        It is that at the angle `ahead` [s] from now, extrapolated by the velocity.
+        """
+        forces = self._coils.directions * (self._constants * currents)[:, None]
+        angle = np.array(self._place[3:]) + ahead * np.array(self._velocity[3:])
+        arms = self._coils.points @ rotation_matrix(angle).T
+        return np.append(forces.sum(axis=0), np.cross(arms, forces).sum(axis=0))
+
+    def _advance(self, duration: Component, drive: Any, pieces: int = 1) -> None:
+        super()._advance(duration, super()._prepare((self._wrench(drive, 0.5 * duration) + self.load).tolist()))
+        self.stop_wrench = np.zeros(6)
+        place, velocity = np.array(self._place), np.array(self._velocity)
+        beyond = np.abs(place) > RANGE
+        if not beyond.any():
+            return
+        left = np.where(beyond, 0.0, math.exp(-duration / STOP_TIME) * velocity)
+        self.stop_wrench = self.inertia * (left - velocity) / duration
+        self._place, self._velocity = np.clip(place, np.negative(RANGE), RANGE).tolist(), left.tolist()
+
+    def _kept(self, drive: Any) -> Any:
+        return self._place, self._velocity, self._wrench(drive).tolist()

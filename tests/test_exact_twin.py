@@ -1,0 +1,355 @@
+"""Twin in closed form beside the one in the engine: motion, flights, faults, stops."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import Calibration, Command, find_scene
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.twin.fault_injection import InjectedFault
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
+from maglev_mj.cli.twin import _blank, _shown
+from maglev_mj.errors import MaglevError, ParameterError, PlantError
+from maglev_mj.frames import ZERO, Array
+from maglev_mj.plants import MuJoCoPlant, Timing
+from maglev_mj.plants.exact_coils import ExactCoilPlant
+from maglev_mj.scenes.scene import PLANTS
+from maglev_mj.session import Snapshot
+from maglev_mj.spec import GRAVITY, INERTIA, RANGE
+
+KNOWN = Calibration.nominal()
+LEVEL = KNOWN.gravity
+TILTED = GRAVITY * np.array([math.sin(0.05), 0.0, -math.cos(0.05)])
+both = pytest.mark.parametrize("plant", PLANTS)
+
+
+def exact(timing: Timing | None = None, *, gravity: Array = LEVEL, pose: Any = ZERO, **options: Any) -> ExactCoilPlant:
+    return ExactCoilPlant(
+        timing or Timing(),
+        coils=KNOWN.coils,
+        mass=KNOWN.mass,
+        inertia=KNOWN.inertia,
+        gravity=gravity,
+        pose=pose,
+        **options,
+    )
+
+
+# motion between the stops
+
+
+@pytest.mark.parametrize("gravity", [LEVEL, TILTED], ids=["level", "tilted"])
+@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.0123])
+def test_translation_is_that_of_the_engine_to_rounding(delay: float, gravity: Array) -> None:
+    """Forces without torque about an upright flotor, with pulses, from a switch to any other."""
+    timing, draw = Timing(delay=delay), np.random.default_rng(1)
+    pose = (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)
+    one, other = exact(timing, gravity=gravity, pose=pose), MuJoCoPlant(timing, gravity=gravity, pose=pose)
+    for _ in range(12):
+        poses = np.array(one.read().position), np.array(other.read().position)
+        assert np.abs(poses[0] - poses[1]).max() < 1e-12
+        forces = draw.normal(0.0, 0.3, (2, 3)) - KNOWN.mass * gravity
+        held, pulsed = KNOWN.coils.currents(np.hstack([forces, np.zeros((2, 3))])).tolist()
+        after = None if draw.random() < 0.5 else 0.0037
+        for plant in (one, other):
+            plant.drive(held, pulsed, 0.002, after=after)
+        assert one.currents == pytest.approx(other.currents, abs=1e-12)
+    assert 1e-4 < np.abs(poses[0] - pose).max() and (np.abs(poses[0]) < RANGE).all()
+    assert np.abs(one.state()[1] - other.state()[1]).max() < 1e-11
+    assert np.abs(one.load - other.load).max() < 1e-12
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_turned_flotors_currents_give_the_wrench_that_was_asked_for(axis: int) -> None:
+    """The inverse map at an angle and the coils' own forces and arms are two derivations."""
+    pose = [0.0] * 6
+    pose[3 + axis] = 0.08
+    plant, period = exact(Timing(delay=0.0), gravity=np.zeros(3), pose=pose), 0.005
+    plant.read()
+    wrench = np.array([0.3, -0.2, 0.4, 0.002, -0.003, 0.001])
+    plant.write(Command(wrench.tolist()))
+    plant.read()
+    assert plant.state()[1] == pytest.approx(period * wrench / INERTIA, abs=1e-12)
+
+
+def test_a_turn_is_that_of_the_engine_to_second_order_in_a_segment() -> None:
+    """Currents that carry a flotor turn it: the arms of their forces turn with it."""
+    apart = []
+    for period in (0.008, 0.004, 0.002):
+        timing, start = Timing(period=period, delay=0.0), [0.0, 0.0, 0.0, 0.05, 0.0, 0.0]
+        plants: list[Any] = [exact(timing, pose=start), MuJoCoPlant(timing, pose=start)]
+        for _ in range(round(0.04 / period)):
+            for plant in plants:
+                plant.read()
+                plant.drive(KNOWN.hover.tolist())
+        turns = [plant.read().position for plant in plants]
+        assert abs(turns[1][3] - 0.05) > 1e-3 and max(map(abs, turns[0][4:])) < 1e-15
+        apart.append(abs(turns[0][3] - turns[1][3]))
+    print(apart)
+    assert apart[0] / apart[1] == pytest.approx(4.0, rel=0.1) == apart[1] / apart[2]
+    assert apart[1] < 1e-5
+
+
+def test_a_switch_that_leaves_one_coil_as_it_was_is_one() -> None:
+    plant = exact(Timing(delay=0.0))
+    for held in ((1.0, 1.0, 1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.5, 0.0, 0.0, 0.0)):
+        plant.read()
+        plant.drive(held)
+    plant.read()
+    assert plant.currents.tolist() == list(held) and plant.segments == [(0.005, held)]
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_currents_that_cannot_flow_are_refused(bad: float) -> None:
+    plant = exact()
+    with pytest.raises(PlantError, match="follow a sample"):
+        plant.drive(ZERO)
+    plant.read()
+    for currents, pulsed in (((bad, *ZERO[1:]), None), (ZERO, (*ZERO[1:], bad))):
+        with pytest.raises(PlantError, match="currents must be finite"):
+            plant.drive(currents, pulsed, 0.001)
+
+
+# stops
+
+
+def energy(plant: ExactCoilPlant, gravity: Array = LEVEL) -> float:
+    """Return kinetic and potential energy [J]."""
+    pose, twist = plant.state()
+    return float(0.5 * (np.array(INERTIA) * twist**2).sum() - KNOWN.mass * pose[:3] @ gravity)
+
+
+def pushed(axis: int, force: float, phase: float, gravity: Array) -> tuple[ExactCoilPlant, list[float]]:
+    """Return a flotor that was pushed for a period, and its energies from then on."""
+
+    def hand(tick: int, time: float, state: Any) -> Sequence[float]:
+        return [force * (part == axis) * (tick == 0) for part in range(6)]
+
+    pose = phase * 0.9 * np.array(RANGE)
+    plant = exact(pose=pose, gravity=gravity, hand_force=hand)
+    for _ in range(2):
+        plant.read()
+    energies = []
+    for _ in range(100):
+        energies.append(energy(plant, gravity))
+        plant.read()
+    return plant, energies
+
+
+@pytest.mark.parametrize("gravity", [LEVEL, TILTED, np.zeros(3)], ids=["level", "tilted", "none"])
+@pytest.mark.parametrize("axis", range(6))
+def test_stops_give_no_energy(axis: int, gravity: Array) -> None:
+    """Over speeds up to 3 m/s and 100 rad/s, and distances to the stop."""
+    for size in (0.01, 0.3, 3.0) if axis < 3 else (0.3, 9.0, 100.0):
+        for sense, phase in ((1, 0.0), (-1, 0.71), (1, -0.93)):
+            plant, energies = pushed(axis, sense * size * INERTIA[axis] / 0.005, phase, gravity)
+            assert max(np.diff(energies)) < 1e-13
+            assert (np.abs(plant.state()[0]) <= RANGE).all()
+            if gravity.any():
+                assert plant.state()[0][2] == -RANGE[2] and plant.state()[1][2] == 0.0
+
+
+def test_a_flotor_falls_freely_and_lies_on_its_stop_exactly() -> None:
+    plant = exact()
+    for tick in range(40):
+        position, fallen = list(plant.read().position), 0.5 * GRAVITY * (0.005 * tick) ** 2
+        assert position[2] == pytest.approx(-fallen, abs=1e-15) if fallen < RANGE[2] else position[2] == -RANGE[2]
+        assert position[:2] + position[3:] == [0.0] * 5
+    assert plant.stop_wrench == pytest.approx(-plant.load, abs=1e-12) and plant.load[2] == -KNOWN.mass * GRAVITY
+
+
+def test_a_touched_stop_slows_motion_along_it_as_in_the_engine() -> None:
+    """To 1/e in 20 ms, sliding and turning."""
+
+    def hand(tick: int, time: float, state: Any) -> Sequence[float]:
+        return [5.0 * (tick == 0), 0.0, 0.0, 0.0, 0.0, 0.005 * (tick == 0)]
+
+    plant = exact(pose=REST, hand_force=hand)
+    speeds = []
+    for _ in range(6):
+        plant.read()
+        speeds.append(plant.state()[1][[0, 5]])
+    assert (speeds[1] > (0.01, 0.01)).all()
+    assert speeds[5] == pytest.approx(speeds[1] * math.exp(-1.0), rel=1e-9)
+
+
+def test_a_stop_that_does_not_push_slows_nothing() -> None:
+    def hand(tick: int, time: float, state: Any) -> Sequence[float]:
+        return [0.0, 0.0, 0.1 * (tick == 0), 0.0, 0.0, 0.0]
+
+    plant = exact(pose=(RANGE[0], 0.0, 0.0, 0.0, 0.0, 0.0), gravity=np.zeros(3), hand_force=hand)
+    for _ in range(10):
+        plant.read()
+    assert plant.state()[1][2] == pytest.approx(0.005 * 0.1 / KNOWN.mass, rel=1e-12)
+
+
+def test_a_flotor_pressed_to_its_upper_stop_leaves_it_without_a_jump() -> None:
+    plant = exact(Timing(delay=0.0))
+    for tick in range(36):
+        plant.read()
+        plant.drive([*[5.0 if tick < 30 else 0.0] * 3, 0.0, 0.0, 0.0])
+        if 20 < tick <= 30:
+            assert plant.state()[0][2] == RANGE[2] and plant.state()[1][2] == 0.0
+            assert plant.stop_wrench[2] == pytest.approx(6.867 - KNOWN.coils.wrench(plant.currents)[2])
+    assert plant.state()[0][2] == pytest.approx(RANGE[2] - 0.5 * GRAVITY * (0.005 * 5) ** 2, abs=1e-12)
+    assert not plant.stop_wrench.any()
+
+
+# flights
+
+
+class Flown:
+    """Flight in virtual time with what a twin did.
+
+    Args:
+        plant: Name of the twin's plant.
+        folder: Folder of the black boxes.
+        scene: Name of the scene.
+        seconds: Time of the rendering [s].
+        hand: Hand on the flotor.
+        parameters: Further parameters of the twin.
+
+    Attributes:
+        twin: The twin.
+        outcome: "landed", or the error.
+        rows: Pose, twist and mean currents of the period before, at each sample in flight, (N, 18).
+    """
+
+    def __init__(
+        self,
+        plant: str,
+        folder: Path,
+        scene: str = "joystick",
+        seconds: float = 1.0,
+        hand: Callable[..., Any] | None = None,
+        **parameters: Any,
+    ) -> None:
+        self.twin = Twin(TwinParameters(plant=plant, **parameters), hand_force=hand, draw=lambda: 7)
+        rows: list[Array] = []
+        take = self.twin.sample
+
+        def sample() -> bytes | None:
+            frame = take()
+            flown = [span * np.array(currents) for span, currents in self.twin.plant.segments]
+            mean = np.sum(flown, axis=0) / self.twin.parameters.period if flown else np.zeros(6)
+            rows.append(np.concatenate([*self.twin.plant.state(), mean]))
+            return frame
+
+        self.twin.sample = sample  # type: ignore[method-assign]
+        known = parameters.get("calibration")
+        with RemotePlant(VirtualLink(self.twin), calibration=known, folder=folder) as host:
+            wanted = find_scene(scene)().replace(period=host.period, delay=host.delay)
+            try:
+                landing = Flight(host, wanted).run(seconds).landing
+                self.outcome = "landed" if landing.at_rest and not landing.reason else str(landing)
+            except MaglevError as error:
+                self.outcome = str(error)
+        self.rows = np.array(rows)
+
+    def levitated(self, start: float, end: float) -> Array:
+        """Return the rows between two times [s]."""
+        return self.rows[round(start * 200) : round(end * 200) + 1]
+
+
+def nudge(tick: int, time: float, state: Any) -> Sequence[float]:
+    return [1.5 * (1.4 < time < 1.6), 0.0, -2.0 * (1.5 < time < 1.7), 0.0, 0.01 * (1.4 < time < 1.6), 0.0]
+
+
+@both
+@pytest.mark.parametrize("scene", ["joystick", "drop", "six-axes"])
+def test_currents_of_a_flight_are_newtons(plant: str, scene: str, tmp_path: Path) -> None:
+    """Mean force is weight and change of momentum, exactly, at any angle: forces keep their directions."""
+    flown = Flown(plant, tmp_path, scene)
+    assert flown.outcome == "landed" and not flown.twin.firmware.faults
+    rows = flown.levitated(1.25, 1.75)
+    force = KNOWN.coils.wrench(rows[1:, 12:].mean(axis=0))[:3]
+    momentum = KNOWN.mass * (rows[-1, 6:9] - rows[0, 6:9]) / 0.5
+    assert force + KNOWN.mass * KNOWN.gravity == pytest.approx(momentum, abs=1e-9)
+    assert rows[1:, 12:].mean(axis=0) == pytest.approx(KNOWN.hover, abs=0.05)
+
+
+@pytest.mark.parametrize("hand", [None, nudge], ids=["free", "nudged"])
+def test_flights_on_both_plants_agree(hand: Any, tmp_path: Path) -> None:
+    """With a sensor without noise or steps, which would tell two flights apart by steps.
+
+    Translation is exact on both: rounding, and what is left of the stops' difference. An angle differs by the middle
+    rule's error, of second order in a segment, and with it the currents.
+    """
+    one, other = (Flown(plant, tmp_path, hand=hand, noise=0.0, quantum=1e-12) for plant in PLANTS)
+    assert one.outcome == other.outcome == "landed"
+    apart = np.abs(one.levitated(1.25, 1.75) - other.levitated(1.25, 1.75)).max(axis=0)
+    size = np.abs(other.levitated(1.25, 1.75)).max(axis=0)
+    print(apart, size)
+    assert apart[:3].max() < 5e-11 and apart[6:9].max() < 5e-9
+    assert apart[3:6].max() < 1e-4 * size[3:6].max() and apart[12:].max() < 2e-5
+    assert hand is None or ((size[[0, 2]] > 3e-3).all() and size[4] > 0.03)
+
+
+@pytest.mark.parametrize("coil", range(6))
+def test_a_dead_coil_is_found_at_takeoff_as_in_the_engine(coil: int, tmp_path: Path) -> None:
+    """By its current where it carries much, else by its force."""
+    fault = InjectedFault(kind="dead-coil", which=coil, at=0.05)
+    one, other = (Flown(plant, tmp_path, faults=[fault]).outcome.split(";")[0] for plant in PLANTS)
+    assert one == other and one in (
+        "COIL_NOT_FOLLOWING: said by the device",
+        f"no flight: coil {coil} gives 0 % of its calibrated force",
+    )
+
+
+@both
+@pytest.mark.parametrize("coil", range(6))
+def test_a_weak_coil_is_named_at_takeoff(plant: str, coil: int, tmp_path: Path) -> None:
+    constants = KNOWN.coils.force_constants.copy()
+    constants[coil] *= 0.9
+    truth = replace(KNOWN, coils=replace(KNOWN.coils, force_constants=constants))
+    flown = Flown(plant, tmp_path, truth=truth)
+    assert f"no flight: coil {coil} gives " in flown.outcome
+    assert 88 <= int(flown.outcome.split("gives ")[1].split(" %")[0]) <= 92
+
+
+def test_an_open_coil_gives_no_force_though_its_current_is_commanded() -> None:
+    plant = exact(Timing(delay=0.0))
+    plant.open_coil(1)
+    plant.read()
+    plant.drive((1.0, 2.0, 3.0, 0.0, 0.0, 0.0))
+    plant.read()
+    force = KNOWN.coils.wrench(np.array([1.0, 0.0, 3.0, 0.0, 0.0, 0.0]))
+    assert plant.state()[1] == pytest.approx(0.005 * (force + plant.load) / INERTIA, abs=1e-12)
+    assert plant.currents[1] == 2.0
+
+
+@both
+def test_a_tilted_device_of_another_mass_lands(plant: str, tmp_path: Path) -> None:
+    truth, corner = replace(KNOWN, mass=0.8, gravity=TILTED), (RANGE[0], 0.0, -RANGE[2], 0.0, 0.0, 0.0)
+    flown = Flown(plant, tmp_path, calibration=truth, pose=corner)
+    assert flown.outcome == "landed" and not flown.twin.firmware.faults
+
+
+@both
+def test_a_viewer_sees_what_a_stop_carries(plant: str) -> None:
+    parameters, shown = TwinParameters(plant=plant), list[Snapshot]()
+    twin = Twin(parameters)
+    viewer: Any = SimpleNamespace(show=shown.append, take=lambda: None)
+    served: Any = SimpleNamespace(twin=twin, stop=None)
+    each = _shown(viewer, _blank(find_scene("joystick"), parameters), served)
+    for _ in range(100):
+        twin.sample()
+        each()
+    assert shown[-1].stops == pytest.approx(-twin.plant.load, abs=1e-3) and not shown[-1].force.any()
+
+
+def test_the_twin_is_named_by_its_plant() -> None:
+    assert isinstance(Twin(TwinParameters()).plant, MuJoCoPlant)
+    assert isinstance(Twin(TwinParameters(plant="exact")).plant, ExactCoilPlant)
+    with pytest.raises(ParameterError, match="plant must be one of exact, mujoco, not 'exacct'"):
+        TwinParameters(plant="exacct")
