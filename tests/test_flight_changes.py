@@ -225,14 +225,19 @@ class Ends(Wishes):
     def __init__(self, *wishes: Scene) -> None:
         super().__init__([])
         self._left = list(wishes)
+        self._landing = False
 
     def take(self) -> ChangeRequest | None:
-        if not self.snapshots or len(self.answers) < self._looks:
+        if not self.snapshots or self._landing:
             return None
-        self._looks += 1
+        if len(self.answers) < self._looks:
+            time.sleep(0.05)  # virtual time would run on, on a core that the process needs
+            return None
         if not self._left:
+            self._landing = True
             signal.raise_signal(signal.SIGINT)
             return None
+        self._looks += 1
         return ChangeRequest(self._left.pop(0), self.answers.append)
 
 
