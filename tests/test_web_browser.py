@@ -37,6 +37,7 @@ HTMLCanvasElement.prototype.getContext = function (...kind) {
     return made;
 };
 """  # no test looks at the scene's pixels, which software draws in more time than all else takes
+UNSEEN = "--disable-gpu-compositing"  # nor at those of the panels, whose layers software puts together most cheaply so
 
 
 class Run:
@@ -101,7 +102,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as found:
+    with chromium(UNSEEN) as found:
         yield found
 
 

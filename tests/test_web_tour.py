@@ -14,7 +14,7 @@ from maglev_mj.recording import ArrayFile
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay
 from maglev_mj.session.tour import Tour
-from tests.test_web_browser import Run, opened, press, pull
+from tests.test_web_browser import UNSEEN, Run, opened, press, pull
 
 pytestmark = [
     pytest.mark.needs("browser"),
@@ -28,7 +28,7 @@ STIFFNESS, DAMPING, _, DELAY = range(4)
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with chromium() as found:
+    with chromium(UNSEEN) as found:
         yield found
 
 

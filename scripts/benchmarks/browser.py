@@ -22,13 +22,13 @@ FLAGS = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-
 
 
 @contextmanager
-def chromium() -> Iterator[Any]:
-    """Yield a Chromium."""
+def chromium(*flags: str) -> Iterator[Any]:
+    """Yield a Chromium that is started with `FLAGS` and more flags."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(
-            executable_path=_CHROMIUM, args=[*FLAGS, "--disable-gpu-sandbox", "--ignore-gpu-blocklist"]
+            executable_path=_CHROMIUM, args=[*FLAGS, "--disable-gpu-sandbox", "--ignore-gpu-blocklist", *flags]
         )
         yield browser
         browser.close()
