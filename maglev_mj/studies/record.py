@@ -12,6 +12,7 @@ import math
 import os
 import struct
 import time
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
@@ -38,7 +39,7 @@ _ABSENT = struct.pack("<Q", 0x7FF8_0000_0000_0AB5)
 ABSENT: float = struct.unpack("<d", _ABSENT)[0]
 """NaN of its own bits, which files keep."""
 
-_INDEX, _BARE, _ERROR = "#", "=", "error"
+_INDEX, _BARE, _CHECKSUM, _ERROR = "#", "=", "~", "error"
 _PLAN, _PARTIAL = "plan.json", ".partial"
 _ROWS = 65_536  # in a shard
 _PAUSE, _SHARE = 1.0, 10.0  # [s]; between two writings at least so many times the last one's duration
@@ -50,7 +51,7 @@ def pack(results: Sequence[Any]) -> Columns:
     Raises:
         ParameterError: If a result holds anything but values of JSON.
     """
-    named = [isinstance(result, dict) and not {_INDEX, _BARE} & result.keys() for result in results]
+    named = [isinstance(result, dict) and not {_INDEX, _BARE, _CHECKSUM} & result.keys() for result in results]
     rows = [result if row else {_BARE: result} for result, row in zip(results, named, strict=True)]
     names = dict.fromkeys(name for row in rows for name in row)
     return {name: _column([row.get(name, ...) for row in rows]) for name in names}
@@ -233,15 +234,25 @@ def _check(path: Path, plan: Mapping[str, Any]) -> None:
         raise ParameterError(f"record must be of this code, not {str(path)!r}, which has {other}")
 
 
+def _checksum(table: Columns) -> int:
+    """Return a checksum of names and values; those of the formats do not cover the names."""
+    found = 0
+    for name, column in sorted(table.items()):
+        data = json.dumps(column.tolist()).encode() if column.dtype == object else column.tobytes()
+        found = zlib.crc32(data, zlib.crc32(name.encode(), found))
+    return found
+
+
 def _write_table(kind: str, table: Columns, file: Any) -> None:
     if kind == ".parquet":
         import pyarrow
         from pyarrow import parquet
 
-        parquet.write_table(pyarrow.table(table), file, write_page_checksum=True)
+        checked = pyarrow.table(table, metadata={_CHECKSUM: str(_checksum(table))})
+        parquet.write_table(checked, file, write_page_checksum=True)
         return
     texts = {name: np.bytes_(json.dumps(one.tolist()).encode()) for name, one in table.items() if one.dtype == object}
-    columns: dict[str, Any] = {**table, **texts}
+    columns: dict[str, Any] = {**table, **texts, _CHECKSUM: _checksum(table)}
     np.savez_compressed(file, **columns)
 
 
@@ -251,8 +262,14 @@ def _read_table(path: Path) -> dict[str, NDArray[Any]]:
         from pyarrow import parquet
 
         columns = parquet.ParquetFile(path, page_checksum_verification=True).read()
-        return {name: columns[name].to_numpy() for name in columns.column_names}
-    with path.open("rb") as file, np.load(file) as arrays:  # which a torn one would leave open
-        table = {name: arrays[name] for name in arrays.files}
-    texts = {name: json.loads(one.item()) for name, one in table.items() if one.dtype.kind == "S"}
-    return {**table, **{name: np.array(text, dtype=object) for name, text in texts.items()}}
+        table = {name: columns[name].to_numpy() for name in columns.column_names}
+        checksum = int(columns.schema.metadata[_CHECKSUM.encode()])
+    else:
+        with path.open("rb") as file, np.load(file) as arrays:  # which a torn one would leave open
+            table = {name: arrays[name] for name in arrays.files}
+        checksum = table.pop(_CHECKSUM).item()
+        texts = {name: json.loads(one.item()) for name, one in table.items() if one.dtype.kind == "S"}
+        table |= {name: np.array(text, dtype=object) for name, text in texts.items()}
+    if checksum != _checksum(table):
+        raise ValueError(f"{path} must have the checksum that it states")
+    return table
