@@ -27,6 +27,12 @@ LONGEST_ANSWER = 10.0
 _PATIENCE = 10.0
 
 
+def be_nice() -> None:
+    """Give way to processes with deadlines, where a system knows niceness."""
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+
+
 def start_tracker() -> None:
     """Start the tracker of shared resources, where processes have one.
 
@@ -158,8 +164,7 @@ class SideAnswers(SideProcess):
 
 def _answer(line: Any, function: Callable[..., Any]) -> None:
     """Answer questions until the line ends, in an own process."""
-    if hasattr(os, "nice"):
-        os.nice(NICE)
+    be_nice()
     answer: Any = None
     with suppress(OSError):
         while True:

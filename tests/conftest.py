@@ -73,6 +73,7 @@ NEEDS = {
     "emulator": Need("an emulator of boards", lambda: bool(shutil.which("qemu-system-arm")), "qemu-system-arm"),
     "spnav": Need("libspnav", lambda: _has_header("spnav.h") and _has_header("X11/Xlib.h"), "libspnav-dev libx11-dev"),
     "linux": Need("Linux", lambda: sys.platform == "linux"),
+    "pty": Need("pseudo-terminals", lambda: hasattr(os, "openpty")),
     "workers": Need("several workers, -n", lambda: "PYTEST_XDIST_WORKER" in os.environ),
 }
 PEERS = {"bdsim", "control", "drake", "mujoco", "pinocchio", "pybullet", "rerun", "scipy", "xarray"}

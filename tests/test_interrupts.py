@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from maglev_mj.process import Interrupts, SideProcess, interrupts_held, start_tracker
+from maglev_mj.process import Interrupts, SideProcess, be_nice, interrupts_held, start_tracker
 from tests.processes import PATIENCE, run
 
 # Ctrl-C as the n-th module whose name begins so is looked for
@@ -192,7 +192,8 @@ def test_processes_start_and_answer_without_what_windows_lacks(monkeypatch: pyte
     def missing(*_: object, **__: object) -> None:
         raise ModuleNotFoundError("No module named '_posixsubprocess'")
 
-    monkeypatch.delattr(os, "fork")
+    for name in ("fork", "nice"):
+        monkeypatch.delattr(os, name)
     monkeypatch.setattr("multiprocessing.connection.Pipe", missing)
     monkeypatch.setattr("multiprocessing.resource_tracker.ensure_running", missing)
     process = SideProcess(echo)
@@ -203,6 +204,7 @@ def test_processes_start_and_answer_without_what_windows_lacks(monkeypatch: pyte
     finally:
         process.close()
     start_tracker()
+    be_nice()
 
 
 def test_looking_at_the_program_s_module_leaves_signals_alone() -> None:

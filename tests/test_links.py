@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -50,7 +50,37 @@ def serial_line() -> Pair:
     return SerialLink(server.path, 921600), server
 
 
-@pytest.fixture(params=[datagrams, serial_line])
+class Port:
+    """Serial port with what pyserial has on every system: no descriptor, which Windows' ports lack."""
+
+    def __init__(self, port: Any) -> None:
+        self._port, self.close = port, port.close
+
+    @property
+    def in_waiting(self) -> int:
+        """Number of bytes that have come."""
+        return int(self._port.in_waiting)
+
+    def read(self, size: int) -> bytes:
+        """Return up to `size` bytes."""
+        return bytes(self._port.read(size))
+
+    def write(self, data: bytes) -> int:
+        """Send bytes."""
+        return int(self._port.write(data))
+
+
+def line_without_descriptor() -> Pair:
+    server = PtyServer()
+    link = SerialLink(server.path, 921600)
+    link._port = Port(link._port)
+    return link, server
+
+
+PTY = pytest.mark.needs("pty")
+
+
+@pytest.fixture(params=[datagrams, *(pytest.param(one, marks=PTY) for one in (serial_line, line_without_descriptor))])
 def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
     make: Callable[[], Pair] = request.param
     link, server = make()
@@ -157,6 +187,7 @@ def test_a_closed_end_is_a_link_error_and_closes_again(pair: Pair) -> None:
         link.send(b"x")
 
 
+@PTY
 def test_an_adapter_that_was_pulled_out_is_closed_without_a_word() -> None:
     with closing(PtyServer()) as server:
         link = SerialLink(server.path, 921600)
@@ -218,6 +249,7 @@ def test_addresses() -> None:
     assert parse_url("udp://localhost:0", server=True) == ("udp", "localhost", 0)
     assert parse_url("serial:///dev/ttyUSB0?baud=460800") == ("serial", "/dev/ttyUSB0", 460800)
     assert parse_url("serial:///dev/ttyUSB0") == ("serial", "/dev/ttyUSB0", 921600)
+    assert parse_url("serial://COM3?baud=115200") == ("serial", "COM3", 115200)
 
 
 @pytest.mark.parametrize(
@@ -236,6 +268,8 @@ def test_addresses() -> None:
         "udp://[::1]:5678",
         "udp://:5678",
         "serial://ttyUSB0",
+        "serial://COM",
+        "serial://COM3/x",
         "serial:///",
         "serial:///dev/ttyUSB0?baud=0",
         "serial:///dev/ttyUSB0?baud=fast",
@@ -248,6 +282,7 @@ def test_what_is_no_address_is_named(text: str) -> None:
     assert repr(text) in str(error.value) and "\n" not in str(error.value)
 
 
+@PTY
 def test_links_are_opened_by_address() -> None:
     with closing(UdpServer(HOME, 0)) as server, closing(open_link(f"udp://localhost:{server.address[1]}")) as link:
         link.send(b"over UDP")
@@ -324,6 +359,7 @@ def test_what_is_too_long_is_dropped_and_the_next_frame_is_found() -> None:
         assert list(deframer.frames) == [b"next"] and deframer.dropped == 1
 
 
+@PTY
 def test_a_serial_line_recovers_from_garbage_both_ways() -> None:
     server = PtyServer()
     link = SerialLink(server.path, 921600)
@@ -346,6 +382,23 @@ def test_a_serial_line_recovers_from_garbage_both_ways() -> None:
     os.close(other_end)
 
 
+@PTY
+def test_a_serial_line_that_is_asked_for_what_has_come_does_not_wait() -> None:
+    link, server = line_without_descriptor()
+    with closing(server), closing(link):
+        cast(Any, link)._port.read = None
+        assert link.receive(0.0) is None
+
+
+@PTY
+def test_noise_without_end_does_not_keep_a_caller() -> None:
+    link, server = serial_line()
+    with closing(server), closing(link):
+        cast(Any, link)._read = lambda timeout: b"\xff" * 50
+        assert link.receive(0.01) is None
+
+
+@PTY
 def test_a_full_serial_line_loses_frames_and_goes_on() -> None:
     server = PtyServer()
     with closing(server), closing(SerialLink(server.path, 921600)) as link:
@@ -363,6 +416,7 @@ def test_a_full_serial_line_loses_frames_and_goes_on() -> None:
         assert any(server.receive(PATIENCE) == (b"after", server.address) for _ in range(2))
 
 
+@PTY
 def test_a_line_that_is_gone_is_an_error() -> None:
     server = PtyServer()
     with closing(SerialLink(server.path, 921600)) as link:

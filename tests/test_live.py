@@ -40,7 +40,7 @@ from maglev_mj.interop.foxglove.settings import Answer, Requests, State, checked
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import NICE, SideAnswers, SideProcess
 from maglev_mj.recording import ArrayFile, tee
-from maglev_mj.recording.writer import Ring, RowReader
+from maglev_mj.recording.ring import Ring, RowReader
 from maglev_mj.scenes import Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import INERTIA, MASS, Box, Corner, Joystick, Table
@@ -440,7 +440,7 @@ def in_service(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Any, Any]]:
     monkeypatch.setattr(service, "forward", lambda *_: None)
     near, far = Pipe()
     with near, far, closing(Ring()) as ring, socket.create_server(("127.0.0.1", 0)) as public:
-        one = service._Service(far, RowReader(ring.descriptor), public)
+        one = service._Service(far, RowReader(ring.path), public)
         yield one, near
         one._server.stop()
 
@@ -850,7 +850,7 @@ def test_a_check_that_dies_or_does_not_end_is_given_up(
     scene = find_scene(str(tmp_path / "odd.py"))()
     near, far = Pipe()
     with closing(Ring()) as ring, socket.create_server(("127.0.0.1", 0)) as public:
-        arguments = far, RowReader(ring.descriptor), public, NAMED
+        arguments = far, RowReader(ring.path), public, NAMED
         serving = threading.Thread(target=service.serve, args=arguments)
         serving.start()
         assert near.recv() == ""
@@ -963,10 +963,36 @@ def test_what_is_sent_to_a_process_that_has_ended_is_lost(calls: Sequence[str]) 
     process.close()
 
 
-def test_without_its_package_it_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
-    with monkeypatch.context() as changed, pytest.raises(LiveServerError, match="needs a POSIX system"):
-        changed.delattr(os, "fork")
+def test_a_server_whose_process_cannot_start_leaves_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.recording.ring._MEMORY", tmp_path)
+    monkeypatch.setattr("maglev_mj.interop.foxglove.server.SideProcess", lambda *_: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
         LiveServer(0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_its_process_removes_the_memory_of_a_program_that_was_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    # On Windows, where nobody could before.
+    from maglev_mj.interop.foxglove import server, service
+
+    ring, unlink = Ring(), Path.unlink
+
+    def in_use(path: Path, missing_ok: bool = False) -> None:
+        monkeypatch.setattr(Path, "unlink", unlink)
+        raise PermissionError(13, "it is used by another process")
+
+    monkeypatch.setattr(Path, "unlink", in_use)
+    monkeypatch.setattr(service, "serve", lambda *_: None)
+    monkeypatch.setattr(server, "be_nice", lambda: None)
+    monkeypatch.setattr(os, "_exit", sys.exit)
+    near, far = Pipe()
+    with near, far, pytest.raises(SystemExit):
+        server._serve(far, ring.path, None, ())
+    assert not ring.path.exists()
+    ring.close()
+
+
+def test_without_its_package_it_says_which(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
     with pytest.raises(
         MissingPackageError, match=r"a live server needs foxglove-sdk: .* -m pip install 'foxglove-sdk>="

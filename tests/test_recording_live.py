@@ -7,11 +7,12 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import tracemalloc
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -24,9 +25,10 @@ from maglev_mj.errors import MissingPackageError, ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, load_samples, open_recording, setup_of
+from maglev_mj.recording.ring import ROWS, Ring, RowReader
 from maglev_mj.recording.sample import ROW, TOTALS
 from maglev_mj.recording.verify import verify
-from maglev_mj.recording.writer import ROWS, Ring, RowReader
+from maglev_mj.recording.writer import _Orders, _write
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.scenes.scene import Scene
@@ -36,6 +38,8 @@ from maglev_mj.session.replay import Replay, rebuild, record_run, write_run
 from maglev_mj.spec import INERTIA
 from maglev_mj.studies.stability_map import RestingWall
 from maglev_mj.versions import versions
+from tests.elsewhere import START
+from tests.processes import run
 from tests.recorded import messages_in
 from tests.sweeps import sweep
 
@@ -207,14 +211,14 @@ def test_a_recording_that_is_killed_at_any_time_opens(after: int, writer_too: bo
     print("lost:", killed(after, writer_too, tmp_path), "samples")
 
 
-def killed(after: int, writer_too: bool, tmp_path: Path) -> int:
+def killed(after: int, writer_too: bool, tmp_path: Path, begun: str = "*.mcap", rules: str = "") -> int:
     """Return the samples lost by a program that is killed after recording some."""
-    program = subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    program = subprocess.Popen([sys.executable, "-c", rules + RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert program.stdout is not None
     made = 0
     while made < after:
         made = int(program.stdout.readline())
-        if not any(tmp_path.glob("*.mcap")):  # a busy machine is long about starting the writer
+        if not any(path.stat().st_size for path in tmp_path.glob(begun)):  # a busy machine is long about the writer
             after = made + 200
     (writer,) = writers_to(tmp_path)
     program.kill()
@@ -244,18 +248,136 @@ def test_rows_that_come_faster_than_they_are_written_are_counted_or_waited_for()
             record(sample, command, command)
 
     ring = Ring()
-    reader = RowReader(ring.descriptor)
+    reader = RowReader(ring.path)
     put(ring, ROWS + 100)
     assert len(list(reader.rows())) == ROWS and reader.lost == 100
     ring.close()
     reader.close()
     waited = []
     patient = Ring(wait=lambda: waited.append(len(list(slow.rows()))))
-    slow = RowReader(patient.descriptor)
+    slow = RowReader(patient.path)
     put(patient, 2 * ROWS)
     assert waited and sum(waited) + len(list(slow.rows())) == 2 * ROWS and slow.lost == 0
     patient.close()
     slow.close()
+
+
+def test_a_message_is_waited_for_before_the_rows_that_it_was_sent_ahead_of() -> None:
+    ends = os.pipe()
+    with open(ends[1], "wb", buffering=0) as there, open(ends[0], "rb") as here:
+        orders = _Orders(here)
+        orders.listen(0)
+        assert not orders.waiting
+        threading.Timer(0.2, there.write, [b'[5, "event"]\n[7, "stick"]\n[9, "cut sho']).start()
+        orders.listen(2)
+        assert list(orders.waiting) == [[5, "event"], [7, "stick"]] and not orders.over
+        threading.Timer(0.2, there.close).start()
+        orders.listen(3)  # of a process that was killed: what it told of never comes
+        assert len(orders.waiting) == 2 and orders.over
+
+
+class Log:
+    """Log that keeps the order of what it gets."""
+
+    def __init__(self) -> None:
+        self.order = list[Any]()
+
+    def rows(self, rows: list[Any]) -> None:
+        """Log rows."""
+        self.order.append(len(rows))
+
+    def event(self, text: str) -> None:
+        """Log an event."""
+        self.order.append(text)
+
+    def flush(self) -> None:
+        """Do nothing."""
+
+
+def test_a_message_that_is_late_is_logged_before_its_row() -> None:
+    command, log, ends = Command(list(ZERO)), Log(), os.pipe()
+    ring = Ring()
+    record, reader = ring.record(Still()), RowReader(ring.path)
+    ring.tell(1)
+    for tick in range(3):
+        record(Sample(tick, tick * 0.001, list(ZERO)), command, command)
+    with open(ends[1], "wb", buffering=0) as there, open(ends[0], "rb") as here:
+        threading.Timer(0.2, there.write, [b'[2, "event", "late"]\n']).start()
+        threading.Timer(0.6, there.close).start()
+        _write(reader, _Orders(here), log, lambda: None)  # type: ignore[arg-type]
+    assert log.order == [2, "late", 1]
+    reader.close()
+    ring.close()
+
+
+def test_what_is_sent_is_told_of(tmp_path: Path) -> None:
+    file, told = open_recording(tmp_path / "run.mcap"), list[int]()
+    cast(Any, file)._ring.tell = told.append
+    for _ in range(3):
+        file.event("fault", "it fell")
+    assert file.close() is None and told == [1, 2, 3]
+
+
+@pytest.mark.parametrize("read", [False, True])
+def test_the_file_of_the_memory_is_gone_at_the_latest_with_the_ring(read: bool) -> None:
+    ring = Ring()
+    if read:
+        reader = RowReader(ring.path)
+        assert not ring.path.exists()
+        reader.close()
+    ring.close()
+    assert not ring.path.exists()
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Make a temporary folder of this test's programs."""
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TEMP", str(folder))
+    return folder
+
+
+WRITE = """
+import sys
+from pathlib import Path
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.session.replay import write_run
+write_run(Path(sys.argv[1]), Drop(), plant="exact", phase=0.3)
+"""
+
+
+@pytest.mark.needs("linux")
+def test_a_file_is_whole_where_none_in_use_is_renamed_or_removed(temporary: Path) -> None:
+    # As on Windows: the memory's file goes with the ring, and the recording gets its name at the end.
+    path, same_run = temporary / "run.mcap", temporary / "same.mcap"
+    path.write_bytes(b"that of before")
+    done = run(sys.executable, "-c", START + WRITE, str(path), cwd=Path(__file__).parents[1])
+    assert done.status == 0 and not done.errors, done
+    write_run(same_run, Drop(), plant="exact", phase=0.3)
+    assert same(Recording.load(path), Recording.load(same_run))
+    assert sorted(temporary.iterdir()) == [path, same_run]
+
+
+@pytest.mark.needs("linux")
+def test_a_name_that_is_taken_at_the_end_loses_nothing(temporary: Path) -> None:
+    path = temporary / "run.mcap"
+    path.write_bytes(b"that of before")
+    with path.open("rb"):  # by a program that reads it
+        done = run(sys.executable, "-c", START + WRITE, str(path), cwd=Path(__file__).parents[1])
+    assert done.status == 1 and "is not whole: The process cannot access the file" in done.errors
+    (kept,) = {*temporary.iterdir()} - {path}
+    assert f"; it is in {kept}" in done.errors and path.read_bytes() == b"that of before"
+    assert Recording.load(kept).ticks == 80
+
+
+@pytest.mark.needs("linux")
+def test_a_recording_that_is_killed_gets_its_name_where_none_in_use_is_renamed(
+    temporary: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(Path(__file__).parents[1])
+    killed(400, False, temporary, "*.partial", START)
+    assert not list(temporary.glob("maglev-mj-*")) and len(list(temporary.iterdir())) == 1
 
 
 def test_a_writer_that_dies_is_told_of(tmp_path: Path) -> None:
@@ -422,7 +544,8 @@ def test_no_memory_to_share_is_one_line_before_anything_runs(
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, "posix_fallocate", full)
+    monkeypatch.setattr(os, "posix_fallocate", full, raising=False)
+    monkeypatch.setattr("maglev_mj.recording.ring._MEMORY", tmp_path)
     assert main(["drop", "--plant", "exact", "--record", str(tmp_path / "run.mcap")]) == 1
     said = capsys.readouterr().err
     assert len(said.splitlines()) == 1 and "no memory to share" in said

@@ -7,10 +7,11 @@ import os
 import re
 import socket
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from contextlib import suppress
 from select import select
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import Any, NamedTuple, Protocol, TypeAlias
 
 from maglev_mj.errors import MaglevError, ParameterError, one_line, require
 from maglev_mj.parameters import flag
@@ -23,7 +24,7 @@ BAUD = 921600
 """
 
 _UDP = re.compile(r"udp://([\w.-]+):(\d{1,5})", re.ASCII)
-_SERIAL = re.compile(r"serial://(/[^?#]+)(?:\?baud=(\d{1,8}))?", re.ASCII)
+_SERIAL = re.compile(r"serial://(/[^?#]+|COM\d{1,3})(?:\?baud=(\d{1,8}))?", re.ASCII)
 
 
 class Url(NamedTuple):
@@ -38,7 +39,7 @@ class Url(NamedTuple):
 
 
 def parse_url(text: str, *, server: bool = False) -> Url:
-    """Parse udp://HOST:PORT or serial:///PATH?baud=RATE.
+    """Parse udp://HOST:PORT or serial:///PATH?baud=RATE, on Windows serial://COM3?baud=RATE.
 
     A server may have port 0, for any free one.
 
@@ -51,7 +52,8 @@ def parse_url(text: str, *, server: bool = False) -> Url:
     if (serial := _SERIAL.fullmatch(text)) and int(serial[2] or BAUD) > 0:
         return Url("serial", serial[1], int(serial[2] or BAUD))
     raise ParameterError(
-        f"address must be udp://HOST:PORT with a port of {least} to 65535, or serial:///PATH?baud=RATE, not {text!r}"
+        f"address must be udp://HOST:PORT with a port of {least} to 65535, "
+        f"or serial:///PATH?baud=RATE (on Windows serial://COM3?baud=RATE), not {text!r}"
     )
 
 
@@ -297,6 +299,8 @@ LONGEST = 4096
 
 _FLOOD = 1e-3  # longest reading of invalid data beyond the caller's timeout [s]
 _CODES = [bytes([length + 1]) for length in range(255)]
+_SLICE = 1e-3  # longest wait of one read [s]: set once, as drivers take a new one for a new setting of the line
+_ROOM = 0.0 if os.name == "nt" else 1e-4  # wait for room to send [s]; elsewhere pyserial, told 0, waits without end
 
 
 def cobs_encode(data: bytes) -> bytes:
@@ -363,17 +367,28 @@ class Deframer:
             self._rest, self._lost = b"", True
 
 
-class _Line:
-    """Frames over a non-blocking file descriptor."""
+class _Line(ABC):
+    """Frames over a stream of bytes.
 
-    def __init__(self, descriptor: int, name: str) -> None:
-        self._descriptor, self._name = descriptor, name
-        self._deframer = Deframer()
+    Args:
+        name: Path of the line, for messages.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name, self._deframer = name, Deframer()
 
     @property
     def dropped(self) -> int:
         """Number of invalid pieces between zero bytes."""
         return self._deframer.dropped
+
+    @abstractmethod
+    def _read(self, timeout: float) -> bytes:
+        """Return the bytes that have come, none after `timeout` [s]."""
+
+    @abstractmethod
+    def _put(self, data: bytes) -> None:
+        """Send bytes, or what of them there is room for."""
 
     def _write(self, data: bytes) -> None:
         """Send one frame; drop it if the buffer is full.
@@ -383,11 +398,9 @@ class _Line:
         """
         try:
             # the zero before it keeps noise, or a frame cut short for lack of room, from spoiling this one
-            os.write(self._descriptor, b"\0" + cobs_encode(data) + b"\0")
-        except BlockingIOError:
-            pass  # no room: lost, as on any link
+            self._put(b"\0" + cobs_encode(data) + b"\0")
         except OSError as error:
-            raise LinkError(f"{self._name} is gone: {error.strerror}") from None
+            raise self._gone(error) from None
 
     def _next(self, timeout: float) -> bytes | None:
         """See `Link.receive`."""
@@ -395,28 +408,24 @@ class _Line:
         end = time.monotonic() + timeout
         while not frames:
             left = end - time.monotonic()
-            if left < -_FLOOD or not readable(self._descriptor, left):
+            try:
+                data = b"" if left < -_FLOOD else self._read(max(left, 0.0))
+            except OSError as error:
+                raise self._gone(error) from None
+            if not data and left <= 0.0:
                 return None
-            self._deframer.feed(self._read())
+            self._deframer.feed(data)
         return frames.popleft()
 
-    def _read(self) -> bytes:
-        try:
-            data = os.read(self._descriptor, LONGEST)
-        except BlockingIOError:
-            return b""
-        except OSError as error:
-            raise LinkError(f"{self._name} is gone: {error.strerror}") from None
-        if not data:  # though it was readable
-            raise LinkError(f"{self._name} is gone: end of file")
-        return data
+    def _gone(self, error: OSError) -> LinkError:
+        return LinkError(f"{self._name} is gone: {error.strerror or error}")
 
 
 class SerialLink(_Line):
     """Link over a serial line, opened exclusively.
 
     Args:
-        path: Path of the line, such as /dev/ttyUSB0.
+        path: Path of the line, such as /dev/ttyUSB0 or COM3.
         baud: Rate [1/s], above 0.
 
     Raises:
@@ -427,10 +436,10 @@ class SerialLink(_Line):
 
     def __init__(self, path: str, baud: int) -> None:
         require(("serial",), "serial", "a serial line needs pyserial")
-        from serial import Serial
+        from serial import Serial, SerialTimeoutException
 
         try:
-            self._port = Serial(path, baud, timeout=0, exclusive=True)
+            self._port = Serial(path, baud, timeout=_SLICE, write_timeout=_ROOM, exclusive=True)
         except ValueError:
             raise ParameterError(f"baud must be a rate that {path} has, not {baud!r}") from None
         except OSError as error:
@@ -438,15 +447,30 @@ class SerialLink(_Line):
         # without it some USB adapters hold bytes back for 16 ms; others, and a pty, do not know it
         with suppress(OSError, ValueError, AttributeError, NotImplementedError):
             self._port.set_low_latency_mode(True)
-        super().__init__(self._port.fileno(), path)
+        self._full, self._open = SerialTimeoutException, True
+        super().__init__(path)
 
     send, receive = _Line._write, _Line._next
 
     now = staticmethod(time.monotonic_ns)
 
+    def _read(self, timeout: float) -> bytes:
+        waiting = self._opened().in_waiting
+        data: bytes = self._port.read(waiting or 1) if waiting or timeout > 0.0 else b""
+        return data
+
+    def _put(self, data: bytes) -> None:
+        with suppress(self._full):  # no room: lost, as on any link
+            self._opened().write(data)
+
+    def _opened(self) -> Any:
+        if not self._open:  # its descriptor may be another file's by now
+            raise OSError("it is closed")
+        return self._port
+
     def close(self) -> None:
         """Close the line; idempotent."""
-        self._descriptor = -1  # a number that the system may hand out again
+        self._open = False
         with suppress(OSError):  # an adapter that was pulled out
             self._port.close()
 
@@ -475,8 +499,8 @@ class PtyServer(_Line):
         os.set_blocking(master, False)
         self.path = os.ttyname(self._slave)
         self.address: Address = (self.path, 0)
-        self._open = True
-        super().__init__(master, self.path)
+        self._descriptor, self._open = master, True
+        super().__init__(self.path)
 
     def receive(self, timeout: float) -> tuple[bytes, Address] | None:
         """Return the oldest frame and its sender, or None.
@@ -489,6 +513,16 @@ class PtyServer(_Line):
     def send(self, data: bytes, address: Address) -> None:
         """Send one frame; drop it if the buffer is full."""
         self._write(data)
+
+    def _read(self, timeout: float) -> bytes:
+        try:
+            return os.read(self._descriptor, LONGEST) if readable(self._descriptor, timeout) else b""
+        except BlockingIOError:
+            return b""
+
+    def _put(self, data: bytes) -> None:
+        with suppress(BlockingIOError):  # no room: lost, as on any link
+            os.write(self._descriptor, data)
 
     def close(self) -> None:
         """Close both ends; idempotent."""

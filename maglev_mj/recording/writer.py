@@ -1,9 +1,8 @@
 """Recording files of runs: arrays at the end, or MCAP meanwhile by another process.
 
-That process outlives the recording one, even if that is killed. Rows pass through shared memory. Each row stands
-between two copies of its number, from 1. A reader takes a row only if both are right: the first copy is written first
-and the second last. Events pass through a pipe; the writer ends with it: the recording was closed, or the recording
-process has ended.
+That process outlives the recording one, even if that is killed. Rows pass through a ring buffer.
+Messages pass through a pipe, and their number through the ring: a row is not logged before those sent ahead of it. The
+writer ends with the pipe: the recording was closed, or the recording process has ended.
 """
 
 from __future__ import annotations
@@ -11,12 +10,11 @@ from __future__ import annotations
 import base64
 import json
 import math
-import mmap
 import os
-import struct
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -24,6 +22,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
+from queue import SimpleQueue
 from typing import IO, Any, TypeAlias
 
 import numpy as np
@@ -36,127 +35,19 @@ from maglev_mj.parameters import flag
 from maglev_mj.process import interrupts_held
 from maglev_mj.recording.mcap import FORMAT, METADATA, require_mcap
 from maglev_mj.recording.recording import Recording, RecordingError, Stretch
+from maglev_mj.recording.ring import Ring, RowReader
 from maglev_mj.recording.sample import ROW, RecordedPlant, Row, Setup, as_rows, compiled, units
 from maglev_mj.recording.setup import RecordingFile, attach_parts, whole_setup
 from maglev_mj.versions import versions
 
-ROWS = 1 << 15
-"""Rows in the shared memory.
-
-1.6 s at 20 kHz: the longest time for the writer's start or pause.
-"""
-
-_SLOT = struct.Struct(f"{ROW.itemsize // 8 + 2}d")  # native, which packs faster
-_HEAD, _PLACE = 64, struct.Struct("=q")  # bytes in front of the rows, the first eight of them the reader's place
-
 _PATIENCE = 60.0
 # a window waits for the end, and the interpreter takes its time
 _WRITER = "import os; from maglev_mj.recording.writer import main; main(); os._exit(0)"
-_THERE = {"flags": mmap.MAP_SHARED | mmap.MAP_POPULATE} if hasattr(mmap, "MAP_POPULATE") else {}  # not in the tick
-_LOOKED_AFTER = 512
-_MASK = ROWS - 1
 _TOGETHER = 1 << 10  # samples that are added up at once
 _LOST = 0.1  # s that a SIGKILL to the writer may cost
 _CHUNK = 1 << 16  # before it is packed: some 150 samples, lost by damage to one of its bytes
-_NAP, _WRITER_NAP = 1e-3, 0.02
-
-_PUT = f"""count = ring.count
-number = count + 1
-pack(memory, {_HEAD} + (count & {_MASK}) * {_SLOT.size}, number, {{values}}, number)
-ring.count = number"""
-
-
-class Ring:
-    """Writing end of the ring buffer.
-
-    Args:
-        wait: Called repeatedly while the ring is full; None for no waiting, so that rows are lost.
-
-    Attributes:
-        descriptor: File descriptor of the memory, for the reader; the memory has no name that could outlive both.
-        count: Rows put in so far.
-
-    Raises:
-        OSError: If the memory cannot be allocated.
-    """
-
-    def __init__(self, *, wait: Callable[[], object] | None = None) -> None:
-        shared, size = Path("/dev/shm"), _HEAD + ROWS * _SLOT.size
-        self.count, self._wait = 0, wait
-        self._file = tempfile.TemporaryFile(dir=shared if shared.is_dir() else None)
-        try:
-            if hasattr(os, "posix_fallocate"):  # a page that is not to be had would end the process at its first use
-                os.posix_fallocate(self._file.fileno(), 0, size)
-            self._file.truncate(size)
-            self._memory = mmap.mmap(self._file.fileno(), size, **_THERE)
-        except BaseException:
-            self._file.close()
-            raise
-        self.descriptor = self._file.fileno()
-
-    def record(self, plant: RecordedPlant, *, first: Callable[[], object] | None = None) -> Record:
-        """Return the function that writes one row per cycle.
-
-        A compiled function, because it is called in every tick and a method is slower.
-
-        Args:
-            plant: Plant with the hand's wrench.
-            first: Function called before each row; None for none.
-        """
-        names: dict[str, Any] = {"pack": _SLOT.pack_into, "memory": self._memory, "ring": self, "plant": plant}
-        before = "" if first is None else "first()\n"
-        after = "" if self._wait is None else f"\nif not number % {_LOOKED_AFTER}: catch_up()"
-        names |= {"first": first, "catch_up": self._let_catch_up}
-        return compiled("sample, command, applied", before + _PUT + after, **names)
-
-    def close(self) -> None:
-        """Release the memory; idempotent."""
-        self._memory.close()
-        self._file.close()
-
-    def _let_catch_up(self) -> None:
-        assert self._wait is not None
-        while self.count - _PLACE.unpack_from(self._memory, 0)[0] > ROWS - 2 * _LOOKED_AFTER:
-            self._wait()
-            time.sleep(_NAP)
-
-
-class RowReader:
-    """Reading end of the ring buffer.
-
-    Args:
-        descriptor: File descriptor of the memory; left open.
-
-    Attributes:
-        lost: Number of rows overwritten before they were read.
-    """
-
-    def __init__(self, descriptor: int) -> None:
-        self._memory = mmap.mmap(descriptor, 0)
-        self._place, self.lost = 0, 0
-
-    def rows(self) -> Iterator[tuple[int, Row]]:
-        """Yield available rows with their index from 0."""
-        while True:
-            start = _HEAD + (self._place & (ROWS - 1)) * _SLOT.size
-            data = self._memory[start : start + _SLOT.size]
-            first, *row, last = _SLOT.unpack(data)
-            number = int(first)
-            if number < self._place + 1 or last != first:
-                break
-            if number > self._place + 1:  # the row was overwritten; the next may still be there
-                self._place += 1
-                self.lost += 1
-                continue
-            if self._memory[start : start + _SLOT.size] != data:
-                continue  # it was overwritten meanwhile
-            self._place = number
-            _PLACE.pack_into(self._memory, 0, number)
-            yield number - 1, row
-
-    def close(self) -> None:
-        """Release the memory."""
-        self._memory.close()
+_NAP = 0.02
+_RENAMES_OPEN = os.name != "nt"  # where a file that is written can get its name before the end
 
 
 class LiveFile:
@@ -170,16 +61,14 @@ class LiveFile:
         wait: True if a run faster than the writer waits for it; not for a run in real time.
 
     Raises:
-        RecordingError: If the system is not supported, or has no shared memory left.
+        RecordingError: If the system has no memory left to share.
         OSError: If the file cannot be written.
     """
 
     def __init__(self, path: Path, *, wait: bool = False) -> None:
-        if not hasattr(os, "fork"):
-            raise RecordingError("recordings as MCAP need a POSIX system; .npz needs none")
         self._path, self._closed, self._waits, self._attached = path, False, wait, set[str]()
         self._controller: Controller | None = None
-        self._stuck = repr(None)
+        self._stuck, self._sent = repr(None), 0
         self._versions = versions()  # here, for a stretch may begin in real time
         self._aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
         self._result: Path | None = None
@@ -269,17 +158,16 @@ class LiveFile:
         return self._result
 
     def _start(self) -> subprocess.Popen[str]:
-        ring = self._ring.descriptor
         # modules come from where this process has them from, and not from the folder that it happens to be in
         path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
         with interrupts_held():  # Ctrl-C ends the run, and the recording when the run says so
             return subprocess.Popen(
-                [sys.executable, "-P", "-c", _WRITER, str(ring), str(self._aside), str(self._path)],
+                [sys.executable, "-P", "-c", _WRITER, str(self._ring.path), str(self._aside), str(self._path)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 text=True,
                 start_new_session=True,
-                pass_fds=[ring],
+                creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # as a session, on Windows
                 env={**os.environ, "PYTHONPATH": path},
             )
 
@@ -289,6 +177,8 @@ class LiveFile:
         with suppress(BrokenPipeError):  # it is gone: `check` and `close` say so
             self._process.stdin.write(json.dumps([self._ring.count, method, *arguments]) + "\n")
             self._process.stdin.flush()
+            self._sent += 1
+            self._ring.tell(self._sent)
 
 
 class _File:
@@ -382,23 +272,29 @@ class McapWriter:
 
 
 class _Orders:
-    """Messages of a pipe, one per line."""
+    """Messages of a pipe, one per line, read by a thread.
 
-    def __init__(self, descriptor: int) -> None:
-        os.set_blocking(descriptor, False)
-        self._descriptor, self._rest, self.over = descriptor, b"", False
+    Not all systems can look into a pipe without waiting.
+    """
+
+    def __init__(self, pipe: IO[bytes]) -> None:
+        self._lines, self._heard, self.over = SimpleQueue[bytes](), 0, False
         self.waiting: deque[Sequence[Any]] = deque()
+        threading.Thread(target=self._read, args=(pipe,), daemon=True).start()
 
-    def listen(self) -> None:
-        """Read the messages that have arrived."""
-        while not self.over:
-            try:
-                data = os.read(self._descriptor, 1 << 16)
-            except BlockingIOError:
-                return
-            self.over = not data
-            *lines, self._rest = (self._rest + data).split(b"\n")
-            self.waiting.extend(json.loads(line) for line in lines)
+    def _read(self, pipe: IO[bytes]) -> None:
+        while line := pipe.readline():
+            self._lines.put(line)
+        self._lines.put(b"")
+
+    def listen(self, told: int) -> None:
+        """Wait for the messages told of; take those that have come beside."""
+        while not self.over and (self._heard < told or not self._lines.empty()):
+            line = self._lines.get()
+            self.over = not line.endswith(b"\n")  # of a process that was killed the last may be a part
+            if not self.over:
+                self.waiting.append(json.loads(line))
+                self._heard += 1
 
 
 def log_in_order(log: Any, rows: Iterable[tuple[int, Row]], messages: deque[Sequence[Any]], place: int) -> int:
@@ -438,9 +334,8 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
     place = 0
     while True:
         over = orders.over
-        # rows first: a message about a row arrives before the row
         rows = list(islice(ring.rows(), _TOGETHER))
-        orders.listen()
+        orders.listen(ring.told)  # after the rows
         if rows and place == 0:
             first()
         place = log_in_order(mcap, rows, orders.waiting, place)
@@ -448,29 +343,42 @@ def _write(ring: RowReader, orders: _Orders, mcap: McapWriter, first: Callable[[
         if over and not rows:
             return
         if not rows:
-            time.sleep(_WRITER_NAP)
+            time.sleep(_NAP)
 
 
 def main() -> None:
     """Write a recording given by the command line.
 
-    Arguments: descriptor of the ring, temporary file, and the final name.
+    Arguments: file of the ring, temporary file, and the final name.
     """
     import foxglove
 
     foxglove.set_log_level("CRITICAL")  # errors are reported once, when the recording is closed
-    ring, aside, path = RowReader(int(sys.argv[1])), Path(sys.argv[2]), Path(sys.argv[3])
-    error = ""
+    ring, aside, path = RowReader(Path(sys.argv[1])), Path(sys.argv[2]), Path(sys.argv[3])
+    error, rows = "", False
+
+    def first() -> None:
+        nonlocal rows
+        if _RENAMES_OPEN:
+            aside.replace(path)
+        rows = True
+
     try:
         with aside.open("wb") as file:
             mcap = McapWriter(file)
-            _write(ring, _Orders(sys.stdin.fileno()), mcap, lambda: aside.replace(path))
+            _write(ring, _Orders(sys.stdin.buffer), mcap, first)
             if ring.lost:
                 mcap.event("lost", f"{ring.lost} samples came too fast to be written")
             mcap.close()
+        if rows and not _RENAMES_OPEN:
+            aside.replace(path)
     except OSError as problem:
         error = problem.strerror or str(problem)
-    aside.unlink(missing_ok=True)  # where there was no row
+    if not rows:
+        aside.unlink(missing_ok=True)
+    elif aside.exists():
+        error += f"; it is in {aside}"
+    ring.close()
     with suppress(BrokenPipeError):  # the recording process has ended, and the file is complete
         os.write(sys.stdout.fileno(), json.dumps({"error": error, "lost": ring.lost}).encode())
 
@@ -590,8 +498,8 @@ class ArrayFile:
 
 
 def best_suffix() -> str:
-    """Return ".mcap" if this system can write it, else ".npz"."""
-    return ".mcap" if hasattr(os, "fork") and find_spec("mcap") and find_spec("foxglove") else ".npz"
+    """Return ".mcap" if the packages for it are installed, else ".npz"."""
+    return ".mcap" if find_spec("mcap") and find_spec("foxglove") else ".npz"
 
 
 def check_name(path: Path) -> None:

@@ -32,8 +32,9 @@ import numpy as np
 from maglev_mj import Command, Sample
 from maglev_mj.control.loop import ControlLoop, Record
 from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load_samples, setup_of, tee
+from maglev_mj.recording.ring import Ring
 from maglev_mj.recording.sample import ROW, as_table
-from maglev_mj.recording.writer import LiveFile, McapWriter, Ring, row_of
+from maglev_mj.recording.writer import LiveFile, McapWriter, row_of
 from maglev_mj.scenes.rooms import Joystick
 
 BLOCK = 200

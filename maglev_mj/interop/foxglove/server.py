@@ -6,17 +6,19 @@ import os
 import time
 from collections import deque
 from collections.abc import Sequence
+from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Record
 from maglev_mj.errors import MaglevError, require
 from maglev_mj.interop.foxglove.settings import Answer, State
-from maglev_mj.process import NICE, SideProcess
+from maglev_mj.process import SideProcess, be_nice
 from maglev_mj.recording import Setup
+from maglev_mj.recording.ring import Ring, RowReader
 from maglev_mj.recording.sample import RecordedPlant
 from maglev_mj.recording.setup import whole_setup
-from maglev_mj.recording.writer import Ring, RowReader
 from maglev_mj.session import ChangeRequest, Snapshot
 from maglev_mj.session.access import ListenError, check_origin, check_port, listen
 from maglev_mj.versions import versions
@@ -66,8 +68,6 @@ class LiveServer:
         check_port(port)
         origins = [check_origin(one) for one in origins]
         require(("foxglove",), "record", "a live server needs foxglove-sdk")
-        if not hasattr(os, "fork"):
-            raise LiveServerError("a live server needs a POSIX system")
         try:
             listener = listen(port)
         except ListenError as error:
@@ -75,7 +75,11 @@ class LiveServer:
         with listener:  # the other process has it then
             self.port: int = listener.getsockname()[1]
             self._ring, self._versions = Ring(), versions()
-            self._process = SideProcess(_serve, _Shared(self._ring.descriptor), listener, origins)
+            try:
+                self._process = SideProcess(_serve, self._ring.path, listener, origins)
+            except BaseException:
+                self._ring.close()
+                raise
         self._told, self._stuck = State(), repr(None)
         self._answer: Answer | None = None
         self._unsent: deque[tuple[Any, ...]] = deque()
@@ -149,26 +153,12 @@ class LiveServer:
             self._process.send(self._unsent.popleft())
 
 
-def _serve(*arguments: Any) -> None:
+def _serve(line: Connection, ring: Path, *arguments: Any) -> None:
     """Run `serve` with imports needed in its process only."""
-    os.nice(NICE)
+    be_nice()
     from maglev_mj.interop.foxglove.service import serve
 
-    serve(*arguments)
+    rows = RowReader(ring)
+    serve(line, rows, *arguments)
+    rows.close()
     os._exit(0)  # the closing process waits, and the interpreter's own end is slow
-
-
-class _Shared:
-    """Ring memory that a new process receives as reader."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-
-    def __reduce__(self) -> Any:
-        from multiprocessing.reduction import DupFd  # which some systems do not have
-
-        return _reader, (DupFd(self._descriptor),)
-
-
-def _reader(shared: Any) -> RowReader:
-    return RowReader(shared.detach())

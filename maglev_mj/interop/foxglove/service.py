@@ -26,7 +26,8 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.interop.foxglove.settings import Answer, Requests, State, Verdict, checked, values_of
 from maglev_mj.process import SideAnswers
 from maglev_mj.recording.messages import Messages
-from maglev_mj.recording.writer import ROWS, RowReader, log_in_order
+from maglev_mj.recording.ring import ROWS, RowReader
+from maglev_mj.recording.writer import log_in_order
 from maglev_mj.scenes import Scene
 from maglev_mj.session import UNKNOWN, UnstableLoop
 from maglev_mj.session.access import LOOPBACK, Access
