@@ -1,5 +1,6 @@
 """Laws, theory, exact plants, studies, twins where no engine can be imported, as in browsers."""
 
+import re
 import sys
 from pathlib import Path
 
@@ -85,5 +86,21 @@ def test_the_command_of_a_twin_needs_no_engine(tmp_path: Path) -> None:
     assert done.status == 0 and "inactive, faults: none" in done.output, done
 
 
-def test_what_needs_the_engine_fails_by_its_name(tmp_path: Path) -> None:
-    assert "mujoco" in run(sys.executable, "-c", COMMAND, "drop", cwd=tmp_path).errors
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("drop", "mujoco, which cannot be imported here; scenes do without it by `--plant exact`.*"),
+        ("twin --plant exact", "mujoco, which cannot be imported here; .*devices by `--calibration FILE`"),
+        ("sweep drop --vary height=1e-3:2e-3:2", "multiprocessing, .*; sweeps do without it by `--workers 0`"),
+        ("view --web", "multiprocessing, which cannot .*"),
+    ],
+)
+def test_what_is_lacking_is_one_line(words: str, said: str, tmp_path: Path) -> None:
+    done = run(sys.executable, "-c", COMMAND, *words.split(), cwd=tmp_path)
+    assert done.status == 1 and re.fullmatch(f"maglev-mj: this needs {said}\n", done.errors), done
+
+
+def test_what_a_file_of_one_s_own_lacks_is_told_as_any_error(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("import nothing_like_it\n")
+    done = run(sys.executable, "-c", COMMAND, "stability", "own.py", cwd=tmp_path)
+    assert done.status == 2 and "nothing_like_it" in done.errors and "this needs" not in done.errors

@@ -121,6 +121,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return _UNREAD
         print(f"maglev-mj: {error}", file=sys.stderr)
         return 1
+    except ImportError as error:
+        lacking = str(error.name).partition(".")[0]
+        if lacking not in _WITHOUT:
+            raise
+        print(f"maglev-mj: this needs {lacking}, which cannot be imported here{_WITHOUT[lacking]}", file=sys.stderr)
+        return 1
+
+
+_WITHOUT = {
+    "mujoco": "; scenes do without it by `--plant exact`, devices by `--calibration FILE`",
+    "multiprocessing": "; sweeps do without it by `--workers 0`",
+    "glfw": "",
+}
+"""What some systems, as a browser's Python, lack, and what does without it."""
 
 
 def _run(options: argparse.Namespace) -> int:
