@@ -117,6 +117,9 @@ def test_gym_environment_passes_its_check_and_is_learnable(run_example: RunExamp
     assert random[0] < 0.5 * controlled[0] and many[1] > 0.7 * controlled[1]
 
 
+# ppo.py has no test: PyTorch is too large for the gate, so linter and type checker alone read it
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_own_study_brings_its_module_to_workers_that_lack_it(
     run_example: RunExample, monkeypatch: pytest.MonkeyPatch

@@ -81,6 +81,12 @@ def test_a_batch_that_is_reset_at_its_end_goes_on_at_once() -> None:
     assert env.step(np.zeros((2, 1)))[1].any()  # a step that begins an episode has no reward
 
 
+def test_a_render_mode_as_training_programs_pass_it_is_no_parameter_of_the_scene() -> None:
+    gymnasium.make("maglev_mj/Joystick-v0", axes="z", render_mode=None)
+    with pytest.warns(UserWarning, match="render_mode='rgb_array' that is not in the possible render_modes"):
+        gymnasium.make("maglev_mj/Joystick-v0", axes="z", render_mode="rgb_array")
+
+
 def test_a_scene_or_an_axis_that_is_not_there_is_refused() -> None:
     with pytest.raises(ParameterError, match="scene must be one of"):
         gymnasium.make("maglev_mj/Scene-v0", scene="nothing")

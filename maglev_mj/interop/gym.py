@@ -121,6 +121,12 @@ class TargetEnv(gymnasium.Env[Array, Array]):
 
     An episode is truncated at its end and never terminates, as those of dm_control.
 
+    Args:
+        scene: See `TargetTask`.
+        axes: See `TargetTask`.
+        render_mode: Ignored, as nothing is drawn. Some training programs always pass one.
+        parameters: Parameters of the scene.
+
     Example:
         >>> import gymnasium, maglev_mj.interop.gym
         >>> env = gymnasium.make("maglev_mj/Scene-v0", scene="press", axes=["x", "z"])
@@ -128,7 +134,13 @@ class TargetEnv(gymnasium.Env[Array, Array]):
         ((2,), (6,))
     """
 
-    def __init__(self, scene: SceneLike = "joystick", axes: str | Sequence[str] = "", **parameters: Any) -> None:
+    def __init__(
+        self,
+        scene: SceneLike = "joystick",
+        axes: str | Sequence[str] = "",
+        render_mode: str | None = None,
+        **parameters: Any,
+    ) -> None:
         self.task = TargetTask(scene, axes, **parameters)
         self.action_space, self.observation_space = self.task.action_space, self.task.observation_space
 
