@@ -29,6 +29,7 @@ from maglev_mj.session.stretch import _MOST_STATES
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.charts import Charts
 from maglev_mj.views.remote import Inbox, RemoteViewer
+from tests.sweeps import sweep
 from tests.test_session_states import Program
 
 
@@ -62,6 +63,11 @@ class Locked(Rough):
         return SimpleNamespace(start=lambda: partial(lambda lock, position: [*position], threading.Lock()))
 
 
+def name_of(value: Any) -> str:
+    """Return the name of a test's scene, or its other value."""
+    return str(getattr(value, "name", value))
+
+
 def made(scene: Scene | None = None, **options: Any) -> Session:
     """Return a session that no slow machine can make late."""
     return Session(scene, pacer=Pacer(budget=60.0, patience=3600.0), **options)
@@ -91,9 +97,10 @@ def run_to(session: Session, end: float) -> None:
     assert session.snapshot().time == pytest.approx(end, abs=1e-9)
 
 
-@pytest.mark.parametrize("period", [0.005, 0.001])
 @pytest.mark.parametrize(
-    "make", [*(find_scene(name) for name in BUILT_IN), Rough, Spots, Locked], ids=lambda one: one.name
+    ("make", "period"),
+    sweep([*(find_scene(name) for name in BUILT_IN), Rough, Spots, Locked], [0.005, 0.001], every=2),
+    ids=name_of,
 )
 def test_the_same_hand_again_moves_it_alike_to_the_last_bit(make: type[Scene], period: float) -> None:
     session, random = made(make(period=period)), np.random.default_rng(7)
@@ -187,8 +194,11 @@ def test_no_more_than_a_minute_is_kept_whatever_is_changed() -> None:
     assert shown.scene == past._states[0][1].scene != Joystick(stiffness=3199.0)
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".mcap"])
-@pytest.mark.parametrize("make", [Joystick, Rough, Spots, find_scene("table")], ids=lambda one: one.name)
+@pytest.mark.parametrize(
+    ("make", "suffix"),
+    sweep([Joystick, Rough, Spots, find_scene("table")], [".npz", ".mcap"], every=2),
+    ids=name_of,
+)
 def test_a_recording_of_many_rewinds_is_checked_to_the_last_bit(
     make: type[Scene], suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
