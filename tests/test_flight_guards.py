@@ -24,6 +24,7 @@ from maglev_mj.frames import Command
 from maglev_mj.session import device_controller
 from maglev_mj.theory.verdict import delay_margins
 from slow_lines import SHAPES, ChangedLaw, fly
+from tests.sweeps import sweep
 
 FLOWN = ("joystick", "drop", "press", "table", "box", "corner", "stick-slip", "six-axes", "wall")
 HANDS = ("none", "arm", "stylus", "fingertip")
@@ -245,8 +246,7 @@ def test_the_reason_is_in_the_file_of_the_last_cycles(tmp_path: Path) -> None:
     assert 1.6 < record.time[-1] - record.time[0] + 1.6 and record.time.size == 200
 
 
-@pytest.mark.parametrize("rate", [200, 1000])
-@pytest.mark.parametrize("size", [5.0, 10.0, 25.0])
+@pytest.mark.parametrize(("size", "rate"), sweep([5.0, 10.0, 25.0], [200, 1000], every=2))
 def test_a_law_that_chatters_is_landed(size: float, rate: int, tmp_path: Path) -> None:
     law = partial(ChangedLaw, change=lambda tick, own: size if tick % 2 else -size)
     flown = fly("joystick", rate=rate, law=law, folder=tmp_path, seed=11)
@@ -303,8 +303,7 @@ def weakened(coil: int, share: float) -> Calibration:
     return replace(known, coils=replace(known.coils, force_constants=constants))
 
 
-@pytest.mark.parametrize("rate", [200, 1000])
-@pytest.mark.parametrize("coil", range(6))
+@pytest.mark.parametrize(("coil", "rate"), sweep(range(6), [200, 1000], every=2))
 def test_a_coil_that_is_not_as_calibrated_is_named_in_takeoff(coil: int, rate: int, tmp_path: Path) -> None:
     """Weak by a tenth it lands again; dead or reversed it is often lost sooner."""
     for share, seed in ((0.9, coil), (0.01, coil + 6), (-1.0, coil + 12)):
@@ -319,13 +318,12 @@ def test_a_coil_that_is_not_as_calibrated_is_named_in_takeoff(coil: int, rate: i
             assert flown.speeds(0.0).max() < 0.05 and flown.rows[-1, 14] == 0.0
 
 
-@pytest.mark.parametrize("rate", [200, 1000])
-def test_good_coils_are_not_refused(rate: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("rate", "seed", "heavier"), sweep([200, 1000], range(5), [False, True], every=4))
+def test_good_coils_are_not_refused(rate: int, seed: int, heavier: bool, tmp_path: Path) -> None:
     """Nor is a weight of 35 g on the handle, which all coils seem to share."""
-    heavier = replace(Calibration.nominal(), mass=1.05 * Calibration.nominal().mass)
-    for seed in range(5):
-        for truth in (None, heavier):
-            assert fly("table", rate=rate, seed=seed, truth=truth, seconds=0.1, folder=tmp_path).outcome == "landed"
+    known = Calibration.nominal()
+    truth = replace(known, mass=1.05 * known.mass) if heavier else None
+    assert fly("table", rate=rate, seed=seed, truth=truth, seconds=0.1, folder=tmp_path).outcome == "landed"
 
 
 def test_what_is_lost_on_the_way_does_not_look_like_a_coil(tmp_path: Path) -> None:
