@@ -11,11 +11,12 @@ import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from ctypes.util import find_library
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import pytest
 
@@ -182,6 +183,18 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     Tests in real time mostly wait.
     """
     return (os.cpu_count() or 1) + 1
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _locked_as_touched() -> Iterator[None]:
+    """Lock memory as it is touched in real-time loops of this process.
+
+    All that a worker of the tests has asked for are gigabytes, and 0.2 s of each loop.
+    """
+    from maglev_mj.bridge import realtime
+
+    with patch.object(realtime, "_CURRENT_AND_FUTURE", 1 | 2 | 4):  # MCL_ONFAULT
+        yield
 
 
 @pytest.hookimpl(trylast=True)

@@ -37,18 +37,9 @@ def state() -> State:
 
 
 @pytest.fixture
-def as_touched(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Lock memory as it is touched.
-
-    All that a worker of the tests has asked for are gigabytes.
-    """
-    monkeypatch.setattr("maglev_mj.bridge.realtime._CURRENT_AND_FUTURE", 1 | 2 | 4)  # MCL_ONFAULT
-
-
-@pytest.fixture
 def unchanged(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setattr(gc, "collect", partial(gc.collect, 0))  # of all that a worker holds it takes long
-    gc.unfreeze()  # what the worker has frozen, for a loop thaws all
+    gc.unfreeze()  # what the worker has frozen, so that a loop thaws what it froze
     before = state()
     yield
     assert state() == before
@@ -60,7 +51,7 @@ def some_processor() -> int | None:
 
 
 @pytest.mark.parametrize("collecting", [True, False])
-@pytest.mark.usefixtures("unchanged", "as_touched")
+@pytest.mark.usefixtures("unchanged")
 def test_ignore_goes_on_and_gives_everything_back(collecting: bool) -> None:
     before = state()
     if not collecting:
@@ -76,13 +67,23 @@ def test_ignore_goes_on_and_gives_everything_back(collecting: bool) -> None:
     assert state() == before
 
 
-@pytest.mark.usefixtures("unchanged", "as_touched")
+@pytest.mark.usefixtures("unchanged")
+def test_objects_that_a_program_has_frozen_stay_frozen() -> None:
+    gc.freeze()
+    frozen = gc.get_freeze_count()
+    with realtime("ignore"):
+        pass
+    assert gc.get_freeze_count() >= frozen
+    gc.unfreeze()
+
+
+@pytest.mark.usefixtures("unchanged")
 def test_everything_is_given_back_when_the_loop_fails() -> None:
     with pytest.raises(ZeroDivisionError), realtime("ignore"):
         raise ZeroDivisionError
 
 
-@pytest.mark.usefixtures("unchanged", "as_touched")
+@pytest.mark.usefixtures("unchanged")
 def test_enforce_raises_just_where_ignore_complains() -> None:
     with realtime("ignore") as complaints:
         pass
@@ -100,7 +101,7 @@ def refuse(*_: object) -> None:
 
 
 @pytest.mark.needs("linux")
-@pytest.mark.usefixtures("unchanged", "as_touched")
+@pytest.mark.usefixtures("unchanged")
 def test_enforce_names_all_that_is_not_permitted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     monkeypatch.setattr(os, "sched_setaffinity", refuse)
@@ -126,7 +127,7 @@ def test_a_system_that_has_none_of_it_is_told_so(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize("cpu", [-1, 4095, 10**30])
 @pytest.mark.needs("linux")
-@pytest.mark.usefixtures("unchanged", "as_touched")
+@pytest.mark.usefixtures("unchanged")
 def test_a_processor_that_is_not_there_is_a_complaint(cpu: int) -> None:
     with realtime("ignore", cpu=cpu) as complaints:
         assert any(complaint.startswith(f"processor {cpu}: ") for complaint in complaints)

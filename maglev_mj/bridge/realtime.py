@@ -139,13 +139,14 @@ def _affinity(cpu: int) -> Callable[[], object]:
 
 
 def _no_garbage() -> Callable[[], object]:
-    enabled = gc.isenabled()
+    enabled, frozen = gc.isenabled(), gc.get_freeze_count() > 0
     gc.collect()
     gc.freeze()
     gc.disable()
 
     def back() -> None:
-        gc.unfreeze()
+        if not frozen:  # all that a program has frozen itself would be thawed too, and be looked through from then on
+            gc.unfreeze()
         if enabled:
             gc.enable()
 
