@@ -44,7 +44,7 @@ pytestmark = pytest.mark.xdist_group("realtime")
 
 needs_screen = pytest.mark.needs("screen", "xdotool")
 
-SCREEN = 900, 600
+SCREEN = 600, 400
 VIEW = Area(0, 0, *fitted_size(*SCREEN))
 SAMPLE, RATE = "/maglev/sample", 200
 DRAG = 8
