@@ -17,8 +17,9 @@ from maglev_mj.control import Law, Wall
 from maglev_mj.scenes import Scene, find_scene
 from maglev_mj.scenes.bench import WallScene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.pictures import draw_run
+from maglev_mj.scenes.pictures import draw_run, draw_variants
 from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.rooms import INERTIA, Joystick
 from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.session import Snapshot
@@ -168,4 +169,11 @@ def test_charts_of_runs_and_recordings_say_it() -> None:
     assert _describe(report).startswith("press, 200 Hz, delay 1.5 ms; wall: root 0.853, stiffness 39 % of its limit\n")
     for other in ({"kind": "device"}, {"scene": "unknown"}):
         assert analyse(replace(stretch, setup={**stretch.setup, **other})).wall is None
+    bare = {name: value for name, value in stretch.setup.items() if name != "scene"}  # of a loop of one's own
+    assert analyse(replace(stretch, setup=bare)).wall is None
     assert "wall" not in _describe(analyse(replace(stretch, setup={**stretch.setup, "scene": "unknown"})))
+
+
+def test_a_chart_of_walls_that_differ_names_none() -> None:
+    runs = {f"{gain:g} N/m": run(Press(stiffness=gain), plant="exact") for gain in (3000.0, 6000.0)}
+    assert "wall of" not in draw_variants(Variants(runs)).axes[0].get_title("left")
