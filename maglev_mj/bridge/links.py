@@ -66,9 +66,9 @@ Host and port, or path and 0 of a serial line.
 _LARGEST = 2048  # of a datagram: a frame has at most 300 bytes
 _BACKLOG = 4096 * 1280  # frames in the receive buffer, and Linux's size of one
 # no listener, no host, no room: the same as an unplugged cable;
-# and an answer to a forged sender, port 0 or everyone, is not let out
+# an answer to a forged sender, port 0 or everyone, is not let out; and Windows refuses to cut a datagram short
 _SILENCE = {errno.ECONNREFUSED, errno.ECONNRESET, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENETDOWN}
-_SILENCE |= {errno.ENOBUFS, errno.EAGAIN, errno.EINVAL, errno.EACCES, errno.EPERM}
+_SILENCE |= {errno.ENOBUFS, errno.EAGAIN, errno.EINVAL, errno.EACCES, errno.EPERM, errno.EMSGSIZE}
 
 
 class LinkError(MaglevError):
