@@ -6,6 +6,7 @@ DEMO := $(VENV)/.demo# stamp: pictures, the page and recordings have what they n
 READY := $(VENV)/.ready# stamp: what tests and checks need is installed
 PEERS := $(VENV)/.peers# stamp: what others' simulators need is installed too
 DOCS := $(VENV)/.docs# stamp: what the documentation needs is installed
+ALSO :=# `,docs` installs with the tests' packages those of the documentation: the gate needs both, and pip looks once
 BEFORE := 65016d1# revision that benchmarks compare with
 
 SCENES := joystick drop press table box corner
@@ -71,7 +72,7 @@ pictures: $(READY)  ## draw the pictures of the scenes anew
 	for scene in $(SCENES); do $(BIN)/maglev-mj render $$scene --plain --out docs/images/scene_$$scene.png --size 560x350 || exit 1; done
 	$(BIN)/maglev-mj render joystick --plain --out docs/images/joystick.gif --size 640x400 --fps 12 --seconds 4.2
 
-lessons: $(DOCS)  ## run the notebooks and store their outputs in them
+lessons: $(DOCS)  ## run the notebooks and their students' versions, and store the outputs
 	$(BIN)/python scripts/lessons/store_outputs.py
 
 docs: $(DOCS)  ## build the documentation, docs/_build/html/index.html: notebooks run, a warning is an error
@@ -118,8 +119,8 @@ $(DEMO): pyproject.toml requirements.lock
 	@touch $@
 
 $(READY): pyproject.toml requirements.lock
-	$(call install,dev,310 MB)
-	@touch $(DEMO) $@
+	$(call install,dev$(ALSO),310 MB)
+	@touch $(DEMO) $@ $(if $(ALSO),$(DOCS))
 
 $(PEERS): $(READY)
 	$(call install,peers,280 MB)

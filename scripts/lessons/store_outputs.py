@@ -3,8 +3,9 @@
     python scripts/lessons/store_outputs.py
     python scripts/lessons/store_outputs.py --check
 
-Sliders draw nothing in a file: their outputs are left out. A check fails where the code prints other text, or draws
-more or fewer pictures, and where the students' version of a lesson stops with an error.
+Sliders draw nothing in a file: their outputs are left out. The students' versions are run too before outputs are
+stored, and nothing is if one stops with an error. A check fails where the code prints other text, or draws more or
+fewer pictures; that students' versions need no name of a solution is held by tests/test_lessons.py.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def main() -> int:
     check = parser.parse_args().check
     paths = sorted(LESSONS.glob("*.ipynb"))
     stored = [json.loads(path.read_text(encoding="utf-8")) for path in paths]
-    found = asyncio.run(all_executed([*stored, *map(without_solutions, stored)] if check else stored))
+    found = asyncio.run(all_executed(stored if check else [*stored, *map(without_solutions, stored)]))
     if not check:
         for path, now in zip(paths, found):
             path.write_text(json.dumps(now, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
