@@ -60,7 +60,7 @@ class Program(NamedTuple):
     options: list[str]
 
 
-@pytest.fixture(scope="module", params=[None, KEY], ids=["no key", "key"])
+@pytest.fixture(scope="module")
 def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Program:
     """Build the board's programs, with a hand that presses and without."""
     folder = tmp_path_factory.mktemp("board")
@@ -125,6 +125,12 @@ class Board:
 
 Starter = Callable[..., Board]
 
+KEYS = pytest.mark.parametrize("program", [None, KEY], indirect=True, ids=["no key", "key"])
+KEY_ALONE = pytest.mark.parametrize(
+    "program", [pytest.param(None, marks=pytest.mark.study), KEY], indirect=True, ids=["no key", "key"]
+)
+"""Of tests in which frames without a tag are a part of those with one."""
+
 
 @pytest.fixture
 def start(program: Program, tmp_path: Path) -> Iterator[Starter]:
@@ -146,6 +152,7 @@ def flown(address: str, path: Path, *options: str) -> Recording:
     return Recording.load(path)
 
 
+@KEYS
 def test_a_hand_presses_the_wall_and_it_lands(
     program: Program, start: Starter, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -184,6 +191,7 @@ def test_a_hand_presses_the_wall_and_it_lands(
         assert np.array_equal(on_pc.arrays[name], flight.arrays[name], equal_nan=True), name
 
 
+@KEY_ALONE
 def test_a_killed_host_is_given_up(
     program: Program, start: Starter, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -200,6 +208,7 @@ def test_a_killed_host_is_given_up(
     board.wait(state=State.INACTIVE, flows=0, faults=0)
 
 
+@KEYS
 @pytest.mark.parametrize("only", [CHECKS, pytest.param(None, marks=pytest.mark.study)], ids=["some", "all"])
 def test_it_conforms(program: Program, start: Starter, only: list[str] | None) -> None:
     board = start(program.still)  # conform takes off whenever it comes to it
@@ -211,6 +220,7 @@ def test_it_conforms(program: Program, start: Starter, only: list[str] | None) -
     board.wait(state=State.INACTIVE, flows=0, faults=0)
 
 
+@KEY_ALONE
 def test_session_numbers_follow_from_the_nonce(program: Program, start: Starter) -> None:
     numbers = set[int]()
     codec = Codec(program.key)
@@ -227,6 +237,7 @@ def test_session_numbers_follow_from_the_nonce(program: Program, start: Starter)
     assert len(numbers) == 2 and not numbers & {0, 1, 2}
 
 
+@KEY_ALONE
 def test_an_emulator_that_hangs_is_killed(program: Program, start: Starter, capsys: pytest.CaptureFixture[str]) -> None:
     board = start()
     os.kill(board.process.pid, signal.SIGSTOP)
