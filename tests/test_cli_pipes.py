@@ -125,3 +125,11 @@ def test_another_broken_pipe_is_an_error_like_any(
     monkeypatch.setattr("maglev_mj.plants.shapes.device_report", broken)
     assert main(["info"]) == 1
     assert capsys.readouterr().err == "maglev-mj info: [Errno 32] Broken pipe\n"
+
+
+@pytest.mark.parametrize(("encoding", "sign"), [("cp932", "?"), ("cp1252", "µ"), ("ascii", "?")])
+def test_a_sign_that_an_encoding_lacks_is_a_question_mark(encoding: str, sign: str) -> None:
+    # as where a Japanese Windows writes to a file
+    env = {**os.environ, "PYTHONIOENCODING": encoding}
+    done = subprocess.run([*CLI, "design"], capture_output=True, env=env, timeout=120, check=True)
+    assert f" {sign}m" in done.stdout.decode(encoding) and not done.stderr

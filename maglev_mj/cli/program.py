@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import atexit
 import gc
+import io
 import os
 import select
 import sys
@@ -100,6 +101,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     if arguments is None:  # a program: its end need not look through all that was loaded, which takes 25 ms
         atexit.register(gc.freeze)
+        if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+            sys.stdout.reconfigure(errors="replace")  # not every encoding of a system has all signs of units
     try:
         try:
             made = parser()

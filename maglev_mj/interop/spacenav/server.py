@@ -39,7 +39,7 @@ def searched_paths() -> list[Path]:
     Source: libspnav 1.0, `spnav_open`: $SPNAV_SOCKET, the first `socket = PATH` of /etc/spnavrc, /var/run/spnav.sock.
     """
     try:
-        lines = _SETTINGS.read_text(errors="replace").splitlines()
+        lines = _SETTINGS.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         lines = []
     split = [line.strip().partition("=") for line in lines]
