@@ -255,9 +255,8 @@ def page(door: Door, listener: socket.socket, *, drag: bool = True, settings: bo
 
 
 def _serve(door: Door, listener: socket.socket, options: Mapping[str, bool], source: SnapshotSource) -> None:
-    sys.stdout = open(
-        os.devnull, "w", encoding="utf-8"
-    )  # what viser says is not for the terminal, nor what browsers do wrong
+    # what viser says is not for the terminal, nor what browsers do wrong
+    sys.stdout = open(os.devnull, "w", encoding="utf-8")
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
     server = PageServer(door, listener)
     try:
