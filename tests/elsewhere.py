@@ -23,6 +23,7 @@ def pretend() -> None:
             delattr(os, name)
     Path.replace = _unless_in_use(Path.replace)  # type: ignore[method-assign]
     Path.unlink = _unless_in_use(Path.unlink)  # type: ignore[method-assign]
+    os.replace = _unless_in_use(os.replace)
     writer._RENAMES_OPEN = False
     if not writer._WRITER.startswith(START):
         writer._WRITER = START + writer._WRITER

@@ -43,6 +43,7 @@ from tests.processes import run
 from tests.recorded import messages_in
 from tests.sweeps import sweep
 
+ROOT = Path(__file__).parents[1]
 TOTAL_NAMES = [field.name for field in TOTALS]
 
 
@@ -352,7 +353,7 @@ def test_a_file_is_whole_where_none_in_use_is_renamed_or_removed(temporary: Path
     # As on Windows: the memory's file goes with the ring, and the recording gets its name at the end.
     path, same_run = temporary / "run.mcap", temporary / "same.mcap"
     path.write_bytes(b"that of before")
-    done = run(sys.executable, "-c", START + WRITE, str(path), cwd=Path(__file__).parents[1])
+    done = run(sys.executable, "-c", START + WRITE, str(path), cwd=ROOT)
     assert done.status == 0 and not done.errors, done
     write_run(same_run, Drop(), plant="exact", phase=0.3)
     assert same(Recording.load(path), Recording.load(same_run))
@@ -360,11 +361,22 @@ def test_a_file_is_whole_where_none_in_use_is_renamed_or_removed(temporary: Path
 
 
 @pytest.mark.needs("linux")
+@pytest.mark.parametrize(
+    "words", ["drop --plant exact --record run.npz", "sweep drop --vary height=1e-3:2e-3:2 --record cells --workers 0"]
+)
+def test_what_else_is_written_is_renamed_when_it_is_closed(words: str, temporary: Path) -> None:
+    code = f"{START}import sys; from maglev_mj.cli import main; sys.exit(main(sys.argv[1:]))"
+    for _ in range(2):
+        done = run(sys.executable, "-c", code, *words.split(), cwd=temporary, env={"PYTHONPATH": str(ROOT)})
+        assert done.status == 0 and not done.errors, done
+
+
+@pytest.mark.needs("linux")
 def test_a_name_that_is_taken_at_the_end_loses_nothing(temporary: Path) -> None:
     path = temporary / "run.mcap"
     path.write_bytes(b"that of before")
     with path.open("rb"):  # by a program that reads it
-        done = run(sys.executable, "-c", START + WRITE, str(path), cwd=Path(__file__).parents[1])
+        done = run(sys.executable, "-c", START + WRITE, str(path), cwd=ROOT)
     assert done.status == 1 and "is not whole: The process cannot access the file" in done.errors
     (kept,) = {*temporary.iterdir()} - {path}
     assert f"; it is in {kept}" in done.errors and path.read_bytes() == b"that of before"
@@ -375,7 +387,7 @@ def test_a_name_that_is_taken_at_the_end_loses_nothing(temporary: Path) -> None:
 def test_a_recording_that_is_killed_gets_its_name_where_none_in_use_is_renamed(
     temporary: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(Path(__file__).parents[1])
+    monkeypatch.chdir(ROOT)
     killed(400, False, temporary, "*.partial", START)
     assert not list(temporary.glob("maglev-mj-*")) and len(list(temporary.iterdir())) == 1
 
