@@ -133,14 +133,6 @@ def test_in_real_time_it_takes_off_flies_lands_and_its_commands_run_again_bit_fo
     assert status == 1 and "tick" in said
 
 
-def test_a_host_that_is_asked_to_stop_lands(tmp_path: Path) -> None:
-    with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
-        status, said = ended(host, signal.SIGTERM)
-        assert status == 0, said
-        assert Recording.load(tmp_path / "run.npz").ticks > 100
-        assert "inactive, faults: none" in ended(device)[1]
-
-
 def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(tmp_path: Path) -> None:
     with twin() as (device, address):
         with flown(address, tmp_path) as host:
