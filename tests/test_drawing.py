@@ -66,7 +66,7 @@ def test_drawing_that_is_turned_off_is_said(tmp_path: Any) -> None:
 
 
 @pytest.mark.needs("drawing")
-@pytest.mark.parametrize("word", ["", "on", "1"])
+@pytest.mark.parametrize("word", ["", pytest.param("on", marks=pytest.mark.study), "1"])
 def test_the_first_that_works_draws(word: str, tmp_path: Any) -> None:
     status, told = say(RENDER, tmp_path, word)
     assert (status, told) == (0, "")
