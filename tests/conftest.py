@@ -191,8 +191,10 @@ def _locked_as_touched() -> Iterator[None]:
 
     All that a worker of the tests has asked for are gigabytes, and 0.2 s of each loop.
     """
-    from maglev_mj.bridge import realtime
-
+    realtime = sys.modules.get("maglev_mj.bridge.realtime")  # no test that needs it not has to load it
+    if realtime is None:
+        yield
+        return
     with patch.object(realtime, "_CURRENT_AND_FUTURE", 1 | 2 | 4):  # MCL_ONFAULT
         yield
 
