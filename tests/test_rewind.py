@@ -49,6 +49,12 @@ class Rough(Joystick):
         return Sensor(quantum=1e-6, noise=2e-6, seed=5)
 
 
+class Smooth(Rough):
+    """The same with a force that is equal at each stroke."""
+
+    falloff = 0.0
+
+
 class Spots(Rough):
     """The same with the device's own sensor, and more delay than a period."""
 
@@ -203,7 +209,7 @@ def test_no_more_than_a_minute_is_kept_whatever_is_changed() -> None:
 
 @pytest.mark.parametrize(
     ("make", "suffix"),
-    sweep([Joystick, Rough, Spots, find_scene("table")], [".npz", ".mcap"], every=2),
+    sweep([Joystick, Smooth, Spots, find_scene("table")], [".npz", ".mcap"], every=2),
     ids=name_of,
 )
 def test_a_recording_of_many_rewinds_is_checked_to_the_last_bit(
