@@ -111,7 +111,6 @@ def _imageio() -> Any:
     return imageio.v2
 
 
-_SHADOWS, _SAMPLES = 2048, 4
 _LARGE = 1500
 
 
@@ -144,7 +143,6 @@ class OffscreenPainter:
         self._whole = mujoco.MjrRect(0, 0, width, height)
         model = self.scenery.model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-        model.vis.quality.shadowsize, model.vis.quality.offsamples = _SHADOWS, _SAMPLES
         self._gl = _context(width, height, drawing_library(default))
         self._gl.make_current()
         self._scene = mujoco.MjvScene(model, 2000)

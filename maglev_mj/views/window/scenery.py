@@ -133,7 +133,7 @@ _EDGE = 0.6  # of a wall's colour: glass is faint, so that colours behind it sta
 _COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
 _MOST = Spec.peak_current.value
 _GLOW, _GHOST_SIZE, _AXIS = 1.06, 1.08, 30
-_SLICES = 40, 16
+_QUALITY = 40, 16, 2048, 4  # slices and stacks of round shapes, pixels of a shadow, samples of a pixel
 _SIMPLE = 2
 """Group of the device's shapes that a scene's meshes stand in for."""
 
@@ -173,14 +173,13 @@ class Scenery:
         device = load_model(scene.model, lean=False)
         self.shown = scene.model
         self.model = device.model
-        self.model.vis.quality.numslices, self.model.vis.quality.numstacks = _SLICES
+        quality: Any = self.model.vis.quality
+        quality.numslices, quality.numstacks, quality.shadowsize, quality.offsamples = _QUALITY
         self.data = mujoco.MjData(self.model)
         self.flotor = device.flotor
         self._address = device.position_address
         mujoco.mj_forward(self.model, self.data)
-        handle = self.model.body("handle").id
-        self._handle_shapes = np.flatnonzero(self.model.geom_bodyid == handle)
-        self._handle = handle
+        self._handle_shapes = np.flatnonzero(self.model.geom_bodyid == self.model.body("handle").id)
         self._windings = self._find_windings()
         rgba: Any = self.model.vis.rgba
         # shapes of the mouse's hand by the engine: its spring, its turned box, and its grip

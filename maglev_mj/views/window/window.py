@@ -26,7 +26,6 @@ from maglev_mj.lazy import mujoco
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP
 from maglev_mj.process import interrupts_delayed
-from maglev_mj.scenes import Scene
 from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
 from maglev_mj.views.magnifier import magnified, true_pose
 from maglev_mj.views.remote import ShowReport
@@ -42,7 +41,6 @@ _FRAME = 1.0 / 60.0
 _NAP = 0.001
 _PATIENCE = 10.0
 _SLOW, _LONG = 0.05, 1.0
-_SHADOWS, _SAMPLES = 2048, 4
 _PICTURE = 1600, 1000
 
 
@@ -152,7 +150,7 @@ class _Window:
         self._costs: list[float] = []
         self._failed: Exception | None = None
         self._pictures: list[threading.Thread] = []
-        self._scenery = _scenery(session.snapshot().scene)
+        self._scenery = Scenery(session.snapshot().scene)
         self._framing, self._camera_back = Framing(self._scenery.model), True
         before = set(threading.enumerate())
         self._handle = _launch(self._scenery.model, self._scenery.data, self._pressed.put, self._grab)
@@ -274,7 +272,7 @@ class _Window:
         if not handle.is_running():
             return
         if snapshot.scene.model != self._scenery.shown:
-            self._scenery = _scenery(snapshot.scene)
+            self._scenery = Scenery(snapshot.scene)
             self._framing, self._camera_back = Framing(self._scenery.model), True
             # the handle offers no way to change the model; the simulation behind it, which opened it, does
             handle._get_sim().load(self._scenery.model, self._scenery.data, "")
@@ -393,14 +391,6 @@ def _font_scale() -> int:
         dense = 25.4 * glfw.get_video_mode(monitor).size.width / width if width else 0.0
         dense = dense if 50.0 < dense < 350.0 else 150.0
     return min(max(50 * round(0.02 * dense), 100), 300)
-
-
-def _scenery(scene: Scene) -> Scenery:
-    """Return a displayed scene, drawn finely for a window."""
-    scenery = Scenery(scene)
-    quality: Any = scenery.model.vis.quality
-    quality.shadowsize, quality.offsamples = _SHADOWS, _SAMPLES
-    return scenery
 
 
 def _new_picture(folder: Path) -> Path:
