@@ -29,7 +29,7 @@ from maglev_mj.theory import inertia_of, largest_stable_stiffness
 from maglev_mj.views.charts import STABILITY, SteadyRange, fitted_range, margin
 from maglev_mj.views.window.grab import Grab, fitted_size
 from maglev_mj.views.window.keys import AXIS, KEYS, MAGNIFY, help_rows
-from maglev_mj.views.window.layout import Area, Font, Layout, arrange
+from maglev_mj.views.window.layout import Area, Arrangement, Font, Layout
 from maglev_mj.views.window.scenery import Framing, Scenery, directions
 from maglev_mj.views.window.screen import Screen, shown_colour, status_rows
 from maglev_mj.views.window.window import SlowFrames, _Window
@@ -79,6 +79,12 @@ def areas(layout: Layout, *, banner: bool) -> dict[str, Area]:
     return found
 
 
+def meets(one: Area, other: Area) -> bool:
+    """Return True if two areas overlap."""
+    across = one.left < other.right and other.left < one.right
+    return across and one.bottom < other.top and other.bottom < one.top
+
+
 @pytest.mark.parametrize("scale", [100, 150])
 @pytest.mark.parametrize("stopped", [False, True])
 def test_nothing_covers_the_handle_or_anything_else(shot: Snapshot, stopped: bool, scale: int) -> None:
@@ -88,12 +94,12 @@ def test_nothing_covers_the_handle_or_anything_else(shot: Snapshot, stopped: boo
         SIZES, (0, 270), (None, True, False), (False, True), (False, True)
     ):
         view = Area(panel, 0, width * scale // 100 - panel, height * scale // 100)
-        layout = arrange(
+        layout = Arrangement(
             view, scale, rows, keys, banner=stopped, shown=shown, helped=helped, charted=charted and not helped
-        )
+        ).layout()
         found = areas(layout, banner=stopped)
         for (name, one), (other_name, other) in combinations(found.items(), 2):
-            assert not one.meets(other), (view, shown, helped, name, other_name)
+            assert not meets(one, other), (view, shown, helped, name, other_name)
         for name, one in found.items():
             assert view.left <= one.left and one.right <= view.right, (view, shown, helped, name)
             assert view.bottom <= one.bottom and one.top <= view.top, (view, shown, helped, name)
@@ -152,7 +158,7 @@ def test_the_knob_is_in_the_free_part_of_the_picture(name: str, shot: Snapshot) 
     framing.reset(camera)
     for (width, height), panel, helped in product(SIZES, (0, 250), (False, True)):
         view = Area(panel, 0, width - panel, height)
-        free = arrange(view, 100, status_rows(shot), help_rows(shot.actions), helped=helped).handle
+        free = Arrangement(view, 100, status_rows(shot), help_rows(shot.actions), helped=helped).layout().handle
         framing.follow(camera, view, free)
         for place in (np.zeros(3), np.full(3, 4.5e-3), np.full(3, -4.5e-3)):
             points = seen(model, camera, view, KNOB + place)

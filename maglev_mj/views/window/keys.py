@@ -7,7 +7,6 @@ from typing import NamedTuple, TypeVar
 
 import glfw
 
-from maglev_mj.parameters import flag
 from maglev_mj.session import CHOOSES, EMERGENCY_STOP, REWINDS
 
 SCREENSHOT, AXIS, CAMERA, KEYS, MAGNIFY = "screenshot", "axis of the plots", "camera", "keys", "magnify motion"
@@ -148,7 +147,6 @@ def help_rows(actions: Sequence[str], *, hand: bool = True) -> list[tuple[str, s
         actions: Names of the available actions.
         hand: True if the mouse moves the flotor.
     """
-    flag("hand", hand)
     rows: dict[str, tuple[list[str], list[str]]] = {}
     for key in _there(actions):
         names, words = rows.setdefault(key.row, ([], []))

@@ -10,8 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
-from maglev_mj.parameters import flag
-
 Row: TypeAlias = tuple[str, str]
 """Name and value, or keys and their action."""
 
@@ -50,11 +48,6 @@ class Area(NamedTuple):
     def centre(self) -> tuple[float, float]:
         """Middle of the area."""
         return self.left + 0.5 * self.width, self.bottom + 0.5 * self.height
-
-    def meets(self, other: Area) -> bool:
-        """Return True if two areas overlap."""
-        across = self.left < other.right and other.left < self.right
-        return across and self.bottom < other.top and other.bottom < self.top
 
 
 class Font(NamedTuple):
@@ -135,23 +128,12 @@ class Layout:
     handle: Area
 
 
-def arrange(
-    view: Area,
-    scale: int,
-    status: Sequence[Row],
-    keys: Sequence[Row],
-    *,
-    banner: bool = False,
-    label: bool = True,
-    shown: bool | None = None,
-    helped: bool = False,
-    charted: bool = False,
-) -> Layout:
-    """Return the layout of a picture.
+class Arrangement(NamedTuple):
+    """Arrangement of text, handle and plots in a picture.
 
-    Text, handle and plots are side by side, or one above the other in a narrow picture.
+    They are side by side, or one above the other where it is narrow.
 
-    Args:
+    Attributes:
         view: The picture, or that part of a window in which the scene is drawn.
         scale: Scale of the letters, 100 to 300 [%].
         status: Text on the scene, the most important row first.
@@ -162,26 +144,22 @@ def arrange(
         helped: True if the engine's viewer shows its own help, at the upper left.
         charted: True if it shows its own charts, at the right.
     """
-    for name, value in (("banner", banner), ("label", label), ("helped", helped), ("charted", charted)):
-        flag(name, value)
-    asked = _Asked(view, scale, list(status), list(keys), banner, label, shown, helped, charted)
-    plain = Font(scale)
-    large = view.width >= asked.pixels(_LARGE[0]) and view.height >= asked.pixels(_LARGE[1])
-    return (large and asked.columns(plain._replace(large=True))) or asked.columns(plain) or asked.rows()
-
-
-class _Asked(NamedTuple):
-    """Request for a layout; see `arrange`."""
 
     view: Area
     scale: int
-    status: list[Row]
-    keys: list[Row]
-    banner: bool
-    label: bool
-    shown: bool | None
-    helped: bool
-    charted: bool
+    status: Sequence[Row]
+    keys: Sequence[Row]
+    banner: bool = False
+    label: bool = True
+    shown: bool | None = None
+    helped: bool = False
+    charted: bool = False
+
+    def layout(self) -> Layout:
+        """Return the layout of the picture."""
+        plain, view = Font(self.scale), self.view
+        large = view.width >= self.pixels(_LARGE[0]) and view.height >= self.pixels(_LARGE[1])
+        return (large and self.columns(plain._replace(large=True))) or self.columns(plain) or self.rows()
 
     def columns(self, font: Font) -> Layout | None:
         """Return a layout side by side.

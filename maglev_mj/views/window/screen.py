@@ -13,14 +13,13 @@ from numpy.typing import ArrayLike
 from maglev_mj.colours import BAD, BOUNDARY, GOOD, MEASURED, STOP, Colour
 from maglev_mj.frames import AXES
 from maglev_mj.lazy import mujoco
-from maglev_mj.parameters import flag
 from maglev_mj.plants.shapes import ARROW
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
 from maglev_mj.views.charts import Charts, Line, Range
 from maglev_mj.views.magnifier import MAGNIFICATIONS, motion_words
 from maglev_mj.views.window.keys import AXIS, HAND, KEYS, MAGNIFY, help_rows, key_of
-from maglev_mj.views.window.layout import Area, Font, Layout, Row, arrange
+from maglev_mj.views.window.layout import Area, Arrangement, Font, Layout, Row
 from maglev_mj.views.words import FORCES, Banner, banner, readings
 
 _POINTS = 500
@@ -51,7 +50,6 @@ class Plots:
             axis: Index into AXES; the scene's own by default.
             low: True if there is no room for text under the plots.
         """
-        flag("low", low)
         charts = self._charts.of(snapshot, snapshot.scene.axis_index if axis is None else axis)
         for figure, (title, lines, across, up, foot) in zip(self.figures, charts, strict=True):
             (words, colour), *further = title
@@ -250,7 +248,7 @@ class Screen:
     """
 
     def __init__(self, *, keys: bool = True, factor: int = MAGNIFICATIONS[0]) -> None:
-        self._plots, self._with_keys = Plots(), flag("keys", keys)
+        self._plots, self._with_keys = Plots(), keys
         self._stop, self._hint, self._back = Label(_RED), Label(_DARK, 0.85), Label(_DARK, 0.80)
         self._banner, self._bar = Label(BAD), TimeBar()
         self._late = Note()
@@ -294,7 +292,7 @@ class Screen:
         magnified = motion_words(self.factor)
         label = [("shown", f"{magnified}, of handle and walls")] if magnified else []
         task = len(_tour(snapshot))
-        layout = arrange(
+        layout = Arrangement(
             view,
             scale,
             [*rows[:task], *label, *hint, *rows[task:]],
@@ -304,7 +302,7 @@ class Screen:
             shown=self._wanted if self._with_keys else False,
             helped=bool(self._engine & {*_HELPS}),
             charted=bool(self._engine & {*_CHARTS}),
-        )
+        ).layout()
         self._shown = layout.keys is not None
         low = bool(layout.plots) and layout.plots[0].height < _LOW * 0.01 * scale
         figures = list(zip(layout.plots, self._plots.update(snapshot, self._axis, low=low), strict=False))
