@@ -177,8 +177,6 @@ class Page:
     def __init__(
         self, server: viser.ViserServer, source: SnapshotSource, *, drag: bool = True, settings: bool = True
     ) -> None:
-        flag("drag", drag)
-        flag("settings", settings)
         self._server, self._source = server, source
         self._inbox = Inbox()
         snapshot, gui = source.snapshot(), server.gui

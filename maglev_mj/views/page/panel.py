@@ -11,7 +11,7 @@ from typing import Any
 
 from maglev_mj.colours import BAD, GOOD, HAND, STOP, Colour, hex_of
 from maglev_mj.frames import unit_of
-from maglev_mj.parameters import Parameter, flag
+from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 from maglev_mj.session import CHOOSES, DEVICES_OWN, EMERGENCY_STOP, KEPT, REWINDS, Snapshot
 from maglev_mj.session.changes import actions
@@ -245,7 +245,7 @@ class Panel:
     def __init__(
         self, server: Any, snapshot: Snapshot, ask: Ask, magnify: Callable[[float], object], settings: bool
     ) -> None:
-        self._ask, self._magnify, self._settings = ask, magnify, flag("settings", settings)
+        self._ask, self._magnify, self._settings = ask, magnify, settings
         gui = self._gui = server.gui
         self._actions: tuple[str, ...] | None = None
         self._scene: Any = None

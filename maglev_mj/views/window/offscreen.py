@@ -137,7 +137,7 @@ class OffscreenPainter:
         self, scene: Scene, width: int, height: int, *, plots: bool = True, default: str | None = None, factor: int = 1
     ) -> None:
         self._factor = factor
-        self._screen = Screen(keys=False, factor=factor) if flag("plots", plots) else None
+        self._screen = Screen(keys=False, factor=factor) if plots else None
         self.scenery = Scenery(scene)
         self._framing = Framing(self.scenery.model)
         self._whole = mujoco.MjrRect(0, 0, width, height)
