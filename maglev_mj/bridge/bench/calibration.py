@@ -157,17 +157,13 @@ class Calibration:
         Raises:
             CalibrationError: If it cannot be written.
         """
-        path = Path(path)
-        partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+        from maglev_mj.recording.recording import aside  # which a calibration that is read does not need
+
         try:
-            try:
-                with partial.open("w", encoding="utf-8") as file:
-                    file.write(_pretty(self.as_json()) + "\n")
-                    file.flush()
-                    os.fsync(file.fileno())  # a cut in power must not leave a name without its content
-                partial.replace(path)
-            finally:
-                partial.unlink(missing_ok=True)
+            with aside(Path(path)) as partial, partial.open("w", encoding="utf-8") as file:
+                file.write(_pretty(self.as_json()) + "\n")
+                file.flush()
+                os.fsync(file.fileno())  # a cut in power must not leave a name without its content
         except OSError as error:
             raise CalibrationError(f"calibration {str(path)!r} cannot be written: {error.strerror}") from error
 
