@@ -187,16 +187,12 @@ class FaultRecord(Result):
     skipped: int
     period: float
     values: Mapping[str, Array]
+    units: ClassVar = _UNITS
     drawn_by: ClassVar = "maglev_mj.bridge.pictures:last_cycles"
 
     def columns(self) -> Mapping[str, Array]:
         """Return the values by name, (N,) each."""
         return self.values
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Unit of each column."""
-        return _UNITS
 
     def table(self, *, whole: bool = False) -> Table:
         """Return the last cycles, with the faults and their meanings below.

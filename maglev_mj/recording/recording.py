@@ -150,6 +150,7 @@ class Recording(Result):
     damage: str = ""
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     about: Mapping[str, str] = field(default_factory=dict)
+    units: ClassVar = units()
     drawn_by: ClassVar = "maglev_mj.analysis.pictures:recording"
 
     def __post_init__(self) -> None:
@@ -172,11 +173,6 @@ class Recording(Result):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns of all samples, (N,) each; see `Samples.columns`."""
         return self.samples().columns()
-
-    @property
-    def units(self) -> Mapping[str, str]:
-        """Unit of each column."""
-        return units()
 
     def table(self) -> Table:
         """Return a row for each stretch."""
