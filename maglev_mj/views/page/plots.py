@@ -37,15 +37,15 @@ def drawn(chart: Chart) -> str:
     ]
     words = []
     for value in ticks(*across):
-        place = float(_along(value, across))
+        place = float(_between(value, across, _LEFT, right))
         parts.append(f'<path d="M{place:.1f} {_TOP}V{bottom}" stroke="{_GRID}"/>')
         words.append(f'<text x="{place:.1f}" y="{_HEIGHT - 5}" text-anchor="middle">{value:g}</text>')
     for value in ticks(*up):
-        place = float(_upward(value, up))
+        place = float(_between(value, up, bottom, _TOP))
         parts.append(f'<path d="M{_LEFT} {place:.1f}H{right}" stroke="{_GRID}"/>')
         words.append(f'<text x="{_LEFT - 4}" y="{place + 4:.1f}" text-anchor="end">{value:g}</text>')
     for line in lines:
-        x, y = _along(line.x, across), _upward(line.y, up)
+        x, y = _between(line.x, across, _LEFT, right), _between(line.y, up, bottom, _TOP)
         points = " ".join(f"{one:.1f},{other:.1f}" for one, other in zip(x, y) if np.isfinite(other))
         dash = ' stroke-dasharray="4 3"' if line.dashed else ""
         look = f'fill="none" stroke="{hex_of(line.colour)}" stroke-width="1.6"{dash}'
@@ -68,12 +68,9 @@ def _fill(colour: Colour | None) -> str:
     return "" if colour is None else f' fill="{hex_of(colour)}"'
 
 
-def _along(value: ArrayLike, ends: Range) -> Any:
-    return _LEFT + (np.asarray(value) - ends[0]) / (ends[1] - ends[0]) * (_WIDTH - _RIGHT - _LEFT)
-
-
-def _upward(value: ArrayLike, ends: Range) -> Any:
-    return _HEIGHT - _BOTTOM - (np.asarray(value) - ends[0]) / (ends[1] - ends[0]) * (_HEIGHT - _BOTTOM - _TOP)
+def _between(value: ArrayLike, ends: Range, first: int, last: int) -> Any:
+    """Return the places of values from one end to the other [px]."""
+    return first + (np.asarray(value) - ends[0]) / (ends[1] - ends[0]) * (last - first)
 
 
 _POINTS = 200
