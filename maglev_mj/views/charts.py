@@ -45,11 +45,6 @@ class Margin(NamedTuple):
     stiffnesses: Array = _NOTHING
     wall: WallMargin | None = None
 
-    @property
-    def shown(self) -> tuple[float, str]:
-        """Factor and unit of stiffness in a plot."""
-        return (1.0, "N m/rad") if self.axis.startswith("r") else (1e-3, "kN/m")
-
 
 def margin(scene: Scene, delay: float | None = None, inertia: Sequence[float] | None = None) -> Margin:
     """Return a scene's gains and their stability boundary.
@@ -272,7 +267,7 @@ class Charts:
         colour = None if margin.stable is None else GOOD if margin.stable else BAD
         if not margin.axis:
             return Chart([(margin.words, colour)], [], (0.0, 1.0), (0.0, 1.0))
-        factor, unit = margin.shown
+        factor, unit = (1.0, "N m/rad") if margin.axis.startswith("r") else (1e-3, "kN/m")
         boundary, stiffness = factor * margin.stiffnesses, factor * margin.stiffness
         width = max(float(margin.dampings.max(initial=0.0)), 1.1 * margin.damping, _LEAST_GAIN)
         height = max(float(boundary.max(initial=0.0)), 1.1 * stiffness, factor * _LEAST_GAIN)
