@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, TypeAlias
 
 from maglev_mj.errors import ParameterError
@@ -47,12 +48,12 @@ def actions(cls: type[Scene]) -> Mapping[str, Action]:
             continue
         word = one.live.word or one.name
         if one.kind is bool:
-            changes[word] = _switched(one.name)
+            changes[word] = partial(_switched, one.name)
             continue
         if one.default and one.bounds.get("at_least") == 0.0 and not one.live.word:
-            changes[word] = _cleared(one.name, one.default)
+            changes[word] = partial(_cleared, one.name, one.default)
         for sense, way in (("up", 1), ("down", -1)):
-            changes[f"{word} {sense}"] = _turned(one, way)
+            changes[f"{word} {sense}"] = partial(_turned, one, way)
     return changes
 
 
@@ -79,7 +80,7 @@ def changed(
     """
     with own_code_refused():
         if isinstance(change, Scene):
-            return change if own else change.replace(**{name: getattr(scene, name) for name in DEVICES_OWN})
+            return change.replace(**{name: getattr(scene, name) for name in DEVICES_OWN})
         if isinstance(change, str):
             return actions(type(scene))[change](scene)
         if fixed := [name for name in DEVICES_OWN if name in change and not own]:
@@ -90,26 +91,21 @@ def changed(
         return scene.replace(**change)
 
 
-def _switched(name: str) -> Action:
-    return lambda scene: scene.replace(**{name: not getattr(scene, name)})
+def _switched(name: str, scene: Scene) -> Scene:
+    return scene.replace(**{name: not getattr(scene, name)})
 
 
-def _cleared(name: str, default: float) -> Action:
-    return lambda scene: scene.replace(**{name: 0.0 if getattr(scene, name) else default})
+def _cleared(name: str, default: float, scene: Scene) -> Scene:
+    return scene.replace(**{name: 0.0 if getattr(scene, name) else default})
 
 
-def _turned(one: Parameter, way: int) -> Action:
+def _turned(one: Parameter, way: int, scene: Scene) -> Scene:
     assert one.live
-    turn, least, most = one.live, one.bounds.get("at_least", -math.inf), one.bounds.get("at_most", math.inf)
-
-    def change(scene: Scene) -> Scene:
-        value = getattr(scene, one.name)
-        if value is None:
-            return scene
-        turned = turn(value, way)
-        if one.kind is int:  # a whole step at least, or a small number would stay
-            turned = value + way if round(turned) == value else round(turned)
-        # a person at a key is stopped at a bound, not told off
-        return scene.replace(**{one.name: min(max(turned, least), most)})
-
-    return change
+    if (value := getattr(scene, one.name)) is None:
+        return scene
+    least, most = one.bounds.get("at_least", -math.inf), one.bounds.get("at_most", math.inf)
+    turned = one.live(value, way)
+    if one.kind is int:  # a whole step at least, or a small number would stay
+        turned = value + way if round(turned) == value else round(turned)
+    # a person at a key is stopped at a bound, not told off
+    return scene.replace(**{one.name: min(max(turned, least), most)})
