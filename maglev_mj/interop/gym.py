@@ -109,8 +109,7 @@ class TargetTask:
     def _seen(self) -> Array:
         """Return the clipped position along the agent's axes, (..., axes)."""
         position = np.broadcast_to(join(self._sample.position), (*self._batch, 6))[..., self._axes]
-        seen: Array = np.clip(position, -2.0 * self._reach, 2.0 * self._reach)
-        return seen
+        return np.clip(position, -2.0 * self._reach, 2.0 * self._reach)
 
     def _observed(self, before: Array) -> Array:
         return np.concatenate([self._position, before, self.target], axis=-1)

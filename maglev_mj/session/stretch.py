@@ -151,8 +151,7 @@ class LiveStretch:
     @property
     def rendered(self) -> Array:
         """Device wrench without weight compensation [N, N m], (6,)."""
-        rendered: Array = np.array(self.force) - self._carried
-        return rendered
+        return np.array(self.force) - self._carried
 
     def _observe(self, sample: Sample, applied: Command) -> None:
         plant = self.plant

@@ -403,8 +403,7 @@ def _instruments(count: int, period: float, lines: Array) -> Array:
     """
     tick = np.arange(count)[:, None]
     phase, window = 2.0 * np.pi * period * tick * lines, np.square(np.sin(np.pi * (tick + 1.0) / (count + 1.0)))
-    waves: Array = window * np.concatenate([np.ones((count, 1)), np.cos(phase), np.sin(phase)], axis=1)
-    return waves
+    return np.asarray(window * np.concatenate([np.ones((count, 1)), np.cos(phase), np.sin(phase)], axis=1))
 
 
 def _whitened(values: Array, instruments: Array, period: float) -> Array:
@@ -421,8 +420,7 @@ def _whitened(values: Array, instruments: Array, period: float) -> Array:
         root = np.linalg.cholesky((noise / size).T @ (noise / size))
     except np.linalg.LinAlgError:
         raise IdentificationError(f"{len(values)} samples are too few to tell the lines apart") from None
-    moments: Array = np.linalg.solve(root, (instruments / size).T @ values)
-    return moments
+    return np.linalg.solve(root, (instruments / size).T @ values)
 
 
 def _fitted(known: Array, bent: Array, instruments: Array, period: float) -> Identified:

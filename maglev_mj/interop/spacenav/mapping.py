@@ -148,8 +148,7 @@ class Navigator:
         outward = np.where(stuck, share * side, 0.0)
         self._pressed = np.where(outward > _PUSHES, self._pressed + elapsed, 0.0)
         held = (self._pressed >= _FOR) | (self.rates & (outward > _LETS_GO))
-        pushed: Mask = np.where(stuck, held, np.where(self._rubs, way * side > 0.0, True))
-        return pushed
+        return np.where(stuck, held, np.where(self._rubs, way * side > 0.0, True))
 
 
 def _six(name: str, value: ArrayLike) -> Array:
@@ -186,8 +185,7 @@ RUNS = ("running", "flying")
 
 def told(shares: Array) -> Array:
     """Return deflection or rate shares as whole numbers, (6,)."""
-    counts: Array = np.rint(np.clip(FULL * shares, -MOST, MOST))
-    return counts
+    return np.rint(np.clip(FULL * shares, -MOST, MOST))
 
 
 class PoseAxes:
@@ -354,8 +352,7 @@ class AxisMapping(Parameters):
         if self.dead_zone == 0.0:
             return deflection
         rest = np.maximum(np.abs(deflection) - self.dead_zone * full, 0.0) / (1.0 - self.dead_zone)
-        beyond: Array = np.copysign(rest, deflection)
-        return beyond
+        return np.copysign(rest, deflection)
 
     def __call__(self, shares: Array) -> Array:
         """Return the six numbers, (6,); NaN counts as 0.

@@ -184,7 +184,7 @@ def control(gui: Any, one: Parameter, scene: Scene, ask: Ask) -> Control | None:
         handle = gui.add_dropdown(one.live.word or label, tuple(named), initial_value=text(value), hint=hint)
         return Choice(one.name, handle, ask, text, named)
     scale, unit = (1e3, "ms") if one.unit == "s" else (1.0, unit_of(one.unit, scene.axis, one.along))
-    made = Slider(
+    return Slider(
         gui,
         one.name,
         f"{label} [{unit}]" if unit else label,
@@ -195,7 +195,6 @@ def control(gui: Any, one: Parameter, scene: Scene, ask: Ask) -> Control | None:
         scale,
         abs(one.default) if isinstance(one.default, float | int) else 0.0,
     )
-    return made
 
 
 def _ends(one: Parameter) -> tuple[float, float]:

@@ -108,8 +108,7 @@ class Framing:
         across, up = directions(camera)
         pixel = self._pixel(camera, view)
         (x, y), (middle, level) = free.centre, view.centre
-        shift: Array = pixel * ((x - middle) * across + (y - level) * up)
-        return shift
+        return pixel * ((x - middle) * across + (y - level) * up)
 
 
 def directions(camera: Any) -> tuple[Array, Array]:
