@@ -11,26 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from foxglove import Channel, Context, Schema
+from foxglove import Channel, Context, Schema, messages
 from foxglove.channels import FrameTransformsChannel, LogChannel, SceneUpdateChannel
-from foxglove.messages import (
-    ArrowPrimitive,
-    Color,
-    CubePrimitive,
-    CylinderPrimitive,
-    Duration,
-    FrameTransform,
-    FrameTransforms,
-    Log,
-    LogLevel,
-    Pose,
-    Quaternion,
-    SceneEntity,
-    SceneUpdate,
-    SpherePrimitive,
-    Timestamp,
-    Vector3,
-)
 
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
@@ -44,10 +26,10 @@ _WALL, _HAND, _DEVICE = (0.25, 0.47, 0.85, 0.16), (0.13, 0.62, 0.30, 1.0), (0.80
 _UPRIGHT = 1.0, 0.0, 0.0, 0.0
 _SHAFT, _HEAD, _HEAD_LENGTH = 0.0032, 0.0064, 0.25
 _LEVELS = {
-    "fault": LogLevel.Error,
-    "lost": LogLevel.Error,
-    "missed": LogLevel.Warning,
-    "refused": LogLevel.Warning,
+    "fault": messages.LogLevel.Error,
+    "lost": messages.LogLevel.Error,
+    "missed": messages.LogLevel.Warning,
+    "refused": messages.LogLevel.Warning,
 }
 _WRENCH = "N", "N m"
 _NUMBER = schema(STRETCH_NUMBER)
@@ -143,7 +125,7 @@ class Messages:
         whole = {name: part for name, part in setup.items() if name != "run"}
         self._begun = {"stretch": self._stretch, "setup": whole, **run}
         self.greet()
-        self._tell(LogLevel.Info, f"stretch {self._stretch + 1}: {metadata.name or setup.get('kind', '')}")
+        self._tell(messages.LogLevel.Info, f"stretch {self._stretch + 1}: {metadata.name or setup.get('kind', '')}")
 
     def greet(self) -> None:
         """Log the stretch's beginning and drawing again for new clients.
@@ -187,13 +169,13 @@ class Messages:
             self._totals.miss(missed)
         message = {"stretch": self._stretch, "tick": self._tick, "kind": kind, "text": text, "missed": missed}
         self._send(self._event_channel, message)
-        self._tell(_LEVELS.get(kind, LogLevel.Info), f"{kind}: {text}")
+        self._tell(_LEVELS.get(kind, messages.LogLevel.Info), f"{kind}: {text}")
 
     def _send(self, channel: Channel, message: Mapping[str, Any]) -> None:
         channel.log(json.dumps(message, allow_nan=False, separators=(",", ":")).encode(), log_time=self._now)
 
-    def _tell(self, level: LogLevel, text: str) -> None:
-        log = Log(timestamp=_stamp(self._now), level=level, message=text, name="maglev_mj")
+    def _tell(self, level: messages.LogLevel, text: str) -> None:
+        log = messages.Log(timestamp=_stamp(self._now), level=level, message=text, name="maglev_mj")
         self._log.log(log, log_time=self._now)
 
     def _show(self, values: np.void) -> None:
@@ -204,7 +186,7 @@ class Messages:
             stuck = [seen if math.isnan(held) else held for held, seen in zip(self._stick, position)]
             frames.append(("stator", "stick position", stuck[:3], quaternion(stuck[3:])))
         transforms = [
-            FrameTransform(
+            messages.FrameTransform(
                 timestamp=stamp,
                 parent_frame_id=parent,
                 child_frame_id=child,
@@ -213,7 +195,7 @@ class Messages:
             )
             for parent, child, place, turn in frames
         ]
-        self._frames.log(FrameTransforms(transforms=transforms), log_time=self._now)
+        self._frames.log(messages.FrameTransforms(transforms=transforms), log_time=self._now)
         knob = np.array(position[:3]) + rotation_matrix(np.array(position[3:])) @ GRIP
         forces = ("force of the hand", values["hand"], _HAND), ("force of the device", values["applied"], _DEVICE)
         arrows = [("stator", name, {"arrows": _arrow(knob, force[:3], colour)}) for name, force, colour in forces]
@@ -224,33 +206,38 @@ class Messages:
 
         An entity replaces the former one of its name.
         """
-        stamp = _stamp(self._now)
+        stamp, endless = _stamp(self._now), messages.Duration(sec=0)
         drawn = [
-            SceneEntity(
-                timestamp=stamp, frame_id=frame, id=name, lifetime=Duration(sec=0), frame_locked=True, **primitives
+            messages.SceneEntity(
+                timestamp=stamp,
+                frame_id=frame,
+                id=name,
+                lifetime=endless,
+                frame_locked=True,
+                **primitives,
             )
             for frame, name, primitives in entities
         ]
-        channel.log(SceneUpdate(entities=drawn), log_time=self._now)
+        channel.log(messages.SceneUpdate(entities=drawn), log_time=self._now)
 
 
-def _stamp(now: int) -> Timestamp:
-    return Timestamp(sec=now // 10**9, nsec=now % 10**9)
+def _stamp(now: int) -> messages.Timestamp:
+    return messages.Timestamp(sec=now // 10**9, nsec=now % 10**9)
 
 
-def _vector(values: Iterable[float]) -> Vector3:
+def _vector(values: Iterable[float]) -> messages.Vector3:
     x, y, z = values
-    return Vector3(x=float(x), y=float(y), z=float(z))
+    return messages.Vector3(x=float(x), y=float(y), z=float(z))
 
 
-def _quaternion(values: Sequence[float]) -> Quaternion:
+def _quaternion(values: Sequence[float]) -> messages.Quaternion:
     w, x, y, z = values
-    return Quaternion(w=w, x=x, y=y, z=z)
+    return messages.Quaternion(w=w, x=x, y=y, z=z)
 
 
-def _color(colour: Sequence[float]) -> Color:
+def _color(colour: Sequence[float]) -> messages.Color:
     red, green, blue, opacity = colour
-    return Color(r=red, g=green, b=blue, a=opacity)
+    return messages.Color(r=red, g=green, b=blue, a=opacity)
 
 
 def _device(parts: Sequence[Shape]) -> list[tuple[str, str, Mapping[str, Any]]]:
@@ -265,18 +252,18 @@ def _primitives(parts: Sequence[Shape]) -> dict[str, Any]:
     """Return shapes as the primitives of an entity."""
     primitives: dict[str, Any] = {"cubes": [], "cylinders": [], "spheres": []}
     for shape in parts:
-        pose = Pose(position=_vector(shape.position), orientation=_quaternion(shape.turn))
+        pose = messages.Pose(position=_vector(shape.position), orientation=_quaternion(shape.turn))
         about: dict[str, Any] = {"pose": pose, "size": _vector(2.0 * shape.half), "color": _color(shape.colour)}
         if shape.kind == "box":
-            primitives["cubes"].append(CubePrimitive(**about))
+            primitives["cubes"].append(messages.CubePrimitive(**about))
         elif shape.kind == "cylinder":
-            primitives["cylinders"].append(CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, **about))
+            primitives["cylinders"].append(messages.CylinderPrimitive(bottom_scale=1.0, top_scale=1.0, **about))
         else:
-            primitives["spheres"].append(SpherePrimitive(**about))
+            primitives["spheres"].append(messages.SpherePrimitive(**about))
     return primitives
 
 
-def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list[ArrowPrimitive]:
+def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list[messages.ArrowPrimitive]:
     """Return a force arrow; none if too small or NaN."""
     size = math.hypot(*force)
     if not LEAST_FORCE <= size < math.inf:
@@ -287,8 +274,8 @@ def _arrow(knob: Array, force: Sequence[float], colour: Sequence[float]) -> list
     x, y, z = (x / length, y / length, z / length) if length > 1e-9 else (0.0, 0.0, 1.0)
     place = arrow_start(knob, np.array(force))
     return [
-        ArrowPrimitive(
-            pose=Pose(position=_vector(place), orientation=Quaternion(w=0.0, x=x, y=y, z=z)),
+        messages.ArrowPrimitive(
+            pose=messages.Pose(position=_vector(place), orientation=messages.Quaternion(w=0.0, x=x, y=y, z=z)),
             shaft_length=ARROW * size * (1.0 - _HEAD_LENGTH),
             shaft_diameter=_SHAFT,
             head_length=ARROW * size * _HEAD_LENGTH,
