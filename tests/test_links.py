@@ -395,7 +395,7 @@ def test_a_serial_line_recovers_from_garbage_both_ways() -> None:
             while answer is not None and answer != b"to the host":
                 answer = link.receive(PATIENCE)
             assert heard and answer
-        assert server.dropped > 0 and link.dropped > 0
+        assert server._deframer.dropped > 0 and link._deframer.dropped > 0
     os.close(other_end)
 
 

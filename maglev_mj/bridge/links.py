@@ -377,11 +377,6 @@ class _Line(ABC):
     def __init__(self, name: str) -> None:
         self._name, self._deframer = name, Deframer()
 
-    @property
-    def dropped(self) -> int:
-        """Number of invalid pieces between zero bytes."""
-        return self._deframer.dropped
-
     @abstractmethod
     def _read(self, timeout: float) -> bytes:
         """Return the bytes that have come, none after `timeout` [s]."""
