@@ -7,10 +7,11 @@ import subprocess
 import warnings
 import zlib
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -184,12 +185,6 @@ class OffscreenPainter:
         self._render.free()
         self._gl.free()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
 
 def _context(width: int, height: int, library: str) -> Any:
     """Return an OpenGL context without a visible window."""
@@ -262,7 +257,8 @@ def render(
         time_scale = slow_motion(end) if moving else 1.0
     session.change({"time_scale": time_scale})
     drawn, forces = max(round(end * rate / time_scale), 1) if moving else 1, list[Array]()
-    with OffscreenPainter(scene, width, height, plots=plots, factor=magnify) as painter, engine_warnings_silenced():
+    painter = OffscreenPainter(scene, width, height, plots=plots, factor=magnify)
+    with closing(painter), engine_warnings_silenced():
 
         def pictures() -> Iterator[Pixels]:
             for place in range(drawn):

@@ -314,7 +314,7 @@ class _Window:
             # a program draws with one library only: that of its window, unless MUJOCO_GL is set
             with self._handle.lock():  # it may be loading a model, and the engine's table of GL functions is one
                 painter = OffscreenPainter(snapshot.scene, *_PICTURE, default="glfw", factor=self._screen.factor)
-            with painter:
+            with closing(painter):
                 write_picture(painter.picture(snapshot), path)
             self._note.say(f"wrote {path}")
         except (MaglevError, OSError, mujoco.FatalError) as error:
