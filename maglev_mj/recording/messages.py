@@ -33,36 +33,35 @@ _LEVELS = {
 }
 _WRENCH = "N", "N m"
 _NUMBER = schema(STRETCH_NUMBER)
+
+
+def _of(kind: str, description: str) -> dict[str, Any]:
+    return {"type": kind, "description": description}
+
+
 _STRETCH_FIELDS = {
     "stretch": _NUMBER,
-    "setup": {
-        "type": "object",
-        "description": "what plant and controller are made from: kind, scene, parameters, controller, plant, versions",
-    },
+    "setup": _of(
+        "object", "what plant and controller are made from: kind, scene, parameters, controller, plant, versions"
+    ),
     "period": schema(Field("period", "s", "sample period")),
     "delay": schema(Field("delay", "s", "from a sample to its command taking effect")),
     "carried": schema(Field("carried", _WRENCH, "what carries the flotor")),
     "inertia": schema(Field("inertia", ("kg", "kg m²"), "what the actuators push at, for `taken`")),
     "load": schema(Field("load", _WRENCH, "what acts besides, its weight, for `taken`")),
     "before": schema(Field("before", _WRENCH, "what the actuators give until the first command takes effect")),
-    "faces": {
-        "type": "array",
-        "description": "planes of walls: axis, normal (1 where the axis is free above), edge [m, rad]",
-        "items": {"type": "object"},
-    },
-    "name": {"type": "string", "description": "what to call the run"},
-    "axis": {"type": "string", "description": "the axis that matters most"},
-    "hand_recorded": {
-        "type": "boolean",
-        "description": "whether `hand` is what the hand exerts; else it is estimated, or not known",
-    },
-    "hand_acts_on_flotor": {"type": "boolean", "description": "whether it acts there, not on a hand in a soft grip"},
+    "faces": _of("array", "planes of walls: axis, normal (1 where the axis is free above), edge [m, rad]")
+    | {"items": {"type": "object"}},
+    "name": _of("string", "what to call the run"),
+    "axis": _of("string", "the axis that matters most"),
+    "hand_recorded": _of("boolean", "whether `hand` is what the hand exerts; else it is estimated, or not known"),
+    "hand_acts_on_flotor": _of("boolean", "whether it acts there, not on a hand in a soft grip"),
 }
 _EVENT_FIELDS = {
     "stretch": _NUMBER,
     "tick": schema(FIELDS[0]),
-    "kind": {"type": "string", "description": "fault, missed, lost, timing, or refused by the live server"},
-    "text": {"type": "string", "description": "what happened"},
+    "kind": _of("string", "fault, missed, lost, timing, or refused by the live server"),
+    "text": _of("string", "what happened"),
     "missed": schema(Field("missed", "", "samples that were missed with it, besides gaps in the ticks")),
 }
 
