@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Mask
 from maglev_mj.interop.spacenav.protocol import MOST
-from maglev_mj.parameters import Parameters, number, numbers, param
+from maglev_mj.parameters import Parameters, number, numbers, param, six, store
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import INERTIA, RANGE
 
@@ -51,12 +51,10 @@ class Navigation:
 
     def __post_init__(self) -> None:
         for name in ("edge", "scale", "gain", "give", "breakaway"):
-            values = numbers(name, getattr(self, name), at_least=0.0)
+            values = six(name, getattr(self, name), finite=True)
             if name in ("give", "breakaway") and not (values > 0.0).all():
                 raise ParameterError(f"{name} must be above 0 everywhere, not {values.min():g}")
-            if values.shape not in ((), (len(AXES),)):
-                raise ParameterError(f"{name} must be a number or (6,), not {values.shape}")
-            object.__setattr__(self, name, np.broadcast_to(values, len(AXES)).copy())
+            store(self, **{name: values.copy()})
 
 
 class Navigator:
@@ -203,7 +201,7 @@ class PoseAxes:
         if snapshot.state not in RUNS:
             return REST
         deflection = self._mapping.outside(np.asarray(snapshot.pose), FULL_POSE)
-        return _whole(told(self._mapping((deflection / FULL_POSE)[EXCHANGED])))
+        return tuple(told(self._mapping((deflection / FULL_POSE)[EXCHANGED])).astype(int).tolist())
 
 
 class RateAxes:
@@ -242,11 +240,7 @@ class RateAxes:
             return REST
         counts = told(self._owed / elapsed)
         self._owed -= counts * (elapsed / FULL)
-        return _whole(counts)
-
-
-def _whole(counts: Array) -> tuple[int, ...]:
-    return tuple(int(count) for count in counts)
+        return tuple(counts.astype(int).tolist())
 
 
 Buttons: TypeAlias = Callable[[Snapshot], tuple[bool, ...]]
