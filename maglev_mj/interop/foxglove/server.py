@@ -20,7 +20,7 @@ from maglev_mj.recording.ring import Ring, RowReader
 from maglev_mj.recording.sample import RecordedPlant
 from maglev_mj.recording.setup import whole_setup
 from maglev_mj.session import ChangeRequest, Snapshot
-from maglev_mj.session.access import ListenError, check_origin, check_port, listen
+from maglev_mj.session.access import ListenError, check_origin, listen
 from maglev_mj.versions import versions
 
 PORT = 8765
@@ -65,7 +65,6 @@ class LiveServer:
     """
 
     def __init__(self, port: int = PORT, origins: Sequence[str] = ()) -> None:
-        check_port(port)
         origins = [check_origin(one) for one in origins]
         require(("foxglove",), "record", "a live server needs foxglove-sdk")
         try:
