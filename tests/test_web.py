@@ -41,7 +41,7 @@ from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.session.access import ListenError, listen
 from maglev_mj.views.charts import Chart, Line
 from maglev_mj.views.page.page import Door, Page, PageServer
-from maglev_mj.views.page.panel import Choice, Slider, Switch, control
+from maglev_mj.views.page.panel import Choice, Control, Slider, control
 from maglev_mj.views.page.plots import drawn, ticks
 from maglev_mj.views.page.stage import Grab, glb, solid
 from maglev_mj.views.remote import SILENCE, Glide, Inbox, RemoteSession, RemoteViewer
@@ -432,7 +432,7 @@ def test_a_control_is_as_the_parameter_declares() -> None:
         assert stiffness.handle.max >= 30_000.0 and stiffness.handle.value == 30_000.0
         stiffness.show(50.0)  # by a program
         assert stiffness.handle.min == stiffness.handle.value == 50.0
-        assert isinstance(control(server.gui, joystick.parameter("wall"), joystick, lambda *_: None), Switch)
+        assert type(control(server.gui, joystick.parameter("wall"), joystick, lambda *_: None)) is Control
 
 
 def test_a_page_that_only_watches_has_neither_hand_nor_sliders() -> None:

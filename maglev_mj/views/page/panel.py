@@ -71,10 +71,6 @@ class Control:
         return value
 
 
-class Switch(Control):
-    """A checkbox."""
-
-
 class Choice(Control):
     """A choice among texts, or among numbers with their unit.
 
@@ -167,7 +163,7 @@ def control(gui: Any, one: Parameter, scene: Scene, ask: Ask) -> Control | None:
     """
     value, label, hint = getattr(scene, one.name), one.name.replace("_", " "), _hint(one, scene.axis)
     if one.kind is bool:
-        return Switch(one.name, gui.add_checkbox(label, value, hint=hint), ask)
+        return Control(one.name, gui.add_checkbox(label, value, hint=hint), ask)
     if one.kind is str and one.choices:
         handle = gui.add_dropdown(label, one.choices, initial_value=value, hint=hint)
         return Choice(one.name, handle, ask, str, {text: text for text in one.choices})
