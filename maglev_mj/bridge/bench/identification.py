@@ -183,7 +183,6 @@ def collect(
     controller: Answers,
     duration: float,
     *,
-    settle: float = _SETTLED,
     then: Callable[[], object] | None = None,
     watch: Callable[[], object] | None = None,
 ) -> Motion:
@@ -192,8 +191,7 @@ def collect(
     Args:
         plant: Plant that reports its currents, hovering or just released; left open.
         controller: As from `excitation`.
-        duration: Recorded time [s].
-        settle: Settling time before recording [s].
+        duration: Recorded time, after two seconds to settle [s].
         then: Called at the end of the motion, such as to land.
         watch: Called before each sample; True ends the motion.
 
@@ -203,7 +201,7 @@ def collect(
         MaglevError: As `run`.
     """
     period = plant.period
-    ahead = round(number("settle", settle, at_least=0.0) / period)
+    ahead = round(_SETTLED / period)
     ticks = ahead + max(round(number("duration", duration, above=0.0) / period), 1)
     seen: list[tuple[int, Sequence[float], Sequence[float]]] = []
     delays: dict[int, float] = {}
