@@ -32,12 +32,11 @@ from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import EMERGENCY_STOP, device_actions
 from maglev_mj.session import Session as LiveSession
 from maglev_mj.session.replay import rebuild
-from maglev_mj.views.window.grab import fitted_size
 from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT, help_rows, key_of, keys_of
 from maglev_mj.views.window.layout import Area
 from maglev_mj.views.window.scenery import Framing, Scenery
 from maglev_mj.views.window.screen import Screen
-from maglev_mj.views.window.window import _PATIENCE
+from maglev_mj.views.window.window import _PATIENCE, fitted_size
 from tests.virtual_screen import VirtualScreen, waited
 
 pytestmark = pytest.mark.xdist_group("realtime")
