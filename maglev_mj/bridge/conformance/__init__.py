@@ -10,7 +10,8 @@ from collections.abc import Callable, Iterable, Sequence
 
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.conformance import answers, commands  # noqa: F401, they fill CHECKS in this order
-from maglev_mj.bridge.conformance.tester import CHECKS, CheckResult, Tester
+from maglev_mj.bridge.conformance.check import CHECKS, CheckResult
+from maglev_mj.bridge.conformance.tester import Tester
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.wire import Operation, State, fault_names
 from maglev_mj.errors import PlantError, check_instance

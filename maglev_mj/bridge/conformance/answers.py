@@ -6,22 +6,8 @@ import math
 from itertools import pairwise
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.conformance.tester import (
-    HALF,
-    NAN,
-    QUIET,
-    Tester,
-    check,
-    close,
-    fail,
-    flipped,
-    is_off,
-    same,
-    shown,
-    stopped,
-    with_crc,
-    zero,
-)
+from maglev_mj.bridge.conformance.check import HALF, NAN, QUIET, check, close, flipped, stopped, with_crc, zero
+from maglev_mj.bridge.conformance.tester import Tester, fail, is_off, same, shown
 from maglev_mj.bridge.connection import draw, profile_of
 from maglev_mj.bridge.wire import NEVER, VERSION, WRAP, Fault, Flag, HelloStatus, Operation, Result, State
 from maglev_mj.frames import ZERO

@@ -8,23 +8,8 @@ from functools import partial
 from typing import Any
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.conformance.tester import (
-    HALF,
-    NAN,
-    Tester,
-    Unexpected,
-    check,
-    close,
-    fail,
-    flipped,
-    ignored,
-    is_off,
-    same,
-    shown,
-    stopped,
-    with_crc,
-    zero,
-)
+from maglev_mj.bridge.conformance.check import HALF, NAN, check, close, flipped, ignored, stopped, with_crc, zero
+from maglev_mj.bridge.conformance.tester import Tester, Unexpected, fail, is_off, same, shown
 from maglev_mj.bridge.connection import draw
 from maglev_mj.bridge.wire import NEVER, WRAP, Fault, Flag, HelloStatus, Operation, Result, State
 from maglev_mj.frames import ZERO

@@ -7,12 +7,10 @@ from __future__ import annotations
 
 import math
 import random
-import struct
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import Any, NamedTuple, NoReturn, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 from maglev_mj.bridge import wire
 from maglev_mj.bridge.bench.calibration import Calibration
@@ -23,7 +21,7 @@ from maglev_mj.bridge.landing import shown as pose_shown
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.safety import OFF, OutputLimiter
 from maglev_mj.bridge.wire import WRAP, Fault, Flag, HelloStatus, Operation, State, fault_names, newer
-from maglev_mj.errors import MaglevError, PlantError
+from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Sample
 from maglev_mj.plants.sensor import PoseTracker
 
@@ -391,186 +389,3 @@ def _zeros(frame: Any) -> Sequence[float]:
 
 def _named(words: Any, number: int) -> str:
     return words(number).name if number in tuple(words) else str(number)
-
-
-QUIET = 0.06
-"""Time without frames that counts as no answer [s]."""
-
-HALF = 0x7FFFFFFF
-NAN = (math.nan,) * 6
-_TRIES = 10  # of a check in which this host was late
-
-
-class CheckResult(NamedTuple):
-    """Outcome of one check.
-
-    Attributes:
-        name: Name of the check.
-        expected: Behaviour required by the protocol.
-        seen: Behaviour of the device, or the reason for skipping the check.
-        passed: True if it passed; None if it was skipped.
-    """
-
-    name: str
-    expected: str
-    seen: str
-    passed: bool | None
-
-
-class Check(NamedTuple):
-    """Check of a device and its requirements.
-
-    Attributes:
-        expected: Behaviour required by the protocol.
-        run: Function that returns the observed behaviour, or raises `Unexpected`.
-        flight: True if the check flies.
-        real_time: True if it needs real time.
-        peers: Number of host addresses it needs.
-        keyed: True if it needs a key.
-        lockstep: True if it needs lockstep.
-    """
-
-    expected: str
-    run: Callable[[Tester], str]
-    flight: bool = False
-    real_time: bool = False
-    peers: int = 1
-    keyed: bool = False
-    lockstep: bool = False
-
-    def result(self, name: str, tester: Tester, flight: bool) -> CheckResult:
-        """Run the check, and again if this host was late."""
-        reasons = {
-            "flights were not asked for": self.flight and not flight,
-            "needs real time, and this device is in lockstep": self.real_time and tester.welcome.lockstep,
-            "needs a second address; a serial line has one peer": self.peers > len(tester.links),
-            "needs a key": self.keyed and not tester.keyed,
-            "needs a device in lockstep": self.lockstep and not tester.welcome.lockstep,
-        }
-        if reason := next((reason for reason, holds in reasons.items() if holds), ""):
-            return CheckResult(name, self.expected, reason, None)
-        for _ in range(_TRIES):
-            tester.late = False
-            try:
-                tester.bring(State.INACTIVE)
-                return CheckResult(name, self.expected, self.run(tester), True)
-            except (Unexpected, PlantError) as error:
-                late = "; STATEs were read late" if tester.late else ""
-                result = CheckResult(name, self.expected, f"{error}{late}", False)
-            tester.leave()
-            if not tester.late:
-                break
-        return result
-
-
-CHECKS: dict[str, Check] = {}
-"""Checks in the order of execution."""
-
-
-def check(expected: str, name: str = "", **needs: Any) -> Callable[[Callable[[Tester], str]], object]:
-    """Register a check, by default under its function's name.
-
-    `needs` are further values of `Check`.
-    """
-
-    def add(run: Any) -> object:
-        CHECKS[name or run.__name__.strip("_").replace("_", "-")] = Check(expected, run, **needs)
-        return run
-
-    return add
-
-
-def stopped(t: Tester, peer: int = 0, faults: int = Fault.ESTOP) -> str:
-    """Request emergency stops until no current is measured.
-
-    The time taken is returned as text.
-    """
-    body, begun, first = wire.Estop(draw()), t.now(), None
-    while True:
-        frame = t.exchange(body, peer=peer) or fail("no answer to ESTOP")
-        one, first = frame.body, first or frame
-        same("state, faults in ESTOP_ACK", (one.state, one.faults), (State.FAULT, faults))
-        if not 0 <= frame.time - one.sampled <= 2 * t.welcome.period:
-            fail(f"sampled at {one.sampled} ns, said at {frame.time} ns")
-        if t.welcome.lockstep or (one.sampled > first.time and is_off(one.currents)):
-            return f"{(t.now() - begun) / 1e6:.1f} ms until no current was measured"
-        if t.now() - begun > 1_000_000_000:
-            fail(f"{shown(one.currents)} A measured 1 s after ESTOP")
-        t.wait(0.005)
-
-
-def ignored(
-    t: Tester,
-    said: str,
-    change: Callable[[bytes], bytes] = bytes,
-    *,
-    back: int | None = None,
-    answers: int = 0,
-    wait: int = 0,
-    session: int | None = None,
-    peer: int = 0,
-) -> str:
-    """Check that an active device ignores flawed frames.
-
-    First a CMD with NaN; TRIP and ESTOP as well, if the flaw applies to them.
-
-    Args:
-        t: The testing host.
-        said: Description of the flaw.
-        change: Function that makes the flaw in a frame.
-        back: Samples by which the sequence number is older than the last; None for the next one.
-        answers: Samples by which the answer is older than the last sample.
-        wait: Time between that sample and the answer [ns].
-        session: Number of the session; None for the own.
-        peer: Index of the sending address.
-    """
-    t.bring(State.ACTIVE)
-    bodies: list[Any] = [wire.Command(0, 0, NAN, NAN, 0.0)]
-    if back is None and not answers:
-        bodies.append(wire.Control((t.request + 1) & WRAP, Operation.TRIP, 0, ZERO))
-    if change is not bytes:
-        bodies.append(wire.Estop(draw()))
-    for body in bodies:
-        # before the sample's own answer: in lockstep anything after that is old
-        t.answering = False
-        t.states(1)
-        t.others.clear()
-        t.sequence = (t.sequence + (back is None)) & WRAP
-        last = t.last.sequence
-        t.wait(wait * 1e-9)
-        if isinstance(body, wire.Command):
-            body = body._replace(answers=(last - answers) & WRAP)
-        frame = t.encode(body, session=session, sequence=(t.sequence - (back or 0)) & WRAP)
-        t.links[peer].send(change(frame))
-        t.answering = True
-        t.command(t.last.sequence, ZERO)
-        try:
-            t.expect(State.ACTIVE)
-            same("answers", t.others, [])
-        except Unexpected as error:
-            fail(f"{type(body).__name__} {said} is taken: {error}")
-    return "ignored"
-
-
-def with_crc(data: bytes) -> bytes:
-    """Return data with its CRC recomputed."""
-    return data[:-4] + struct.pack("<I", zlib.crc32(data[:-4]))
-
-
-def flipped(data: bytes, place: int) -> bytes:
-    """Return data with a bit of one byte flipped."""
-    return data[:place] + bytes([data[place] ^ 1]) + data[place:][1:]
-
-
-def close(frame: Any, wanted: Sequence[float]) -> None:
-    """Check that measured currents are the expected ones."""
-    if any(abs(one - other) > 0.1 + 0.1 * abs(other) for one, other in zip(frame.body.currents, wanted)):
-        fail(f"{shown(frame.body.currents)} A measured instead of {shown(wanted)} A")
-
-
-def zero(t: Tester) -> str:
-    """Check for zero current from the sample after next on."""
-    for frame in t.states(4)[1:]:
-        if not is_off(frame.body.currents):
-            fail(f"{shown(frame.body.currents)} A after the cut")
-    return "currents zero"
