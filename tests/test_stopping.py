@@ -212,7 +212,7 @@ def test_landing_is_asked_for_and_cut_like_the_rest(tmp_path: Path) -> None:
 
 def test_a_landing_that_takes_too_long_is_cut_at_the_stated_time(tmp_path: Path) -> None:
     with Watched() as twin:
-        with running(*within(0.25), "bridge", twin.address, "--out", str(tmp_path)) as host:
+        with running(*within(0.25), "bridge", twin.address, "--anyway", "--out", str(tmp_path)) as host:
             twin.flown(1.0)
             sent = time.monotonic()
             host.child.send_signal(signal.SIGTERM)
