@@ -30,8 +30,7 @@ def _welcome(t: Tester) -> str:
 
 @check("the same nonce gets the same session and changes nothing")
 def _hello_again(t: Tester) -> str:
-    t.bring(State.ACTIVE)
-    t.answering = False
+    t.bring(State.ACTIVE, answering=False)
     t.states(1)
     again = t.greet(t.nonce)
     same("status, session, state", (again.body.status, again.session, again.body.state), (0, t.session, State.ACTIVE))
@@ -178,8 +177,7 @@ def _arm(t: Tester) -> str:
 
 @check("RESET is refused while a measured current is above 0.25 A")
 def _reset_flowing(t: Tester) -> str:
-    t.bring(State.ACTIVE, lambda frame: t.half)
-    t.answering = False
+    t.bring(State.ACTIVE, lambda frame: t.half, answering=False)
     t.ask(Operation.TRIP)
     answer = t.ask(Operation.RESET)
     if answer.result != Result.REFUSED and not is_off(t.last.body.currents):
@@ -285,8 +283,7 @@ def _currents(t: Tester) -> str:
 @check("a command under way when the currents are cut never flows", real_time=True)
 def _forgotten(t: Tester) -> str:
     for leave in (Operation.DISARM, Operation.TRIP):
-        t.bring(State.ACTIVE)
-        t.answering = False
+        t.bring(State.ACTIVE, answering=False)
         t.command(t.states(1)[0].sequence, t.half)
         t.ask(leave)
         zero(t)
@@ -298,8 +295,7 @@ def _pulse(t: Tester) -> str:
     one = t.welcome
     if 2 * one.delay > one.period:
         return "not looked at: the delay is more than half a period"
-    t.bring(State.ACTIVE)
-    t.answering = False
+    t.bring(State.ACTIVE, answering=False)
     t.command(t.states(1)[0].sequence, ZERO, t.half, one.period * 1e-9)
     during, after = t.states(2)
     close(during, t.half)
@@ -420,8 +416,7 @@ def _late_command(t: Tester) -> str:
 @check("CMDs that answer samples older than `stale` feed nothing, use up their numbers, show a host", real_time=True)
 def _stale_answers(t: Tester) -> str:
     one = t.welcome
-    t.bring(State.ACTIVE)
-    t.answering = False
+    t.bring(State.ACTIVE, answering=False)
     for _ in range((one.watchdog + 1_100_000_000) // one.period + 2):
         t.states(1)
         t.command(t.last.sequence - one.stale // one.period - 1, ZERO)

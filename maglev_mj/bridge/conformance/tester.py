@@ -244,10 +244,10 @@ class Tester:
         same("operation", answer.operation, operation)
         return answer
 
-    def bring(self, state: State, law: _Law | None = None) -> None:
+    def bring(self, state: State, law: _Law | None = None, *, answering: bool = True) -> None:
         """Bring the device to a state, seen in a sample.
 
-        In ACTIVE it obeys commands of zero current by default.
+        In ACTIVE it obeys commands of zero current by default; False for `answering` sends none from then on.
         """
         self.law, self.answering, self.loss, self.once = _zeros, True, 0.0, []
         try:
@@ -269,6 +269,7 @@ class Tester:
             self.states(1 + math.ceil(self.welcome.delay / self.welcome.period))
         same("state", answer.state, state)
         self.expect(state, Fault.HOST if state == State.FAULT else 0, 1)
+        self.answering = answering
 
     def expect(self, state: State, faults: int = 0, samples: int = 2) -> Any:
         """Return a sample after checking states and faults.
