@@ -39,8 +39,8 @@ from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, record_run, stick_positions_of
 from maglev_mj.spec import GRAVITY
-from maglev_mj.views.charts import Charts
 from maglev_mj.views.page import panel, plots
+from maglev_mj.views.readings import Charts
 from maglev_mj.views.window.screen import Plots, status_rows
 
 ZERO = (0.0,) * 6

@@ -23,7 +23,7 @@ from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import Pacer, Session
 from maglev_mj.theory import stability
 from maglev_mj.versions import hash_of
-from maglev_mj.views.charts import STABILITY
+from maglev_mj.views.readings import STABILITY
 from maglev_mj.views.window.screen import Plots
 from tests.processes import lockstep_twin
 from tests.test_dask_workers import cluster

@@ -27,7 +27,7 @@ from maglev_mj.session import EMERGENCY_STOP, KEPT, Pacer, Session, Snapshot, li
 from maglev_mj.session.replay import OwnCode, Replay, rebuild, rebuild_for, stick_positions_of
 from maglev_mj.session.stretch import _MOST_STATES
 from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.views.charts import Charts
+from maglev_mj.views.readings import Charts
 from maglev_mj.views.remote import Inbox, RemoteViewer
 from tests.sweeps import sweep
 from tests.test_session_states import Program

@@ -15,7 +15,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import TIME_SCALES, Note, Pacer, Session
-from maglev_mj.views.words import Banner, banner
+from maglev_mj.views.readings import Banner, banner
 
 FRAME = 1.0 / 60.0
 

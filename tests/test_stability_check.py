@@ -19,7 +19,7 @@ from maglev_mj.scenes.rooms import INERTIA, MASS, InteractiveScene, Joystick, Ta
 from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, unstable_loop
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
-from maglev_mj.views.charts import STABILITY
+from maglev_mj.views.readings import STABILITY
 from maglev_mj.views.window.screen import Plots
 from tests.test_linearise import Detent, Echo
 

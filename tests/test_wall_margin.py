@@ -24,8 +24,7 @@ from maglev_mj.scenes.rooms import INERTIA, Joystick
 from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.session import Snapshot
 from maglev_mj.theory import stability, verdict
-from maglev_mj.views.charts import StabilityMap
-from maglev_mj.views.words import Reading, readings
+from maglev_mj.views.readings import Reading, StabilityMap, readings
 from tests.test_linearise import Echo
 
 
@@ -101,7 +100,7 @@ def beside(monkeypatch: pytest.MonkeyPatch) -> Iterator[StabilityMap]:
     """Give viewers a process of their own, and a busy machine time for it."""
     monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
     own = StabilityMap()
-    monkeypatch.setattr("maglev_mj.views.words.STABILITY", own)
+    monkeypatch.setattr("maglev_mj.views.readings.STABILITY", own)
     yield own
     if own._answers is not None:
         own._answers.close(0.0)

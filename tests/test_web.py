@@ -39,11 +39,11 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.session.access import ListenError, listen
-from maglev_mj.views.charts import Chart, Line
 from maglev_mj.views.page.page import Door, Page, PageServer
 from maglev_mj.views.page.panel import Choice, Control, Slider, control
 from maglev_mj.views.page.plots import drawn, ticks
 from maglev_mj.views.page.stage import Grab, glb, solid
+from maglev_mj.views.readings import Chart, Line
 from maglev_mj.views.remote import SILENCE, Glide, Inbox, RemoteSession, RemoteViewer
 from tests.processes import started
 

@@ -26,13 +26,12 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import Note, Pacer, Session, Snapshot, TourLine, device_actions
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
-from maglev_mj.views.charts import STABILITY, SteadyRange, fitted_range, margin
+from maglev_mj.views.readings import STABILITY, SteadyRange, banner, fitted_range, margin, met_stops
 from maglev_mj.views.window.keys import AXIS, KEYS, MAGNIFY, help_rows
 from maglev_mj.views.window.layout import Area, Arrangement, Font, Layout
 from maglev_mj.views.window.scenery import Framing, Scenery, directions
 from maglev_mj.views.window.screen import Screen, shown_colour, status_rows
 from maglev_mj.views.window.window import Grab, SlowFrames, _Window, fitted_size
-from maglev_mj.views.words import banner, met_stops
 
 SIZES = (
     (480, 360),

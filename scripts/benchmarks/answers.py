@@ -23,7 +23,7 @@ from maglev_mj.session import settable
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.theory import WallRequirements, design_wall, largest_stable_stiffness
 from maglev_mj.theory.closed_loop import LoopKeywords
-from maglev_mj.views.charts import margin
+from maglev_mj.views.readings import margin
 from timing import answered
 
 HANDS = "none", "arm", "stylus", "fingertip", "0.1,5,300,20,5000"

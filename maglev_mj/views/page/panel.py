@@ -16,10 +16,9 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import CHOOSES, DEVICES_OWN, EMERGENCY_STOP, KEPT, REWINDS, Snapshot
 from maglev_mj.session.changes import actions
 from maglev_mj.session.snapshot import TourLine
-from maglev_mj.views.charts import round_up
 from maglev_mj.views.magnifier import MAGNIFICATIONS
 from maglev_mj.views.page.stage import VIEWS, look, update
-from maglev_mj.views.words import FORCES, Banner, Reading, banner, readings
+from maglev_mj.views.readings import FORCES, Banner, Reading, banner, readings, round_up
 
 Ask = Callable[[str, Any], object]
 """Takes "act" and an action, or "change" and parameters."""

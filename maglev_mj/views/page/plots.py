@@ -13,8 +13,8 @@ from maglev_mj.colours import BOUNDARY, Colour, hex_of
 from maglev_mj.frames import AXES
 from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
-from maglev_mj.views.charts import Chart, Charts, Range
 from maglev_mj.views.page.stage import update
+from maglev_mj.views.readings import Chart, Charts, Range
 
 _WIDTH, _HEIGHT = 320, 156
 _LEFT, _RIGHT, _TOP, _BOTTOM = 38, 14, 22, 22

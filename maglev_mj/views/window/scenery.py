@@ -16,8 +16,8 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
 from maglev_mj.views.magnifier import magnified, widening
+from maglev_mj.views.readings import met_stops
 from maglev_mj.views.window.layout import Area
-from maglev_mj.views.words import met_stops
 
 _HIGH, _WIDE = 0.85, 0.95
 """Shares of the default view's height kept in view.

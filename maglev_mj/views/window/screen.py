@@ -16,11 +16,10 @@ from maglev_mj.lazy import mujoco
 from maglev_mj.plants.shapes import ARROW
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
-from maglev_mj.views.charts import Charts, Line, Range
 from maglev_mj.views.magnifier import MAGNIFICATIONS, motion_words
+from maglev_mj.views.readings import FORCES, Banner, Charts, Line, Range, banner, readings
 from maglev_mj.views.window.keys import AXIS, HAND, KEYS, MAGNIFY, help_rows, key_of
 from maglev_mj.views.window.layout import Area, Arrangement, Font, Layout, Row
-from maglev_mj.views.words import FORCES, Banner, banner, readings
 
 _POINTS = 500
 _NOW = 0.018, 0.045
