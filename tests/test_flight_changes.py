@@ -14,7 +14,8 @@ import pytest
 
 from maglev_mj import cli
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
-from maglev_mj.bridge.flight import Flight, late_delay
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.flight_guards import late_delay
 from maglev_mj.bridge.line import LineReport, judge_change, measure_line
 from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
 from maglev_mj.cli import bridge

@@ -16,7 +16,7 @@ import pytest
 from maglev_mj import Controller, Hold, Wall, find_scene, judge
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.fault import load_black_box
-from maglev_mj.bridge.flight import DelayGuard, PowerGuard, late_delay
+from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
 from maglev_mj.bridge.landing import TOLERATED, Leader, Swing
 from maglev_mj.bridge.observer import HandObserver
 from maglev_mj.bridge.safety import Limits

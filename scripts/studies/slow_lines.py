@@ -14,7 +14,8 @@ import numpy as np
 
 from maglev_mj import find_scene
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
-from maglev_mj.bridge.flight import Flight, PowerGuard
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.flight_guards import PowerGuard
 from maglev_mj.bridge.landing import LandingReport
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.control.controller import Controller
