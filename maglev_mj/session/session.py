@@ -208,6 +208,7 @@ class Session:
 
     Attributes:
         simulated: Simulated time so far [s].
+        recordings: Files written so far.
 
     Example:
         >>> from maglev_mj import Session
@@ -242,6 +243,7 @@ class Session:
             self._scenes.insert(0, own)
         self._past, self._acting = Past(), self._hand
         self._recorder = SessionRecorder(folder, file)
+        self.recordings: Sequence[Path] = self._recorder.written
         if record is not None:
             self._recorder.start(record)
         self._paused, self._stopped, self._steps = False, "", 0
@@ -251,11 +253,6 @@ class Session:
         self._pulses = 0
         self._step_force = number("step_force", step_force, above=0.0)
         self._stretch = self._begin(self._scene.start().pose)
-
-    @property
-    def recordings(self) -> Sequence[Path]:
-        """Files written so far."""
-        return self._recorder.written
 
     def tick(self, elapsed: float) -> int:
         """Advance by elapsed real time, within the pacer's budget.

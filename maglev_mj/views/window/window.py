@@ -13,6 +13,7 @@ import time
 import warnings
 from collections.abc import Callable
 from contextlib import closing, suppress
+from itertools import count
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -469,7 +470,5 @@ def _font_scale() -> int:
 
 def _new_picture(folder: Path) -> Path:
     """Return an unused file name for a picture."""
-    count = 1
-    while (path := folder / f"maglev-{count:03d}.png").exists():
-        count += 1
-    return path
+    names = (folder / f"maglev-{number:03d}.png" for number in count(1))
+    return next(path for path in names if not path.exists())
