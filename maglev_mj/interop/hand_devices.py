@@ -91,7 +91,6 @@ class HandDevice:
 
     def take(self) -> None:
         """Return None: a device requests no scene."""
-        return None
 
     def show(self, snapshot: Snapshot) -> None:
         """Move the hand; see `Publisher`."""

@@ -219,12 +219,12 @@ def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controll
 
 def _rows(recorded: ArrayLike, again: ArrayLike | None) -> tuple[Array, Array | None]:
     """Return two values as one row each, size first."""
-    one, other = (
-        None if value is None else np.array([np.size(value), *np.ravel(value)], dtype=np.float64)[None]
-        for value in (recorded, again)
-    )
-    assert one is not None
+    one, other = _row(recorded), None if again is None else _row(again)
     return one, np.full_like(one, np.nan) if other is not None and other.size != one.size else other
+
+
+def _row(value: ArrayLike) -> Array:
+    return np.array([np.size(value), *np.ravel(value)], dtype=np.float64)[None]
 
 
 def _answers(stretch: Stretch, controller: Controller) -> Rows:

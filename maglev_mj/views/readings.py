@@ -306,9 +306,8 @@ class SteadyRange:
             found = -max(-found[0], found[1]), max(-found[0], found[1])
         last = self._last
         if last is None or found[0] < last[0] or found[1] > last[1] or found[1] - found[0] <= 0.5 * (last[1] - last[0]):
-            self._last = found
-        assert self._last is not None
-        return self._last
+            last = self._last = found
+        return last
 
 
 def fitted_range(values: Array, least: float) -> tuple[float, float]:

@@ -258,7 +258,6 @@ class SpacenavServer:
 
     def take(self) -> None:
         """Return None: programs ask for nothing here."""
-        return None
 
     def show(self, snapshot: Snapshot) -> None:
         """Publish a snapshot; see `Publisher`."""
