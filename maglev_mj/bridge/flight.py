@@ -142,12 +142,12 @@ class Flight:
         return FlightReport(ticks, *self._missing(), time.monotonic() - start, landing)
 
     def _fly(self, duration: float | None) -> tuple[int, LandingReport]:
-        plant, switch = self._plant, self.switch
+        plant = self._plant
         plant.takeoff(watch=self._watch, tries=True)
         self._force = plant.calibration.coils.wrench(np.array(plant.last_currents)).tolist()
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
-        while not self.reason and not switch.landing and (last is None or plant.samples.tick < last):
+        while not self._is_over(last):
             self._stretch(last)
         ticks = plant.samples.tick - first
         if self.reason and self._file is not None:
@@ -183,14 +183,12 @@ class Flight:
             known = {"inertia": self._inertia, "load": weight, "before": self._force}
             name = f"{scene.name} on a device"
             record = session.begin_scene(self._file, scene, plant, controller, kind="device", name=name, **known)
-        loop, samples = ControlLoop(plant, controller, observe=self._observe(controller), record=record), plant.samples
-        while (
-            not self.reason
-            and not self.switch.landing
-            and self._wanted is None
-            and (last is None or samples.tick < last)
-        ):
+        loop = ControlLoop(plant, controller, observe=self._observe(controller), record=record)
+        while self._wanted is None and not self._is_over(last):
             loop.cycle()
+
+    def _is_over(self, last: int | None) -> bool:
+        return bool(self.reason) or self.switch.landing or (last is not None and self._plant.samples.tick >= last)
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
         carried, faces = controller.carried.tolist(), controller.faces
