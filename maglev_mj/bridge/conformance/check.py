@@ -6,6 +6,7 @@ import math
 import struct
 import zlib
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from typing import Any, NamedTuple
 
 from maglev_mj.bridge import wire
@@ -75,7 +76,8 @@ class Check(NamedTuple):
             tester.late = False
             try:
                 tester.bring(State.INACTIVE)
-                return CheckResult(name, self.expected, self.run(tester), True)
+                with tester.flying() if self.flight else nullcontext():
+                    return CheckResult(name, self.expected, self.run(tester), True)
             except (Unexpected, PlantError) as error:
                 late = "; STATEs were read late" if tester.late else ""
                 result = CheckResult(name, self.expected, f"{error}{late}", False)

@@ -593,13 +593,8 @@ _FLIGHTS: dict[str, tuple[str, Callable[[Tester], str], bool]] = {
 }
 
 
-def _flown(t: Tester, end: Callable[[Tester], str]) -> str:
-    with t.flying():
-        return end(t)
-
-
 for _name, (_said, _end, _real_time) in _FLIGHTS.items():
-    check(f"in flight: {_said}", _name, flight=True, real_time=_real_time)(partial(_flown, end=_end))
+    check(f"in flight: {_said}", _name, flight=True, real_time=_real_time)(_end)
 
 
 # rules of all frames, at last
