@@ -591,11 +591,7 @@ class _Tee:
         An error of one file does not keep the others open.
         """
         paths: list[Path | None] = []
-
-        def close(file: RecordingFile) -> None:
-            paths.append(file.close())
-
         with ExitStack() as closing:
             for file in reversed(self._files):
-                closing.callback(close, file)
+                closing.callback(lambda one: paths.append(one.close()), file)
         return next((path for path in paths if path is not None), None)

@@ -167,9 +167,8 @@ class OffscreenPainter:
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self._camera, everything, scene)
         scenery.decorate(scene, snapshot, self._factor)
-        if over is not None:
-            if (corner := self._framing.corner(self._camera, view, over.layout.handle)) is not None:
-                scenery.draw_axes(scene, *corner)
+        if over is not None and (corner := self._framing.corner(self._camera, view, over.layout.handle)) is not None:
+            scenery.draw_axes(scene, *corner)
         mujoco.mjr_render(whole, scene, render)
         if over is not None:
             for rectangle, figure in over.figures:
