@@ -37,9 +37,7 @@ class Plots:
 
     def __init__(self) -> None:
         self._charts = Charts(_POINTS)
-        self.figures = [mujoco.MjvFigure() for _ in range(4)]
-        for figure in self.figures:
-            _prepare(figure)
+        self.figures = [_new_figure() for _ in range(4)]
 
     def update(self, snapshot: Snapshot, axis: int | None = None, *, low: bool = False) -> list[Any]:
         """Return the figures: position, force, stability map, phase plane.
@@ -77,8 +75,7 @@ class Label:
     """
 
     def __init__(self, colour: Colour, opacity: float = 1.0) -> None:
-        figure = self._figure = mujoco.MjvFigure()
-        _prepare(figure)
+        figure = self._figure = _new_figure()
         figure.panergba[:], figure.textrgb[:], figure.gridsize[:] = 0.0, 1.0, 0
         figure.flg_ticklabel[:], figure.minwidth = 0, ""
         self._opacity = opacity
@@ -107,8 +104,7 @@ class TimeBar:
     """
 
     def __init__(self) -> None:
-        figure = self._figure = mujoco.MjvFigure()
-        _prepare(figure)
+        figure = self._figure = _new_figure()
         figure.gridsize[:], figure.flg_ticklabel[:], figure.minwidth = 0, 0, ""
 
     def update(self, snapshot: Snapshot) -> Any:
@@ -129,7 +125,8 @@ def shown_colour(colour: Colour) -> Colour:
     return tuple(0.45 + 0.55 * part for part in colour)  # type: ignore[return-value]
 
 
-def _prepare(figure: Any) -> None:
+def _new_figure() -> Any:
+    figure: Any = mujoco.MjvFigure()
     mujoco.mjv_defaultFigure(figure)
     figure.figurergba[:] = 0.07, 0.08, 0.10, 0.88
     figure.panergba[:] = 0.13, 0.15, 0.18, 0.80
@@ -141,6 +138,7 @@ def _prepare(figure: Any) -> None:
     figure.flg_legend = figure.flg_extend = 0
     figure.xformat = figure.yformat = "%.4g"
     figure.minwidth = "-100"
+    return figure
 
 
 def _entitle(figure: Any, title: str) -> None:
