@@ -58,8 +58,7 @@ def check_coil(plant: RemotePlant, coil: int, current: float = 0.2) -> CoilCheck
         ParameterError: If an argument is outside its bounds.
         DeviceFault: If the device raises a fault.
     """
-    one = _one_coil(plant, coil, current)
-    plant.arm(hover=ZERO)
+    one = _arm(plant, coil, current)
     means, errors, flowed = [], [], []
     for sign in (1.0, -1.0):
         poses, currents = _hold(plant, [sign * part for part in one])
@@ -90,8 +89,7 @@ def record_step(plant: RemotePlant, coil: int, current: float = 0.2, samples: in
         ParameterError: If an argument is outside its bounds.
         DeviceFault: If the device raises a fault.
     """
-    one = _one_coil(plant, coil, current)
-    plant.arm(hover=ZERO)
+    one = _arm(plant, coil, current)
     plant.read()
     first = plant.samples.tick
     rows = []
@@ -131,9 +129,11 @@ def with_offsets(calibration: Calibration, spots: ArrayLike) -> Calibration:
     return replace(calibration, spot_offsets=np.asarray(spots) - centre)
 
 
-def _one_coil(plant: RemotePlant, coil: int, current: float) -> list[float]:
+def _arm(plant: RemotePlant, coil: int, current: float) -> list[float]:
+    """Arm a device without hover currents; return the currents of one coil."""
     number("coil", coil, at_least=0, at_most=5)
     number("current", current, above=0.0, at_most=plant.limits.current_limit)
+    plant.arm(hover=ZERO)
     return [current if index == coil else 0.0 for index in range(6)]
 
 
