@@ -963,6 +963,17 @@ def test_what_is_sent_to_a_process_that_has_ended_is_lost(calls: Sequence[str]) 
     process.close()
 
 
+def test_no_memory_to_share_is_an_error_of_the_server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("maglev_mj.recording.ring._MEMORY", tmp_path)
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(LiveServerError, match="no memory to share with the live server: No space left on device"):
+        LiveServer(0)
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_server_whose_process_cannot_start_leaves_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.recording.ring._MEMORY", tmp_path)
     monkeypatch.setattr("maglev_mj.interop.foxglove.server.SideProcess", lambda *_: 1 // 0)

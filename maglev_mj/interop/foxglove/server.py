@@ -33,7 +33,7 @@ _UNSENT = 256
 
 
 class LiveServerError(MaglevError):
-    """Live server cannot start: package missing, or port in use."""
+    """Live server cannot start: package missing, port in use, or no memory to share."""
 
 
 class LiveServer:
@@ -73,7 +73,10 @@ class LiveServer:
             raise LiveServerError(str(error)) from None
         with listener:  # the other process has it then
             self.port: int = listener.getsockname()[1]
-            self._ring, self._versions = Ring(), versions()
+            try:
+                self._ring, self._versions = Ring(), versions()
+            except OSError as error:
+                raise LiveServerError(f"no memory to share with the live server: {error.strerror}") from None
             try:
                 self._process = SideProcess(_serve, self._ring.path, listener, origins)
             except BaseException:
