@@ -14,24 +14,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from maglev_mj import session
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
 from maglev_mj.scenes import Scene
-from maglev_mj.session import (
-    EMERGENCY_STOP,
-    ChangeRequest,
-    Due,
-    History,
-    Note,
-    Snapshot,
-    SnapshotSource,
-    changed,
-    real_time,
-    settable,
-)
+from maglev_mj.session import EMERGENCY_STOP, ChangeRequest, Due, Note, Snapshot, SnapshotSource
 from maglev_mj.session.changes import actions
 
 if TYPE_CHECKING:
@@ -222,8 +212,8 @@ class RemoteViewer:
             if "rewind" in value:
                 raise ParameterError("rewind is for a simulation: a device cannot be rewound")
             if kind == "change":
-                return changed(scene, {name: value[name] for name in value if name in settable(scene)})
-            return changed(scene, value) if value in actions(type(scene)) else None
+                return session.changed(scene, {name: value[name] for name in value if name in session.settable(scene)})
+            return session.changed(scene, value) if value in actions(type(scene)) else None
         except MaglevError as error:
             self._note.say(str(error))
             return None
@@ -307,7 +297,7 @@ def show_remotely(source: SnapshotSource, front: Front, duration: float | None =
     viewer.on_close = _ended
     with closing(viewer), closing(source):
         with engine_warnings_silenced(), suppress(KeyboardInterrupt):  # the way in which a page is ended
-            for elapsed, passed in real_time(duration, _NAP):
+            for elapsed, passed in session.real_time(duration, _NAP):
                 ticks, wall_time = ticks + source.tick(elapsed), passed
                 viewer.serve(source)
         missed = source.snapshot().missed
@@ -324,7 +314,7 @@ class RemoteSession:
 
     def __init__(self, line: Connection, snapshot: Snapshot) -> None:
         self.hand, self.simulated = SpringHand(), 0.0
-        self._line, self._snapshot, self._history = line, snapshot, History()
+        self._line, self._snapshot, self._history = line, snapshot, session.History()
         self._over = False
         self._target: Any = None
         self._due = Due(SILENCE / 5.0)
