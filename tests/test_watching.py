@@ -144,6 +144,7 @@ def flying(screen: VirtualScreen, folder: Path, look: str, *options: str) -> Ite
             place,
             "--as-written",
             "--anyway",
+            *("--stiffness", "2000", "--damping", "30"),  # bear 8 ms, which a busy machine's line needs
             "--out",
             str(folder),
             *options,
@@ -184,7 +185,7 @@ def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_
     within = np.abs(stretch.position[:, axis]) > 3.5e-3
     # held there, for a late sample of a busy machine lets it in further
     place, pushed = (float(np.median(each[within, axis])) for each in (stretch.position, stretch.applied))
-    # into the wall at 3.5 mm, which pushes back with 6000 N/m; the spring to the centre alone gives about 1 N
+    # into the wall at 3.5 mm, which pushes back with 2000 N/m; the spring to the centre alone gives about 1 N
     assert 3.6e-3 < abs(place) < 5e-3
     assert pushed * place < 0.0 and abs(pushed) > 1.2
 
