@@ -229,6 +229,20 @@ class SampledPlant(ABC):
         self._answer = self._prepare(command.force), self._prepare(total) if width else None, width
         return command
 
+    def _switch(
+        self,
+        drive_of: Callable[[Sequence[float]], Any],
+        currents: Sequence[float],
+        pulsed: Sequence[float] | None,
+        width: float,
+        after: float | None,
+    ) -> None:
+        """Switch to the drives of currents; see `MuJoCoPlant.drive`."""
+        if self._tick < 0 or not isfinite(sum(currents) + sum(pulsed or ()) + width):
+            raise PlantError(f"currents must be finite and follow a sample, not {tuple(currents)} for {width:g} s")
+        held = drive_of(currents)
+        self._timeline.answer(self._tick, held, held if pulsed is None else drive_of(pulsed), width, after=after)
+
     def close(self) -> None:
         """Release the plant.
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from maglev_mj.control.timeline import Segment, Timing
-from maglev_mj.errors import PlantError
 from maglev_mj.frames import Array, Component, Six, rotation_matrix
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.engine import STOP_TIME
@@ -76,10 +75,7 @@ class ExactCoilPlant(ExactPlant):
         Raises:
             PlantError: If a current is not finite, or no sample was read.
         """
-        if self._tick < 0 or not math.isfinite(sum(currents) + sum(pulsed or ()) + width):
-            raise PlantError(f"currents must be finite and follow a sample, not {tuple(currents)} for {width:g} s")
-        held = tuple(currents)
-        self._timeline.answer(self._tick, held, held if pulsed is None else tuple(pulsed), width, after=after)
+        self._switch(tuple, currents, pulsed, width, after)
 
     def open_coil(self, coil: int) -> None:
         """Disable a coil (0 to 5), simulating a broken wire."""

@@ -235,11 +235,7 @@ class MuJoCoPlant(SampledPlant):
         """
         if self._coils is None:
             raise PlantError("there are no currents: the plant was made with coils=False")
-        if self._tick < 0 or not math.isfinite(sum(currents) + sum(pulsed or ()) + width):
-            raise PlantError(f"currents must be finite and follow a sample, not {tuple(currents)} for {width:g} s")
-        held = _of_currents(currents)
-        ahead = held if pulsed is None else _of_currents(pulsed)
-        self._timeline.answer(self._tick, held, ahead, width, after=after)
+        self._switch(_of_currents, currents, pulsed, width, after)
 
     def open_coil(self, coil: int) -> None:
         """Disable a coil (0 to 5), simulating a broken wire."""

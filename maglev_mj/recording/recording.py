@@ -11,7 +11,6 @@ import wave
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from itertools import accumulate
 from pathlib import Path
 from typing import IO, Any, ClassVar
 from zipfile import ZIP_STORED
@@ -568,8 +567,12 @@ def write_sound(file: IO[bytes], parts: Sequence[tuple[Array, float]], *, turns:
 
 def _without_slow(values: Array, period: float) -> Array:
     """Return values (N,) through a high-pass of first order, which starts at rest."""
-    kept, changes = float(np.exp(-2.0 * np.pi * _LOWEST * period)), np.diff(values, prepend=values[:1]).tolist()
-    return np.array([*accumulate(changes, lambda state, change: kept * (state + change), initial=0.0)][1:])
+    kept, state = float(np.exp(-2.0 * np.pi * _LOWEST * period)), 0.0
+    out = []
+    for change in np.diff(values, prepend=values[:1]).tolist():
+        state = kept * (state + change)
+        out.append(state)
+    return np.array(out)
 
 
 EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {

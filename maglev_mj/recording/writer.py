@@ -1,8 +1,8 @@
 """Recording files of runs: arrays at the end, or MCAP meanwhile by another process.
 
-That process outlives the recording one, even if that is killed. Rows pass through a ring buffer.
-Messages pass through a pipe, and their number through the ring: a row is not logged before those sent ahead of it. The
-writer ends with the pipe: the recording was closed, or the recording process has ended.
+That process outlives the recording one, even if that is killed. Rows pass through a ring buffer. Messages pass through
+a pipe, and their number through the ring: a row is not logged before those sent ahead of it. The writer ends with the
+pipe: the recording was closed, or the recording process has ended.
 """
 
 from __future__ import annotations
