@@ -11,7 +11,7 @@ BEFORE := 65016d1# revision that benchmarks compare with
 
 SCENES := joystick drop press table box corner
 
-.PHONY: demo test kernels floors studies bench pictures check lint types wheel firmware docs linkcheck clean
+.PHONY: demo test test-machine kernels floors studies bench pictures check lint types wheel firmware docs linkcheck clean
 
 demo: $(DEMO)  ## drop the flotor: a summary here, pictures in figures/
 	@echo 'A flotor falls on a wall at 100 phases of the sampler, with and without pulse:'
@@ -28,8 +28,12 @@ demo: $(DEMO)  ## drop the flotor: a summary here, pictures in figures/
 	  '  $(BIN)/maglev-mj drop --help                height, gains, rate, delay'
 
 # tests start programs over and over, which compile the package each time where byte code is not kept
-test: $(READY)  ## run all tests, one worker more than there are cores
-	env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest -n auto --dist loadgroup $(PYTEST)
+PYTESTS := env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest
+test: $(READY)  ## run the tests that are logic, one worker per core
+	$(PYTESTS) -n logical --dist loadgroup $(PYTEST)
+
+test-machine: $(READY)  ## run the tests with processes, sockets, clocks, windows, a browser and a board, one at a time
+	$(PYTESTS) -m 'machine and not study' --durations=10 $(PYTEST)
 
 # numbers must not hang on the processor: OpenBLAS takes the kernel that it is told
 KERNELS := Prescott Nehalem Sandybridge Haswell SkylakeX
@@ -42,7 +46,7 @@ kernels: $(READY)  ## run the numeric tests once under each kernel of OpenBLAS t
 	  case "$$(OPENBLAS_VERBOSE=2 $(BIN)/python -c '$(PROBE)' 2>&1 || echo died)" in \
 	    *died*|*"not found"*) echo "$$kernel: left out, this processor cannot run it"; continue;; esac; \
 	  echo "$$kernel:"; \
-	  $(BIN)/python -m pytest -n auto --dist loadgroup $(NUMERIC) || failed="$$failed $$kernel"; \
+	  $(BIN)/python -m pytest -n logical --dist loadgroup $(NUMERIC) || failed="$$failed $$kernel"; \
 	done; [ -z "$$failed" ] || { echo "other numbers under$$failed"; exit 1; }
 
 FLOORS := build/floors
@@ -58,10 +62,10 @@ floors:  ## install the lowest versions that pyproject.toml allows; run the READ
 	$(FLOORS)/bin/python -m pip --disable-pip-version-check install --quiet --constraint $(FLOORS)/lowest.txt --editable '.[dev]'
 	$(FLOORS)/bin/maglev-mj drop --out $(FLOORS)/figures --record $(FLOORS)/drop.mcap
 	$(FLOORS)/bin/maglev-mj analyse $(FLOORS)/drop.mcap
-	$(FLOORS)/bin/python -m pytest -W ignore::DeprecationWarning -n auto --dist loadgroup $(TRIED)
+	$(FLOORS)/bin/python -m pytest -W ignore::DeprecationWarning -n logical --dist loadgroup $(TRIED)
 
 studies: $(READY)  ## run the sweeps behind the published figures in full: minutes to an hour
-	$(BIN)/python -m pytest -n auto --dist loadgroup -m study
+	$(BIN)/python -m pytest -n logical --dist loadgroup -m study
 
 bench: $(PEERS)  ## all benchmarks, before against after, with others' simulators: ten minutes, figures/bench.json
 	$(BIN)/python scripts/benchmarks/bench.py --before $(BEFORE) --out figures

@@ -1,4 +1,4 @@
-"""Settings of the tests' workers, and what some tests need beside Python packages."""
+"""Settings of the tests: what needs the machine, what each test may cost, and what some need beside Python packages."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from ctypes.util import find_library
 from functools import cache
 from pathlib import Path
@@ -75,10 +76,17 @@ NEEDS = {
     "spnav": Need("libspnav", lambda: _has_header("spnav.h") and _has_header("X11/Xlib.h"), "libspnav-dev libx11-dev"),
     "linux": Need("Linux", lambda: sys.platform == "linux"),
     "pty": Need("pseudo-terminals", lambda: hasattr(os, "openpty")),
-    "workers": Need("several workers, -n", lambda: "PYTEST_XDIST_WORKER" in os.environ),
 }
+"""Needs of tests. One that takes a Debian package makes them tests of the machine."""
+
 PEERS = {"bdsim", "control", "drake", "mujoco", "pinocchio", "pybullet", "rerun", "scipy", "xarray"}
-"""Others' programs, which `make test` does not install."""
+"""Other projects' packages, which `make test` does not install."""
+
+LIMIT, SHARED = 2.0, 5.0
+"""Processor time allowed for one test and for the fixtures set up before it [s], on the reference machine."""
+
+REFERENCE = 0.10
+"""Processor time of the loop in `_slowness` on the reference machine [s]."""
 
 
 @cache
@@ -90,8 +98,20 @@ def _lacks(need: str) -> str:
     return "" if NEEDS[need].there() else f"needs {NEEDS[need].name}"
 
 
-_LINES = pytest.StashKey[Path | None]()
-"""File through which the first worker tells what is missing; None in others."""
+def _needs(item: pytest.Item) -> set[str]:
+    return {name for mark in item.iter_markers("needs") for name in mark.args}
+
+
+def _marked(item: pytest.Item, *names: str) -> bool:
+    return any(item.get_closest_marker(name) for name in names)
+
+
+def _packages(needs: Sequence[Need]) -> str:
+    return " ".join(dict.fromkeys(" ".join(need.packages for need in needs).split()))
+
+
+_LEFT = pytest.StashKey[int]()
+"""Number of deselected tests that need the machine."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -100,60 +120,76 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Declare the marker, and a file through which workers tell."""
+    """Declare the marker of needs."""
     config.addinivalue_line("markers", f"needs(name): skipped without it, of {', '.join([*NEEDS, *sorted(PEERS)])}")
-    known = getattr(config, "workerinput", {"lines": ""}).get("lines")
-    config.stash[_LINES] = None if known is None else Path(known or tempfile.mkstemp()[1])
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are deselected by their markers
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark tests that need a Debian package as tests of the machine."""
+    for item in items:
+        if any(NEEDS[name].packages for name in _needs(item) & NEEDS.keys()):
+            item.add_marker("machine")
+
+
+def pytest_deselected(items: Sequence[pytest.Item]) -> None:
+    """Count the tests that only `make test-machine` runs."""
+    left = sum(_marked(item, "machine") and not _marked(item, "study") for item in items)
+    config = items[0].config
+    config.stash[_LEFT] = left
+    if hasattr(config, "workeroutput"):
+        config.workeroutput["left"] = left
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_configure_node(node: Any) -> None:
-    """Hand the first worker the file."""
-    if node.gateway.id == "gw0":
-        node.workerinput["lines"] = str(node.config.stash[_LINES])
+def pytest_testnodedown(node: Any) -> None:
+    """Take over the count of a worker."""
+    node.config.stash[_LEFT] = getattr(node, "workeroutput", {}).get("left", 0)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip tests that lack a need."""
-    for item in items:
-        if lacking := sorted(filter(None, map(_lacks, _needs(item)))):
-            item.add_marker(pytest.mark.skip(reason="; ".join(lacking)))
-
-
-def _needs(item: pytest.Item) -> set[str]:
-    return {name for mark in item.iter_markers("needs") for name in mark.args}
-
-
-@pytest.hookimpl(tryfirst=True)  # before a worker says that it has collected
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Say what is missing, and exclude tests and modules from garbage collection."""
-    lacked = {name for item in session.items for name in _needs(item) - PEERS if _lacks(name)}
-    file = session.config.stash[_LINES]
-    if lacked and file is not None:
-        count = sum(bool(_needs(item) & lacked) for item in session.items)
-        packages = " ".join(dict.fromkeys(" ".join(NEEDS[name].packages for name in NEEDS if name in lacked).split()))
-        names = ", ".join(NEEDS[name].name for name in NEEDS if name in lacked)
-        brought = f"to run them too: apt install {packages}\n" if packages else ""
-        file.write_text(f"missing here: {names}; {count} tests are left out\n{brought}")
-    if not hasattr(session.config, "workerinput"):
-        _say(session.config)
+    """Exclude tests and modules from garbage collection."""
     gc.enable()
     gc.freeze()
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_node_collection_finished(node: Any) -> None:
-    """Say what is missing before the first test."""
-    if node.gateway.id == "gw0":
-        _say(node.config)
+def _used() -> float:
+    """Return the processor time of this process and of its ended children [s]."""
+    return sum(os.times()[:4])
 
 
-def _say(config: pytest.Config) -> None:
-    file, reporter = config.stash[_LINES], config.pluginmanager.get_plugin("terminalreporter")
-    if reporter is not None and file is not None and file.exists():
-        for line in file.read_text().splitlines():
-            reporter.write_line(line)
-        file.unlink()
+def _slowness() -> float:
+    """Return how much slower this machine is at the moment than the reference, 1 to 3."""
+    begun = time.process_time()
+    sum(index * index % 7 for index in range(1_000_000))
+    return min(max((time.process_time() - begun) / REFERENCE, 1.0), 3.0)
+
+
+def _check_cost(item: pytest.Item, begun: float, limit: float) -> None:
+    """Fail a test of `make test` that has used more processor time than allowed since `begun`."""
+    used = _used() - begun
+    if used > limit and not _marked(item, "study", "machine") and used > (limit := limit * _slowness()):
+        reason = f"{used:.1f} s of processor time, limit {limit:.1f} s: thin it, share its fixture or mark it study"
+        pytest.fail(reason, pytrace=False)
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> Generator[None, None, None]:
+    """Skip a test that lacks a need; fail one whose fixtures use too much processor time."""
+    if lacking := sorted(filter(None, map(_lacks, _needs(item)))):
+        pytest.skip("; ".join(lacking))
+    begun = _used()
+    yield
+    _check_cost(item, begun, SHARED)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Generator[None, None, None]:
+    """Fail a test that uses too much processor time."""
+    begun = _used()
+    yield
+    _check_cost(item, begun, LIMIT)
 
 
 def _skipped(config: pytest.Config) -> Counter[str]:
@@ -164,9 +200,13 @@ def _skipped(config: pytest.Config) -> Counter[str]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Name the skipped tests by reason, the most frequent first."""
-    for reason, count in sorted(_skipped(config).items(), key=lambda one: (-one[1], one[0])):
+    """Name the skipped tests by reason, the most frequent first, and the packages that they miss."""
+    skipped = _skipped(config)
+    for reason, count in sorted(skipped.items(), key=lambda row: (-row[1], row[0])):
         terminalreporter.write_line(f"{count:4} skipped: {reason}")
+    reasons = "; ".join(skipped).split("; ")
+    if missing := [need for need in NEEDS.values() if need.packages and f"needs {need.name}" in reasons]:
+        terminalreporter.write_line(f"to run them too: apt install {_packages(missing)}")
 
 
 @pytest.hookimpl(trylast=True)
@@ -177,12 +217,14 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Return one worker more than there are cores.
-
-    Tests in real time mostly wait.
-    """
-    return (os.cpu_count() or 1) + 1
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Name the tests that were left out, on the last line."""
+    reporter = config.pluginmanager.get_plugin("terminalreporter")
+    if (left := config.stash.get(_LEFT, 0)) and reporter is not None and not hasattr(config, "workerinput"):
+        reporter.write_line(
+            f"{left} more tests need the machine (processes, sockets, a window, a browser, an emulated board): "
+            f"make test-machine. On Debian they need: apt install {_packages([*NEEDS.values()])}"
+        )
 
 
 @pytest.fixture(scope="session", autouse=True)
