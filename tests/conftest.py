@@ -149,7 +149,10 @@ def pytest_testnodedown(node: Any) -> None:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Exclude tests and modules from garbage collection."""
+    """Skip tests that lack a need, and exclude tests and modules from garbage collection."""
+    for item in session.items:  # those that are not deselected: asking for a compiler takes a while
+        if lacking := sorted(filter(None, map(_lacks, _needs(item)))):
+            item.add_marker(pytest.mark.skip(reason="; ".join(lacking)))
     gc.enable()
     gc.freeze()
 
@@ -174,11 +177,9 @@ def _check_cost(item: pytest.Item, begun: float, limit: float) -> None:
         pytest.fail(reason, pytrace=False)
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
+@pytest.hookimpl(wrapper=True)
 def pytest_runtest_setup(item: pytest.Item) -> Generator[None, None, None]:
-    """Skip a test that lacks a need; fail one whose fixtures use too much processor time."""
-    if lacking := sorted(filter(None, map(_lacks, _needs(item)))):
-        pytest.skip("; ".join(lacking))
+    """Fail a test whose fixtures use too much processor time."""
     begun = _used()
     yield
     _check_cost(item, begun, SHARED)

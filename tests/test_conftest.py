@@ -1,4 +1,4 @@
-"""The settings of the tests themselves: what is said of tests that lack something."""
+"""The settings of the tests themselves: what is skipped, left out and too expensive."""
 
 import subprocess
 import sys
@@ -12,7 +12,7 @@ TESTS = """
 import pytest
 
 @pytest.mark.needs("xdotool")
-@pytest.mark.parametrize("number", range(1000))
+@pytest.mark.parametrize("number", range(3))
 def test_keys(number):
     pass
 
@@ -24,39 +24,98 @@ def test_page():
 def test_peer():
     pass
 
+@pytest.mark.machine
+def test_flight():
+    pass
+
+@pytest.mark.machine
+@pytest.mark.study
+def test_many_flights():
+    pass
+
 def test_rest():
     pass
 """
+BURNERS = """
+import subprocess, sys, time
+import pytest
+
+BURN = "import time\\nwhile time.process_time() < 0.3: pass"
+
+def burn(start=0.0):
+    end = time.process_time() + 0.3
+    while time.process_time() < end: pass
+
+@pytest.fixture(scope="module")
+def dear():
+    burn()
+
+def test_burns(): burn()
+def test_child_burns(): subprocess.run([sys.executable, "-c", BURN])
+def test_fixture_burns(dear): pass
+def test_fixture_is_shared(dear): pass
+def test_sleeps(): time.sleep(0.5)
+@pytest.mark.study
+def test_study_burns(): burn()
+@pytest.mark.machine
+def test_machine_burns(): burn()
+"""
+ALL_PACKAGES = (
+    "libosmesa6 xvfb libgl1 xdotool chromium gcc libc6-dev gcc-arm-none-eabi qemu-system-arm libspnav-dev libx11-dev"
+)
+SUITE, MACHINE = ("-m", "not study and not machine"), ("-m", "machine and not study")
 
 
-def run(folder: Path, *options: str) -> tuple[int, list[str]]:
-    """Run the tests where no program is found."""
-    (folder / "conftest.py").write_text(Path(conftest.__file__).read_text())
-    (folder / "test_some.py").write_text(TESTS)
+def run(folder: Path, *options: str, tests: str = TESTS, limit: str = "LIMIT, SHARED = 2.0, 5.0") -> tuple[int, str]:
+    """Run tests under the settings of this suite where no program is installed; return status and output."""
+    settings = Path(conftest.__file__).read_text()
+    assert "LIMIT, SHARED = 2.0, 5.0" in settings
+    (folder / "conftest.py").write_text(settings.replace("LIMIT, SHARED = 2.0, 5.0", limit))
+    (folder / "test_some.py").write_text(tests)
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *options, str(folder)],
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-W", "ignore", *options, str(folder)],
         env={"PATH": str(folder)},
         cwd=folder,
         capture_output=True,
         text=True,
         check=False,
     )
-    return done.returncode, done.stdout.splitlines()
+    return done.returncode, done.stdout
 
 
-@pytest.mark.parametrize("workers", ["0", "2"])
-def test_what_is_missing_is_said_first_and_skips_are_named_last(workers: str, tmp_path: Path) -> None:
-    status, lines = run(tmp_path, "-n", workers)
-    first = lines.index("missing here: xdotool, Chromium; 1001 tests are left out")
-    assert lines[first + 1] == "to run them too: apt install xdotool chromium"
-    assert status == 0 and first < next(row for row, line in enumerate(lines) if "s" in line and "%]" in line)
-    assert [line.strip() for line in lines[-5:-1] if "skipped:" in line] == [
-        "1000 skipped: needs xdotool",
+@pytest.mark.parametrize("workers", ["none", pytest.param("2", marks=pytest.mark.machine)])
+def test_the_last_line_names_the_tests_that_are_left_out(workers: str, tmp_path: Path) -> None:
+    """Also without pytest-xdist; studies do not count."""
+    status, out = run(tmp_path, *SUITE, *(["-p", "no:xdist"] if workers == "none" else ["-n", workers]))
+    *_, summary, last = out.splitlines()
+    assert (status == 0 and "1 passed, 1 skipped, 6 deselected" in summary) or workers == "2", out
+    assert last.startswith("5 more tests need the machine (") and last.endswith(f": apt install {ALL_PACKAGES}")
+    assert ": make test-machine. " in last
+
+
+def test_skipped_tests_are_named_by_reason_with_the_packages_that_they_need(tmp_path: Path) -> None:
+    status, out = run(tmp_path, *MACHINE, "-p", "no:xdist")
+    assert status == 0 and [line.strip() for line in out.splitlines()[-4:-1]] == [
+        "3 skipped: needs xdotool",
         "1 skipped: needs Chromium; needs xdotool",
-        "1 skipped: peer rerun is not installed",
-    ]
+        "to run them too: apt install xdotool chromium",
+    ], out
+    assert "1 passed, 4 skipped" in out.splitlines()[-1]
 
 
 def test_the_gate_fails_where_more_than_a_peer_is_skipped(tmp_path: Path) -> None:
-    assert run(tmp_path, "-n", "0", "--nothing-missing")[0] == 1
-    assert run(tmp_path, "-n", "0", "--nothing-missing", "-k", "peer or rest")[0] == 0
+    assert run(tmp_path, *MACHINE, "--nothing-missing")[0] == 1
+    assert run(tmp_path, *SUITE, "--nothing-missing")[0] == 0
+
+
+@pytest.mark.machine
+def test_a_test_that_uses_too_much_processor_time_fails(tmp_path: Path) -> None:
+    """Its child processes count, waiting does not; studies and tests of the machine have no limit."""
+    status, out = run(tmp_path, "-p", "no:xdist", "-rfE", tests=BURNERS, limit="LIMIT, SHARED = 0.05, 0.05")
+    lines = [line.split(" - ")[0] for line in out.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    assert status == 1 and sorted(line.replace("test_some.py::", "") for line in lines) == [
+        "ERROR test_fixture_burns",
+        "FAILED test_burns",
+        "FAILED test_child_burns",
+    ], out
+    assert "s of processor time, limit 0." in out and "mark it study" in out

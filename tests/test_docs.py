@@ -9,20 +9,24 @@ import re
 import shlex
 import subprocess
 import sys
+import tempfile
 import threading
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import (
     AbstractContextManager,
     ExitStack,
+    chdir,
     closing,
     contextmanager,
     nullcontext,
     redirect_stderr,
     redirect_stdout,
 )
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+from unittest.mock import patch
 
 import pytest
 
@@ -120,35 +124,66 @@ BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]]
 }
 
 
-def run_page(page: str) -> list[str]:
-    """Run the Python of a page; return its output lines.
+THINNED = {
+    "docs/howto/scene.md": {"print(measure_fidelity(scene, over=Range(phases=1, around=0.0)).level.level)": ""},
+}
+"""Replacements in the Python of expensive pages; as written they run as studies."""
 
-    Block after block in one namespace.
-    """
+FULL = ["docs/howto/compare.md"]
+"""Expensive pages that run as studies only; `tests/test_compare.py` has small cases of their calls."""
+
+
+class PageRun(NamedTuple):
+    """Output lines of a page's Python, and the names of the files that it writes."""
+
+    lines: list[str]
+    files: set[str]
+
+
+@cache
+def run_page(page: str, thinned: bool = True) -> PageRun:
+    """Run the Python of a page, block after block in one namespace and an empty folder; once per process."""
     lines: list[str] = []
     namespace: dict[str, Any] = {"__name__": page, "print": lambda *words: lines.append(" ".join(map(str, words)))}
     beside = BESIDE[page](lines) if page in BESIDE else nullcontext({})
-    with beside as replaced:
+    quick = patch("maglev_mj.studies.levels._LONG", 1e-9)  # computing times are taken once
+    with tempfile.TemporaryDirectory() as folder, chdir(folder), quick, beside as replaced:
+        write_files(page, Path())
         for before, block in code_of(page):
             code = "\n" * before + block  # a traceback tells the line of the page
-            for written, meant in replaced.items():
+            for written, meant in {**replaced, **(THINNED.get(page, {}) if thinned else {})}.items():
                 code = code.replace(written, meant)
             exec(compile(code, page, "exec", dont_inherit=True), namespace)
-    return lines
+        return PageRun(lines, {path.name for path in Path().iterdir()})
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if code_of(page)])
-def test_the_python_of_a_page_runs(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("maglev_mj.studies.levels._LONG", 1e-9)  # computing times are taken once
-    write_files(page, tmp_path)
-    lines = run_page(page)
+def shared(page: str) -> list[pytest.MarkDecorator]:
+    """Return the mark by which one worker runs all tests of a page."""
+    return [pytest.mark.xdist_group(page)]
+
+
+RUNNING = [page for page in PAGES if code_of(page)]
+
+
+def test_what_is_thinned_is_on_its_page() -> None:
+    assert all(text in text_of(page) for page, texts in THINNED.items() for text in texts)
+
+
+@pytest.mark.parametrize(
+    ("page", "thinned"),
+    [
+        *(pytest.param(page, True, marks=shared(page)) for page in RUNNING if page not in FULL),
+        *(pytest.param(page, False, marks=pytest.mark.study) for page in [*THINNED, *FULL]),
+    ],
+)
+def test_the_python_of_a_page_runs(page: str, thinned: bool) -> None:
+    lines, files = run_page(page, thinned)
     if page == "docs/explanation/drop.md":
         assert len(code_of(page)[0][1].strip().splitlines()) <= 12  # a drop in ten lines
         assert lines[0].startswith("height in mm:") and "force in N:" in lines[0]
     elif page == "docs/reference/recording.md":
         assert -2.6e-3 < float(lines[-1]) < -2.2e-3
-        assert (tmp_path / "mine.mcap").is_file()
+        assert "mine.mcap" in files
     elif page == "docs/howto/device.md":
         assert lines[0] == "1.0 kg"
         for one, other in (lines[1:3], lines[3:5]):  # both plants
@@ -287,8 +322,17 @@ def quotes(page: str) -> Iterator[tuple[int, list[str], str]]:
         yield place, [line for line in typed_in if not SHOWN.match(line)], quoted
 
 
+LONG = {("docs/howto/compare.md", 0), ("docs/tutorials/own_law.md", 5)}
+"""Quotes of commands that take several seconds: studies."""
+
 QUOTED = [
-    pytest.param(page, [*BEFORE.get((page, place), commands)], quoted, id=f"{page} {place}")
+    pytest.param(
+        page,
+        [*BEFORE.get((page, place), commands)],
+        quoted,
+        id=f"{page} {place}",
+        marks=[pytest.mark.study] if (page, place) in LONG else shared(page),
+    )
     for page in PAGES
     if page != "docs/gallery.md"  # scripts, see test_examples
     for place, commands, quoted in quotes(page)
@@ -325,7 +369,7 @@ def test_what_a_page_quotes_is_what_its_commands_print(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     write_files(page, tmp_path)
-    words = (said_by(commands) if commands else "\n".join(run_page(page))).split()
+    words = (said_by(commands) if commands else "\n".join(run_page(page).lines)).split()
     numbers, start = "milliseconds" not in quoted, 0  # of a flight, times
     for line in quoted.splitlines():
         wanted = line.split()

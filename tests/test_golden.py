@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.golden.outputs import HERE, KEYS, as_kept, cases, differences, kept, outcome, pressed
+from tests.golden.outputs import HERE, KEYS, PRESSED, as_kept, cases, differences, kept, outcome, pressed
 
 kept_once = cache(kept)
 
@@ -23,13 +23,33 @@ def check(group: str, name: str, found: Any) -> None:
     assert not lines, f"{len(lines)} differences:\n" + "\n".join(lines[:10])
 
 
-@pytest.mark.parametrize("name", cases())
+STUDIES = {"design/ranges", "design/observer", "fidelity/let-go"}
+"""Expensive cases whose code the other cases of their groups run too."""
+
+
+def case(name: str, line: str) -> Any:
+    """Return a case; those that read the files of one earlier command share a worker, which runs it once."""
+    earlier, joined, _ = line.rpartition(" && ")
+    marks = [pytest.mark.xdist_group(earlier)] if joined else []
+    return pytest.param(name, marks=[*marks, *[pytest.mark.study] * (name in STUDIES)])
+
+
+@pytest.mark.parametrize("name", [case(*item) for item in cases().items()])
 def test_a_command_says_what_it_said(name: str) -> None:
     check(name.split("/")[0], name, outcome(cases()[name]))
 
 
-def test_keys_pressed_at_random_have_the_same_effects() -> None:
-    check(KEYS, "pressed", pressed())
+def test_an_earlier_command_that_fails_is_shown_with_its_errors() -> None:
+    with pytest.raises(AssertionError, match=r"maglev-mj drop --rate 0: exit status 2\n.*argument --rate"):
+        outcome("drop --rate 0 && replay run.mcap")
+
+
+@pytest.mark.parametrize("name", PRESSED)
+def test_keys_pressed_at_random_have_the_same_effects(name: str) -> None:
+    results = pressed(name)
+    first = len(results) * PRESSED.index(name)
+    lines = differences(KEYS, kept_once(KEYS)["pressed"][first : first + len(results)], as_kept(results))
+    assert not lines, "\n".join(lines[:10])
 
 
 def test_every_case_is_kept_and_no_other() -> None:

@@ -6,6 +6,8 @@ import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, ESCAPE, GRAVITY, RESOLUTION, Spec
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,12 +37,15 @@ DEFAULTS = {
 """Device numbers that no default of that name may repeat."""
 
 
-def test_the_numbers_of_the_device_are_written_once() -> None:
+@pytest.mark.parametrize("folder", ["maglev_mj", "scripts"])
+def test_the_numbers_of_the_device_are_written_once(folder: str) -> None:
     found = []
-    for path in [*ROOT.glob("maglev_mj/**/*.py"), *ROOT.glob("scripts/**/*.py")]:
+    for path in ROOT.glob(f"{folder}/**/*.py"):
         if path.name == "spec.py" or path.parent.name == "peers":  # peers have copies on purpose
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.Constant | ast.AnnAssign | ast.FunctionDef):
+                continue
             copies = (
                 [node] if isinstance(node, ast.Constant) and type(node.value) is float and node.value in OWN else []
             )

@@ -11,6 +11,7 @@ from typing import Any
 from tests.golden.outputs import (
     HERE,
     KEYS,
+    PRESSED,
     as_kept,
     cases,
     differences,
@@ -26,7 +27,7 @@ def main() -> None:
     groups = list(dict.fromkeys(name.split("/")[0] for name in cases()))
     for group in sys.argv[1:] or [*groups, KEYS]:
         if group == KEYS:
-            found: dict[str, Any] = {"pressed": pressed()}
+            found: dict[str, Any] = {"pressed": [row for scene in PRESSED for row in pressed(scene)]}
         else:
             found = {name: outcome(line) for name, line in cases().items() if name.split("/")[0] == group}
         before = kept(group) if (HERE / "expected" / f"{group}.json.gz").exists() else {}

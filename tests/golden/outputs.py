@@ -17,6 +17,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import chdir, redirect_stderr, redirect_stdout
+from functools import cache
 from importlib.metadata import entry_points
 from importlib.resources import files as package_files
 from pathlib import Path
@@ -82,25 +83,40 @@ def outcome(line: str) -> dict[str, Any]:
 
     An argument @FILE is a file of recordings/, copied there. Of commands joined by && the last one's is returned.
     """
-    (command,) = entry_points(group="console_scripts", name="maglev-mj")
-    main, (*before, last) = command.load(), line.split(" && ")
+    *earlier, last = line.split(" && ")
     with tempfile.TemporaryDirectory() as folder, chdir(folder):
-        for other in before:
-            with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
-                assert main(other.split()) == 0
+        for other in earlier:
+            for name, data in _written_by(other).items():
+                Path(name).write_bytes(data)
         words = [_copied(word[1:]) if word.startswith("@") else word for word in last.split()]
-        given, out, err = {path.name for path in Path().iterdir()}, io.StringIO(), io.StringIO()
-        with redirect_stdout(out), redirect_stderr(err):
-            try:
-                status = main(words)
-            except SystemExit as stop:
-                status = stop.code
-        files = {path.name: content(path) for path in sorted(Path().iterdir()) if path.name not in given}
-    said = out.getvalue().replace(str(package_files("maglev_mj")), "maglev_mj").splitlines()  # no folder of a machine
-    if words[0] == "replay" and status in (0, 1) and not before:  # a recording of another machine
+        inputs = {path.name for path in Path().iterdir()}
+        status, out, err = _run(words)
+        files = {path.name: content(path) for path in sorted(Path().iterdir()) if path.name not in inputs}
+    said = out.replace(str(package_files("maglev_mj")), "maglev_mj").splitlines()  # no folder of a machine
+    if words[0] == "replay" and status in (0, 1) and not earlier:  # a recording of another machine
         status, said = "0 or 1", [one for one in said if not _EQUALITY.match(one)]
-    failed = [part for part in re.split(r"[\r\n]+", err.getvalue()) if not _PROGRESS.fullmatch(part)]
+    failed = [part for part in re.split(r"[\r\n]+", err) if not _PROGRESS.fullmatch(part)]
     return {"status": status, "stdout": said, "stderr": failed, "files": files}
+
+
+def _run(words: list[str]) -> tuple[Any, str, str]:
+    """Run a command in this process; return its status, output and errors."""
+    (command,) = entry_points(group="console_scripts", name="maglev-mj")
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        try:
+            status = command.load()(words)
+        except SystemExit as stop:
+            status = stop.code
+    return status, out.getvalue(), err.getvalue()
+
+
+@cache
+def _written_by(line: str) -> dict[str, bytes]:
+    """Return the files that a command writes, by name; each command runs once per process."""
+    with tempfile.TemporaryDirectory() as folder, chdir(folder):
+        status, _, errors = _run(line.split())
+        assert status == 0, f"maglev-mj {line}: exit status {status}\n{errors}"
+        return {path.name: path.read_bytes() for path in Path().iterdir()}
 
 
 def _copied(name: str) -> str:
@@ -146,25 +162,22 @@ def _results(record: Path) -> list[Any]:
     return sorted(found)
 
 
-def pressed(count: int = 400, seed: int = 16) -> list[dict[str, Any]]:
-    """Return results of random actions in four scenes.
+PRESSED = ("joystick", "table", "box", "corner")
+"""Scenes of the random actions."""
+
+
+def pressed(name: str, count: int = 100, seed: int = 16) -> list[dict[str, Any]]:
+    """Return results of random actions in a scene of `PRESSED`.
 
     Ticks, parameters and samples after each action.
 
     They act on a session without a window: the only use of the package besides its commands.
     """
-    made = []
-    for place, name in enumerate(("joystick", "table", "box", "corner")):
-        made += _pressed(name, count // 4, seed + place)
-    return made
-
-
-def _pressed(name: str, count: int, seed: int) -> list[dict[str, Any]]:
     from maglev_mj.plants.hand import SpringHand
     from maglev_mj.scenes import find_scene
     from maglev_mj.session import Pacer, Session
 
-    draw, paused = random.Random(seed), False
+    draw, paused = random.Random(seed + PRESSED.index(name)), False
     made: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.npz"
