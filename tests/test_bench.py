@@ -84,7 +84,10 @@ def test_a_section_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("default")
-def test_others_are_accurate_beside_every_cost() -> None:
+@pytest.mark.parametrize("clock", [False, pytest.param(True, marks=pytest.mark.study)])
+def test_others_are_accurate_beside_every_cost(clock: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not clock:
+        monkeypatch.setattr(others, "timed", lambda run: 1.0)
     found = others.measure(quick=True)
     errors, costs = found["error (m)"], found["µs a simulated ms"]
     assert len(errors) >= 5 and max(errors.values()) < 1e-9
@@ -103,25 +106,34 @@ def test_an_estimate_is_bounded_by_the_workers_and_by_what_hands_out() -> None:
     assert many["seconds"] == pytest.approx(0.5 + 100_000 / 8000.0)
 
 
-def test_pictures_are_drawn_from_the_figures_and_can_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return the pictures that are drawn."""
     from matplotlib.figure import Figure
 
-    drawn: list[Any] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    figures: list[Any] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
+    return figures
+
+
+def test_the_picture_of_growth_is_drawn_from_the_figures_and_can_be_read(drawn: list[Any], tmp_path: Path) -> None:
     row = {"start (s)": 0.5, "cells a second": 100.0}
     figures = {
         "µs a tick and device": {"exact plant": {1: 4.0, 1000: 0.03, 1_000_000: 0.02}},
         "simulated seconds a second": {"exact plant": {200: 1400.0, 20_000: 14.0}},
         "workers": {"this process": row, "1 worker": row, "2 workers": row, "missing": "no Dask cluster"},
     }
+    growth.draw(PictureFolder(tmp_path), json.loads(json.dumps(figures)))  # as read from the file: keys are text
+    assert [complaints(figure) for figure in drawn] == [[]]
+
+
+def test_the_picture_of_options_is_drawn_from_the_figures_and_can_be_read(drawn: list[Any], tmp_path: Path) -> None:
     pieces = {
         "cost over plain": {name: 300.0 / 1.5**index for index, name in enumerate(realism.PIECES)},
         "change (µm)": {name: 1e-4 * 3.0**index for index, name in enumerate(realism.PIECES)},
     }
-    pictures = PictureFolder(tmp_path)
-    growth.draw(pictures, json.loads(json.dumps(figures)))  # as read from the file: keys are text
-    realism.draw(pictures, pieces)
-    assert [complaints(figure) for figure in drawn] == [[], []]
-    assert [label.get_text() for label in drawn[1].axes[0].get_yticklabels()] == list(
+    realism.draw(PictureFolder(tmp_path), pieces)
+    assert [complaints(figure) for figure in drawn] == [[]]
+    assert [label.get_text() for label in drawn[0].axes[0].get_yticklabels()] == list(
         realism.PIECES
     )  # the cheapest on top

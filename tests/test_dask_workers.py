@@ -25,7 +25,7 @@ from maglev_mj.studies.record import Record, _read_table
 from maglev_mj.studies.sweep import Grid, run_scene_cells, sweep
 from maglev_mj.versions import versions
 
-pytestmark = pytest.mark.filterwarnings("ignore")
+pytestmark = [pytest.mark.machine, pytest.mark.filterwarnings("ignore")]
 
 ROOT = Path(__file__).resolve().parent.parent
 _PATIENCE = 60.0
@@ -86,8 +86,22 @@ class Cluster:
             yield address
 
 
+@pytest.fixture(scope="module")
+def lasting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    with made_cluster(tmp_path_factory.mktemp("dask") / "scheduler.json") as cluster:
+        yield cluster
+
+
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[Cluster]:
+def cluster(lasting: Cluster) -> Cluster:
+    """Return the scheduler of this file, without workers of the test before."""
+    wait_until(lambda: not lasting.workers(), "the workers of the test before stay")
+    return lasting
+
+
+@pytest.fixture
+def mortal(tmp_path: Path) -> Iterator[Cluster]:
+    """Yield a scheduler that a test kills."""
     with made_cluster(tmp_path / "scheduler.json") as cluster:
         yield cluster
 
@@ -199,7 +213,7 @@ def test_a_scheduler_without_workers_is_said_at_once_and_its_first_worker_does_t
 
 @pytest.mark.parametrize("command", ["sweep", pytest.param("stability", marks=pytest.mark.study)])
 def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
-    cluster: Cluster, command: str, tmp_path: Path
+    mortal: Cluster, command: str, tmp_path: Path
 ) -> None:
     # The map is asked for no record; its cells are kept where those of one that is stopped are.
     studies = {
@@ -207,22 +221,22 @@ def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
         "stability": ["stability", "--grid", "40", "--plant", "mujoco"],
     }
     pattern = {"sweep": "drop-sweep-*", "stability": "stability-cells-*"}[command]
-    arguments = [sys.executable, "-m", "maglev_mj", *studies[command], "--scheduler", cluster.address]
-    with cluster.worker():
-        before = cluster.transitions()
+    arguments = [sys.executable, "-m", "maglev_mj", *studies[command], "--scheduler", mortal.address]
+    with mortal.worker():
+        before = mortal.transitions()
         process = subprocess.Popen(
             arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path, start_new_session=True
         )
         if command == "sweep":
             wait_until(lambda: [*tmp_path.glob(f"{pattern}/cells-*")], "nothing landed")
         else:
-            wait_until(lambda: cluster.transitions() > before + 10, "nothing was handed out")
-        cluster.process.send_signal(signal.SIGKILL)
+            wait_until(lambda: mortal.transitions() > before + 10, "nothing was handed out")
+        mortal.process.send_signal(signal.SIGKILL)
         out, said = process.communicate(timeout=_PATIENCE)
     assert process.returncode == 1 and out == ""
     last = [line for line in said.splitlines() if not re.match(rf"{command}( drop)?: \d+ of \d+", line)]
     assert len(last) == 1, said
-    found = re.search(rf"the Dask scheduler at {cluster.address} is gone; (\d+) cells are in (\S+), the same", last[0])
+    found = re.search(rf"the Dask scheduler at {mortal.address} is gone; (\d+) cells are in (\S+), the same", last[0])
     (record,) = tmp_path.glob(pattern)
     assert found and found[2] == record.name
     assert sum(indices.size for indices in indices_of(record)) == int(found[1])

@@ -16,15 +16,27 @@ from maglev_mj.views.window.backend import DisplayError, drawing_library
 RENDER = "render drop --out a.png --size 160x160 --seconds 0.02"
 
 
-def say(command: str, folder: Any, word: str, **more: str) -> tuple[int, str]:
+BOTH = f"""
+import sys
+from maglev_mj.cli import main
+assert main(["drop", "--phases", "2"]) == 0
+sys.exit(main({RENDER.split()}))
+"""
+
+
+def say(command: str, folder: Any, word: str) -> tuple[int, str]:
+    return run(["-m", "maglev_mj", *command.split()], folder, word)
+
+
+def run(arguments: list[str], folder: Any, word: str, **more: str) -> tuple[int, str]:
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run(
-        [sys.executable, "-m", "maglev_mj", *command.split()],
+        [sys.executable, *arguments],
         env={**environment, "MUJOCO_GL": word, **more},
         cwd=folder,
         capture_output=True,
         text=True,
-        timeout=60.0,
+        timeout=120.0,
     )
     return done.returncode, done.stderr
 
@@ -41,7 +53,7 @@ def test_a_word_that_the_engine_does_not_know_here_is_one_line(command: str, wor
 
 
 @pytest.mark.needs("linux")
-@pytest.mark.parametrize("word", ["glfw", "glx", " GLFW"])
+@pytest.mark.parametrize("word", ["glfw", *(pytest.param(word, marks=pytest.mark.study) for word in ("glx", " GLFW"))])
 def test_a_window_library_without_a_display_is_one_line(word: str, tmp_path: Any) -> None:
     status, told = say(RENDER, tmp_path, word)
     assert status == 1 and "Traceback" not in told and "Warning" not in told
@@ -49,13 +61,12 @@ def test_a_window_library_without_a_display_is_one_line(word: str, tmp_path: Any
 
 
 @pytest.mark.needs("linux")
-@pytest.mark.parametrize("word", ["osmesa", "egl"])
+@pytest.mark.parametrize("word", ["osmesa", pytest.param("egl", marks=pytest.mark.study)])
 def test_a_chosen_library_that_is_not_here_stops_what_draws_alone(word: str, tmp_path: Any) -> None:
     """The engine loads it by itself, and would not be loaded then."""
     (tmp_path / "OpenGL.py").write_text("raise AttributeError('no library')\n")
     paths = os.pathsep.join([str(tmp_path), *sys.path])
-    assert say("drop --phases 2", tmp_path, word, PYTHONPATH=paths) == (0, "")
-    status, told = say(RENDER, tmp_path, word, PYTHONPATH=paths)
+    status, told = run(["-c", BOTH], tmp_path, word, PYTHONPATH=paths)
     assert (status, told.count("\n")) == (1, 1), told
     assert told.startswith(f"maglev-mj render: pictures by {word} need on Debian `apt install lib"), told
 
@@ -66,7 +77,7 @@ def test_drawing_that_is_turned_off_is_said(tmp_path: Any) -> None:
 
 
 @pytest.mark.needs("drawing")
-@pytest.mark.parametrize("word", ["", pytest.param("on", marks=pytest.mark.study), "1"])
+@pytest.mark.parametrize("word", ["", *(pytest.param(word, marks=pytest.mark.study) for word in ("on", "1"))])
 def test_the_first_that_works_draws(word: str, tmp_path: Any) -> None:
     status, told = say(RENDER, tmp_path, word)
     assert (status, told) == (0, "")

@@ -112,6 +112,7 @@ def test_control_export_agrees_with_verdict_and_simulation(run_example: RunExamp
     assert deflection == simulated
 
 
+@pytest.mark.study  # the environment has tests of its own
 def test_gym_environment_passes_its_check_and_is_learnable(run_example: RunExample) -> None:
     random, controlled, many = run_example("gym_environment")
     assert random[0] < 0.5 * controlled[0] and many[1] > 0.7 * controlled[1]
@@ -120,6 +121,7 @@ def test_gym_environment_passes_its_check_and_is_learnable(run_example: RunExamp
 # ppo.py has no test: PyTorch is too large for the gate, so linter and type checker alone read it
 
 
+@pytest.mark.machine
 @pytest.mark.filterwarnings("ignore")
 def test_own_study_brings_its_module_to_workers_that_lack_it(
     run_example: RunExample, monkeypatch: pytest.MonkeyPatch

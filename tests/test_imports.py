@@ -12,6 +12,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -20,6 +21,8 @@ import pytest
 import maglev_mj
 
 PACKAGE = Path(maglev_mj.__file__).parent
+
+together = pytest.mark.xdist_group("imports")  # so that each file is parsed once
 
 # floor of each room and loose module; a module imports only from floors below its own, and from its own room
 FLOORS = {
@@ -54,6 +57,13 @@ ALLOWED = {
 }
 
 
+@cache
+def nodes_of(path: Path) -> list[ast.Import | ast.ImportFrom]:
+    """Return the imports of a file."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+
+
 def imports() -> list[tuple[str, str, str]]:
     """Return package, file and module of every import.
 
@@ -63,10 +73,10 @@ def imports() -> list[tuple[str, str, str]]:
     for path in PACKAGE.rglob("*.py"):
         parts = path.relative_to(PACKAGE).with_suffix("").parts
         room = parts[0]
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes_of(path):
             if isinstance(node, ast.Import):
                 found += [(room, path.name, alias.name) for alias in node.names]
-            elif isinstance(node, ast.ImportFrom):
+            else:
                 assert node.level == 0, f"{path.name} imports relatively"
                 module = node.module or ""
                 if module == "maglev_mj":
@@ -81,6 +91,7 @@ def test_every_module_has_a_floor() -> None:
     assert rooms - {"__init__", "__main__"} == set(FLOORS)
 
 
+@together
 def test_imports_point_down() -> None:
     wrong = []
     for room, file, module in imports():
@@ -109,11 +120,12 @@ def circles(graph: dict[str, set[str]]) -> set[str]:
     return {one for one in graph if one in reached[one]}
 
 
+@together
 def test_no_imports_go_in_a_circle() -> None:
     named = modules()
     graph = {}
     for name, path in named.items():
-        nodes = [node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+        nodes = nodes_of(path)
         froms = [
             (node.module or "", one.name) for node in nodes if isinstance(node, ast.ImportFrom) for one in node.names
         ]
@@ -124,6 +136,7 @@ def test_no_imports_go_in_a_circle() -> None:
     assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == {"a", "b", "c"}
 
 
+@together
 def test_heavy_packages_stay_in_their_rooms() -> None:
     wrong = [
         f"{room} ({file}) imports {module}"
@@ -175,7 +188,7 @@ UNUSED = [f"maglev_mj.{name}" for name in "recording session studies bridge anal
     ("words", "absent"),
     [
         ("--help", LIGHT),
-        ("estop udp://127.0.0.1:9", ["mujoco", "glfw"]),
+        pytest.param("estop udp://127.0.0.1:9", ["mujoco", "glfw"], marks=pytest.mark.machine),  # waits for an answer
         ("drop", [*OTHERS, *UNUSED, "maglev_mj.theory.design", "maglev_mj.control.laws.friction"]),
     ],
 )

@@ -125,9 +125,10 @@ def test_a_request_is_checked_at_the_delay_and_with_the_flotor_that_are_measured
         assert isinstance(found, Drop if stable else UnstableLoop)
 
 
-def test_what_is_accepted_is_stable_and_what_is_legal_never_raises() -> None:
+@pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.study)])
+def test_what_is_accepted_is_stable_and_what_is_legal_never_raises(count: int) -> None:
     draw, kinds = random.Random(3), []
-    for _ in range(100):
+    for _ in range(count):
         cls = draw.choice((Joystick, Table, Box, Corner))
         present: Scene = cls(period=draw.choice((5e-3, 1e-3)), delay=draw.uniform(0.0, 5e-3))
         given: dict[str, Any] = {name: draw.random() < 0.5 for name in ("wall", "friction", "pulse", "weightless")}
@@ -138,7 +139,7 @@ def test_what_is_accepted_is_stable_and_what_is_legal_never_raises() -> None:
         found = checked(state(present), given)
         kinds.append(type(found) is cls)
         assert unstable_loop(found) is None if isinstance(found, Scene) else isinstance(found, UnstableLoop | str)
-    assert 10 < sum(kinds) < 90
+    assert 0.1 * count < sum(kinds) < 0.9 * count
 
 
 def test_one_request_at_a_time_and_the_newest_waits() -> None:
@@ -367,7 +368,7 @@ def test_one_connection_too_many_is_closed_until_another_ends(monkeypatch: pytes
         with asks(port, b"") as third:
             assert third.recv(16) == b""
         first.close()
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + 60.0
         behind.settimeout(0.1)
         while time.monotonic() < deadline:  # it takes the guard a while to see that
             with suppress(OSError):
@@ -591,10 +592,10 @@ def url(live: LiveServer) -> str:
     return f"ws://127.0.0.1:{live.port}"
 
 
-realtime = pytest.mark.xdist_group("realtime")
+machine = pytest.mark.machine
 
 
-@realtime
+@machine
 def test_every_sample_is_seen_as_it_was_recorded(live: LiveServer) -> None:
     # To a file and to programs at once, through a change of parameters; frames sixty times a second.
     kept = ArrayFile()
@@ -622,7 +623,7 @@ def test_every_sample_is_seen_as_it_was_recorded(live: LiveServer) -> None:
     assert np.ptp(stretch.position[:, 0]) > 1e-4
 
 
-@realtime
+@machine
 def test_a_call_is_answered_with_the_first_sample_under_it(live: LiveServer) -> None:
     draw, names = random.Random(1), []
     with running(live, period=0.001) as one, LiveClient(url(live), set()) as client:
@@ -637,7 +638,7 @@ def test_a_call_is_answered_with_the_first_sample_under_it(live: LiveServer) -> 
         assert one.scenes[tick].as_json()["stiffness"] == stiffness != one.scenes[tick - 1].as_json()["stiffness"]
 
 
-@realtime
+@machine
 def test_what_is_refused_changes_nothing_and_is_said_to_all(live: LiveServer) -> None:
     hand = SpringHand(target=[0.008, 0.0, 0.0, 0.0, 0.0, 0.0])  # holds it at 3.2 mm
     with (
@@ -669,7 +670,7 @@ def test_what_is_refused_changes_nothing_and_is_said_to_all(live: LiveServer) ->
         assert client.parameters() == before and one.session.snapshot().scene == one.scenes[0]
 
 
-@realtime
+@machine
 def test_parameters_are_set_as_the_app_does(live: LiveServer) -> None:
     # The answer, at once, has the values in force; subscribers hear of others when they are in force.
     with running(live), LiveClient(url(live), set()) as client, LiveClient(url(live), set()) as other:
@@ -694,7 +695,7 @@ def test_parameters_are_set_as_the_app_does(live: LiveServer) -> None:
             assert client.parameters()["stiffness"] == then
 
 
-@realtime
+@machine
 def test_a_program_that_comes_late_to_a_pause_sees_the_scene_and_sets_it(live: LiveServer) -> None:
     with running(live) as one:
         while not one.scenes:
@@ -715,7 +716,7 @@ def test_a_program_that_comes_late_to_a_pause_sees_the_scene_and_sets_it(live: L
             waited(lambda: client.parameters()["state"] == "stopped: emergency stop", 30.0)
 
 
-@realtime
+@machine
 def test_one_that_floods_takes_nothing_from_others() -> None:
     # Sets by the thousand, of every kind; another program hears every sample, and its own set is answered.
     live, over = LiveServer(0), threading.Event()  # what is left of a flood is not for another test
@@ -734,7 +735,7 @@ def test_one_that_floods_takes_nothing_from_others() -> None:
         flooding = threading.Thread(target=flood)
         flooding.start()
         try:
-            heard, end = list(client.messages(2.0)), time.monotonic() + 30.0
+            heard, end = list(client.messages(2.0)), time.monotonic() + 60.0
             while len(heard) <= 100 and time.monotonic() < end:  # a busy machine takes fewer samples
                 heard += client.messages(0.5)
         finally:
@@ -749,7 +750,7 @@ def test_one_that_floods_takes_nothing_from_others() -> None:
         assert after in ((stretch, tick + 1), (stretch + 1, 0))
 
 
-@realtime
+@machine
 def test_pages_of_other_sites_are_refused_and_the_app_is_served(live: LiveServer) -> None:
     known = [Subprotocol("foxglove.sdk.v1")]
     with pytest.raises(InvalidStatus, match="403"), connect(url(live), origin=Origin(EVIL[0]), subprotocols=known):
@@ -758,7 +759,7 @@ def test_pages_of_other_sites_are_refused_and_the_app_is_served(live: LiveServer
         assert json.loads(line.recv(5.0))["op"] == "serverInfo"
 
 
-@realtime
+@machine
 @pytest.mark.needs("linux")
 def test_the_server_behind_the_guard_is_nowhere_that_a_page_could_find(live: LiveServer) -> None:
     process = Path(f"/proc/{live._process._process.pid}/fd")
@@ -772,7 +773,7 @@ def test_the_server_behind_the_guard_is_nowhere_that_a_page_could_find(live: Liv
     assert os.getpriority(os.PRIO_PROCESS, live._process._process.pid or 0) == min(os.nice(0) + NICE, 19)
 
 
-@realtime
+@machine
 def test_a_port_is_had_once_and_again_at_once() -> None:
     # It closes with programs there, one of which waits for an answer.
     with closing(LiveServer(0)) as first:
@@ -804,7 +805,7 @@ def test_a_port_is_had_once_and_again_at_once() -> None:
             LiveServer(port)  # type: ignore[arg-type]
 
 
-@realtime
+@machine
 @pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGSTOP])
 def test_a_scene_goes_on_where_the_process_of_its_server_does_not(end: signal.Signals) -> None:
     with closing(LiveServer(0)) as server, running(server) as one:
@@ -839,7 +840,7 @@ class Odd(Scene):
 """
 
 
-@realtime
+@machine
 def test_a_check_that_dies_or_does_not_end_is_given_up(
     live: LiveServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -917,7 +918,7 @@ def test_why_the_process_does_not_start_is_said(monkeypatch: pytest.MonkeyPatch)
         LiveServer(0)
 
 
-@realtime
+@machine
 def test_a_server_in_a_script_without_a_guard_is_one_line(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(
@@ -928,7 +929,7 @@ def test_a_server_in_a_script_without_a_guard_is_one_line(tmp_path: Path) -> Non
     assert done.stdout.splitlines()[-1].endswith('a script that opens one needs `if __name__ == "__main__":`')
 
 
-@realtime
+@machine
 def test_no_process_is_left_where_the_program_is_killed() -> None:
     code = """if __name__ == "__main__":
     import time
@@ -940,7 +941,7 @@ def test_no_process_is_left_where_the_program_is_killed() -> None:
         assert program.stdout is not None
         own = int(program.stdout.readline())
         program.kill()
-        deadline = time.monotonic() + 30.0
+        deadline = time.monotonic() + 60.0
         while time.monotonic() < deadline:
             try:
                 if "Z" in Path(f"/proc/{own}/stat").read_text().split()[2]:
@@ -1011,7 +1012,7 @@ def test_without_its_package_it_says_which(monkeypatch: pytest.MonkeyPatch) -> N
         LiveServer(0)
 
 
-@realtime
+@machine
 def test_the_example_watches_and_sets(live: LiveServer) -> None:
     command = [sys.executable, str(Path(__file__).parent.parent / "scripts" / "examples" / "live_client.py")]
     with running(live):

@@ -105,10 +105,12 @@ def run_without_the_file(file: Path, workers: Workers) -> None:
     assert run_cells(partial(run_scene_cells, text=text), cells, workers=workers, together=2) == here
 
 
-def test_two_processes_run_a_scene_whose_file_is_gone(file: Path) -> None:
-    run_without_the_file(file, local_workers(2))
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.machine)])
+def test_processes_run_a_scene_whose_file_is_gone(count: int, file: Path) -> None:
+    run_without_the_file(file, local_workers(count))
 
 
+@pytest.mark.machine
 @pytest.mark.filterwarnings("ignore")
 def test_a_cluster_runs_a_scene_whose_file_it_never_had(file: Path) -> None:
     import distributed
@@ -117,10 +119,11 @@ def test_a_cluster_runs_a_scene_whose_file_it_never_had(file: Path) -> None:
         run_without_the_file(file, dask_workers(cluster.scheduler_address))
 
 
-def test_the_command_sweeps_a_file_on_two_processes(file: Path, monkeypatch: Any, capsys: Any) -> None:
+@pytest.mark.parametrize("count", ["1", pytest.param("2", marks=pytest.mark.machine)])
+def test_the_command_sweeps_a_file_on_processes(file: Path, count: str, monkeypatch: Any, capsys: Any) -> None:
     monkeypatch.chdir(file.parent)
     command = ["sweep", "magnet.py", "--vary", "stiffness=500,1000", "--set", "damping=20", "--set", "plant=exact"]
-    assert main([*command, "--workers", "2", "--json", "all.json"]) == 0
+    assert main([*command, "--workers", count, "--json", "all.json"]) == 0
     said = capsys.readouterr().out
     assert "Sweep of magnet over stiffness (2): 2 cells\n" in said
     assert "\n  0 of them already in magnet-sweep-" in said
@@ -141,7 +144,7 @@ def test_the_help_lists_the_parameters_of_the_scene(file: Path, capsys: pytest.C
     ("further", "words"),
     [
         ("+ 1 / 0", "ZeroDivisionError: division by zero"),
-        ("+ missing", "NameError: name 'missing' is not defined"),
+        pytest.param("+ missing", "NameError: name 'missing' is not defined", marks=pytest.mark.study),
     ],
 )
 def test_an_error_of_ones_own_code_is_the_result_of_its_cell(file: Path, further: str, words: str) -> None:

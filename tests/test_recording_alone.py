@@ -176,15 +176,13 @@ def test_every_law_and_estimate_of_the_package_is_in_the_product() -> None:
     assert there - {Law, AxisLaw, Friction, VelocityEstimator} == used | {Bias}
 
 
-SOME = ("Wall", "PassivityController", "StickSlip")
-
-
 @pytest.mark.parametrize(
     ("plant", "suffix", "names"),
     [
-        ("exact", ".mcap", tuple(LAWS)),
-        ("mujoco", ".npz", SOME),
-        *((f"{plant}, with options", ".mcap", SOME) for plant in ("exact", "mujoco")),
+        ("exact", ".npz", tuple(LAWS)),
+        ("mujoco", ".mcap", ("StickSlip",)),
+        ("exact, with options", ".npz", ("Wall",)),
+        ("mujoco, with options", ".npz", ("PassivityController",)),
         # laws do not depend on plants, and setups are written alike in both files
         *(
             pytest.param(plant, suffix, tuple(LAWS), marks=pytest.mark.study)
@@ -234,8 +232,11 @@ def other(name: Any, old: Any) -> Any:
     return old + 1 if name in COUNTS else old * (1e5 if name in THRESHOLDS else 1.07)
 
 
-def unseen(plant: str, names: list[str], part: str, every: bool = True) -> tuple[list[str], int]:
-    """Return undetected changes of a setup's values, and the number tried."""
+def unseen(plant: str, names: list[str], part: str, every: int) -> tuple[list[str], int]:
+    """Return undetected changes of a setup's values, and the number tried.
+
+    Of one number of each n-th field; of all numbers for n = 0.
+    """
     file, missed, tried = ArrayFile(), [], 0
     for law in names:
         made, controller = PLANTS[plant](), controller_of(law)
@@ -247,7 +248,9 @@ def unseen(plant: str, names: list[str], part: str, every: bool = True) -> tuple
             if other(place[-1], at(stretch.setup[part], place)) != at(stretch.setup[part], place)
         ]
         for place in (
-            places if every else some_of(places, lambda place: str(place[: -isinstance(place[-1], int) or None]), 0)
+            some_of(places, lambda place: str(place[: -isinstance(place[-1], int) or None]), 0)[::every]
+            if every
+            else places
         ):
             new = other(place[-1], at(stretch.setup[part], place))
             setup = deepcopy(dict(stretch.setup))
@@ -269,23 +272,24 @@ A guided hand has mass and damping by the plant's `hand`.
 """
 
 
-def test_a_changed_gain_is_found() -> None:
-    missed, tried = unseen("exact", list(LAWS), "controller")
-    assert tried > 100 and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
+@pytest.mark.parametrize(("every", "least"), [(3, 30), pytest.param(0, 100, marks=pytest.mark.study)])
+def test_a_changed_gain_is_found(every: int, least: int) -> None:
+    missed, tried = unseen("exact", list(LAWS), "controller", every)
+    assert tried > least and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
 
 
 @pytest.mark.parametrize(
-    ("plant", "every"),
+    ("plant", "every", "least"),
     [
-        ("exact", True),
-        ("mujoco", True),
-        ("mujoco, with options", False),
-        *(pytest.param(f"{plant}, with options", True, marks=pytest.mark.study) for plant in ("exact", "mujoco")),
+        ("exact", 0, 5),
+        ("mujoco", 0, 5),
+        ("mujoco, with options", 7, 2),
+        *(pytest.param(f"{plant}, with options", 0, 5, marks=pytest.mark.study) for plant in ("exact", "mujoco")),
     ],
 )
-def test_a_changed_option_of_a_plant_is_found(plant: str, every: bool) -> None:
+def test_a_changed_option_of_a_plant_is_found(plant: str, every: int, least: int) -> None:
     missed, tried = unseen(plant, ["Hold"], "plant", every)
-    assert tried > 5 and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
+    assert tried > least and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
 
 
 # laws of a user's own
@@ -334,13 +338,25 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def run_script(folder: Path, name: str, stretches: int = 1) -> None:
     """Record by a script with a law of its own, which leaves a mark when executed."""
-    (folder / "script.py").write_text(SCRIPT.replace("SQUARE", "4.0").replace("STRETCHES", str(stretches)))
-    subprocess.run([sys.executable, "script.py", name], cwd=folder, check=True)
-    for mark in ("executed", "law executed"):
-        (folder / mark).unlink()
+    text = SCRIPT.replace("SQUARE", "4.0").replace("STRETCHES", str(stretches))
+    (folder / "script.py").write_text(text)
+    (folder / name).write_bytes(run_of(text, name))
 
 
-@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+@cache
+def run_of(text: str, name: str) -> bytes:
+    """Return the recording of a script."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        (folder / "script.py").write_text(text)
+        subprocess.run([sys.executable, "script.py", name], cwd=folder, check=True)
+        assert {path.name for path in folder.glob("*executed")} == {"executed", "law executed"}
+        return (folder / name).read_bytes()
+
+
+@pytest.mark.parametrize("suffix", [pytest.param(".mcap", marks=pytest.mark.study), ".npz"])
 def test_a_law_of_one_s_own_is_executed_only_by_leave(suffix: str, folder: Path, say: Any) -> None:
     name = f"run{suffix}"
     run_script(folder, name)
@@ -492,7 +508,7 @@ HOSTILE: Mapping[str, Change] = {
     "a window without end": told("controller", "velocity", value={"class": "Window", "samples": 10**9}),
     "an own estimate": told("controller", "velocity", value={"class": f"a.py:B@{DIGEST}"}),
     "a thousand laws": told("controller", "laws", value=[{"class": "Bias", "wrench": [0.0] * 6}] * 1000),
-    "a long list": told("plant", "pose", value=[0.0] * 200_000),
+    "a long list": told("plant", "pose", value=[0.0] * 100_001),
     "lists without end": told("plant", "pose", value=nested(500)),
     "laws without end": told("controller", "laws", value=nested(500)),
     "laws that are numbers": told("controller", "laws", value=[1.0, 2.0]),
@@ -616,8 +632,9 @@ def test_other_code_with_the_same_answers_is_shown_with_a_note(
 ) -> None:
     path = RECORDED[kind](folder)
     difference = of_other_code(monkeypatch, path)
+    monkeypatch.setattr("maglev_mj.cli.recordings._COMPARED", 1000)  # fewer than some of them have
     status, said, wrong = say("replay", str(path))
-    most = 10_000 // len(Recording.load(path).stretches)
+    most = 1000 // len(Recording.load(path).stretches)
     assert (status, wrong, len(shown)) == (0, "", 1)
     assert f"recorded by other code ({difference}); the first {most} answers of each stretch are the same" in unwrapped(
         said
@@ -663,7 +680,7 @@ def of_script(folder: Path) -> Path:
 
 
 def of_scene(folder: Path) -> Path:
-    (path,) = write_run(Path("run.npz"), find_scene("joystick")(period=0.001), plant="mujoco")
+    (path,) = write_run(Path("run.npz"), find_scene("joystick")(), plant="mujoco")
     return path
 
 

@@ -6,6 +6,7 @@ import math
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
@@ -129,6 +130,10 @@ def answers(path: Path, capsys: Any) -> list[int]:
     return found
 
 
+EVERY = {"scene": 1099, "drop": 389, "press": 389, "stick-slip": 389}
+"""Which files of the sweep are tried in the gate: those of a scene are most and dearest."""
+
+
 def sweep(kind: str, suffix: str, folder: Path, capsys: Any, every: int = 1) -> list[list[int]]:
     """Return the commands' results on every n-th file."""
     found = []
@@ -146,7 +151,7 @@ def sweep(kind: str, suffix: str, folder: Path, capsys: Any, every: int = 1) -> 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_number_that_is_none_is_refused_or_answered(kind: str, suffix: str, tmp_path: Path, capsys: Any) -> None:
     """Some of the sweep below, spread over all of it."""
-    found = sweep(kind, suffix, tmp_path, capsys, every=389)
+    found = sweep(kind, suffix, tmp_path, capsys, every=EVERY[kind])
     assert [2, 2, 2] in found and len(found) > 4
 
 
@@ -158,7 +163,7 @@ def test_every_number_that_is_none_is_refused_or_answered(kind: str, suffix: str
     assert found.count([2, 2, 2]) > 0.5 * len(found)
 
 
-@pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.study)])
+@pytest.mark.parametrize("every", [13, pytest.param(1, marks=pytest.mark.study)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_no_finite_number_is_no_number_of_a_file(kind: str, every: int, tmp_path: Path) -> None:
     # In turn for each n-th number of the messages in JSON: of each stretch, and of each event.
@@ -330,12 +335,11 @@ def test_a_bit_that_differs_in_any_field_is_found_and_named(kind: str, every: bo
     starts = [row for row, (topic, _) in enumerate(messages) if topic == "/maglev/stretch"]
     whole, tried = check(made(kind, ".mcap"), tmp_path, ".mcap"), set()
     assert whole.same and not whole.damage
-    for row in (starts[-1], samples[0], samples[-1]):
+    for row, turn in ((starts[-1], slice(None)), (samples[0], slice(0, None, 2)), (samples[-1], slice(1, None, 2))):
         message = messages[row][1]
         places = [*numbers_in({name: part for name, part in message.items() if name != "setup"})]
-        for place in (
-            places if every else some_of(places, lambda place: field(place) + "normal" * ("normal" in place), row)
-        ):
+        some = some_of(places, lambda place: field(place) + "normal" * ("normal" in place), row)
+        for place in places if every else some[turn]:  # a field in the first sample, the next in the last
             value = message
             for key in place:
                 value = value[key]
@@ -476,7 +480,7 @@ def test_a_command_that_is_no_number_is_the_last_and_applied_as_zero(tmp_path: P
                 load(data, tmp_path, ".npz")
 
 
-@pytest.mark.parametrize("step", [3989, pytest.param(997, marks=pytest.mark.study)])
+@pytest.mark.parametrize("step", [7919, pytest.param(997, marks=pytest.mark.study)])
 def test_a_file_that_ends_anywhere_is_not_passed(step: int, tmp_path: Path, capsys: Any) -> None:
     # Only the whole one is; what is there is run again all the same.
     data, path = made("scene", ".mcap"), tmp_path / "run.mcap"
@@ -509,13 +513,10 @@ def test_missed_samples_of_an_event_are_counted(tmp_path: Path) -> None:
 
 
 PEAK = """
-import json, sys, time
+import json, sys
 from pathlib import Path
 from maglev_mj.cli import main
-found = []
-for path in sys.argv[1:]:
-    start = time.process_time()
-    found.append((main(["replay", path, "--check"]), time.process_time() - start))
+found = [main(["replay", path, "--check"]) for path in sys.argv[1:]]
 (peak,) = (line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if "VmHWM" in line)
 print(json.dumps([found, int(peak) * 1024]))
 """
@@ -531,7 +532,6 @@ def zeros(size: int) -> bytes:
     packer, block = zstandard.ZstdCompressor().compressobj(size=size), bytes(16 * MIB)
     packed = [packer.compress(block) for _ in range(size // len(block))]
     return b"".join((*packed, packer.flush()))
-    return packed
 
 
 def chunks(*parts: tuple[bytes, int], packed: str = "zstd") -> bytes:
@@ -552,7 +552,7 @@ def array_file(shape: int, *, compressed: int) -> bytes:
     empty: dict[str, Any] = {"events": [], "damage": "", "attachments": [], "about": {}}
     header = {"format": "maglev_mj recording 1", "setups": [{"kind": "drop"}], "gaps": [[]], **empty}
     file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", compressed) as archive:
+    with zipfile.ZipFile(file, "w", compressed, compresslevel=1) as archive:
         text = io.BytesIO()
         np.save(text, np.array(json.dumps(header)))
         archive.writestr("header.npy", text.getvalue())
@@ -575,35 +575,59 @@ def setups_file() -> bytes:
     return mcap_of([("/maglev/stretch", {"stretch": n, "setup": {"kind": "a", "x": junk}, **about}) for n in range(30)])
 
 
-def large_files(slow: int) -> Mapping[str, tuple[str, bytes]]:
-    """Return small files that unpack to a gigabyte, those dear to pack to `slow` bytes."""
+def large_files(slow: int) -> Mapping[str, tuple[str, Callable[[], bytes]]]:
+    """Return makers of small files that unpack to a gigabyte, those dear to pack to `slow` bytes."""
     import zstandard
     from lz4.frame import compress  # type: ignore[import-untyped]
 
     record = struct.pack("<BQHIQQ", 5, 60 * MIB + 22, 1, 0, 0, 0) + bytes(60 * MIB)
-    large, part = zeros(LARGE), zeros(64 * MIB)
+    part = zeros(64 * MIB)
     inner = chunks(*[(part, 64 * MIB)] * 4)[8:]
     return {
-        "a chunk of a gigabyte": (".mcap", chunks((large, LARGE))),
-        "a chunk that says it is small": (".mcap", chunks((large, 1000))),
-        "many chunks as large as may be": (".mcap", chunks(*[(part, 64 * MIB)] * 16)),
-        "many large messages": (".mcap", chunks(*[(zstandard.compress(record), len(record))] * 16)),
-        "lz4": (".mcap", chunks((compress(bytes(slow)), slow), packed="lz4")),
-        "lz4 that says it is small": (".mcap", chunks((compress(bytes(slow)), 1000), packed="lz4")),
-        "chunks in a chunk": (".mcap", chunks((zstandard.compress(inner), len(inner)))),
-        "large setups": (".mcap", setups_file()),
-        "a large array": (".npz", array_file(slow // 8, compressed=zipfile.ZIP_DEFLATED)),
-        "an array that is not there": (".npz", array_file(LARGE, compressed=zipfile.ZIP_STORED)),
+        "a chunk of a gigabyte": (".mcap", lambda: chunks((zeros(LARGE), LARGE))),
+        "a chunk that says it is small": (".mcap", lambda: chunks((zeros(LARGE), 1000))),
+        "many chunks as large as may be": (".mcap", lambda: chunks(*[(part, 64 * MIB)] * 16)),
+        "many large messages": (".mcap", lambda: chunks(*[(zstandard.compress(record), len(record))] * 16)),
+        "lz4": (".mcap", lambda: chunks((compress(bytes(slow)), slow), packed="lz4")),
+        "lz4 that says it is small": (".mcap", lambda: chunks((compress(bytes(slow)), 1000), packed="lz4")),
+        "chunks in a chunk": (".mcap", lambda: chunks((zstandard.compress(inner), len(inner)))),
+        "large setups": (".mcap", setups_file),
+        "a large array": (".npz", lambda: array_file(slow // 8, compressed=zipfile.ZIP_DEFLATED)),
+        "an array that is not there": (".npz", lambda: array_file(LARGE, compressed=zipfile.ZIP_STORED)),
     }
 
 
+SOME = (
+    "a chunk that says it is small",
+    "many chunks as large as may be",
+    "lz4 that says it is small",
+    "chunks in a chunk",
+)
+
+
+@pytest.mark.parametrize("what", SOME)
+def test_what_unpacks_to_a_gigabyte_is_refused_before_it_is_unpacked(what: str, tmp_path: Path) -> None:
+    suffix, make = large_files(LARGE // 4)[what]
+    data = make()
+    tracemalloc.start()
+    try:
+        with pytest.raises(RecordingError):
+            load(data, tmp_path, suffix)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 150e6
+
+
+@pytest.mark.machine
 @pytest.mark.needs("linux")
 @pytest.mark.parametrize("slow", [LARGE // 4, pytest.param(LARGE, marks=pytest.mark.study)], ids=["quarter", "whole"])
 def test_what_unpacks_to_a_gigabyte_is_one_line_and_little_memory(slow: int, tmp_path: Path) -> None:
-    # The first is the one that took 1.1 GB and three minutes.
+    # The first is the one that took 1.1 GB.
     files = large_files(slow)
     paths = [tmp_path / f"run{place}{suffix}" for place, (suffix, _) in enumerate(files.values())]
-    for path, (_, data) in zip(paths, files.values(), strict=True):
+    for path, (_, make) in zip(paths, files.values(), strict=True):
+        data = make()
         assert len(data) < (1.2e6 if slow < LARGE else 4.8e6)
         path.write_bytes(data)
     command = [sys.executable, "-c", PEAK, *map(str, paths)]
@@ -612,8 +636,7 @@ def test_what_unpacks_to_a_gigabyte_is_one_line_and_little_memory(slow: int, tmp
     found, peak = json.loads(done.stdout)
     assert peak < 200e6
     assert len(done.stderr.splitlines()) == len(files)
-    for what, (status, used) in zip(files, found, strict=True):
-        assert status == 2 and used < 1.0, (what, used)
+    assert dict(zip(files, found, strict=True)) == dict.fromkeys(files, 2)
 
 
 def test_a_recording_of_many_samples_is_within_what_may_be_unpacked(tmp_path: Path) -> None:
@@ -624,10 +647,10 @@ def test_a_recording_of_many_samples_is_within_what_may_be_unpacked(tmp_path: Pa
     path = tmp_path / "run.mcap"
     file, plant = open_recording(path, wait=True), ExactPlant(Timing(), gravity=0.0)
     controller = Controller([], period=0.005)
-    drive(plant, controller, 5000, record=file.begin(plant, controller, {"kind": "test"}))
+    drive(plant, controller, 3000, record=file.begin(plant, controller, {"kind": "test"}))
     file.close()
     recording = Recording.load(path)
-    assert recording.ticks == 5000 and not recording.damage
+    assert recording.ticks == 3000 and not recording.damage
     header, arrays = arrays_in(made("drop", ".npz"))
     assert check(npz_of(header, arrays, compressed=True), tmp_path, ".npz").same
 

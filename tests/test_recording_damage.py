@@ -80,13 +80,16 @@ def boundaries(data: bytes) -> list[int]:
     )
 
 
-@pytest.mark.parametrize("step", [4999, pytest.param(997, marks=pytest.mark.study)])
-def test_cut_off_anywhere_it_is_read_up_to_its_last_whole_chunk(whole: bytes, step: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("all_of_them", [False, pytest.param(True, marks=pytest.mark.study)])
+def test_cut_off_anywhere_it_is_read_up_to_its_last_whole_chunk(
+    whole: bytes, all_of_them: bool, tmp_path: Path
+) -> None:
     # At every end of a chunk and some bytes around, and all over.
     full, edges = read(whole, tmp_path), boundaries(whole)
     assert full is not None and not full.damage and full.ticks == 2 * (TICKS // 2) and len(edges) > 8
-    near = {edge + off for edge in edges for off in (-9, -1, 0, 1, 9)}
-    ends, ticks = {*near, *range(0, len(whole), step), *range(len(whole) - 40, len(whole))}, {}
+    offsets, step, last = ((-9, -1, 0, 1, 9), 997, 1) if all_of_them else ((-1, 0), 9973, 7)
+    near = {edge + off for edge in edges for off in offsets}
+    ends, ticks = {*near, *range(0, len(whole), step), *range(len(whole) - 40, len(whole), last)}, dict[int, int]()
     for end in sorted(ends):
         part = read(whole[:end], tmp_path)
         if part is not None:
@@ -125,7 +128,8 @@ def test_no_number_of_a_file_with_one_bit_changed_is_taken_for_true_anywhere(who
     assert found[1] > found[0] > 0 and found[2] < 30
 
 
-def test_one_bit_changed_in_an_attachment_loses_that_attachment_alone(tmp_path: Path, capsys: Any) -> None:
+@pytest.mark.parametrize("step", [31, pytest.param(5, marks=pytest.mark.study)])
+def test_one_bit_changed_in_an_attachment_loses_that_attachment_alone(step: int, tmp_path: Path, capsys: Any) -> None:
     # In its times, its name, its content, or its checksum; not the size of its record.
     from mcap.reader import make_reader
 
@@ -140,7 +144,8 @@ def test_one_bit_changed_in_an_attachment_loses_that_attachment_alone(tmp_path: 
     full, summary = read(whole, tmp_path), make_reader(io.BytesIO(whole)).get_summary()
     assert full is not None and summary is not None
     (index,) = (one for one in summary.attachment_indexes if one.name == "lost.py")
-    for place in range(index.offset + 9, index.offset + index.length, 5):  # in each of its fields
+    begin, end = index.offset + 9, index.offset + index.length
+    for place in (*range(begin, begin + 60, 5), *range(begin + 60, end, step), end - 1):  # in each of its fields
         data = bytearray(whole)
         data[place] ^= 1 << place % 8
         part = read(bytes(data), tmp_path)
@@ -191,7 +196,7 @@ def test_a_disk_that_is_full_is_told_of_and_what_was_written_is_read(
 
 
 @pytest.mark.needs("linux")
-@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
+@pytest.mark.parametrize("suffix", [pytest.param(".mcap", marks=pytest.mark.machine), ".npz"])
 @pytest.mark.parametrize("by_key", [False, True])
 def test_a_disk_that_is_full_ends_a_session_with_one_line(
     by_key: bool, suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any

@@ -2,7 +2,9 @@
 
 import json
 from collections import Counter
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,11 +19,30 @@ from maglev_mj.recording.mcap import SAMPLE
 from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, RunMetadata, Totals, as_rows, units
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session.replay import write_run
 from tests.recorded import decoder, messages_in
 
 TOPICS = ("/maglev/stretch", "/maglev/sample", "/maglev/event", "/tf", "/maglev/shapes", "/maglev/arrows", "/log")
+
+
+RUNS: dict[str, Scene] = {
+    "drop": Drop(),
+    "press": Press(hits=1),
+    "stick-slip": StickSlip(),
+    "stick-slip turned": StickSlip(axis="ry"),
+}
+together = pytest.mark.xdist_group("recorded messages")
+
+
+@cache
+def file_of(name: str) -> bytes:
+    """Return the recording of a run."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.mcap"
+        write_run(path, RUNS[name], plant="exact")
+        return path.read_bytes()
 
 
 def found_in(path: Path) -> dict[str, list[dict[str, Any]]]:
@@ -104,12 +125,15 @@ def test_a_layout_is_read_from_its_first_message_or_refused() -> None:
             mcap.layout_of(wrong)
 
 
-@pytest.mark.parametrize("scene", [Drop(), Press(hits=1), StickSlip(), StickSlip(axis="ry")])
-def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(scene: Any, tmp_path: Path) -> None:
+@together
+@pytest.mark.parametrize(
+    "name", ["drop", "press", pytest.param("stick-slip", marks=pytest.mark.study), "stick-slip turned"]
+)
+def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(name: str, tmp_path: Path) -> None:
     from maglev_mj.session.replay import rebuild, stick_positions_of
 
     path = tmp_path / "run.mcap"
-    write_run(path, scene, plant="exact")
+    path.write_bytes(file_of(name))
     (stretch,) = Recording.load(path).stretches
     sticks, found = stick_positions_of(stretch, rebuild), found_in(path)
     turns = np.floor((stretch.time - stretch.time[0]) * 60.0 + 1e-6)
@@ -121,17 +145,18 @@ def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(s
         if sticks is not None:
             wanted["stick position"] = np.where(np.isnan(sticks[row]), stretch.position[row], sticks[row])
         assert set(frames) == {*wanted, "hand"}
-        for name, pose in wanted.items():
-            assert frames[name]["parent_frame_id"] == "stator"
-            assert numbers(frames[name]["translation"]) == pose[:3].tolist()
-            assert [frames[name]["rotation"][part] for part in "wxyz"] == list(quaternion(pose[3:]))
+        for frame, pose in wanted.items():
+            assert frames[frame]["parent_frame_id"] == "stator"
+            assert numbers(frames[frame]["translation"]) == pose[:3].tolist()
+            assert [frames[frame]["rotation"][part] for part in "wxyz"] == list(quaternion(pose[3:]))
         assert frames["hand"]["parent_frame_id"] == "flotor"
         assert numbers(frames["hand"]["translation"]) == GRIP.tolist()
 
 
+@together
 def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    write_run(path, Press(hits=1), plant="exact")
+    path.write_bytes(file_of("press"))
     (stretch,) = Recording.load(path).stretches
     found = found_in(path)
     (first,), updates = found["/maglev/shapes"], found["/maglev/arrows"]
@@ -164,12 +189,13 @@ def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path
     assert most > 20
 
 
+@together
 def test_a_seek_shows_device_walls_and_arrows(tmp_path: Path) -> None:
     # A viewer that seeks shows the last message of each topic.
     from mcap.reader import make_reader
 
     path = tmp_path / "run.mcap"
-    write_run(path, Press(hits=1), plant="exact")
+    path.write_bytes(file_of("press"))
     with path.open("rb") as file:
         times = [(message.log_time, channel.topic) for _, channel, message in make_reader(file).iter_messages()]
     for seek in np.linspace(times[0][0], times[-1][0], 20):
@@ -244,9 +270,10 @@ def test_a_force_too_small_to_see_or_that_is_no_number_has_no_arrow(force: tuple
     assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
 
 
+@together
 def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording(tmp_path: Path) -> None:
     layout, path = json.loads(LAYOUT.read_text()), tmp_path / "run.mcap"
-    write_run(path, Drop(), plant="exact")
+    path.write_bytes(file_of("drop"))
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
         assert summary is not None

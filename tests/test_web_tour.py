@@ -16,10 +16,7 @@ from maglev_mj.session.replay import Replay
 from maglev_mj.session.tour import Tour
 from tests.test_web_browser import UNSEEN, Run, opened, press, pull
 
-pytestmark = [
-    pytest.mark.needs("browser"),
-    pytest.mark.xdist_group("screen"),
-]
+pytestmark = pytest.mark.needs("browser")
 
 
 STIFFNESS, DAMPING, _, DELAY = range(4)

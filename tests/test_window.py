@@ -32,6 +32,7 @@ from maglev_mj.views.window.layout import Area, Arrangement, Font, Layout
 from maglev_mj.views.window.scenery import Framing, Scenery, directions
 from maglev_mj.views.window.screen import Screen, shown_colour, status_rows
 from maglev_mj.views.window.window import Grab, SlowFrames, _Window, fitted_size
+from tests.sweeps import sweep
 
 SIZES = (
     (480, 360),
@@ -490,18 +491,20 @@ def test_a_plain_drag_is_the_hand_and_a_magnified_one_is_divided(shot: Snapshot,
     assert hand.target == pytest.approx([2e-3 + 3e-3 / factor, 0.0, 0.0, *shown[0].pose[3:]])
 
 
-@pytest.mark.parametrize("scene", [Joystick, find_scene("box")])
-def test_the_default_hand_meets_the_wall_and_not_the_stop(scene: type[Scene]) -> None:
+WAYS = ((1, 0, 0), (0, 1, 0), (0.7, 0.7, 0), (0, 0, 1), (0.6, 0.6, -0.5), (-1, 0, 0), (0, 0, -1), (0, -1, 0))
+
+
+@pytest.mark.parametrize(("scene", "way"), sweep([Joystick, find_scene("box")], WAYS, every=4))
+def test_the_default_hand_meets_the_wall_and_not_the_stop(scene: type[Scene], way: tuple[float, ...]) -> None:
     # However far it is pulled, along each axis and across.
-    for way in (*np.eye(3), *-np.eye(3), (0.7, 0.7, 0.0), (0.6, 0.6, -0.5)):
-        session = Session(scene(), pacer=Pacer(budget=60.0, patience=3600.0))
-        session.hand.target = [*(0.1 * np.array(way)), 0.0, 0.0, 0.0]
-        session.tick(3.0)
-        shown = session.snapshot()
-        session.close()
-        assert not met_stops(shown).words, way
-        assert any(normal * (shown.pose[axis] - edge) <= 0.0 for axis, normal, edge in shown.faces)
-        assert dict(status_rows(shown))["energy"].startswith("hand gave ")
+    session = Session(scene(), pacer=Pacer(budget=60.0, patience=3600.0))
+    session.hand.target = [*(0.1 * np.array(way)), 0.0, 0.0, 0.0]
+    session.tick(3.0)
+    shown = session.snapshot()
+    session.close()
+    assert not met_stops(shown).words, way
+    assert any(normal * (shown.pose[axis] - edge) <= 0.0 for axis, normal, edge in shown.faces)
+    assert dict(status_rows(shown))["energy"].startswith("hand gave ")
 
 
 def test_the_energy_says_who_gave_and_who_took(shot: Snapshot) -> None:

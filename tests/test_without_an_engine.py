@@ -8,6 +8,7 @@ import pytest
 
 from maglev_mj import Calibration
 from tests.processes import run
+from tests.sweeps import sweep
 
 BLOCKED = """
 import sys
@@ -51,11 +52,11 @@ from maglev_mj.theory.verdict import delay_margins
     "words",
     [
         "drop --plant exact",
-        "press --plant exact --phases 3",
+        "press --plant exact --phases 2",
         "stick-slip --plant exact --json -",
         "stability drop",
         "stability --hand arm",
-        "design",
+        "design --quantize 0",
         "sweep drop --vary height=1e-3:4e-3:2 --vary plant=exact --workers 0 --record cells",
     ],
 )
@@ -70,8 +71,8 @@ def test_python_needs_no_engine(source: str, tmp_path: Path) -> None:
     assert done.status == 0, done
 
 
-@pytest.mark.parametrize("scene", ["joystick", "drop"])
-@pytest.mark.parametrize("force", [0.0, -3.0])
+@pytest.mark.machine
+@pytest.mark.parametrize(("scene", "force"), sweep(["joystick", "drop"], [-3.0, 0.0], every=3))
 def test_a_twin_is_flown_without_an_engine(scene: str, force: float, tmp_path: Path) -> None:
     Calibration.nominal().save(tmp_path / "device.json")
     hand = f"scene, hand = {scene!r}, lambda tick, time, state: [0, 0, {force} * (2.2 < time < 2.7), 0, 0, 0]\n"
@@ -79,6 +80,7 @@ def test_a_twin_is_flown_without_an_engine(scene: str, force: float, tmp_path: P
     assert done.status == 0, done
 
 
+@pytest.mark.machine
 def test_the_command_of_a_twin_needs_no_engine(tmp_path: Path) -> None:
     Calibration.nominal().save(tmp_path / "device.json")
     words = "twin --plant exact --calibration device.json --listen udp://127.0.0.1:0 --seconds 0.2"

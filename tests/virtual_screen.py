@@ -53,12 +53,12 @@ class VirtualScreen:
     ) -> None:
         self._folder.cleanup()
         self._server.terminate()
-        self._server.wait(10)
+        self._server.wait(60.0)
 
     def xdotool(self, *arguments: object) -> str:
         """Move the mouse or press keys; return xdotool's output."""
         done = subprocess.run(
-            ["xdotool", *map(str, arguments)], env=self.environment, capture_output=True, text=True, timeout=20
+            ["xdotool", *map(str, arguments)], env=self.environment, capture_output=True, text=True, timeout=60
         )
         assert not done.stderr, f"xdotool {arguments}: {done.stderr}"
         return done.stdout.strip()
