@@ -13,7 +13,7 @@ import pytest
 
 from maglev_mj import Calibration, Command, Controller, ExactPlant, Hold, Sample, Timing, cli, device_card, drive
 from maglev_mj.frames import Six
-from maglev_mj.plants.hand import get_hand
+from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import Spec
 from maglev_mj.studies.card import DeviceCard
@@ -22,9 +22,19 @@ from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 RATES = {200: Drop(), 1000: Drop(period=1e-3, delay=5e-4, pulse=0.0)}
 
 
+pytestmark = pytest.mark.xdist_group("card")  # one worker computes the two cards
+
+
 @cache
 def card(rate: int) -> DeviceCard:
     return device_card(RATES[rate])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cards() -> None:
+    """Compute both cards before the first test."""
+    for rate in RATES:
+        card(rate)
 
 
 @pytest.mark.parametrize("rate", RATES)
@@ -111,6 +121,13 @@ def test_one_step_of_the_sensor_is_the_force_resolution(rate: int) -> None:
     assert card(rate).force_resolution == pytest.approx(-force[0])
 
 
+@pytest.fixture
+def one_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make cards of one hand, in half the time."""
+    monkeypatch.setattr("maglev_mj.studies.card.HANDS", dict([*HANDS.items()][:1]))
+
+
+@pytest.mark.usefixtures("one_hand")
 def test_the_command_takes_scenes_and_calibrations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     heavy = {**Calibration.nominal().as_json(), "mass": 1.4}
     (tmp_path / "heavy.json").write_text(json.dumps(heavy))
@@ -119,6 +136,10 @@ def test_the_command_takes_scenes_and_calibrations(tmp_path: Path, capsys: pytes
         assert cli.main(["card", *words.split(), "--json", "-"]) == 0
         found.append(json.loads(capsys.readouterr().out))
     assert found[0] == found[1]
+
+
+@pytest.mark.usefixtures("one_hand")
+def test_the_command_writes_a_picture_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = tmp_path / "card.json"
     assert cli.main(["card", "drop", "--stiffness", "12000", "--out", str(tmp_path), "--json", str(data)]) == 0
     said = capsys.readouterr().out
@@ -126,6 +147,7 @@ def test_the_command_takes_scenes_and_calibrations(tmp_path: Path, capsys: pytes
     assert set(json.loads(data.read_text())["impedance"][3]) == {None}  # an unstable wall
 
 
+@pytest.mark.usefixtures("one_hand")
 def test_a_delay_a_period_longer_stays_within_the_most_periods(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.studies.card.MOST_PERIODS", 3)  # of ten, whose matrices take 4 s
     assert device_card(Drop(delay=0.0125)).delays.tolist() == [0.0, 0.0125, 0.015]

@@ -119,7 +119,14 @@ COMMANDS = {
 }
 
 
-@pytest.mark.parametrize("command", COMMANDS.values(), ids=COMMANDS)
+LONG = {"stability"}
+"""Charts of several seconds: studies. That of `stability, hand` has the same panels."""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(line, id=name, marks=[pytest.mark.study] * (name in LONG)) for name, line in COMMANDS.items()],
+)
 def test_a_chart_of_a_command_can_be_read(
     command: str, tmp_path: Path, figures: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,7 +135,7 @@ def test_a_chart_of_a_command_can_be_read(
     assert figures and [complaints(figure) for figure in figures] == [[]] * len(figures)
 
 
-@pytest.mark.parametrize(("points", "pixels"), [(50_000, True), (500, False)])
+@pytest.mark.parametrize(("points", "pixels"), [(20_000, True), (500, False)])
 def test_a_curve_of_many_points_is_small_in_an_svg(points: int, pixels: bool, tmp_path: Path) -> None:
     figure, (panel,) = new_figure(1, 1, 3.0)
     panel.plot(np.random.default_rng(1).normal(size=points), ".")

@@ -130,9 +130,8 @@ def test_a_way_that_another_beats_in_both_is_not_on_the_front() -> None:
     assert [point.name for point in pareto(points)] == ["cheap", "exact enough"]
 
 
-@pytest.mark.parametrize(
-    "scenes", [["drop-no-pulse"], pytest.param(SCENES, marks=pytest.mark.study)], ids=["one", "all"]
-)
+@pytest.mark.study
+@pytest.mark.parametrize("scenes", [["drop-no-pulse"], SCENES], ids=["one", "all"])
 @pytest.mark.filterwarnings("default")
 def test_the_chart_holds_every_scene_and_says_what_is_missing(
     scenes: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

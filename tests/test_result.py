@@ -60,6 +60,12 @@ def results() -> dict[str, Result]:
     }
 
 
+@pytest.fixture(scope="module", autouse=True)
+def made() -> None:
+    """Make the results before the first test."""
+    results()
+
+
 NAMES = ["result", "trace", "phases", "sweep", "verdict", "linearised", "closed loop", "recording", "samples"]
 NAMES += ["analysed", "stability map", "drop map", "design", "fidelity"]
 
