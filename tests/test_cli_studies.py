@@ -11,6 +11,7 @@ from maglev_mj import theory
 from maglev_mj.cli import main
 
 
+@pytest.mark.study  # `stability/exact` of the kept outputs is the small case
 def test_stability_json_is_the_map(tmp_path: Path) -> None:
     out = tmp_path / "map.json"
     arguments = ["stability", "--damping", "10:110", "--stiffness", "500", "12500", "--grid", "7", "--plant", "exact"]
@@ -86,6 +87,7 @@ def test_hands_can_be_varied_by_their_numbers(tmp_path: Path, monkeypatch: Any) 
     assert data["results"][0]["stiffest_wall"] > data["results"][1]["stiffest_wall"]
 
 
+@pytest.mark.study
 def test_a_map_that_begins_at_no_stiffness_agrees_with_itself(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["stability", "--stiffness", "0:10000", "--damping", "0:200", "--grid", "21", "--plant", "exact"]) == 0
     assert "0 verdicts differ" in capsys.readouterr().out

@@ -28,6 +28,8 @@ from tests.sweeps import sweep
 
 FLOWN = ("joystick", "drop", "press", "table", "box", "corner", "stick-slip", "six-axes", "wall")
 HANDS = ("none", "arm", "stylus", "fingertip")
+RATES = [200, pytest.param(1000, marks=pytest.mark.study)]
+"""Rates of flights: each kind flies at 200 Hz in the suite."""
 
 
 # what a scene bears
@@ -224,18 +226,21 @@ def test_a_loop_near_the_end_of_its_margin_does_not_swing_on_after_a_tap(tmp_pat
     assert flown.speeds(2.4).max() < 0.45 and (flown.speeds(2.4) > 0.30).sum() / 200 < 0.05
 
 
-def test_answers_that_overtake_each_other_are_no_fault_of_the_coils(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("begin", "seconds"), [(1.2, 0.3), pytest.param(1.6, 1.2, marks=pytest.mark.study)])
+def test_answers_that_overtake_each_other_are_no_fault_of_the_coils(
+    begin: float, seconds: float, tmp_path: Path
+) -> None:
     """The device reports the newest of two answers within a period, and both have flowed."""
-    delay = delayed("jitter", 0.004, 1.6, 70066)
-    flown = fly("six-axes", rate=1000, hand="8", delay=delay, folder=tmp_path, seconds=1.2)
+    delay = delayed("jitter", 0.004, begin, 70066)
+    flown = fly("six-axes", rate=1000, hand="8", delay=delay, folder=tmp_path, seconds=seconds)
     assert flown.outcome == "landed" or "delays are above" in flown.outcome
 
 
 def test_laws_whose_margin_is_not_known_are_guarded_too(tmp_path: Path) -> None:
     """Six axes at 1 kHz bear up to 10 ms, the most looked at, not 15.5."""
-    delay = delayed("step", 0.007, 1.6)
-    flown = fly("six-axes", rate=1000, delay=delay, limits=Limits(stale=0.02), folder=tmp_path, seconds=1.2)
-    assert "8 of the last 16" in flown.outcome and flown.speeds(1.6).max() < 0.05
+    delay = delayed("step", 0.007, 1.2)
+    flown = fly("six-axes", rate=1000, delay=delay, limits=Limits(stale=0.02), folder=tmp_path, seconds=0.3)
+    assert "8 of the last 16" in flown.outcome and flown.speeds(1.2).max() < 0.05
 
 
 def test_the_reason_is_in_the_file_of_the_last_cycles(tmp_path: Path) -> None:
@@ -246,7 +251,8 @@ def test_the_reason_is_in_the_file_of_the_last_cycles(tmp_path: Path) -> None:
     assert 1.6 < record.time[-1] - record.time[0] + 1.6 and record.time.size == 200
 
 
-@pytest.mark.parametrize(("size", "rate"), sweep([5.0, 10.0, 25.0], [200, 1000], every=2))
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("size", [5.0, 25.0, pytest.param(10.0, marks=pytest.mark.study)])
 def test_a_law_that_chatters_is_landed(size: float, rate: int, tmp_path: Path) -> None:
     law = partial(ChangedLaw, change=lambda tick, own: size if tick % 2 else -size)
     flown = fly("joystick", rate=rate, law=law, folder=tmp_path, seed=11)
@@ -274,7 +280,7 @@ def test_a_law_that_fails_has_its_currents_cut_at_once(change: Any, tmp_path: Pa
 # the hand's force
 
 
-@pytest.mark.parametrize("rate", [200, 1000])
+@pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize(("name", "hand"), [("joystick", "none"), ("drop", "2"), ("six-axes", "2")])
 def test_the_hands_force_is_estimated(name: str, hand: str, rate: int, tmp_path: Path) -> None:
     flown = fly(name, rate=rate, hand=hand, folder=tmp_path, seconds=1.4)
@@ -303,7 +309,8 @@ def weakened(coil: int, share: float) -> Calibration:
     return replace(known, coils=replace(known.coils, force_constants=constants))
 
 
-@pytest.mark.parametrize(("coil", "rate"), sweep(range(6), [200, 1000], every=2))
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("coil", [0, *(pytest.param(coil, marks=pytest.mark.study) for coil in range(1, 5)), 5])
 def test_a_coil_that_is_not_as_calibrated_is_named_in_takeoff(coil: int, rate: int, tmp_path: Path) -> None:
     """Weak by a tenth it lands again; dead or reversed it is often lost sooner."""
     for share, seed in ((0.9, coil), (0.01, coil + 6), (-1.0, coil + 12)):
@@ -318,7 +325,8 @@ def test_a_coil_that_is_not_as_calibrated_is_named_in_takeoff(coil: int, rate: i
             assert flown.speeds(0.0).max() < 0.05 and flown.rows[-1, 14] == 0.0
 
 
-@pytest.mark.parametrize(("rate", "seed", "heavier"), sweep([200, 1000], range(5), [False, True], every=4))
+@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize(("seed", "heavier"), sweep(range(5), [False, True], every=3))
 def test_good_coils_are_not_refused(rate: int, seed: int, heavier: bool, tmp_path: Path) -> None:
     """Nor is a weight of 35 g on the handle, which all coils seem to share."""
     known = Calibration.nominal()

@@ -9,6 +9,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
@@ -247,12 +248,20 @@ class SessionStates(RuleBasedStateMachine):
         assert np.isfinite(self.session.snapshot().pose).all()
 
 
-TestSessionStates = SessionStates.TestCase
-TestSessionStates.settings = settings(
-    max_examples=16,
+SETTINGS = settings(
+    max_examples=2,
     stateful_step_count=30,
     derandomize=True,
     database=None,
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )
+TestSessionStates = SessionStates.TestCase
+TestSessionStates.settings = SETTINGS
+
+
+@pytest.mark.study
+class TestMoreSessionStates(SessionStates.TestCase):  # type: ignore[name-defined, misc]
+    """The same over more examples."""
+
+    settings = settings(SETTINGS, max_examples=40)
