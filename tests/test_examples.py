@@ -106,6 +106,13 @@ def test_phases_are_those_of_the_drop(run_example: RunExample) -> None:
     assert depth < depth_without and force > force_without
 
 
+@pytest.fixture(scope="module")
+def python_control() -> None:
+    """Load python-control, which takes longer than the example."""
+    importlib.import_module("control")
+
+
+@pytest.mark.usefixtures("python_control")
 def test_control_export_agrees_with_verdict_and_simulation(run_example: RunExample) -> None:
     (exported,), (own,), (deflection,), (simulated,), _ = run_example("control_export")
     assert exported == own and 0.9 < own < 1.0
