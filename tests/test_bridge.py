@@ -230,7 +230,10 @@ def test_a_device_that_is_told_too_much_gets_what_it_bears_and_the_host_is_told(
     assert max(abs(current) for _, one in rig.twin.plant.segments for current in one) == pytest.approx(10.0)
 
 
-@pytest.mark.parametrize(("period", "most"), [(0.005, 4.7e-6), (0.001, 3.7e-6)], ids=["200 Hz", "1 kHz"])
+@pytest.mark.parametrize(
+    ("period", "most"),
+    [pytest.param(0.005, 4.7e-6, id="200 Hz"), pytest.param(0.001, 3.7e-6, id="1 kHz", marks=pytest.mark.study)],
+)
 def test_it_takes_off_hovers_and_lands(period: float, most: float) -> None:
     rig = Rig(period=period)
     rig.plant.takeoff()
@@ -288,7 +291,9 @@ def sunk_in_a_gap(period: float, seed: int = 0) -> float:
     return float(np.sqrt((off**2).sum(axis=1)).max())
 
 
-@pytest.mark.parametrize("period", [0.005, 0.001], ids=["200 Hz", "1 kHz"])
+@pytest.mark.parametrize(
+    "period", [pytest.param(0.005, id="200 Hz"), pytest.param(0.001, id="1 kHz", marks=pytest.mark.study)]
+)
 def test_in_a_gap_of_30_ms_the_device_carries_the_flotor(period: float, monkeypatch: pytest.MonkeyPatch) -> None:
     carried = [sunk_in_a_gap(period, seed) for seed in range(2)]
     monkeypatch.setattr(firmware, "_GAP", 10_000)

@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from maglev_mj import Calibration, Command, Controller, ExactPlant, Hold, Sample, Timing, cli, device_card, drive
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Six
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
 from maglev_mj.studies.card import DeviceCard
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
@@ -37,7 +39,7 @@ def cards() -> None:
         card(rate)
 
 
-@pytest.mark.parametrize("rate", RATES)
+@pytest.mark.parametrize("rate", [200, pytest.param(1000, marks=pytest.mark.study)])
 @pytest.mark.parametrize("hand", [0, 1])
 def test_walls_grow_beyond_the_z_width_and_settle_below(rate: int, hand: int) -> None:
     found, scene = card(rate), RATES[rate]
@@ -128,14 +130,25 @@ def one_hand(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("one_hand")
-def test_the_command_takes_scenes_and_calibrations(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.study)])
+def test_the_command_takes_scenes_and_calibrations(
+    whole: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def keep(scene: Scene) -> None:
+        found.append(scene)
+        raise ParameterError("scene must be kept")
+
+    if not whole:
+        monkeypatch.setattr("maglev_mj.cli.studies.device_card", keep)
     heavy = {**Calibration.nominal().as_json(), "mass": 1.4}
     (tmp_path / "heavy.json").write_text(json.dumps(heavy))
-    found = []
+    found: list[Any] = []
     for words in ("drop --mass 1.4", str(tmp_path / "heavy.json")):
-        assert cli.main(["card", *words.split(), "--json", "-"]) == 0
-        found.append(json.loads(capsys.readouterr().out))
-    assert found[0] == found[1]
+        assert cli.main(["card", *words.split(), "--json", "-"]) == (0 if whole else 2)
+        out = capsys.readouterr().out
+        if whole:
+            found.append(json.loads(out))
+    assert len(found) == 2 and found[0] == found[1]
 
 
 @pytest.mark.usefixtures("one_hand")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ DROP, PHASE = Drop(), 0.56
 ANALOG = "analog wall, 10 kHz filter"
 
 
+@cache
 def drops(drop: Drop, phase: float = PHASE, bands: int = Drop.drawn_phases) -> Variants:
     return run_variants(drop.variants(), plant="exact", phase=phase, bands=bands)
 

@@ -26,6 +26,7 @@ from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.scenes.scene import PLANTS
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import GRAVITY, INERTIA, RANGE
+from tests.sweeps import sweep
 
 KNOWN = Calibration.nominal()
 LEVEL = KNOWN.gravity
@@ -146,10 +147,13 @@ def pushed(axis: int, force: float, phase: float, gravity: Array) -> tuple[Exact
     return plant, energies
 
 
-@pytest.mark.parametrize("gravity", [LEVEL, TILTED, np.zeros(3)], ids=["level", "tilted", "none"])
-@pytest.mark.parametrize("axis", range(6))
-def test_stops_give_no_energy(axis: int, gravity: Array) -> None:
+PULLS = {"level": LEVEL, "tilted": TILTED, "none": np.zeros(3)}
+
+
+@pytest.mark.parametrize(("axis", "pull"), sweep(range(6), PULLS, every=3))
+def test_stops_give_no_energy(axis: int, pull: str) -> None:
     """Over speeds up to 3 m/s and 100 rad/s, and distances to the stop."""
+    gravity = PULLS[pull]
     for size in (0.01, 0.3, 3.0) if axis < 3 else (0.3, 9.0, 100.0):
         for sense, phase in ((1, 0.0), (-1, 0.71), (1, -0.93)):
             plant, energies = pushed(axis, sense * size * INERTIA[axis] / 0.005, phase, gravity)
@@ -278,7 +282,9 @@ def test_currents_of_a_flight_are_newtons(plant: str, scene: str, tmp_path: Path
     assert rows[1:, 12:].mean(axis=0) == pytest.approx(KNOWN.hover, abs=0.05)
 
 
-@pytest.mark.parametrize("hand", [None, nudge], ids=["free", "nudged"])
+@pytest.mark.parametrize(
+    "hand", [pytest.param(None, id="free", marks=pytest.mark.study), pytest.param(nudge, id="nudged")]
+)
 def test_flights_on_both_plants_agree(hand: Any, tmp_path: Path) -> None:
     """With a sensor without noise or steps, which would tell two flights apart by steps.
 
@@ -295,7 +301,7 @@ def test_flights_on_both_plants_agree(hand: Any, tmp_path: Path) -> None:
     assert hand is None or ((size[[0, 2]] > 3e-3).all() and size[4] > 0.03)
 
 
-@pytest.mark.parametrize("coil", range(6))
+@pytest.mark.parametrize("coil", sweep(range(6), every=2))
 def test_a_dead_coil_is_found_at_takeoff_as_in_the_engine(coil: int, tmp_path: Path) -> None:
     """By its current where it carries much, else by its force."""
     fault = InjectedFault(kind="dead-coil", which=coil, at=0.05)
@@ -306,8 +312,7 @@ def test_a_dead_coil_is_found_at_takeoff_as_in_the_engine(coil: int, tmp_path: P
     )
 
 
-@both
-@pytest.mark.parametrize("coil", range(6))
+@pytest.mark.parametrize(("plant", "coil"), sweep(PLANTS, range(6), every=2))
 def test_a_weak_coil_is_named_at_takeoff(plant: str, coil: int, tmp_path: Path) -> None:
     constants = KNOWN.coils.force_constants.copy()
     constants[coil] *= 0.9

@@ -55,6 +55,7 @@ def answered(answers: SideAnswers) -> Any:
     return found
 
 
+@pytest.mark.machine
 def test_the_newest_question_alone_is_answered(tmp_path: Path) -> None:
     with closing(SideAnswers(_deed, "no")) as answers:
         assert answers.answer() is None
@@ -77,6 +78,7 @@ def test_the_newest_question_alone_is_answered(tmp_path: Path) -> None:
             answers.ask("f")
 
 
+@pytest.mark.machine
 def test_a_late_answer_is_no_answer_to_the_next_question(monkeypatch: pytest.MonkeyPatch) -> None:
     with closing(SideAnswers(_deed, "no")) as answers:
         answers.ask("first")
@@ -241,8 +243,33 @@ class Ends(Wishes):
         return ChangeRequest(self._left.pop(0), self.answers.append)
 
 
+class Here:
+    """Answers of this process, in place of one beside it; each at the second look."""
+
+    ended = False
+
+    def __init__(self, deed: Callable[..., Any], unknown: str) -> None:
+        self._deed, self._found = deed, list[Any]()
+
+    def ask(self, *question: Any) -> None:
+        self._found = [self._deed(*question), None]
+
+    def answer(self) -> Any:
+        return self._found.pop() if self._found else None
+
+    def close(self, patience: float) -> None: ...
+
+
 @pytest.mark.parametrize("anyway", [False, True])
-def test_bridge_judges_settings_in_flight(anyway: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "answers",
+    [Here, pytest.param(SideAnswers, marks=pytest.mark.machine)],
+    ids=["in this process", "in another process"],
+)
+def test_bridge_judges_settings_in_flight(
+    answers: Any, anyway: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bridge, "SideAnswers", answers)
     asks = Ends(SLOW if anyway else STIFF, GOOD)
 
     @contextmanager

@@ -40,7 +40,7 @@ def check_every_cell(plant: str, grid: int, delay: float) -> None:
 
 @pytest.mark.parametrize(
     ("plant", "grid", "delay"),
-    [("exact", 12, 0.0), ("exact", 12, 0.005), ("mujoco", 6, 0.0015)],
+    [("exact", 6, 0.0), ("exact", 6, 0.005), pytest.param("mujoco", 6, 0.0015, marks=pytest.mark.study)],
 )
 def test_cells_of_a_coarse_map_settle_or_grow_as_theory_has_it(plant: str, grid: int, delay: float) -> None:
     check_every_cell(plant, grid, delay)
@@ -59,7 +59,7 @@ def walls(stiffness: ArrayLike, damping: ArrayLike, **values: Any) -> list[Resti
     return [RestingWall(stiffness=k, damping=b, **values) for k, b in zip(*(pair.tolist() for pair in pairs))]
 
 
-@pytest.mark.parametrize("count", [90, pytest.param(300, marks=pytest.mark.study)])
+@pytest.mark.parametrize("count", [30, pytest.param(300, marks=pytest.mark.study)])
 def test_growth_is_the_modulus(count: int) -> None:
     # Over a random sample, away from pairs of modes that beat.
     random = np.random.default_rng(4)
@@ -71,7 +71,7 @@ def test_growth_is_the_modulus(count: int) -> None:
     np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
 
 
-@pytest.mark.parametrize("off", [0.03, pytest.param(0.01, marks=pytest.mark.study)])
+@pytest.mark.parametrize("off", [0.06, pytest.param(0.01, marks=pytest.mark.study)])
 def test_a_wall_s_growth_is_that_of_the_wall_alone(off: float) -> None:
     # Runs end when the last of a batch is decided, of which one that is a little too stiff takes the longest.
     edge = float(largest_stable_stiffness(80.0, period=T, delay=0.0015))
@@ -143,9 +143,9 @@ def test_hands_shift_the_boundary_as_the_map_says(plant: str, hand: str) -> None
 @pytest.mark.parametrize(
     ("plant", "estimates"),
     [
-        ("exact", (LowPass(50.0), Window(3))),
+        ("exact", (LowPass(50.0),)),
         ("mujoco", (Window(3),)),
-        pytest.param("mujoco", (LowPass(50.0), Window(3)), marks=pytest.mark.study),
+        *(pytest.param(plant, (LowPass(50.0), Window(3)), marks=pytest.mark.study) for plant in ("exact", "mujoco")),
     ],
 )
 def test_velocity_estimates_shift_the_boundary_as_the_map_says(
@@ -200,20 +200,32 @@ def test_steps_that_miss_the_switch_lengthen_the_delay() -> None:
     assert found == pytest.approx(float(stiffest_wall(period=T, delay=0.002).stiffness), rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("dampings", "margin"), [([110.0], 0.02), pytest.param([60.0, 90.0, 110.0], 0.005, marks=pytest.mark.study)]
+NEAR = pytest.mark.parametrize(
+    ("dampings", "margin"), [([110.0], 0.03), pytest.param([60.0, 90.0, 110.0], 0.005, marks=pytest.mark.study)]
 )
+
+
+def shifted_by_steps(dampings: list[float]) -> NDArray[np.float64]:
+    """Return the boundary of walls that MuJoCo steps with Euler at 0.5 ms."""
+    b = np.array(dampings)
+    shifted = boundary_of(SteppedLoop(period=T, delay=0.0015, integrator="euler", step=5e-4), b)
+    assert (shifted > 1.03 * largest_stable_stiffness(b, period=T, delay=0.0015)).all()
+    return shifted
+
+
+@NEAR
+def test_walls_that_settle_with_long_steps_grow_without(dampings: list[float], margin: float) -> None:
+    shifted = shifted_by_steps(dampings)
+    assert not measure_growth(walls((1.0 - margin) * shifted, np.array(dampings)), "mujoco").stable.any()
+
+
+@NEAR
 def test_a_simulation_in_closed_loop_agrees_with_the_measured_shift(dampings: list[float], margin: float) -> None:
     # MuJoCo itself, with Euler at 0.5 ms, settles in walls that are unstable.
-    b = np.array(dampings)
-    exact = largest_stable_stiffness(b, period=T, delay=0.0015)
-    loop = SteppedLoop(period=T, delay=0.0015, integrator="euler", step=5e-4)
-    shifted = boundary_of(loop, b)
-    assert (shifted > 1.03 * exact).all()
+    b, shifted = np.array(dampings), shifted_by_steps(dampings)
     euler: dict[str, Any] = {"plant": "mujoco", "integrator": "euler", "longest_step": 5e-4}
     assert measure_growth(walls((1.0 - margin) * shifted, b), **euler).stable.all()
     assert not measure_growth(walls((1.0 + margin) * shifted, b), **euler).stable.any()
-    assert not measure_growth(walls((1.0 - margin) * shifted, b), "mujoco").stable.any()
 
 
 @pytest.mark.parametrize(
@@ -228,7 +240,7 @@ def test_random_delay_acts_as_its_mean_and_not_as_its_worst(delays_of: tuple[tup
     k, b = 6000.0, 80.0
     critical = float(critical_delay(k, b, period=T))
     for mean, jitter in delays_of:
-        delays = [Timing(delay=mean, jitter=jitter, seed=0).rest_at(tick) for tick in range(6000)]
+        delays = [Timing(delay=mean, jitter=jitter, seed=0).rest_at(tick) for tick in range(2000)]
         assert np.mean(np.array(delays) > critical) > 0.25
         rate = random_delay_rate(k, b, delays)
         assert (rate < 1.0) == (mean < critical)

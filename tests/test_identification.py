@@ -171,7 +171,7 @@ def test_an_ideal_sensor_tells_all(timing: tuple[float, float], torques: float, 
     assert np.abs(motion.poses.mean(axis=0)).max() < 1e-4
 
 
-@pytest.mark.parametrize(("timing", "seeds"), [(SLOW, 3), (FAST, 1), pytest.param(FAST, 3, marks=pytest.mark.study)])
+@pytest.mark.parametrize(("timing", "seeds"), [(SLOW, 3), pytest.param(FAST, 3, marks=pytest.mark.study)])
 def test_ten_seconds_with_the_devices_sensor_are_within_a_thousandth(timing: tuple[float, float], seeds: int) -> None:
     seen = [(errors(found, twin), found) for twin, _, found in (study(seed, timing, True) for seed in range(seeds))]
     # seen over six seeds: forces 4e-4 to 7e-4, torques 2e-4 to 3e-4, gravity 1e-4 to 3e-4
@@ -184,12 +184,19 @@ def test_ten_seconds_with_the_devices_sensor_are_within_a_thousandth(timing: tup
         assert (found.misfit < 2.0 * found.noise).all()
 
 
-def test_errors_fall_with_the_root_of_the_duration_and_with_the_amplitude() -> None:
-    def level(duration: float, amplitude: float) -> float:
-        """Return the standard error, as tested above."""
-        studies = [study(seed, SLOW, True, duration, amplitude)[2] for seed in range(3)]
-        return float(np.sqrt(np.mean([np.square(found.errors[:3]) for found in studies])))
+def level(duration: float, amplitude: float) -> float:
+    """Return the standard error, as tested above."""
+    studies = [study(seed, SLOW, True, duration, amplitude)[2] for seed in range(3)]
+    return float(np.sqrt(np.mean([np.square(found.errors[:3]) for found in studies])))
 
+
+def test_errors_fall_with_the_amplitude_and_with_the_root_of_the_duration() -> None:
+    assert level(5.0, 0.5) / level(5.0, 1.0) == pytest.approx(2.0, rel=0.15)
+    assert level(1.25, 1.0) / level(5.0, 1.0) == pytest.approx(2.0, rel=0.15)
+
+
+@pytest.mark.study
+def test_errors_fall_over_a_factor_of_four() -> None:
     usual = level(5.0, 1.0)
     assert level(20.0, 1.0) / usual == pytest.approx(0.5, rel=0.15)  # over three sets of seeds up to 9 % off
     assert level(5.0, 0.5) / usual == pytest.approx(2.0, rel=0.15)
@@ -210,7 +217,6 @@ def test_errors_fall_with_the_root_of_the_duration_and_with_the_amplitude() -> N
     [
         (0.6, SLOW, 2),
         (0.9, SLOW, 2),
-        (0.6, FAST, 1),
         *(pytest.param(mass, FAST, 2, marks=pytest.mark.study) for mass in (0.6, 0.9)),
     ],
 )
@@ -277,15 +283,18 @@ def test_a_weight_of_known_mass_gives_the_mass(place: tuple[float, float, float]
         added_mass(without, carrying, 0.0)
 
 
-def test_a_wrong_delay_is_seen_and_found() -> None:
-    for timing, noisy, close in ((SLOW, False, 1e-8), (SLOW, True, 3e-6), (FAST, True, 1e-6)):
-        twin, motion, _ = study(1, timing, noisy)
-        period, delay = timing
-        wrong = identify(*motion[:2], period=period, delay=delay + 1e-4)
-        assert 1e-3 < errors(wrong, twin).forces < 4e-3
-        assert not noisy or (wrong.misfit > 5.0 * wrong.noise).any()
-        for off in (-2e-4, 0.0, 4e-4):
-            assert find_delay(*motion[:2], period=period, near=delay + off) == pytest.approx(delay, abs=close)
+@pytest.mark.parametrize(
+    ("timing", "noisy", "close"),
+    [(SLOW, False, 1e-8), (SLOW, True, 3e-6), pytest.param(FAST, True, 1e-6, marks=pytest.mark.study)],
+)
+def test_a_wrong_delay_is_seen_and_found(timing: tuple[float, float], noisy: bool, close: float) -> None:
+    twin, motion, _ = study(1, timing, noisy)
+    period, delay = timing
+    wrong = identify(*motion[:2], period=period, delay=delay + 1e-4)
+    assert 1e-3 < errors(wrong, twin).forces < 4e-3
+    assert not noisy or (wrong.misfit > 5.0 * wrong.noise).any()
+    for off in (-2e-4, 0.0, 4e-4):
+        assert find_delay(*motion[:2], period=period, near=delay + off) == pytest.approx(delay, abs=close)
     with pytest.raises(IdentificationError, match="no delay within"):
         find_delay(*motion[:2], period=period, near=0.006)
 

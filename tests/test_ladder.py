@@ -465,7 +465,7 @@ def test_a_boundary_that_moves_either_way_forbids_a_step(shift: float, monkeypat
 
 def test_a_step_that_diverges_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.studies.levels._LONG", 1.0)  # and each step is timed
-    scene = SixAxes(duration=0.05)
+    scene = SixAxes(duration=0.02)
     rows = measure_steps(scene, "filter", repeats=1)
     diverged = [row for row in rows if not math.isfinite(row.error)]
     # beyond twice the drivers' time constant Euler's activation grows
@@ -476,7 +476,7 @@ def test_a_step_that_diverges_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_an_unstable_wall_has_no_model() -> None:
-    wall = SixAxes(stiffness=400000.0, damping=80.0)
+    wall = SixAxes(stiffness=400000.0, damping=80.0, duration=0.15)
     result = measure_fidelity(wall, over=Range(phases=1, around=0.0))
     assert result.level is None and result.levels[0].diverged and "diverges in 1" in str(result.table())
     assert "the loop diverges on the exact plant" in str(result.table())
@@ -497,7 +497,7 @@ def test_every_level_can_be_built_for_every_scene() -> None:
 
 def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
     wall = ["--stiffness", "2000", "--damping", "20", "--period", "0.004", "--delay", "0.001", "--height", "0.004"]
-    small = ["--duration", "0.08", "--phases", "1", "--around", "0", "--tolerance", "1e-3"]
+    small = ["--duration", "0.04", "--phases", "1", "--around", "0", "--tolerance", "1e-3"]
     assert main(["fidelity", "drop-no-pulse", *wall, *small]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "a drop of 4 mm on a wall of 2000 N/m and 20 N s/m, no pulse" in said
@@ -561,7 +561,7 @@ def test_where_the_level_below_jumps_its_share_of_the_screen_is_told(monkeypatch
     screen = np.zeros((len(LEVELS), 40))
     screen[: level_index("filter"), :7] = 1e-3  # so that the filter is needed, of which the exact plant knows nothing
     monkeypatch.setattr("maglev_mj.studies.fidelity.screen_levels", lambda *_: screen)
-    result = measure_fidelity(SixAxes(duration=0.05), over=Range(phases=1))
+    result = measure_fidelity(SixAxes(duration=0.02), over=Range(phases=1))
     assert result.level is not None and result.level.level == "filter"
     told = (
         "the exact plant says nothing on the level filter (jitter, below it, misses the tolerance in 0.17 of its cases"

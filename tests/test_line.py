@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,6 @@ from maglev_mj.session import device_controller
 from maglev_mj.theory import largest_modulus
 from maglev_mj.theory.verdict import delay_margins
 from tests.processes import started, twin
-from tests.sweeps import sweep
 
 SIGN_ERROR = """\
 from maglev_mj import AxisLaw, Scene, gain
@@ -92,9 +92,12 @@ def test_a_device_that_is_not_inactive_is_not_measured(tmp_path: Path) -> None:
             measure_line(plant)
 
 
+SOME = [("joystick", 0.0), ("joystick", 0.0006), ("drop", 0.0)]
+REST = product(["joystick", "drop", "table", "box", "corner", "stick-slip"], [0.0, 0.0006, 0.0012])
+
+
 @pytest.mark.parametrize(
-    ("name", "way"),
-    sweep(["joystick", "drop", "table", "box", "corner", "stick-slip"], [0.0, 0.0006, 0.0012], every=2),
+    ("name", "way"), [*SOME, *(pytest.param(*case, marks=pytest.mark.study) for case in REST if case not in SOME)]
 )
 def test_walls_are_softened_to_what_the_line_bears(name: str, way: float, tmp_path: Path) -> None:
     scene = find_scene(name)()
@@ -190,6 +193,7 @@ def flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Captur
 
     def run(plant: RemotePlant, *options: str, address: str = "udp://127.0.0.1:1") -> tuple[int, str, str]:
         monkeypatch.setattr(bridge, "_opened", lambda *_: plant)
+        monkeypatch.setattr(bridge, "measure_line", lambda plant, *_: measure_line(plant, 0.2))
 
         def fly(plant: RemotePlant, flight: Any, *_: Any) -> int:
             flights.append(flight)
@@ -230,8 +234,9 @@ def test_anyway_flies_a_twin_and_a_device_at_half_power(
 
 @pytest.mark.parametrize(("address", "current"), [("udp://[::1]:1", None), ("udp://10.0.0.1:1", 5.0)])
 def test_anyway_holds_for_settings_in_flight_where_it_holds_before(
-    address: str, current: float | None, flown: Flown, tmp_path: Path
+    address: str, current: float | None, flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)
     limits = HostLimits(max_current=current)
     for where, options, holds in (
         (address, ["--anyway"], True),
@@ -242,18 +247,20 @@ def test_anyway_holds_for_settings_in_flight_where_it_holds_before(
         assert output.endswith("takes off, settings too" if holds else "takes off")
 
 
-def test_a_softened_scene_is_said_and_as_written_it_is_not(flown: Flown, tmp_path: Path) -> None:
+def test_a_softened_scene_is_said(flown: Flown, tmp_path: Path) -> None:
     status, output, _ = flown(device(tmp_path, 0.0006))
     assert status == 0 and re.search(r"joystick's walls are \d+ N/m instead of 6000", output) and "takes off" in output
+
+
+def test_as_written_a_scene_is_not_softened(flown: Flown, tmp_path: Path) -> None:
     status, output, _ = flown(device(tmp_path, 0.0006), "--as-written")
     assert status == 0 and "instead of" not in output and "takes off" in output
 
 
 @pytest.mark.parametrize(("scene", "way", "status"), [("joystick", 0.0003, 0), ("table", 0.02, 1)])
 def test_check_says_what_the_line_bears_and_ends(
-    scene: str, way: float, status: int, flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    scene: str, way: float, status: int, flown: Flown, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(bridge, "_MEASURED", 0.5)
     plant = device(tmp_path, way)
     got, output, _ = flown(plant, "--check", "--scene", scene)
     said = " ".join(output.split())
@@ -270,6 +277,7 @@ def test_check_does_that_alone(other: str, capsys: pytest.CaptureFixture[str]) -
     assert "check" in capsys.readouterr().err
 
 
+@pytest.mark.machine
 def test_check_of_a_twin_over_udp_is_ended_by_ctrl_c() -> None:
     with twin() as (_, address), started("bridge", address, "--check") as host:
         host.wait_for("measuring the line")

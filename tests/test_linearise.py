@@ -351,7 +351,10 @@ class Echo(AxisLaw):
         return -1000.0 * x - 40.0 * v - sum(map(operator.mul, WEIGHTS, line)), line
 
 
-def test_an_answer_that_does_not_die_away_is_not_known() -> None:
+@pytest.mark.parametrize("longest", [100, pytest.param(512, marks=pytest.mark.study)])
+def test_an_answer_that_does_not_die_away_is_not_known(longest: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", longest)
+    monkeypatch.setattr("tests.test_linearise.WEIGHTS", WEIGHTS[: longest + 88])
     found = verdict(Echo(axes="x"))
     assert found.stable is None and len(found.unknown) > 100 and "512 samples" in found.remarks[0]
     assert str(found).endswith("not known")

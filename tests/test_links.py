@@ -35,7 +35,7 @@ from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.session.access import check_host, is_loopback
 from tests.udp_proxy import UdpProxy
 
-PATIENCE = 5.0
+PATIENCE = 60.0
 HOME = "127.0.0.1"
 Pair = tuple[Link, Server]
 
@@ -80,7 +80,10 @@ def line_without_descriptor() -> Pair:
 PTY = pytest.mark.needs("pty")
 
 
-@pytest.fixture(params=[datagrams, *(pytest.param(one, marks=PTY) for one in (serial_line, line_without_descriptor))])
+ON_PTY = [pytest.param(one, marks=[PTY, pytest.mark.machine]) for one in (serial_line, line_without_descriptor)]
+
+
+@pytest.fixture(params=[datagrams, *ON_PTY])
 def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
     make: Callable[[], Pair] = request.param
     link, server = make()
@@ -120,6 +123,7 @@ def test_several_frames_wait_in_their_order(pair: Pair) -> None:
     assert link.receive(0.0) is None
 
 
+@pytest.mark.machine
 def test_silence_is_none_after_the_timeout(pair: Pair) -> None:
     link, server = pair
     for timeout in (0.03, 0.0, -1.0):
@@ -128,6 +132,7 @@ def test_silence_is_none_after_the_timeout(pair: Pair) -> None:
         assert link.now() - before >= 2e9 * timeout
 
 
+@pytest.mark.machine
 def test_where_nobody_listens_there_is_silence_and_a_server_come_later_is_heard() -> None:
     server = UdpServer(HOME, 0)
     port = server.address[1]
@@ -205,6 +210,7 @@ def test_a_closed_end_is_a_link_error_and_closes_again(pair: Pair) -> None:
 
 
 @PTY
+@pytest.mark.machine
 def test_an_adapter_that_was_pulled_out_is_closed_without_a_word() -> None:
     with closing(PtyServer()) as server:
         link = SerialLink(server.path, 921600)
@@ -300,6 +306,7 @@ def test_what_is_no_address_is_named(text: str) -> None:
 
 
 @PTY
+@pytest.mark.machine
 def test_links_are_opened_by_address() -> None:
     with closing(UdpServer(HOME, 0)) as server, closing(open_link(f"udp://localhost:{server.address[1]}")) as link:
         link.send(b"over UDP")
@@ -377,6 +384,7 @@ def test_what_is_too_long_is_dropped_and_the_next_frame_is_found() -> None:
 
 
 @PTY
+@pytest.mark.machine
 def test_a_serial_line_recovers_from_garbage_both_ways() -> None:
     server = PtyServer()
     link = SerialLink(server.path, 921600)
@@ -400,6 +408,7 @@ def test_a_serial_line_recovers_from_garbage_both_ways() -> None:
 
 
 @PTY
+@pytest.mark.machine
 def test_a_serial_line_that_is_asked_for_what_has_come_does_not_wait() -> None:
     link, server = line_without_descriptor()
     with closing(server), closing(link):
@@ -408,6 +417,7 @@ def test_a_serial_line_that_is_asked_for_what_has_come_does_not_wait() -> None:
 
 
 @PTY
+@pytest.mark.machine
 def test_noise_without_end_does_not_keep_a_caller() -> None:
     link, server = serial_line()
     with closing(server), closing(link):
@@ -416,6 +426,7 @@ def test_noise_without_end_does_not_keep_a_caller() -> None:
 
 
 @PTY
+@pytest.mark.machine
 def test_a_full_serial_line_loses_frames_and_goes_on() -> None:
     server = PtyServer()
     with closing(server), closing(SerialLink(server.path, 921600)) as link:
@@ -434,6 +445,7 @@ def test_a_full_serial_line_loses_frames_and_goes_on() -> None:
 
 
 @PTY
+@pytest.mark.machine
 def test_a_line_that_is_gone_is_an_error() -> None:
     server = PtyServer()
     with closing(SerialLink(server.path, 921600)) as link:
@@ -532,7 +544,7 @@ def test_an_impairment_that_cannot_be_is_refused(wrong: dict[str, float]) -> Non
         Impairment(**wrong)  # type: ignore[arg-type]
 
 
-def echo(link: Link, server: UdpServer, count: int) -> list[bytes]:
+def echo(link: Link, server: UdpServer, proxy: UdpProxy, count: int) -> list[bytes]:
     """Send numbered frames; return the answers received."""
     answers = []
     for number in range(count):
@@ -541,10 +553,12 @@ def echo(link: Link, server: UdpServer, count: int) -> list[bytes]:
             server.send(*heard)
         while (answer := link.receive(0.0)) is not None:
             answers.append(answer)
-        time.sleep(2e-4)
+        while proxy.to_device.counts["frames"] <= number:  # or a system's queue may run over
+            time.sleep(2e-4)
     return answers
 
 
+@pytest.mark.machine
 def test_a_proxy_that_is_a_good_line_carries_everything_both_ways() -> None:
     with closing(UdpServer(HOME, 0)) as server, UdpProxy(server.address, Impairment()) as proxy:
         with closing(UdpLink(*proxy.address)) as link:
@@ -558,15 +572,14 @@ def test_a_proxy_that_is_a_good_line_carries_everything_both_ways() -> None:
         proxy.close()
 
 
+@pytest.mark.machine
 def test_a_proxy_that_is_a_bad_line_loses_repeats_damages_and_delays() -> None:
     bad = Impairment(loss=0.2, duplicate=0.2, corrupt=0.2, delay=2e-3, jitter=2e-3)
     with closing(UdpServer(HOME, 0)) as server, UdpProxy(server.address, bad) as proxy:
         with closing(UdpLink(*proxy.address)) as link:
-            answers = echo(link, server, 1000)
-            before = time.monotonic_ns()
+            answers = echo(link, server, proxy, 1000)
             while server.receive(0.05) or link.receive(0.05):  # what is still under way
                 pass
-            assert time.monotonic_ns() > before
     assert proxy.to_device.counts["frames"] == 1000
     for way in (proxy.to_device, proxy.to_host):
         assert near(way.counts["lost"], way.counts["frames"], 0.2)
@@ -575,13 +588,18 @@ def test_a_proxy_that_is_a_bad_line_loses_repeats_damages_and_delays() -> None:
     assert 0 < len(sent & set(answers)) < 1000 and set(answers) - sent
 
 
+@pytest.mark.machine
 def test_a_proxy_holds_frames_back_for_the_delay() -> None:
-    with closing(UdpServer(HOME, 0)) as server, UdpProxy(server.address, Impairment(delay=0.03)) as proxy:
-        with closing(UdpLink(*proxy.address)) as link:
-            before = time.monotonic_ns()
-            link.send(b"there and back")
-            heard = server.receive(PATIENCE)
-            assert heard is not None
-            server.send(*heard)
-            assert link.receive(PATIENCE) == b"there and back"
-            assert time.monotonic_ns() - before >= 60_000_000
+    for delay, arrives in ((0.03, True), (3600.0, False)):
+        with closing(UdpServer(HOME, 0)) as server, UdpProxy(server.address, Impairment(delay=delay)) as proxy:
+            with closing(UdpLink(*proxy.address)) as link:
+                link.send(b"there and back")
+                if arrives:
+                    heard = server.receive(PATIENCE)
+                    assert heard is not None
+                    server.send(*heard)
+                    assert link.receive(PATIENCE) == b"there and back"
+                else:
+                    while not proxy.to_device.counts["frames"]:
+                        time.sleep(1e-3)
+                    assert server.receive(0.1) is None

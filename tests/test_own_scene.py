@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable
-from contextlib import AbstractContextManager, closing
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, drive
-from maglev_mj.bridge import Calibration, RemotePlant, TwinParameters, open_link
-from maglev_mj.bridge.safety import Limits
-from maglev_mj.cli import main
+from maglev_mj.bridge import Calibration, RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.cli import bridge, main
 from maglev_mj.control import AxisLaw, Bias, gain
 from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene, Start, find_scene
@@ -25,12 +25,13 @@ from maglev_mj.theory import stability
 from maglev_mj.versions import hash_of
 from maglev_mj.views.readings import STABILITY
 from maglev_mj.views.window.screen import Plots
-from tests.processes import lockstep_twin
 from tests.test_dask_workers import cluster
 
 __all__ = ["cluster"]
 
 EXAMPLE = Path(__file__).parent.parent / "scripts" / "examples" / "detents.py"
+
+UNSTABLE = ["--stiffness", "9870"]
 
 Say = Callable[..., tuple[int, str, str]]
 
@@ -81,20 +82,26 @@ def test_it_runs_with_its_options_at_a_hundred_phases(folder: Path, say: Say) ->
     assert data["position"][0] == 1e-4 and abs(data["position"][-1]) < 1e-6
 
 
-def test_its_stability_is_told_and_warned_of(folder: Path, say: Say) -> None:
-    for options, stable, modulus in (([], True, 0.9147), (["--stiffness", "9870"], False, 1.0308)):
-        status, said, wrong = say("stability", "detents.py", *options, "--json", "-")
-        found = json.loads(said)
-        assert (status, wrong, found["stable"]) == (0, "", stable)
-        assert found["modulus"] == pytest.approx(modulus, abs=1e-4)
-        status, said, wrong = say("run", "detents.py", *options, "--duration", "0.02", "--json", "-")
-        assert status == 0 and json.loads(said)["parameters"]["duration"] == 0.02
-        assert wrong.count("\n") == (0 if stable else 1) and ("is unstable" in wrong) is not stable
-    assert "x: largest root 1.031 UNSTABLE" in say("stability", "detents.py", "--stiffness", "9870")[1]
+@pytest.mark.parametrize(("options", "stable", "modulus"), [([], True, 0.9147), (UNSTABLE, False, 1.0308)])
+def test_its_stability_is_told_and_warned_of(
+    options: list[str], stable: bool, modulus: float, folder: Path, say: Say
+) -> None:
+    status, said, wrong = say("stability", "detents.py", *options, "--json", "-")
+    found = json.loads(said)
+    assert (status, wrong, found["stable"]) == (0, "", stable)
+    assert found["modulus"] == pytest.approx(modulus, abs=1e-4)
+    status, said, wrong = say("run", "detents.py", *options, "--duration", "0.02", "--json", "-")
+    assert status == 0 and json.loads(said)["parameters"]["duration"] == 0.02
+    assert wrong.count("\n") == (0 if stable else 1) and ("is unstable" in wrong) is not stable
+
+
+def test_its_stability_is_said_by_axis(folder: Path, say: Say) -> None:
+    assert "x: largest root 1.031 UNSTABLE" in say("stability", "detents.py", *UNSTABLE)[1]
 
 
 def test_its_model_levels_are_compared(folder: Path, say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.studies.levels._LONG", 1e-9)  # computing times are taken once
+    for name, value in (("_LONG", 1e-9), ("_POINTS", 8), ("_SEEDS", 2)):  # computing times are taken once
+        monkeypatch.setattr(f"maglev_mj.studies.levels.{name}", value)
     command = "fidelity detents.py --phases 1 --duration 0.02 --around 0 --json all.json".split()
     status, said, wrong = say(*command)
     assert status == 0, wrong
@@ -126,26 +133,45 @@ def test_a_run_is_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
     assert_checked_with_the_scene_alone(say, "run.npz")
 
 
-def served() -> AbstractContextManager[str]:
-    return lockstep_twin(TwinParameters(limits=Limits(watchdog=1.0)))
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch) -> str:
+    """Return the address of a twin in lockstep, in virtual time, whose flight is checked with a free handle."""
+    monkeypatch.setattr(bridge, "_opened", lambda *parameters: RemotePlant(twin_link(), folder=parameters[-1]))
+    monkeypatch.setattr("maglev_mj.bridge.line.HANDS", ["none"])
+    return "udp://127.0.0.1:1"
 
 
-@pytest.mark.xdist_group("realtime")
-def test_it_is_flown_on_a_twin_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
-    with served() as address:
-        flight = ["bridge", address, "--scene", "detents.py", "--seconds", "0.5", "--record", "fly.npz"]
-        status, said, wrong = say(*flight, "--stiffness", "3000", "--anyway")
-        assert status == 0, wrong
-        assert "detents at 200 Hz" in said
+def twin_link() -> VirtualLink:
+    return VirtualLink(Twin(TwinParameters(lockstep=True), draw=lambda: 7))
+
+
+def fly(say: Say, address: str) -> None:
+    flight = ["bridge", address, "--scene", "detents.py", "--seconds", "0.3", "--record", "fly.npz"]
+    status, said, wrong = say(*flight, "--stiffness", "3000", "--anyway")
+    assert status == 0, wrong
+    assert "detents at 200 Hz" in said
+
+
+@pytest.mark.study
+def test_a_flight_is_recorded_checked_and_analysed(served: str, folder: Path, say: Say) -> None:
+    fly(say, served)
+    assert_checked_with_the_scene_alone(say, "fly.npz")
+
+
+def test_it_is_flown_on_a_twin_recorded_and_checked(served: str, folder: Path, say: Say) -> None:
+    fly(say, served)
     recording = Recording.load(folder / "fly.npz")
     (stretch,) = recording.stretches
     source = f"source/{hash_of((folder / 'detents.py').read_text())}/detents.py"
     assert {"calibration.json", "model/maglev.xml", source} <= recording.attachments.keys()
     assert json.loads(recording.attachments["calibration.json"]) == Calibration.nominal().as_json()
     assert stretch.setup["kind"] == "device" and stretch.setup["parameters"]["stiffness"] == 3000.0
-    assert_checked_with_the_scene_alone(say, "fly.npz")
-    with served() as address:
-        status, _, wrong = say("bridge", address, *flight[2:4], "--seconds", "0.05", "--stiffness", "9870")
+    status, said, wrong = say("replay", "fly.npz", "--check", "--scene", "detents.py")
+    assert (status, wrong) == (0, "") and "the same: " in said
+
+
+def test_it_is_not_flown_if_it_is_unstable(served: str, folder: Path, say: Say) -> None:
+    status, _, wrong = say("bridge", served, "--scene", "detents.py", "--seconds", "0.05", *UNSTABLE)
     assert status == 1 and "no takeoff: detents bears 0.96 ms" in wrong and "of delay and is UNSTABLE beyond" in wrong
 
 
@@ -236,10 +262,9 @@ def test_both_plants_take_it(laws: Any) -> None:
     assert np.abs(exact[-1]).max() < 0.1 * np.abs(exact[0]).max()
 
 
-@pytest.mark.xdist_group("realtime")
 @each_law
 def test_a_twin_takes_it(laws: Any) -> None:
-    with served() as address, RemotePlant(open_link(address), patience=5.0) as plant:
+    with RemotePlant(twin_link()) as plant:
         plant.takeoff()
         made = controller(laws)
         seen = []

@@ -287,8 +287,8 @@ def test_what_a_caller_does_to_a_command_later_changes_nothing(name: str, record
         make = RECORDED.get(name, partial(ExactPlant, pose=MANY[0]))
         plant = make(Timing(delay=1.3 * T), record=record, gravity=0.0)
         force: list[Any] = [np.zeros(plant.batch) if plant.batch else 0.0 for _ in range(6)]
-        for sample in islice(plant, 10):
-            push = np.full(plant.batch, 0.1 * sample.tick) if plant.batch else 0.1 * sample.tick
+        for sample in islice(plant, 5):
+            push = np.full(plant.batch, 0.3 * sample.tick) if plant.batch else 0.3 * sample.tick
             if again and plant.batch:
                 force[2][...] = push
             else:

@@ -30,11 +30,10 @@ from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Box, Joystick
 from maglev_mj.session import ChangeRequest, Publishers, Session, Snapshot, unstable_loop
-from tests.processes import ended, said_by, started, twin
-
-pytestmark = pytest.mark.xdist_group("realtime")
+from tests.processes import PATIENCE, ended, said_by, started, twin
 
 
+@pytest.mark.machine
 def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> None:
     # A wall on the wire is refused or taken; what was flown is in the file with both settings.
     record = tmp_path / "run.mcap"
@@ -46,7 +45,7 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
                 while client.parameters().get("state") != "flying":
                     time.sleep(0.1)
                 wall = {"wall": True, "walls": [["z", 1, -0.001]]}
-                end = time.monotonic() + 5.0  # the delay is told once it has been measured
+                end = time.monotonic() + PATIENCE  # the delay is told once it has been measured
                 while time.monotonic() < end:
                     refused = client.set(**wall, stiffness=40000.0)
                     if refused["figures"]["delay"] > 0.0015 + 1e-4:
@@ -55,7 +54,7 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
                 accepted = client.set(**wall, stiffness=2000.0)
                 assert accepted["since"] is not None and not accepted["reason"]
                 ticks = [message.fields.tick for message in client.messages(0.5)]
-                assert abs(next(client.messages(5.0)).fields.position.z) < 1e-3
+                assert abs(next(client.messages(PATIENCE)).fields.position.z) < 1e-3
             assert host.end().status == 0
         assert not (tmp_path / "s").exists()
         assert "inactive, faults: none" in ended(device)[1]
@@ -65,22 +64,23 @@ def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> 
     assert (after["stiffness"], after["walls"]) == (2000.0, [["z", 1, -0.001]])
     assert recording.stretches[1].tick[0] == accepted["since"]
     kept = np.concatenate([stretch.tick for stretch in recording.stretches])
-    assert len(ticks) > 100 and set(ticks) <= set(kept.astype(int))
+    assert ticks and set(ticks) <= set(kept.astype(int))
     status, said_again = said_by("replay", str(record), "--check")
     assert status == 0 and f"{recording.ticks} of {recording.ticks} the same: command," in said_again
     assert said_by("analyse", str(record))[0] == 0
 
 
+@pytest.mark.machine
 def test_a_twin_shows_its_true_pose_and_its_faults() -> None:
     # It lies on its stop, nothing can be set there, and an emergency stop is logged.
     with started("twin", "--foxglove", "0", "--listen", "udp://127.0.0.1:0") as device:
         with LiveClient(device.wait_for(r"ws://[\d.:]+")) as client:
-            sample = next(one.fields for one in client.messages(10.0) if one.topic == "/maglev/sample")
+            sample = next(one.fields for one in client.messages(PATIENCE) if one.topic == "/maglev/sample")
             assert sample.position.z == pytest.approx(-0.0045, abs=1e-5) and not sample.applied.z
             assert client.parameters() == {} and client.set(wall=True)["reason"] == "no scene runs here"
             client.send({"op": "nonsense"})  # is not for the person at the terminal
             said_by("estop", device.wait_for(r"udp://[\d.:]+"))
-            logged = (one.fields.message for one in client.messages(10.0) if one.topic == "/log")
+            logged = (one.fields.message for one in client.messages(PATIENCE) if one.topic == "/log")
             assert next(line for line in logged if "fault" in line) == "fault: ESTOP"
         ended_twin = device.end()
         assert (ended_twin.status, ended_twin.errors) == (0, "")
@@ -270,6 +270,7 @@ def render(live: LiveServer, switch: StopSwitch) -> None:
         time.sleep(0.001)
 
 
+@pytest.mark.machine
 @pytest.mark.parametrize("run", [fly, render])
 def test_settings_are_checked_in_another_process(run: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
     # No function of the theory is called where a scene runs, whether settings are refused or accepted.

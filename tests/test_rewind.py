@@ -29,7 +29,6 @@ from maglev_mj.session.stretch import _MOST_STATES
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import Charts
 from maglev_mj.views.remote import Inbox, RemoteViewer
-from tests.sweeps import sweep
 from tests.test_session_states import Program
 
 
@@ -110,27 +109,32 @@ def run_to(session: Session, end: float) -> None:
     assert session.snapshot().time == pytest.approx(end, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("make", "period"),
-    sweep([*(find_scene(name) for name in BUILT_IN), Rough, Spots, Locked], [0.005, 0.001], every=2),
-    ids=name_of,
-)
-def test_the_same_hand_again_moves_it_alike_to_the_last_bit(make: type[Scene], period: float) -> None:
+SOME: list[Any] = [(find_scene(name), 0.005, 1.3) for name in ("joystick", "six-axes", "table")]
+SOME += [(Smooth, 0.005, 0.2), (Spots, 0.005, 0.2), (Locked, 0.005, 0.2)]
+EVERY = [
+    pytest.param(make, period, 0.7 if issubclass(make, Rough) else 1.3, marks=pytest.mark.study)
+    for make in [*(find_scene(name) for name in BUILT_IN), Rough, Spots, Locked]
+    for period in (0.005, 0.001)
+]
+
+
+@pytest.mark.parametrize(("make", "period", "duration"), [*SOME, *EVERY], ids=name_of)
+def test_the_same_hand_again_moves_it_alike_to_the_last_bit(make: type[Scene], period: float, duration: float) -> None:
     session, random = made(make(period=period)), np.random.default_rng(7)
     if issubclass(make, Rough):  # at its stops where a state is kept
         session.change({"wall": False})
-        played(session, 0.7, size=4e-2)
+        played(session, duration, size=4e-2)
     else:
-        played(session, 1.3)
+        played(session, duration)
     first, end, before = rows(session).copy(), session.snapshot().time, session.snapshot()
     assert np.ptp(first[:, 1:4]) > 1e-4
     for branch in range(2 if issubclass(make, Rough) else 4):
         if branch % 2:
-            session.rewind(random.uniform(0.0, end), again=True)
+            session.rewind(random.uniform(0.0, end - 0.1), again=True)
         else:  # a gain that is changed and changed back changes nothing
-            session.change({"rewind": random.uniform(0.0, end)})
+            session.change({"rewind": random.uniform(0.0, end - 0.1)})
             session.change({"delay": 0.0012})
-            session.tick(0.2)
+            session.tick(0.1)
             session.change({"delay": make(period=period).delay})
             session.act("same hand again")
         run_to(session, end)
@@ -188,28 +192,40 @@ def test_the_first_try_is_shown_until_its_end_and_the_live_hand_follows() -> Non
     assert not len(session.snapshot().first)
 
 
-def test_no_more_than_a_minute_is_kept_whatever_is_changed() -> None:
+@pytest.mark.parametrize("kept", [KEPT / 10.0, pytest.param(KEPT, marks=pytest.mark.study)])
+def test_no_more_than_a_minute_is_kept_whatever_is_changed(kept: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = 0.5 * kept / KEPT
+    for name, value in {"stretch.KEPT": kept, "stretch._EVERY": every, "session.KEPT": kept}.items():
+        monkeypatch.setattr(f"maglev_mj.session.{name}", value)
     session = made()
-    past, most = session._past, KEPT / 0.005
+    past, most = session._past, kept / 0.005
     for _ in range(62):
-        session.tick(1.0)
+        session.tick(kept / 60.0)
     least, now = past.bounds(session.snapshot().time)
-    assert KEPT - 0.6 < now - least <= KEPT and len(past._states) <= KEPT / 0.5 + 1
+    assert kept - 1.2 * every < now - least <= kept and len(past._states) <= kept / every + 1
     for stiffness in range(200):
         session.change({"stiffness": 3000.0 + stiffness})
-        session.tick(0.1)
+        session.tick(kept / 300.0)
     assert len(past._states) == _MOST_STATES
     assert len(rows(session)) <= most + 1 and len(past.history._rows) <= 2 * most + 1024
     least, now = past.bounds(session.snapshot().time)
-    session.change({"rewind": 60.0})
+    session.change({"rewind": kept})
     shown = session.snapshot()
-    assert 10.0 < now - least < KEPT and shown.time == pytest.approx(least)
+    assert kept / 6.0 < now - least < kept and shown.time == pytest.approx(least)
     assert shown.scene == past._states[0][1].scene != Joystick(stiffness=3199.0)
 
 
 @pytest.mark.parametrize(
     ("make", "suffix"),
-    sweep([Joystick, Smooth, Spots, find_scene("table")], [".npz", ".mcap"], every=2),
+    [
+        (Joystick, ".npz"),
+        (find_scene("table"), ".mcap"),
+        *(
+            pytest.param(make, suffix, marks=pytest.mark.study)
+            for make in (Smooth, Spots)
+            for suffix in (".npz", ".mcap")
+        ),
+    ],
     ids=name_of,
 )
 def test_a_recording_of_many_rewinds_is_checked_to_the_last_bit(

@@ -18,22 +18,26 @@ from tests.test_charts import complaints
 ROOT = Path(__file__).resolve().parent.parent
 
 Script = Callable[..., str]
+STUDY = pytest.mark.study
 
 
 @pytest.fixture(autouse=True)
-def readable(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Check that all charts of a script are readable."""
+def readable(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Check that all charts of a script are readable; only a study writes their pixels."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
         yield
         return
     drawn: list[Any] = []
-    save = Figure.savefig
+    save, pixels = Figure.savefig, request.node.get_closest_marker("study") is not None
 
-    def keep(figure: Any, *places: Any, **options: Any) -> None:
+    def keep(figure: Any, path: Path, **options: Any) -> None:
         drawn.append(figure)
-        save(figure, *places, **options)
+        if pixels:
+            save(figure, path, **options)
+        else:
+            path.write_bytes(b"drawn")
 
     monkeypatch.setattr(Figure, "savefig", keep)
     yield
@@ -56,14 +60,24 @@ def run_script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
     return run
 
 
-@pytest.mark.parametrize("name", ["fig2_stability", "fig3_drop", "fig4_phase_plane", "fig6_press", "fig8_stick_slip"])
-def test_figures(name: str, tmp_path: Path, run_script: Script) -> None:
-    assert f"{name}.png" in run_script(f"figures/{name}.py", "--out", str(tmp_path))
-    assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("fig2_stability", ["--quick"]),
+        pytest.param("fig2_stability", [], marks=STUDY),
+        ("fig3_drop", []),
+        ("fig4_phase_plane", []),
+        ("fig6_press", []),
+        ("fig8_stick_slip", []),
+    ],
+)
+def test_figures(name: str, options: list[str], tmp_path: Path, run_script: Script) -> None:
+    assert f"{name}.png" in run_script(f"figures/{name}.py", *options, "--out", str(tmp_path))
+    assert (tmp_path / f"{name}.png").is_file()
 
 
 @pytest.mark.needs("drawing")
-@pytest.mark.parametrize("size", [(560, 420), pytest.param((1400, 1050), marks=pytest.mark.study)])
+@pytest.mark.parametrize("size", [(560, 420), pytest.param((1400, 1050), marks=STUDY)])
 def test_render_device_runs_in_a_process_of_its_own(size: tuple[int, int], tmp_path: Path) -> None:
     from matplotlib import image
 
@@ -76,7 +90,7 @@ def test_render_device_runs_in_a_process_of_its_own(size: tuple[int, int], tmp_p
     assert picture[..., :3].std() > 0.1  # a device, not an empty sky
 
 
-@pytest.mark.parametrize(("options", "tables"), [(["--quick"], 2), pytest.param([], 8, marks=pytest.mark.study)])
+@pytest.mark.parametrize(("options", "tables"), [(["--quick"], 1), pytest.param([], 8, marks=STUDY)])
 def test_pulse_effect_prints_the_table_of_its_page(options: list[str], tables: int, run_script: Script) -> None:
     out = run_script("figures/pulse_effect.py", *options).splitlines()
     assert sum(line.startswith("| from") for line in out) == tables
@@ -90,27 +104,31 @@ def test_pulse_effect_prints_the_table_of_its_page(options: list[str], tables: i
 def test_friction_laws_prints_and_writes_every_law(tmp_path: Path, run_script: Script) -> None:
     out = run_script("studies/friction_laws.py", "--quick", "--out", str(tmp_path))
     data = json.loads((tmp_path / "friction_laws.json").read_text())
-    assert len(data["spring"]) == 7 * 2 * 4
-    assert len(data["hard"]) == 7 * 2 * 2
-    assert out.count("kikuuwe") == 5
-    assert (tmp_path / "friction_laws.png").stat().st_size > 10_000
+    assert len(data["spring"]) == 7 * 4
+    assert len(data["hard"]) == 7 * 2
+    assert out.count("kikuuwe") == 3
+    assert (tmp_path / "friction_laws.png").is_file()
 
 
 def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
     out = run_script("studies/stability_bounds.py", "--quick", "--out", str(tmp_path))
     data = json.loads((tmp_path / "stability_bounds.json").read_text())
-    assert len(data["bounds"]) == 12 and len(data["integrators"]) == 3 * 5 + 2
-    assert out.count("euler") == 4
+    assert len(data["bounds"]) == 6 and len(data["integrators"]) == 5 + 2
+    assert out.count("euler") == 2
     for name in ("stability_bounds", "stability_steps"):
-        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+        assert (tmp_path / f"{name}.png").is_file()
 
 
-def test_where_methods_fail_draws_its_panels(tmp_path: Path, run_script: Script) -> None:
-    run_script("studies/where_methods_fail.py", "--quick", "--out", str(tmp_path))
+PANELS = ["timing", "pulse", "limits", "hands"]
+
+
+@pytest.mark.parametrize("names", [*([name] for name in PANELS), pytest.param(PANELS, marks=STUDY)])
+def test_where_methods_fail_draws_its_panels(names: list[str], tmp_path: Path, run_script: Script) -> None:
+    one = ["--figure", *names] if len(names) == 1 else []
+    run_script("studies/where_methods_fail.py", "--quick", *one, "--out", str(tmp_path))
     panels = json.loads((tmp_path / "where_methods_fail.json").read_text())["panels"]
-    assert len(panels) == 8 and all(panel["curves"] for panel in panels)
-    for name in ("timing", "pulse", "limits", "hands"):
-        assert (tmp_path / f"where_methods_fail_{name}.png").stat().st_size > 10_000
+    assert len(panels) == 2 * len(names) and all(panel["curves"] for panel in panels)
+    assert {path.stem for path in tmp_path.glob("*.png")} == {f"where_methods_fail_{name}" for name in names}
 
 
 def test_nonlinear_walls_are_drawn(tmp_path: Path, run_script: Script) -> None:
@@ -121,24 +139,24 @@ def test_nonlinear_walls_are_drawn(tmp_path: Path, run_script: Script) -> None:
         cases["with a limit of 60 N"]["largest_swing"]
         < 0.5 * cases["a drop from 4.5 mm: the edge alone"]["largest_swing"]
     )
-    assert (tmp_path / "stability_nonlinear.png").stat().st_size > 100_000
+    assert (tmp_path / "stability_nonlinear.png").is_file()
 
 
 def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run_script: Script) -> None:
     out = run_script("studies/two_walls.py", "--quick", "--out", str(tmp_path))
     rows = json.loads((tmp_path / "two_walls.json").read_text())["rows"]
-    assert len(rows) == 9 and out.count("\npulse") == 3
-    assert [max(row["share"]) for row in rows if row["delay"] == 0.0] == [0.0] * 3
-    assert rows[2]["share"] == [1.0] * 4  # 220 N s/m at 3 ms
-    assert (tmp_path / "two_walls.png").stat().st_size > 10_000
+    assert [row["delay"] for row in rows] == [0.0, 0.003] and out.count("\npulse 220") == 1
+    assert [row["share"] for row in rows] == [[0.0] * 4, [1.0] * 4]
+    assert (tmp_path / "two_walls.png").is_file()
 
 
 def test_figure_9_prints_how_far_resting_places_are_apart(tmp_path: Path, run_script: Script) -> None:
     out = run_script("figures/fig9_six_axes.py", "--quick", "--out", str(tmp_path))
-    assert out.count("N/m") == 3 and out.count("6 of 6") == 3
-    assert (tmp_path / "fig9_six_axes.png").stat().st_size > 10_000
+    assert out.count("1500 N/m") == out.count("6 of 6") == 1
+    assert (tmp_path / "fig9_six_axes.png").is_file()
 
 
+@STUDY  # of the script; the claims are those of test_design.py
 def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
     out = run_script("studies/better_walls.py", "--quick", "--out", str(tmp_path))
     data = json.loads((tmp_path / "better_walls.json").read_text())
@@ -148,6 +166,33 @@ def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: 
         assert row["modulus"] < 1.0 and row["growing"] == [0, 0]
 
 
+@pytest.mark.parametrize(
+    ("part", "options", "words"),
+    [
+        pytest.param("product", ["--number", "1"], "1 flights, 0 exceed", marks=STUDY),
+        ("laws", ["--number", "1"], "| sign error |"),
+        ("good", ["--number", "1", "--seconds", "0.2"], "0 refused; 1 flights, 0 softened, 0.00 hours; {'landed': 1}"),
+    ],
+)
+def test_a_part_of_flight_safety_is_flown_and_printed(
+    part: str, options: list[str], words: str, tmp_path: Path, run_script: Script
+) -> None:
+    (tmp_path / "delays.json").write_text(json.dumps({"busy 200": [400, 900], "quiet 200": [400, 900]}))
+    run_script("studies/flight_safety.py", part, *options, "--out", str(tmp_path))
+    assert words in run_script("studies/flight_safety.py", "tables", "--out", str(tmp_path))
+
+
+def test_takeoffs_of_flight_safety_go_on_where_they_ended(tmp_path: Path, run_script: Script) -> None:
+    for number in (1, 2):
+        run_script("studies/flight_safety.py", "takeoffs", "--number", str(number), "--out", str(tmp_path))
+        rows = [json.loads(line) for line in (tmp_path / "takeoffs.jsonl").read_text().splitlines()]
+        assert [row["cell"]["seed"] for row in rows] == [110_000, 110_001][:number]
+    assert "| good | 200 | 0.4 | 2 | 0 | 0 |" in run_script(
+        "studies/flight_safety.py", "tables", "--out", str(tmp_path)
+    )
+
+
+@STUDY
 def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Path, run_script: Script) -> None:
     def run(*arguments: str) -> str:
         return run_script("studies/flight_safety.py", *arguments, "--out", str(tmp_path))
@@ -174,9 +219,8 @@ def test_bench_refuses_what_it_cannot_do(
     assert done.value.code == 2 and len(capsys.readouterr().err.splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    "sections", [["loop"], pytest.param(["loop", "others"], marks=pytest.mark.study)], ids=["one", "two"]
-)
+@pytest.mark.machine
+@pytest.mark.parametrize("sections", [["loop"], pytest.param(["loop", "others"], marks=STUDY)], ids=["one", "two"])
 def test_bench_measures_sections_and_writes_one_file(
     sections: list[str], tmp_path: Path, run_script: Script, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -196,16 +240,19 @@ def test_bench_measures_sections_and_writes_one_file(
     assert done.value.code == 0 and "| corrected, body: over by hand |" in capsys.readouterr().out
 
 
+@pytest.mark.machine
 def test_the_cost_of_cells_is_a_row_for_each_number_of_them(run_script: Script) -> None:
     *rows, _ = map(json.loads, run_script("benchmarks/cells.py", "--empty", "100", "--drops", "16").splitlines())
     assert [row["cells"] for row in rows] == [100, 16] and all(row["bytes a cell"] > 8.0 for row in rows)
 
 
+@pytest.mark.machine
 def test_recorder_prints_what_a_tick_costs(run_script: Script) -> None:
     out = run_script("benchmarks/recorder.py", "--quick")
     assert "recorded to .mcap, into shared memory" in out and "samples a second" in out and "is read in" in out
 
 
+@pytest.mark.machine
 def test_start_prints_times_and_ratios(run_script: Script) -> None:
     out = run_script("benchmarks/start.py", "--quick")
     assert "complete an option" in out and "drop over numpy and mujoco" in out

@@ -21,7 +21,7 @@ from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, 
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
 from maglev_mj.views.readings import STABILITY
 from maglev_mj.views.window.screen import Plots
-from tests.test_linearise import Detent, Echo
+from tests.test_linearise import WEIGHTS, Detent, Echo
 
 ANGLES = dict.fromkeys(("rx", "ry", "rz"), float(np.radians(6.0)))
 
@@ -205,7 +205,9 @@ def test_no_scene_warns_as_it_is(name: str) -> None:
         assert stability_warning(variant) is None
 
 
-def test_a_scene_that_may_be_unstable_warns_in_one_line() -> None:
+def test_a_scene_that_may_be_unstable_warns_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 100)
+    monkeypatch.setattr("tests.test_linearise.WEIGHTS", WEIGHTS[:188])
     assert stability_warning(Detents()) is None
     wrong = Detents(stiffness=9870.0)
     assert stability_warning(wrong) == f"detents is unstable: {unstable_loop(wrong)}"
@@ -235,13 +237,13 @@ class Slipped(Detents):
 @pytest.mark.parametrize(
     ("options", "inertia"),
     [
-        ({}, INERTIA),
+        pytest.param({}, INERTIA, marks=pytest.mark.study),
         pytest.param({"mass": None, "inertia": None, "model": None}, INERTIA, marks=pytest.mark.study),
         ({"mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:])),
         pytest.param({"inertia": [1e-3, 2e-3, 3e-3]}, (*INERTIA[:3], 1e-3, 2e-3, 3e-3), marks=pytest.mark.study),
         pytest.param({"model": "drop"}, INERTIA, marks=pytest.mark.study),
         ({"model": "HEAVY", "inertia": [1e-3, 2e-3, 3e-3]}, (0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3)),
-        ({"model": "HEAVY", "mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:])),
+        pytest.param({"model": "HEAVY", "mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:]), marks=pytest.mark.study),
     ],
 )
 def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia: Any) -> None:

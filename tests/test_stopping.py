@@ -4,7 +4,7 @@ Ctrl-C once and twice, SIGTERM, SIGHUP, a window's key; and the time to zero cur
 """
 
 import json
-import os
+import math
 import signal
 import socket
 import sys
@@ -19,22 +19,24 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State, Twin, TwinParameters
+from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State, Twin, TwinParameters, landing
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import StopSwitch
+from maglev_mj.bridge.line import measure_line
 from maglev_mj.bridge.links import UdpServer
 from maglev_mj.bridge.realtime import stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
+from maglev_mj.cli import bridge
 from maglev_mj.errors import PlantError
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Snapshot
-from tests.processes import COMMAND, Program, ended, running, said_by
+from tests.processes import COMMAND, PATIENCE, Program, ended, running, said_by
 
 ZERO_CURRENT = 1e-9
 
-pytestmark = pytest.mark.xdist_group("realtime")
+Press = tuple[float, signal.Signals]
 
 
 @pytest.fixture(autouse=True)
@@ -91,13 +93,9 @@ class Watched:
     def last(self) -> Moment:
         return self.moments[-1]
 
-    def until(self, so: Callable[[], bool], patience: float = 30.0) -> float:
-        """Wait until something is so; return when it was seen."""
-        end = time.monotonic() + patience
-        while not so():
-            assert time.monotonic() < end, "waited in vain"
-            time.sleep(0.002)  # the twin runs in this process, and needs its time
-        return time.monotonic()
+    def until(self, so: Callable[[], bool]) -> None:
+        """Wait until something is so."""
+        waited(so)
 
     def flown(self, seconds: float) -> None:
         """Wait until the device has been active long enough.
@@ -110,8 +108,15 @@ class Watched:
     def cut_after(self, when: float) -> float:
         """Return the time until the currents stay zero [s]."""
         flowing = [one.time for one in self.moments if one.time > when and one.current > ZERO_CURRENT]
-        after = flowing[-1] if flowing else when
-        return next(one.time for one in self.moments if one.time > after) - when
+        return flowing[-1] - when if flowing else 0.0
+
+
+def waited(so: Callable[[], bool]) -> None:
+    """Wait until something is so; a twin in this process needs its time."""
+    end = time.monotonic() + PATIENCE
+    while not so():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.002)
 
 
 @contextmanager
@@ -147,6 +152,85 @@ def named(value: Any) -> str:
     return str(getattr(value, "name", value))
 
 
+# the command, in virtual time
+
+
+class Timeline:
+    """A twin in virtual time, with signals raised at given times since it is active.
+
+    The alarm of this process runs on the twin's clock, too.
+
+    Args:
+        presses: Times since the device is active [s], and signals.
+    """
+
+    def __init__(self, presses: Sequence[Press], monkeypatch: pytest.MonkeyPatch) -> None:
+        self.twin = Twin(TwinParameters(limits=Limits(watchdog=1.0)), draw=lambda: 7)
+        self.link = VirtualLink(self.twin)
+        self.moments: list[Moment] = []
+        self.sent: list[float] = []
+        self._presses, self._alarm, self._active = list(presses), math.inf, math.inf
+        monkeypatch.setattr(bridge, "_opened", self._opened)
+        monkeypatch.setattr(bridge, "measure_line", lambda plant: measure_line(plant, 0.2))
+        monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
+        monkeypatch.setattr(signal, "setitimer", self._set_alarm)
+
+    def _opened(self, *parameters: Any) -> RemotePlant:
+        plant = RemotePlant(self.link, folder=parameters[-1])
+        read = plant.read
+
+        def interrupted() -> Any:
+            sample = read()
+            self._look()
+            return sample
+
+        plant.read = interrupted  # type: ignore[method-assign]
+        return plant
+
+    def _look(self) -> None:
+        firmware, now = self.twin.firmware, self.link.time * 1e-9
+        current = float(np.abs(self.twin.plant.currents).max())
+        self.moments.append(Moment(now, firmware.state, firmware.faults, current, self.twin.pose[2]))
+        if firmware.state == State.ACTIVE:
+            self._active = min(self._active, now)
+        if now >= self._alarm:
+            self._alarm = math.inf
+            signal.raise_signal(signal.SIGALRM)
+        while self._presses and now - self._active > self._presses[0][0] - 1e-9:
+            self.sent.append(now)
+            signal.raise_signal(self._presses.pop(0)[1])
+
+    def _set_alarm(self, _which: int, seconds: float) -> None:
+        self._alarm = self.link.time * 1e-9 + seconds if seconds else math.inf
+
+    def fly(self, folder: Path, *options: str) -> tuple[int, str]:
+        """Run `bridge`; return its status and output."""
+        outcome = said_by("bridge", "udp://127.0.0.1:1", "--out", str(folder), *options)
+        self.link.receive(0.5)
+        assert not self._presses
+        return outcome
+
+    @property
+    def ended(self) -> tuple[State, Fault]:
+        assert not self.twin.plant.currents.any()
+        return self.twin.firmware.state, self.twin.firmware.faults
+
+    @property
+    def cut_after(self) -> float:
+        """Time from the last signal to the last current of a sample [s]."""
+        flowing = [one.time for one in self.moments if one.current > ZERO_CURRENT]
+        return max(flowing[-1] - self.sent[-1], 0.0)
+
+
+Presser = Callable[..., Timeline]
+
+
+@pytest.fixture
+def timeline(monkeypatch: pytest.MonkeyPatch) -> Presser:
+    """Return a function that makes a twin in virtual time from presses."""
+    return lambda *presses: Timeline(presses, monkeypatch)
+
+
 LANDING = some(
     [(signal.SIGINT, 0.02), (signal.SIGINT, 1.03), (signal.SIGTERM, 0.3), (signal.SIGHUP, 1.6)],
     [(signal.SIGINT, 0.3), (signal.SIGINT, 1.6), (signal.SIGTERM, 1.6), (signal.SIGHUP, 0.3)],
@@ -156,88 +240,129 @@ LANDING = some(
 
 @pytest.mark.parametrize(("kind", "at"), LANDING, ids=named)
 def test_the_first_signal_lands_at_any_time_of_takeoff_and_flight(
-    kind: signal.Signals, at: float, tmp_path: Path
+    kind: signal.Signals, at: float, timeline: Presser, tmp_path: Path
 ) -> None:
-    record = tmp_path / "run.npz"
-    with Watched() as twin, flight(twin, tmp_path, "--record", str(record)) as host:
-        twin.flown(at)
-        sent = time.monotonic()
-        host.child.send_signal(kind)
-        status, said = ended(host, None)
-        after = twin.cut_after(sent)
-        print(f"{kind.name} at {at} s: {after * 1e3:.0f} ms to zero current")
+    record, device = tmp_path / "run.npz", timeline((at, kind))
+    status, said = device.fly(tmp_path, "--record", str(record))
     assert status == 0, said
-    assert (twin.last.state, twin.last.faults) == (State.INACTIVE, Fault(0))
-    assert after > 0.5
+    assert device.ended == (State.INACTIVE, Fault(0))
+    assert 0.5 < device.cut_after < 1.5
     # from where it is, not from the centre
-    assert max(one.height for one in twin.moments) < (-0.002 if at < 0.1 else 1e-4)
-    assert abs(twin.twin.pose[2] + 0.0045) < 1e-4  # it lies where it lay
-    assert record.exists() == (at > 1.05) or at == 1.03, said  # it flies 30 ms later, if the machine does not stall
+    assert max(one.height for one in device.moments) < (-0.002 if at < 0.1 else 1e-4)
+    assert abs(device.twin.pose[2] + 0.0045) < 1e-4  # it lies where it lay
+    assert record.exists() == (at > 1.05), said
 
 
-TWICE = some([(0.02, 0.05), (0.3, 0.4), (1.6, 0.05)], [(0.02, 0.4), (0.3, 0.05), (1.6, 0.4)])
-
-
-@pytest.mark.parametrize(("at", "gap"), TWICE)
-def test_a_second_ctrl_c_cuts_now(at: float, gap: float, tmp_path: Path) -> None:
-    record = tmp_path / "run.npz"
-    with Watched() as twin, flight(twin, tmp_path, "--record", str(record)) as host:
-        twin.flown(at)
-        host.child.send_signal(signal.SIGINT)
-        time.sleep(gap)
-        sent = time.monotonic()
-        host.child.send_signal(signal.SIGINT)
-        status, said = ended(host, None)
-        after = twin.cut_after(sent)
-        print(f"twice, at {at} s and {gap} s later: {after * 1e3:.1f} ms to zero current")
+@pytest.mark.parametrize(
+    ("at", "gap"), some([(0.02, 0.05), (0.3, 0.4), (1.6, 0.05)], [(0.02, 0.4), (0.3, 0.05), (1.6, 0.4)])
+)
+def test_a_second_ctrl_c_cuts_now(at: float, gap: float, timeline: Presser, tmp_path: Path) -> None:
+    record, device = tmp_path / "run.npz", timeline((at, signal.SIGINT), (at + gap, signal.SIGINT))
+    status, said = device.fly(tmp_path, "--record", str(record))
     assert status == 1 and "ESTOP" in said, said
-    assert (twin.last.state, twin.last.faults) == (State.FAULT, Fault.ESTOP)
-    assert after < 0.5  # where nothing else runs 2 to 13 ms
+    assert device.ended == (State.FAULT, Fault.ESTOP)
+    assert device.cut_after < 0.02
     assert record.exists() == (at > 1.05), said
     (box,) = tmp_path.glob("maglev-fault-*.json")
     assert json.loads(box.read_text())["faults"] == "ESTOP"
 
 
-def test_landing_is_asked_for_and_cut_like_the_rest(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("times", "faults"), [(1, Fault(0)), (2, Fault.ESTOP)])
+def test_landing_is_asked_for_and_cut_like_the_rest(
+    times: int, faults: Fault, timeline: Presser, tmp_path: Path
+) -> None:
     # In a landing that has begun by itself, the first Ctrl-C changes nothing, and the second cuts.
-    for times, faults in ((1, Fault(0)), (2, Fault.ESTOP)):
-        with Watched() as twin, flight(twin, tmp_path, "--seconds", "0.2") as host:
-            twin.flown(1.0)
-            for _ in range(times):
-                host.child.send_signal(signal.SIGINT)
-                time.sleep(0.05)
-            status, said = ended(host, None)
-        assert (status, twin.last.faults) == (1 if faults else 0, faults), said
+    device = timeline(*((1.4 + 0.05 * press, signal.SIGINT) for press in range(times)))
+    status, said = device.fly(tmp_path, "--seconds", "0.2")
+    assert (status, device.ended[1]) == (1 if faults else 0, faults), said
 
 
-def test_a_landing_that_takes_too_long_is_cut_at_the_stated_time(tmp_path: Path) -> None:
-    with Watched() as twin:
-        with running(*within(0.25), "bridge", twin.address, "--anyway", "--out", str(tmp_path)) as host:
-            twin.flown(1.0)
-            sent = time.monotonic()
-            host.child.send_signal(signal.SIGTERM)
-            status, said = ended(host, None)
-        after = twin.cut_after(sent)
-    assert status == 1 and twin.last.faults == Fault.ESTOP, said
-    assert after > 0.24
+def test_a_landing_that_takes_too_long_is_cut_at_the_stated_time(
+    timeline: Presser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(landing, "LANDING_TIME", 0.25)
+    device = timeline((1.0, signal.SIGTERM))
+    status, said = device.fly(tmp_path)
+    assert status == 1 and device.ended == (State.FAULT, Fault.ESTOP), said
+    assert 0.24 < device.cut_after < 0.27
 
 
-@pytest.mark.parametrize(("kind", "at"), some([(signal.SIGHUP, 0.3)], [(signal.SIGINT, 1.2)]), ids=named)
-def test_identification_lands_when_asked_to_and_writes_nothing(kind: signal.Signals, at: float, tmp_path: Path) -> None:
-    with Watched() as twin, flight(twin, tmp_path, "--identify", str(tmp_path / "found.json")) as host:
-        twin.flown(at)
-        host.child.send_signal(kind)
-        status, said = ended(host, None)
+@pytest.mark.parametrize(("kind", "at"), [(signal.SIGHUP, 0.3), (signal.SIGINT, 1.2)], ids=named)
+def test_identification_lands_when_asked_to_and_writes_nothing(
+    kind: signal.Signals, at: float, timeline: Presser, tmp_path: Path
+) -> None:
+    device = timeline((at, kind))
+    status, said = device.fly(tmp_path, "--identify", str(tmp_path / "found.json"))
     assert status == 1 and "samples: nothing is written" in said, said
-    assert (twin.last.state, twin.last.faults) == (State.INACTIVE, Fault(0))
+    assert device.ended == (State.INACTIVE, Fault(0))
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda kind: kind.name)
+# the command in a process, with signals of the system
+
+
+def only(kept: Any, *more: Any) -> list[Any]:
+    """Return a case for the machine, and more of them for the studies."""
+    return [kept, *(pytest.param(*case, marks=pytest.mark.study) for case in more)]
+
+
+@pytest.mark.machine
+@pytest.mark.parametrize(
+    ("kind", "at"),
+    only((signal.SIGTERM, 0.3), (signal.SIGINT, 0.02), (signal.SIGINT, 1.03), (signal.SIGHUP, 1.6)),
+    ids=named,
+)
+def test_a_signal_lands_a_real_flight(kind: signal.Signals, at: float, tmp_path: Path) -> None:
+    with Watched() as twin, flight(twin, tmp_path) as host:
+        twin.flown(at)
+        sent = time.monotonic()
+        host.child.send_signal(kind)
+        status, said = ended(host, None)
+        twin.until(lambda: twin.last.current <= ZERO_CURRENT)
+        print(f"{kind.name} at {at} s: {twin.cut_after(sent) * 1e3:.0f} ms to zero current")
+    assert status == 0, said
+    assert (twin.last.state, twin.last.faults) == (State.INACTIVE, Fault(0))
+    assert max(one.height for one in twin.moments) < (-0.002 if at < 0.1 else 1e-4)
+    assert abs(twin.twin.pose[2] + 0.0045) < 1e-4
+
+
+@pytest.mark.machine
+@pytest.mark.parametrize("at", only(1.6, (0.02,), (0.3,)))
+def test_a_second_ctrl_c_cuts_a_real_flight(at: float, tmp_path: Path) -> None:
+    record = tmp_path / "run.npz"
+    with Watched() as twin, flight(twin, tmp_path, "--record", str(record)) as host:
+        twin.flown(at)
+        host.child.send_signal(signal.SIGINT)
+        twin.flown(at + 0.05)  # two signals at once would be one
+        sent = time.monotonic()
+        host.child.send_signal(signal.SIGINT)
+        status, said = ended(host, None)
+        twin.until(lambda: twin.last.current <= ZERO_CURRENT)
+        print(f"twice, at {at} s: {twin.cut_after(sent) * 1e3:.1f} ms to zero current")
+    assert status == 1 and "ESTOP" in said, said
+    assert (twin.last.state, twin.last.faults) == (State.FAULT, Fault.ESTOP)
+    (box,) = tmp_path.glob("maglev-fault-*.json")
+    assert json.loads(box.read_text())["faults"] == "ESTOP"
+    assert record.exists() or at < 1.6, said
+
+
+@pytest.mark.machine
+@pytest.mark.study
+def test_a_real_landing_that_takes_too_long_is_cut(tmp_path: Path) -> None:
+    with Watched() as twin:
+        with running(*within(0.25), "bridge", twin.address, "--anyway", "--out", str(tmp_path)) as host:
+            twin.flown(0.3)
+            host.child.send_signal(signal.SIGTERM)
+            status, said = ended(host, None)
+    assert status == 1 and twin.last.faults == Fault.ESTOP, said
+
+
+@pytest.mark.machine
+@pytest.mark.parametrize("kind", only(signal.SIGHUP, (signal.SIGINT,), (signal.SIGTERM,)), ids=named)
 def test_a_handshake_is_given_up_at_once(kind: signal.Signals, tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
         deaf.bind(("127.0.0.1", 0))
-        deaf.settimeout(30.0)
+        deaf.settimeout(60.0)
         address = f"udp://127.0.0.1:{deaf.getsockname()[1]}"
         with running(*COMMAND, "bridge", address, "--record", str(tmp_path / "run.npz")) as host:
             deaf.recv(4096)  # a hello
@@ -251,8 +376,7 @@ def test_hangups_that_nohup_ignores_stay_ignored(monkeypatch: pytest.MonkeyPatch
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         with stopping(lambda: asked.append(1)):
-            os.kill(os.getpid(), signal.SIGHUP)
-            time.sleep(0.05)
+            signal.raise_signal(signal.SIGHUP)
     finally:
         signal.signal(signal.SIGHUP, before)
     assert not asked
@@ -265,22 +389,30 @@ def test_only_ctrl_c_cuts(first: signal.Signals, then: signal.Signals) -> None:
     handlers = [signal.getsignal(kind) for kind in (first, then)]
     with stopping(lambda: told.append("land"), lambda: told.append("cut")):
         for kind in (first, then, then):
-            os.kill(os.getpid(), kind)
-            time.sleep(0.01)
+            signal.raise_signal(kind)
     assert told == ["land", *["cut"] * (2 * (then == signal.SIGINT))]
     assert [signal.getsignal(kind) for kind in (first, then)] == handlers
 
 
-def test_time_cuts_once_and_is_over_with_the_flight() -> None:
+def test_time_cuts_once_and_is_over_with_the_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    told, set_to = list[str](), list[float]()
+    monkeypatch.setattr(signal, "setitimer", lambda _, seconds: set_to.append(seconds))
+    with stopping(lambda: told.append("land"), lambda: told.append("cut"), within=0.05):
+        signal.raise_signal(signal.SIGTERM)
+        assert set_to == [0.05]
+        signal.raise_signal(signal.SIGALRM)
+    assert told == ["land", "cut"] and set_to == [0.05, 0.0]
+
+
+@pytest.mark.machine
+def test_time_is_the_systems() -> None:
     told: list[str] = []
     with stopping(lambda: told.append("land"), lambda: told.append("cut"), within=0.05):
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(0.2)
-    assert told == ["land", "cut"]
-    with stopping(lambda: told.append("land"), lambda: told.append("cut"), within=0.05):
-        os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(0.1)
-    assert told == ["land", "cut", "land"]
+        signal.raise_signal(signal.SIGTERM)
+        waited(lambda: "cut" in told)
+    with stopping(lambda: told.append("land"), lambda: told.append("cut"), within=60.0):
+        signal.raise_signal(signal.SIGTERM)
+    assert told == ["land", "cut", "land"] and signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 class Keys:
@@ -374,6 +506,7 @@ def test_a_stop_that_is_not_confirmed_says_to_cut_the_power(monkeypatch: pytest.
             flown.switch.cut()
 
 
+@pytest.mark.machine
 @pytest.mark.parametrize("at", [1.0, pytest.param(0.2, marks=pytest.mark.study)])
 def test_estop_stops_whoever_flies_and_the_way_on_is_reset(at: float, tmp_path: Path) -> None:
     with Watched() as twin, flight(twin, tmp_path) as host:
@@ -387,8 +520,9 @@ def test_estop_stops_whoever_flies_and_the_way_on_is_reset(at: float, tmp_path: 
         status, said = said_by("bridge", twin.address, "--reset")
         assert status == 0 and "ESTOP: an emergency stop was asked for" in said and " s ago" in said
         twin.until(lambda: twin.last.state == State.INACTIVE)
-        time.sleep(1.0)
-        assert twin.last.state == State.INACTIVE and not twin.last.current
+        since = len(twin.moments)
+        twin.until(lambda: len(twin.moments) > since + 200)
+        assert all(one.state == State.INACTIVE and not one.current for one in twin.moments[since:])
         status, said = said_by("bridge", twin.address, "--reset")
         assert status == 0 and "no fault is latched; the device is inactive" in said
     (box,) = tmp_path.glob("maglev-fault-*.json")
@@ -399,6 +533,7 @@ def test_estop_stops_whoever_flies_and_the_way_on_is_reset(at: float, tmp_path: 
     assert list((tmp_path / "pictures").glob("*.png"))
 
 
+@pytest.mark.machine
 def test_estop_that_is_not_confirmed_is_a_failure(tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_text("a7" * 16)
@@ -409,6 +544,9 @@ def test_estop_that_is_not_confirmed_is_a_failure(tmp_path: Path) -> None:
         status, said = said_by("estop", twin.address, "--key", str(key))
         assert status == 1 and "not confirmed: cut the power" in said
         assert twin.last.state == State.INACTIVE
+
+
+def test_estop_of_no_device_is_a_failure() -> None:
     for wrong in ("127.0.0.1:5678", "udp://192.0.2.1:5678"):
         status, said = said_by("estop", wrong)
         assert status == 2 and said.count("\n") == 1

@@ -156,7 +156,7 @@ def test_over_a_bad_line_it_takes_off_and_lands_by_the_samples_numbers(seed: int
     assert report.at_rest and report.error < 2e-4
 
 
-@pytest.mark.parametrize("period", RATES[:2])
+@pytest.mark.parametrize("period", [RATES[0], pytest.param(RATES[1], marks=pytest.mark.study)])
 def test_a_landing_says_how_the_flotor_lies(period: float) -> None:
     rig = Rig(period=period)
     rig.plant.takeoff()
@@ -227,7 +227,10 @@ def test_the_first_hovers_limits_are_those_of_the_guide() -> None:
 
 
 @pytest.mark.parametrize("seed", sweep(range(3), every=3))
-@pytest.mark.parametrize(("period", "seconds"), [(0.005, 5.0), (0.001, 0.3)], ids=["200 Hz", "1 kHz"])
+@pytest.mark.parametrize(
+    ("period", "seconds"),
+    [pytest.param(0.005, 5.0, id="200 Hz"), pytest.param(0.001, 0.3, id="1 kHz", marks=pytest.mark.study)],
+)
 def test_within_the_first_hovers_limits_it_takes_off_from_a_stop_beyond_them_and_lands(
     period: float, seconds: float, seed: int
 ) -> None:

@@ -205,14 +205,15 @@ def test_a_step_goes_on_after_the_scene_was_started_again() -> None:
     assert user.tour.snapshot().time < 1.0 and user.line.done
 
 
-def test_the_whole_tour_is_done_in_a_row() -> None:
+def test_the_whole_tour_is_done_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.session.tour._SHOWN", 1.0)
     user = User(1)
     for step, deed in RIGHT.items():
         assert user.line.number == step and not user.line.done
         deed(user)
         assert user.line.done, user.line
         user.tour.hand.target = None
-        for _ in range(round(2.1 / TICK)):
+        for _ in range(round(1.1 / TICK)):
             user.tour.tick(TICK)
         assert user.tour.snapshot().state == "running"
     assert user.line.deed.startswith("Done. That was the tour")

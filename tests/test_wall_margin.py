@@ -14,6 +14,7 @@ from maglev_mj import analyse, rebuild, record_run, run
 from maglev_mj.analysis.pictures import _describe
 from maglev_mj.colours import BAD
 from maglev_mj.control import Law, Wall
+from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene, find_scene
 from maglev_mj.scenes.bench import WallScene
 from maglev_mj.scenes.drop import Drop
@@ -25,7 +26,8 @@ from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.session import Snapshot
 from maglev_mj.theory import stability, verdict
 from maglev_mj.views.readings import Reading, StabilityMap, readings
-from tests.test_linearise import Echo
+from tests.test_flight_changes import Here
+from tests.test_linearise import WEIGHTS, Echo
 
 
 class Echoing(WallScene):
@@ -60,11 +62,17 @@ def test_the_margin_is_where_the_walls_own_root_passes_one(name: str, stiffness:
         (Drop(stiffness=15_000.0), "root 1.105 UNSTABLE, stiffness 148 % of its limit"),
         (Drop(stiffness=400.0), "root 0.975"),  # up to tenfold it is stable
         (Joystick(period=1e-4, delay=0.0, stiffness=5e5), "root 0.995"),  # up to the largest stiffness that it takes
-        (Echoing(), "root not known"),
+        pytest.param(Echoing(), "root not known", marks=pytest.mark.study),
     ],
 )
 def test_it_is_said_in_a_line(scene: Scene, says: str) -> None:
     assert str(wall_margin(scene)) == says
+
+
+def test_what_remembers_too_long_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)
+    monkeypatch.setattr("tests.test_linearise.WEIGHTS", WEIGHTS[:100])
+    assert str(wall_margin(Echoing())) == "root not known"
 
 
 @pytest.mark.parametrize("scene", [Joystick(wall=False), Drop(stiffness=0.0), find_scene("twist")()])
@@ -95,9 +103,10 @@ def test_gains_and_linearisation_give_one_loop(scene: Any, monkeypatch: pytest.M
 # what a person reads
 
 
-@pytest.fixture
-def beside(monkeypatch: pytest.MonkeyPatch) -> Iterator[StabilityMap]:
-    """Give viewers a process of their own, and a busy machine time for it."""
+@pytest.fixture(params=[Here, pytest.param(SideAnswers, marks=pytest.mark.machine)])
+def beside(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[StabilityMap]:
+    """Give viewers answers of their own: of this process, or of one beside it, with time for it on a busy machine."""
+    monkeypatch.setattr("maglev_mj.views.readings.SideAnswers", request.param)
     monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
     own = StabilityMap()
     monkeypatch.setattr("maglev_mj.views.readings.STABILITY", own)
@@ -142,6 +151,7 @@ def test_in_flight_it_is_of_the_measured_delay_and_the_devices_mass(beside: Stab
     assert [one.value for one in found if one] == [want[0], *want]
 
 
+@pytest.mark.parametrize("beside", [pytest.param(SideAnswers, marks=pytest.mark.machine)], indirect=True)
 def test_a_viewer_outlives_the_process(beside: StabilityMap) -> None:
     settled(shown(Drop()), lambda: beside.scene is not None)
     assert beside._answers is not None

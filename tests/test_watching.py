@@ -31,10 +31,8 @@ from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Session, Snapshot, 
 from maglev_mj.views.remote import Inbox, RemoteSession, RemoteViewer, show_remotely
 from maglev_mj.views.window.keys import keys_of
 from maglev_mj.views.window.window import show
-from tests.processes import Program, started
+from tests.processes import PATIENCE, Program, started
 from tests.virtual_screen import VirtualScreen, waited
-
-pytestmark = pytest.mark.xdist_group("realtime")
 
 SIZE = 600, 450
 """Size of the screen [px], which software draws."""
@@ -160,7 +158,7 @@ def flying(screen: VirtualScreen, folder: Path, look: str, *options: str) -> Ite
                     return True
                 return False
 
-            waited(focused, 60.0)
+            waited(focused, PATIENCE)
             yield twin, host, window
 
 
@@ -191,7 +189,7 @@ def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_
 
 
 @pytest.mark.needs("screen", "xdotool")
-@pytest.mark.parametrize("look", ["twin", "bridge"])
+@pytest.mark.parametrize("look", ["bridge", pytest.param("twin", marks=pytest.mark.study)])
 def test_escape_in_a_window_cuts_the_currents(look: str, tmp_path: Path) -> None:
     with VirtualScreen(*SIZE) as screen, flying(screen, tmp_path, look) as (twin, host, _window):
         screen.xdotool("mousemove", 200, 200)
@@ -201,7 +199,7 @@ def test_escape_in_a_window_cuts_the_currents(look: str, tmp_path: Path) -> None
             time.sleep(0.3)
             return host.child.poll() is not None
 
-        waited(cut, 60.0)
+        waited(cut, PATIENCE)
         stopped = host.end(None)
         assert stopped.status == 1 and "ESTOP: " in stopped.output + stopped.errors
         assert "fault, faults: ESTOP" in twin.end().output
@@ -286,6 +284,7 @@ def test_where_a_recording_has_jumped_few_rows_are_sent_and_the_newest_of_them()
     assert 350 <= len(sent) <= 400 and sent[-1] == rows[-1, 0] and np.ptp(np.diff(sent)) < 1e-9
 
 
+@pytest.mark.machine
 def test_a_page_whose_process_ends_ends_the_session() -> None:
     with pytest.raises(MaglevError, match="the process that shows the scene has ended"):
         show_remotely(Session(), id, 60.0)

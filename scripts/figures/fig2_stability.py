@@ -15,7 +15,8 @@ from maglev_mj.spec import Spec
 from maglev_mj.studies.pictures import level_sets
 from maglev_mj.theory import largest_modulus, stiffest_wall
 
-pictures = script_options(__doc__).pictures
+options = script_options(__doc__, quick="a coarser grid")
+pictures, COUNT = options.pictures, 41 if options.quick else 401
 
 
 def draw(cases: Sequence[tuple[str, Array, Array, Array, tuple[float, float]]], path: Path) -> Path:
@@ -50,8 +51,8 @@ PERIOD, DELAY, MASS = 1.0 / Spec.control_rate.value, Spec.transport_delay.value,
 cases = []
 for name, delay in (("one sample of delay, eq. (6)", PERIOD), ("delay 1.5 ms, the device", DELAY)):
     best = stiffest_wall(period=PERIOD, delay=delay, mass=MASS)
-    stiffness = np.linspace(1.0, 1.2 * float(best.stiffness), 401)
-    damping = np.linspace(0.0, 2.2 * float(best.damping), 401)
+    stiffness = np.linspace(1.0, 1.2 * float(best.stiffness), COUNT)
+    damping = np.linspace(0.0, 2.2 * float(best.damping), COUNT)
     modulus = largest_modulus(stiffness[:, None], damping, period=PERIOD, delay=delay, mass=MASS)
     to_cp, to_cv = PERIOD**2 / (2.0 * MASS), PERIOD / (2.0 * MASS)
     title = f"{name}, 200 Hz, 0.7 kg\nat most {float(best.stiffness):.0f} N/m, at {float(best.damping):.1f} N s/m"

@@ -25,8 +25,8 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 if __name__ == "__main__":
-    options = script_options(__doc__, quick="100 x 100 walls a picture instead of 1000 x 1000")
-    grid = 100 if options.quick else 1000
+    options = script_options(__doc__, quick="30 x 30 walls a picture instead of 1000 x 1000")
+    grid = 30 if options.quick else 1000
     workers = local_workers(0 if options.quick else None)
     results, data = {}, {}
     print(f"{grid} x {grid} walls a case, 200 Hz, delay 1.5 ms, 0.7 kg, 400 samples")

@@ -1,10 +1,11 @@
 """Failures of walls and their cures.
 
-Four figures of two panels, each over phases, seeds or a sweep.
+Four figures of two panels, each over phases, seeds or a sweep; `--figure NAME` draws one of them.
 
 `two_walls.py` draws the fourth one's subject over every delay.
 """
 
+import argparse
 import itertools
 import json
 from typing import Any
@@ -24,12 +25,22 @@ from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import largest_modulus, stiffest_wall
 from maglev_mj.versions import versions
 
-options = script_options(__doc__, quick="fewer points")
+NAMES = "timing", "pulse", "limits", "hands"
+
+
+def add_figure(parser: argparse.ArgumentParser) -> None:
+    """Add the choice of one figure."""
+    parser.add_argument("--figure", choices=NAMES, help="draw one figure (default all)")
+
+
+options = script_options(__doc__, quick="fewer points, shorter runs", more=add_figure)
 pictures = options.pictures
 
 T, DELAY, MASS = 1.0 / Spec.control_rate.value, Spec.transport_delay.value, Spec.moving_mass.value
 COUNT = 2 if options.quick else 10
-TICKS, PRESSES = (500, 4) if options.quick else (4000, 20)
+TICKS, PRESSES = (500, 2) if options.quick else (4000, 20)
+SECONDS = (0.5, 1.0, 0.5, 0.5) if options.quick else (2.0, 16.0, 4.0, 4.0)
+CHATTER, RATTLES, DROP, HUM = SECONDS
 PHASES = np.arange(32)[:: 8 if options.quick else 1] / 32
 
 
@@ -80,7 +91,10 @@ def chatter() -> Panel:
     for noise in (0.0, 1e-6, 2e-6, 5e-6, 10e-6):
         gates = [0.0, 5.0 * (5e-6 + noise) / T]
         fired = np.array(
-            [press_at_edge(press, gates, noise=noise, phases=PRESSES).pulses for press in presses.tolist()]
+            [
+                press_at_edge(press, gates, noise=noise, phases=PRESSES, duration=CHATTER).pulses
+                for press in presses.tolist()
+            ]
         )
         curves.append((f"noise {noise * 1e6:g} µm, no gate", presses, fired[:, 0]))
         gated = np.maximum(gated, fired[:, 1])
@@ -98,7 +112,7 @@ def chatter() -> Panel:
 def gaps() -> Panel:
     """Return the panel of rattling starts between two walls, of 128 under 60 N."""
     widths = np.geomspace(1e-5, 5e-3, COUNT + 2)
-    speeds, duration = np.arange(1, 17) * 0.02, 2.0 if options.quick else 16.0
+    speeds = np.arange(1, 17) * 0.02
     stops = MASS / 0.003 - 80.0
     curves, outside = [], []
     for pulse, delay in (
@@ -109,7 +123,7 @@ def gaps() -> Panel:
         (stops, 0.002),
         (stops, 0.003),
     ):
-        found = rattle(widths[:, None, None], speeds[:, None], PHASES[::4], pulse=pulse, delay=delay, duration=duration)
+        found = rattle(widths[:, None, None], speeds[:, None], PHASES[::4], pulse=pulse, delay=delay, duration=RATTLES)
         share = (found.speed > RATTLE).mean(axis=(1, 2))
         curves.append((f"pulse {pulse:.0f} N s/m, {delay * 1e3:g} ms", widths * 1e3, share))
         outside.append((found.furthest > RANGE[2]).any(axis=(1, 2)))
@@ -143,13 +157,13 @@ def saturation() -> Panel:
     cases += [(f"PD 6000 N/m, {limit:g} N", paper, limit) for limit in (10.0, 20.0, 30.0)]
     curves, outside = [], []
     for name, wall, limit in cases:
-        found = limited_drop(heights[:, None], wall, PHASES, force_limit=limit)
+        found = limited_drop(heights[:, None], wall, PHASES, force_limit=limit, duration=DROP)
         curves.append((name, heights * 1e3, found.furthest.max(axis=1) * 1e3))
         outside.append((found.furthest > RANGE[2]).any(axis=1))
     return panel(
         "saturation: thrown out, or too deep",
         "drop height (mm)",
-        "furthest from the centre in 4 s (mm)",
+        f"furthest from the centre in {DROP:g} s (mm)",
         curves,
         log="xy",
         level=RANGE[2] * 1e3,
@@ -163,7 +177,7 @@ def quantization() -> Panel:
     shares = np.linspace(0.0, 1.2, COUNT + 3)
     curves = []
     for stiffness, damping in ((2000.0, 30.0), (4000.0, 60.0), (6000.0, 80.0)):
-        swing = hum(shares * 0.5 * stiffness * 5e-6, stiffness=stiffness, damping=damping).swing
+        swing = hum(shares * 0.5 * stiffness * 5e-6, stiffness=stiffness, damping=damping, duration=HUM).swing
         curves.append((f"{stiffness:g} N/m, {damping:g} N s/m", shares, swing * 1e6))
     return panel(
         "a coarse sensor hums unless there is friction",
@@ -196,13 +210,12 @@ def corners() -> Panel:
     return panel("a corner: x, z and ry at once", "time (s)", "kinetic energy (J)", curves, log="y")
 
 
-FIGURES = {
-    "timing": (just_above_the_boundary, jitter),
-    "pulse": (chatter, gaps),
-    "limits": (saturation, quantization),
-    "hands": (hands, corners),
+PANELS = (just_above_the_boundary, jitter), (chatter, gaps), (saturation, quantization), (hands, corners)
+drawn = {
+    name: [make() for make in makers]
+    for name, makers in zip(NAMES, PANELS, strict=True)
+    if options.figure in (None, name)
 }
-drawn = {name: [make() for make in makers] for name, makers in FIGURES.items()}
 data = [
     {
         "title": one.title,
