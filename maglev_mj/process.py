@@ -6,15 +6,12 @@ import atexit
 import math
 import os
 import signal
-import sys
 import threading
 import time
-from _thread import interrupt_main
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from select import select
-from types import FrameType
-from typing import Any, Self
+from typing import Any
 
 from maglev_mj.errors import MaglevError
 
@@ -175,85 +172,6 @@ def _answer(line: Any, function: Callable[..., Any]) -> None:
                 return
             except Exception as error:  # also of a class that this process does not find
                 answer = MaglevError(str(error) or repr(error))
-
-
-_LATER, _LONG = 0.01, 0.5
-_delayed = list[None]()
-
-
-class Interrupts:
-    """Context in which Ctrl-C raises KeyboardInterrupt, once no module is being loaded and nothing delays it.
-
-    A library that loads takes it for an error of its own, or swallows it. What takes long is ended as before the
-    context. Where the exception could not be raised, it is again.
-
-    Attributes:
-        seen: True if there was one.
-    """
-
-    def __init__(self) -> None:
-        self.seen, self._waits, self._asked = False, False, math.inf
-        self._before = signal.getsignal(signal.SIGINT)
-        here = threading.current_thread() is threading.main_thread()  # signals are the main thread's
-        self._heard = here and self._before is not signal.SIG_IGN  # as a shell's programs in the background have it
-
-    def __enter__(self) -> Self:
-        if self._heard:
-            self._hook, sys.unraisablehook = sys.unraisablehook, self._unraisable
-            signal.signal(signal.SIGINT, self._raise)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._heard:
-            signal.signal(signal.SIGINT, self._before)
-            sys.unraisablehook = self._hook
-
-    def _raise(self, number: int, frame: FrameType | None) -> None:
-        now = time.monotonic()
-        self.seen, self._asked = True, min(self._asked, now)
-        if not (_delayed or _loads(frame)):
-            signal.default_int_handler(number, frame)
-        elif now - self._asked < _LONG:
-            self._wait()
-        elif callable(self._before):
-            self._before(number, frame)
-
-    def _wait(self) -> None:
-        if not self._waits:
-            self._waits = True
-            threading.Timer(_LATER, self._again).start()
-
-    def _again(self) -> None:
-        self._waits = False
-        if hasattr(signal, "pthread_kill"):
-            signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)  # ends a sleep too
-        else:
-            interrupt_main()
-
-    def _unraisable(self, ignored: Any) -> None:
-        if isinstance(ignored.exc_value, KeyboardInterrupt):
-            self._wait()
-        else:
-            self._hook(ignored)
-
-
-def _loads(frame: FrameType | None) -> bool:
-    """Return True in a module's import."""
-    while frame is not None:
-        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
-            return True
-        frame = frame.f_back
-    return False
-
-
-@contextmanager
-def interrupts_delayed() -> Iterator[None]:
-    """Delay Ctrl-C to the end of the context, for half a second at most."""
-    _delayed.append(None)
-    try:
-        yield
-    finally:
-        _delayed.pop()
 
 
 @contextmanager

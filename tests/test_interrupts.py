@@ -13,8 +13,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from maglev_mj.process import Interrupts, SideProcess, be_nice, interrupts_held, start_tracker
-from tests.processes import PATIENCE, run
+from maglev_mj.process import SideProcess, be_nice, interrupts_held, start_tracker
+from tests.processes import run
 
 # Ctrl-C as the n-th module whose name begins so is looked for
 PROGRAM = """
@@ -64,29 +64,6 @@ def test_no_traceback_while_a_command_loads(command: str, module: str, number: i
     assert "Traceback" not in done.errors and "ignored" not in done.errors
 
 
-def test_a_module_that_swallows_it_does_not_keep_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    press = "import os, signal\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n    print()\n"
-    (tmp_path / "swallowing.py").write_text(press + "except BaseException:\n    pass\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(KeyboardInterrupt), Interrupts() as interrupts:
-        import swallowing  # type: ignore[import-not-found] # noqa: F401
-
-        assert interrupts.seen
-        time.sleep(PATIENCE)
-
-
-@pytest.mark.machine
-def test_a_module_that_loads_for_long_is_interrupted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "slow.py").write_text(
-        "import os, pathlib, signal, time\nos.kill(os.getpid(), signal.SIGINT)\ntime.sleep(60.0)\n"
-        "pathlib.Path(__file__).with_name('loaded').touch()\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(KeyboardInterrupt), Interrupts():
-        import slow  # type: ignore[import-not-found] # noqa: F401
-    assert not (tmp_path / "loaded").exists()
-
-
 def test_a_window_that_opens_is_whole_before_it_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
     # half open it cannot be closed, and the end of the program crashes in the engine's drawing thread
     window = import_module("maglev_mj.views.window.window")
@@ -100,41 +77,9 @@ def test_a_window_that_opens_is_whole_before_it_is_raised(monkeypatch: pytest.Mo
 
     monkeypatch.setattr(window, "_font_scale", scale)
     monkeypatch.setattr(window, "require_display", lambda: None)
-    with pytest.raises(KeyboardInterrupt), Interrupts():
-        try:
-            window.show(None, folder=Path())
-        except LookupError:
-            time.sleep(PATIENCE)
+    with pytest.raises(KeyboardInterrupt):
+        window.show(None, folder=Path())
     assert opened == ["whole"]
-
-
-def test_it_is_raised_again_where_it_was_only_reported(capfd: pytest.CaptureFixture[str]) -> None:
-    class Deaf:
-        def __del__(self) -> None:
-            os.kill(os.getpid(), signal.SIGINT)
-            print()
-
-    with pytest.raises(KeyboardInterrupt), Interrupts():
-        Deaf()
-        time.sleep(PATIENCE)
-    assert capfd.readouterr().err == ""
-
-
-def test_the_handlers_of_before_are_back() -> None:
-    before = signal.getsignal(signal.SIGINT), sys.unraisablehook
-    with pytest.raises(KeyboardInterrupt), Interrupts():
-        signal.raise_signal(signal.SIGINT)
-    assert (signal.getsignal(signal.SIGINT), sys.unraisablehook) == before
-
-
-def test_an_ignored_signal_stays_ignored() -> None:
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        with Interrupts() as interrupts:
-            signal.raise_signal(signal.SIGINT)
-        assert not interrupts.seen
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def test_a_thread_leaves_signals_alone() -> None:
@@ -142,7 +87,7 @@ def test_a_thread_leaves_signals_alone() -> None:
 
     def work() -> None:
         try:
-            with Interrupts(), interrupts_held():
+            with interrupts_held():
                 pass
         except BaseException as error:
             failed.append(error)

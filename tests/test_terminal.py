@@ -5,7 +5,6 @@ All within 80 columns.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import shlex
@@ -24,7 +23,6 @@ from maglev_mj import cli
 from maglev_mj.bridge.bench.commissioning import CoilCheck
 from maglev_mj.bridge.fault import BlackBox, load_black_box
 from maglev_mj.bridge.wire import Fault
-from maglev_mj.cli import completion
 from maglev_mj.cli.declare import joined
 from maglev_mj.cli.device import _coil_row
 from maglev_mj.cli.output import Progress
@@ -36,7 +34,7 @@ from maglev_mj.terminal import wrapped
 from tests.golden.outputs import cases, kept
 
 PROGRAM = [sys.executable, "-m", "maglev_mj"]
-SCENES_OF = ("view", "render", "serve-spacenav", "run", "stability", "design", "sweep", "fidelity")
+SCENES_OF = ("view", "render", "run", "stability", "design", "sweep", "fidelity")
 
 
 def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
@@ -165,44 +163,12 @@ def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -
     here.mkdir()
     for name in ("mine.py", "run.mcap"):
         (here / name).touch()
-    environment = {**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")}
-    kept = tmp_path / "cache" / "maglev-mj" / "completion"
-
-    def loaded(count: int) -> list[str]:
-        """Return for each first line if numpy was loaded."""
-        asked, lines = [sys.executable, "-c", ASK], [*OFFERED][:count]
-        done = subprocess.run(
-            asked, input="\n".join(lines), text=True, cwd=here, env=environment, capture_output=True, check=True
-        )
-        for place, line in enumerate(lines):
-            found = (here / f"answer {place}").read_text()
-            assert [word.strip() for word in found.split(",") if word] == OFFERED[line], line
-        return done.stdout.split()
-
-    first, second = loaded(11), loaded(11)  # the second time from what the first has kept
-    assert first[:2] == ["False"] * 2 and first[2:7] == ["True"] * 5
-    assert second == ["False"] * 9 + ["True"] * 2  # a flight's scene stands behind its address
-    for file in kept.iterdir():  # of other code
-        told = json.loads(file.read_text())
-        file.write_text(json.dumps({**told, "code": "0.1.0 1 1", "actions": []}))
-    assert loaded(3)[2] == "True"
-
-
-@pytest.mark.parametrize("text", ["{", "[1]", "3", "\x80"])
-def test_options_that_cannot_be_read_or_kept_are_found_anew(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    completion._write("drop", {"code": "1"})
-    assert completion._read("drop") == {"code": "1"} and completion._read("press") is None
-    Path(completion._path("drop")).write_text(text, encoding="latin-1")
-    assert completion._read("drop") is None
-    for folder in ("relative", str(tmp_path / "cache" / "maglev-mj" / "completion" / "drop.json")):  # a file is none
-        monkeypatch.setenv("XDG_CACHE_HOME", folder)
-        completion._write("drop", {})
-        assert completion._read("drop") is None
-    assert [one.name for one in tmp_path.iterdir()] == ["cache"]
+    asked, lines = [sys.executable, "-c", ASK], [*OFFERED]
+    done = subprocess.run(asked, input="\n".join(lines), text=True, cwd=here, capture_output=True, check=True)
+    for index, line in enumerate(lines):
+        answer = (here / f"answer {index}").read_text()
+        assert [word.strip() for word in answer.split(",") if word] == OFFERED[line], line
+    assert done.stdout.split()[:2] == ["False"] * 2  # commands are offered without loading numpy
 
 
 BASH = """
@@ -223,7 +189,7 @@ def test_bash_itself_completes(tmp_path: Path) -> None:
     path = f"{tmp_path}:{Path(sys.executable).parent}:{os.environ['PATH']}"
     done = subprocess.run(
         ["bash", "-c", BASH],
-        env={**os.environ, "PATH": path, "XDG_CACHE_HOME": str(tmp_path)},
+        env={**os.environ, "PATH": path},
         capture_output=True,
         text=True,
     )

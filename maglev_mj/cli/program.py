@@ -40,7 +40,6 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "tour": Command("walls and friction in eight steps, guided", "--out tour"),
         "lessons": Command("notebooks to learn from, with or without solutions", "lessons --students"),
         "render": Command("a picture or a clip of a scene, without a window", "corner --out corner.png --size 800x500"),
-        "serve-spacenav": Command("a scene as the 3D mouse of other programs", "joystick --axes rate --seconds 60"),
     },
     "compute": {
         "drop": Command("drop the flotor on a stiff wall (figures 3, 4)", "--pulse 0 --phases 20 --out figures", "run"),
@@ -76,7 +75,7 @@ COMMANDS: Mapping[str, Command] = {name: command for group in GROUPS.values() fo
 MODULES: Mapping[str, str] = {
     name: module
     for module, names in {
-        "scenes": "view tour render serve-spacenav drop press stick-slip run",
+        "scenes": "view tour render drop press stick-slip run",
         "studies": "stability design compare card sweep fidelity",
         "twin": "twin",
         "bridge": "bridge",
@@ -142,13 +141,10 @@ _WITHOUT = {
 
 def _run(options: argparse.Namespace) -> int:
     from maglev_mj.cli.output import check_outputs  # a help needs neither
-    from maglev_mj.process import Interrupts
 
-    interrupts = Interrupts()
     try:
-        with interrupts:
-            check_outputs(options)
-            status: int = options.run(options)
+        check_outputs(options)
+        status: int = options.run(options)
         return status
     except KeyboardInterrupt as stopped:
         return _stopped(options, str(stopped) or "stopped")
@@ -160,12 +156,10 @@ def _run(options: argparse.Namespace) -> int:
             raise
         say(f"maglev-mj {options.command}: {error}", sys.stderr)
         _drop_unwritten()
-        return 130 if interrupts.seen else 1  # a library's loading may have failed by it
+        return 1
     except Exception as error:
         from maglev_mj.scenes.find import line_of  # which the help does not need
 
-        if interrupts.seen:
-            return _stopped(options, "stopped")
         if (line := line_of(error)) is None:
             raise
         say(f"maglev-mj {options.command}: {line}: {type(error).__name__}: {error}", sys.stderr)
@@ -174,7 +168,6 @@ def _run(options: argparse.Namespace) -> int:
 
 def _stopped(options: argparse.Namespace, why: str) -> int:
     print(f"maglev-mj {options.command}: {why}", file=sys.stderr)
-    exec("pass")  # after an interrupt in `exec`, as dataclasses use it, the interpreter would end by the signal
     return 130
 
 

@@ -26,7 +26,7 @@ from maglev_mj.frames import Array, rotation_matrix, rotation_vector
 from maglev_mj.lazy import mujoco
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP, KNOB
-from maglev_mj.process import interrupts_delayed
+from maglev_mj.process import interrupts_held
 from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
 from maglev_mj.views.magnifier import magnified, true_pose
 from maglev_mj.views.remote import ShowReport
@@ -199,7 +199,7 @@ def show(
         DisplayError: If a window cannot be opened.
     """
     require_display()
-    with interrupts_delayed():  # half open it cannot be closed, and its drawing thread crashes a program that ends
+    with interrupts_held():  # half open it cannot be closed, and its drawing thread crashes a program that ends
         window = _Window(session, folder, shadows)
     with closing(window), closing(session), engine_warnings_silenced():
         return window.run(duration)
