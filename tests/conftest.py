@@ -60,10 +60,6 @@ def _draws() -> bool:
         return False
 
 
-def _has_header(name: str) -> bool:
-    return any(Path(folder, name).is_file() for folder in ("/usr/include", "/usr/local/include"))
-
-
 NEEDS = {
     "drawing": Need("drawing off screen", _draws, "libosmesa6"),
     "screen": Need("a virtual screen", lambda: bool(shutil.which("Xvfb") and find_library("GL")), "xvfb libgl1"),
@@ -73,7 +69,6 @@ NEEDS = {
     "sanitizers": Need("a C compiler's sanitizers", _has_sanitizers, "gcc libc6-dev"),
     "cross": Need("a compiler for boards", lambda: bool(shutil.which("arm-none-eabi-gcc")), "gcc-arm-none-eabi"),
     "emulator": Need("an emulator of boards", lambda: bool(shutil.which("qemu-system-arm")), "qemu-system-arm"),
-    "spnav": Need("libspnav", lambda: _has_header("spnav.h") and _has_header("X11/Xlib.h"), "libspnav-dev libx11-dev"),
     "linux": Need("Linux", lambda: sys.platform == "linux"),
     "pty": Need("pseudo-terminals", lambda: hasattr(os, "openpty")),
 }

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from maglev_mj.interop.spacenav import server
+from maglev_mj.interop import hand_devices
 from maglev_mj.views.window import window
 from tests.processes import run_here
 
@@ -144,17 +144,9 @@ REFUSED = {
     "view --no-open": "no-open is for --web",
     "twin --view --web": "give one",
     # input devices
-    "serve-spacenav --seconds 0": "seconds must be",
-    "serve-spacenav --seconds nan": "seconds must be",
-    "serve-spacenav --axes speed": "axes must be one of pose, rate, not 'speed'",
-    "view --socket x": "socket is for --spacenav",
-    "view --axes rate": "axes is for --spacenav",
-    "view --spacenav-gain 2": "spacenav-gain and the like are for --spacenav",
-    "view --spacenav --spacenav-gain -1": "spacenav-gain must be a finite number at least 0 and at most 100",
     "view --hand-device joypad": f"{ABSENT}'joypad'",
     "view --hand-device": f"{ABSENT}'auto'",
     "view --hand-device /no/such.sock": f"{ABSENT}'/no/such.sock'",
-    "view --hand-device spacenav --spacenav": f"{ABSENT}'spacenav'",  # one of our own is none
     "view --hand-gain 2": "hand-gain and the like are for --hand-device",
     "view --hand-device joypad --hand-gain 101": "hand-gain must be a finite number at least 0 and at most 100",
 }
@@ -166,8 +158,8 @@ def test_what_cannot_be_done_is_one_line_and_status_2(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(window, "require_display", lambda: None)
-    monkeypatch.setattr(server, "_SETTINGS", tmp_path / "spnavrc")
-    monkeypatch.setattr(server, "_DAEMONS", tmp_path / "daemon.sock")
+    monkeypatch.setattr(hand_devices, "_SETTINGS", tmp_path / "spnavrc")
+    monkeypatch.setattr(hand_devices, "_DAEMONS", tmp_path / "daemon.sock")
     monkeypatch.setenv("SPNAV_SOCKET", str(tmp_path / "spnav.sock"))
     status, output, errors = run_here(*words.split())
     assert (status, output, errors.count("\n")) == (2, "", 1)

@@ -21,10 +21,13 @@ from typing import Any, Self
 import numpy as np
 import pytest
 
+from joystick_to_3d_mouse import SpacenavServer
 from maglev_mj import cli
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import AXES
+from maglev_mj.interop import hand_devices
 from maglev_mj.interop.hand_devices import (
+    AxisMapping,
     Gamepad,
     HandDevice,
     Reading,
@@ -32,9 +35,8 @@ from maglev_mj.interop.hand_devices import (
     described_devices,
     gamepad_shares,
     open_device,
+    searched_paths,
 )
-from maglev_mj.interop.spacenav import AxisMapping, SpacenavServer, searched_paths, server
-from maglev_mj.interop.spacenav.protocol import button_event, motion_event
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import find_scene
 from maglev_mj.session import Session, Snapshot
@@ -182,8 +184,8 @@ def test_the_first_buttons_are_actions_and_further_ones_are_none() -> None:
 def path(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """Return the only path searched for a 3D mouse."""
     with tempfile.TemporaryDirectory() as folder:
-        monkeypatch.setattr(server, "_SETTINGS", Path(folder) / "spnavrc")
-        monkeypatch.setattr(server, "_DAEMONS", Path(folder) / "daemon.sock")
+        monkeypatch.setattr(hand_devices, "_SETTINGS", Path(folder) / "spnavrc")
+        monkeypatch.setattr(hand_devices, "_DAEMONS", Path(folder) / "daemon.sock")
         monkeypatch.setenv("SPNAV_SOCKET", f"{folder}/spnav.sock")
         yield Path(folder) / "spnav.sock"
 
@@ -195,7 +197,7 @@ def seen(pose: Sequence[float]) -> Snapshot:
 
 @pytest.mark.parametrize("axis", range(6))
 def test_a_mouse_is_deflected_as_the_joystick_behind_the_socket_is(path: Path, axis: int) -> None:
-    # The project's own server is the other end: along the same axis, to the same side, by the same share.
+    # The example server is the other end: along the same axis, to the same side, by the same share.
     server = SpacenavServer(path)
     mouse = SpacenavMouse(path)
     try:
@@ -241,6 +243,14 @@ class Clock:
         return self.now
 
 
+def motion_event(axes: Sequence[int], period: int) -> bytes:
+    return struct.pack("=8i", 0, *axes, period)
+
+
+def button_event(number: int, down: bool) -> bytes:
+    return struct.pack("=8i", 1 if down else 2, number, down, *[0] * 5)
+
+
 FULL_X = motion_event([500, 0, 0, 0, 0, 0], 16)
 
 
@@ -279,10 +289,12 @@ def test_where_nobody_answers_there_is_no_mouse(path: Path) -> None:
 
 
 def test_a_mouse_is_looked_for_where_libspnav_looks(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert searched_paths() == [path, server._DAEMONS]
+    assert searched_paths() == [path, hand_devices._DAEMONS]
     monkeypatch.delenv("SPNAV_SOCKET")
-    server._SETTINGS.write_text("# socket = /no\nled = 1\n  socket =\n socket = /tmp/a b.sock \nsocket = /tmp/late\n")
-    assert searched_paths() == [Path("/tmp/a b.sock"), server._DAEMONS]
+    hand_devices._SETTINGS.write_text(
+        "# socket = /no\nled = 1\n  socket =\n socket = /tmp/a b.sock \nsocket = /tmp/late\n"
+    )
+    assert searched_paths() == [Path("/tmp/a b.sock"), hand_devices._DAEMONS]
 
 
 # -- gamepads --------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import pytest
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
-from maglev_mj.interop.spacenav.mapping import Navigation, Navigator
+from maglev_mj.interop.navigation import Navigation, Navigator
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes.rooms import CENTRING, WEIGHT, Joystick
 from maglev_mj.session import live_plant

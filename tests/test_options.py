@@ -136,7 +136,7 @@ NEEDED = {
     "analyse": "a.mcap",
     "export": "a.mcap --to csv",
 }
-TIMED = set("view render serve-spacenav drop press stick-slip run stability design card compare fidelity twin".split())
+TIMED = set("view render drop press stick-slip run stability design card compare fidelity twin".split())
 
 
 @pytest.mark.parametrize("command", COMMANDS)

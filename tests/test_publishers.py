@@ -37,7 +37,7 @@ from tests.processes import PATIENCE, ended, said_by, started, twin
 def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> None:
     # A wall on the wire is refused or taken; what was flown is in the file with both settings.
     record = tmp_path / "run.mcap"
-    publishers = ("--foxglove", "0", "--spacenav", "--socket", str(tmp_path / "s"))
+    publishers = ("--foxglove", "0")
     with twin("--watchdog", "1") as (device, address):
         options = ("--scene", "table", "--record", str(record), "--out", str(tmp_path), *publishers)
         with started("bridge", address, "--as-written", "--anyway", *options) as host:

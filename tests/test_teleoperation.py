@@ -31,7 +31,7 @@ from gantry.task import (
     stiffest_coupling,
 )
 from maglev_mj.frames import Array
-from maglev_mj.interop.spacenav.mapping import Navigation, Navigator
+from maglev_mj.interop.navigation import Navigation, Navigator
 from maglev_mj.plants import Timing
 from maglev_mj.scenes.rooms import MASS
 

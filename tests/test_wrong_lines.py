@@ -54,9 +54,6 @@ render --out a.foo                                  | a.foo
 render --out a.png --size 10x10                     | 10x10
 render --out a.png --fps 0                          | 0
 render --out a.png --seconds -1                     | -1
-serve-spacenav --axes roll                          | roll
-serve-spacenav --seconds 0                          | 0
-serve-spacenav --spacenav-gain nan                  | nan
 drop --stiffness                                    | --stiffness
 drop --stiffness inf                                | inf
 drop --plant glass                                  | glass

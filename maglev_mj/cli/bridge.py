@@ -141,7 +141,6 @@ def bridge(
         "view": view,
         "web": page.web,
         "seconds": seconds is not None,
-        "spacenav": publishing.spacenav.spacenav,
         "foxglove": publishing.foxglove is not None,
     }
     modes = {"reset": reset, "check": check, "identify": identify is not None}

@@ -1,4 +1,4 @@
-"""Options of the page, the live server, the 3D mouse and the hand's device."""
+"""Options of the page, the live server and the hand's device."""
 
 from __future__ import annotations
 
@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 from maglev_mj.cli.declare import Parser, Shared, count, option
 from maglev_mj.cli.options import parameters
 from maglev_mj.cli.output import LAYOUT
-from maglev_mj.errors import ParameterError, check_one_of, require
+from maglev_mj.errors import ParameterError, require
 from maglev_mj.lazy import loaded
 from maglev_mj.terminal import say
 
 if TYPE_CHECKING:
     from maglev_mj.interop.foxglove import LiveServer
-    from maglev_mj.interop.hand_devices import HandDevice
-    from maglev_mj.interop.spacenav import AxisMapping, SpacenavMapping, SpacenavServer
+    from maglev_mj.interop.hand_devices import AxisMapping, HandDevice
     from maglev_mj.plants.hand import SpringHand
     from maglev_mj.session import Publisher, SnapshotSource
     from maglev_mj.views.remote import Front, ShowReport
@@ -229,83 +228,9 @@ def _has_screen() -> bool:
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-_MOUSE, _HAND = "3D mouse of other programs", "gamepad or 3D mouse as the hand"
-
-
-def _mouse_mapping() -> SpacenavMapping:
-    from maglev_mj.interop.spacenav import SpacenavMapping
-
-    return SpacenavMapping()
-
-
+_HAND = "gamepad or 3D mouse as the hand"
 _hand_mapping = partial(loaded, "maglev_mj.interop.hand_devices:HAND_MAPPING")
-_MouseMapping: TypeAlias = Annotated["SpacenavMapping", parameters(_mouse_mapping, _MOUSE, "spacenav-")]
 _HandMapping: TypeAlias = Annotated["AxisMapping", parameters(_hand_mapping, _HAND, "hand-")]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ServedMouse:
-    """Chosen settings of a 3D mouse for other programs."""
-
-    socket: Annotated[
-        Path | None,
-        option("where those find it (default: $SPNAV_SOCKET, or one in $XDG_RUNTIME_DIR)", _MOUSE, "PATH"),
-    ] = None
-    axes: Annotated[
-        str | None,
-        option(
-            "what those are told: pose, the deflection; or rate, the motion of a slave (default pose)", _MOUSE, "WHAT"
-        ),
-    ] = None
-    mapping: _MouseMapping
-
-    def open(self, say: Callable[[str], object] = say) -> SpacenavServer:
-        """Start and return the server.
-
-        Args:
-            say: Function that prints its address.
-
-        Raises:
-            ParameterError: If an option is wrong.
-        """
-        from maglev_mj.interop.spacenav import PoseAxes, RateAxes, SpacenavServer, Taps
-
-        reports: dict[str, Any] = {"pose": PoseAxes, "rate": RateAxes}
-        axes = "pose" if self.axes is None else self.axes
-        check_one_of("axes", reports, axes)
-        buttons = None if self.mapping.press is None else Taps(self.mapping.press)
-        server = SpacenavServer(self.socket, axes=reports[axes](mapping=self.mapping), buttons=buttons)
-        say("  a 3D mouse; for the programs that are to have it:")
-        say(f"    export SPNAV_SOCKET={server.path.resolve()}")
-        return server
-
-
-@dataclass(frozen=True, kw_only=True)
-class MouseOptions:
-    """Chosen 3D mouse for other programs, or none."""
-
-    spacenav: Annotated[bool, option("be a 3D mouse to other programs", _MOUSE)] = False
-    mouse: ServedMouse
-
-    def open(self, say: Callable[[str], object] = say) -> list[SpacenavServer]:
-        """Start and return the chosen server, in a list.
-
-        Empty without a choice.
-
-        Args:
-            say: Function that prints its address.
-
-        Raises:
-            ParameterError: If an option is wrong, or is given without --spacenav.
-        """
-        if self.spacenav:
-            return [self.mouse.open(say)]
-        for name in ("socket", "axes"):
-            if getattr(self.mouse, name) is not None:
-                raise ParameterError(f"{name} is for --spacenav")
-        if self.mouse.mapping != _mouse_mapping():
-            raise ParameterError("spacenav-gain and the like are for --spacenav")
-        return []
 
 
 class OpenPublishers(NamedTuple):
@@ -336,7 +261,6 @@ class PublisherOptions:
             above=0.0,
         ),
     ]
-    spacenav: MouseOptions
 
     @contextmanager
     def open(self) -> Iterator[OpenPublishers]:
@@ -348,9 +272,6 @@ class PublisherOptions:
         """
         with ExitStack() as last:
             publishers: list[Publisher] = []
-            for server in self.spacenav.open():
-                last.callback(server.close)
-                publishers.append(server)
             if (live := open_foxglove(self.foxglove, self.allow_origin)) is not None:
                 last.callback(live.close)
                 publishers.append(live)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, closing
+from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
 
 from maglev_mj.cli.declare import Parser, Shared, count, offer, option
 from maglev_mj.cli.options import (
     Folder,
     Pictures,
     Record,
-    Seconds,
     Shown,
     add_parameters,
     add_phase,
@@ -25,15 +23,11 @@ from maglev_mj.cli.options import (
     warn_of_instability,
 )
 from maglev_mj.cli.output import Progress, keep_partial, print_written, write_result
-from maglev_mj.cli.peripherals import HandOptions, PageOptions, PublisherOptions, ServedMouse, show_session
-from maglev_mj.errors import DivergenceError, MaglevError, ParameterError
+from maglev_mj.cli.peripherals import HandOptions, PageOptions, PublisherOptions, show_session
+from maglev_mj.errors import DivergenceError, ParameterError
 
 if TYPE_CHECKING:
-    from threading import Event
-
-    from maglev_mj.frames import Component
     from maglev_mj.interop.hand_devices import HandDevice
-    from maglev_mj.plants.hand import HandForce, Trajectory
     from maglev_mj.scenes.run import Begin
     from maglev_mj.scenes.scene import Scene
     from maglev_mj.session import Session, SnapshotSource
@@ -122,10 +116,6 @@ def run(
 
 _SCENE = "joystick"
 _LEAST, _MOST = 160, 4000  # pixels of a picture's side
-_STEP = 1.0 / 240.0
-_STANDSTILL = 1.0
-_OUT, _TURNED = 0.003, 3.5  # of a deflection [m, deg]
-_QUARTER = 0.5
 
 
 _add_joystick = partial(add_scene, default=_SCENE)
@@ -138,10 +128,6 @@ def _hand_stiffness() -> float:
 
 
 _SeenScene: TypeAlias = Annotated["Scene", Shared(_add_joystick, chosen_scene)]
-# a 3D mouse returns to the centre by itself; a slave is moved without that
-_Served: TypeAlias = Annotated[
-    "Scene", Shared(_add_joystick, lambda options: chosen_scene(options, friction=options.axes == "rate"))
-]
 
 
 def view(
@@ -272,80 +258,3 @@ def _pixels(size: str) -> tuple[int, int]:
     if match is None or not all(_LEAST <= int(part) <= _MOST for part in match.groups()):
         raise ParameterError(f"size must be WxH, such as 1200x750, of {_LEAST} to {_MOST} pixels each, not {size!r}")
     return int(match[1]), int(match[2])
-
-
-def serve_spacenav(*, scene: _Served, mouse: ServedMouse, seconds: Seconds = None) -> int:
-    """A scene in a scripted hand as the 3D mouse of other programs, without a window."""  # noqa: D401
-    from threading import Event
-
-    from maglev_mj.bridge.realtime import stopping
-    from maglev_mj.plants import engine_warnings_silenced
-    from maglev_mj.session import Session
-
-    server, ended = mouse.open(), Event()
-    with closing(server), closing(Session(scene, hand=_hand(scene), publishers=[server])) as session:
-        with engine_warnings_silenced(), stopping(ended.set):
-            _run(session, ended, seconds)
-    print(
-        f"  {server.sent} events, {server.missed} missed, {server.dropped} programs dropped, {server.refused} refused"
-    )
-    return 0
-
-
-def deflections() -> Trajectory:
-    """Return a path along each axis in turn, both ways.
-
-    The deflections add up to zero on every axis, so a program that takes them for speeds ends at its start.
-    """
-    from maglev_mj.plants.hand import Trajectory
-
-    times, poses = [0.0], [[0.0] * 6]
-    for axis, full in enumerate([_OUT] * 3 + [math.radians(_TURNED)] * 3):
-        for sign, gap in ((1.0, _QUARTER), (-1.0, 2.0 * _QUARTER), (0.0, _QUARTER)):
-            times.append(times[-1] + gap)
-            poses.append([sign * full * (index == axis) for index in range(6)])
-    return Trajectory(times, poses)
-
-
-class _Again:
-    """Hand that starts again at the end of the scene.
-
-    Args:
-        hand: The hand.
-        end: End of the scene [s].
-    """
-
-    def __init__(self, hand: HandForce, end: float) -> None:
-        self._hand, self._end, self.hand = hand, end, getattr(hand, "hand", None)
-
-    def __call__(self, tick: int, time: Component, state: Any) -> Sequence[Component]:
-        """See `HandForce`."""
-        return self._hand(tick, time % self._end, state)
-
-
-def _hand(scene: Scene) -> HandForce:
-    """Return the scene's own hand, repeated.
-
-    The joystick gets a hand that returns a view to its start.
-    """
-    from maglev_mj.plants.hand import SpringHand
-
-    if scene.name == _SCENE:
-        path = deflections()
-        return _Again(SpringHand(stiffness=1000.0, turning_stiffness=3.0, target=path), path.end)
-    script = scene.scripted_hand()
-    return SpringHand.of_mouse() if script is None else _Again(script, scene.end)
-
-
-def _run(session: Session, ended: Event, seconds: float | None) -> None:
-    """Run in real time until the end."""
-    from maglev_mj.session import real_time
-
-    moved = 0.0
-    for elapsed, now in real_time(seconds, _STEP):
-        if session.tick(elapsed):
-            moved = now
-        if now - moved > _STANDSTILL:
-            raise MaglevError("; ".join(session.snapshot().notes))
-        if ended.is_set():
-            return

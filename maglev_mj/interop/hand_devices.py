@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import socket
+import struct
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from functools import cached_property
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, TypeAlias
@@ -14,10 +16,8 @@ from typing import Any, NamedTuple, Protocol, TypeAlias
 import numpy as np
 
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.frames import AXES
-from maglev_mj.interop.spacenav import AxisMapping, searched_paths
-from maglev_mj.interop.spacenav.mapping import EXCHANGED, FULL, REST
-from maglev_mj.interop.spacenav.protocol import EVENT, GREETING, read_event
+from maglev_mj.frames import AXES, Array
+from maglev_mj.parameters import Parameters, param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
 from maglev_mj.session import Snapshot
@@ -56,6 +56,78 @@ class InputDevice(Protocol):
 
     def close(self) -> None:
         """Close the device; idempotent."""
+
+
+_NOTHING, _NONE = "0", "none"
+_FINITE = 1e6
+
+
+class AxisMapping(Parameters):
+    """Mapping from an input device's deflections to six numbers.
+
+    The dead zone is taken off each deflection first. Then come order and signs, the gains, and the choice of the
+    largest. The defaults change no number.
+
+    Raises:
+        ParameterError: If a value is outside its bounds, or a word is no axis.
+
+    Example:
+        >>> mapping = AxisMapping(order="x,y,z,0,0,0", invert="y", dominant=True)
+        >>> mapping([0.2, 0.1, 0.5, 0.9, 0.0, 0.0]).tolist()
+        [0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
+    """
+
+    gain: float = param("factor on translations", default=1.0, at_least=0.0, at_most=100.0)
+    turning_gain: float = param("factor on rotations", default=1.0, at_least=0.0, at_most=100.0)
+    dead_zone: float = param("share of a full deflection that counts as none", default=0.0, at_least=0.0, at_most=0.9)
+    order: str = param("axis behind each of the six numbers, 0 for none", default=",".join(AXES))
+    invert: str = param("numbers with the opposite sign, such as x,rz", default=_NONE)
+    dominant: bool = param("keep the largest of the six numbers alone", default=False)
+
+    def check(self) -> None:
+        """See `Parameters`."""
+        words, inverted = self.order.split(","), self._inverted()
+        if len(words) != len(AXES) or not set(words) <= {*AXES, _NOTHING}:
+            raise ParameterError(f"order must be six of {', '.join(AXES)} and {_NOTHING}, not {self.order!r}")
+        if not set(inverted) <= set(AXES) or len(set(inverted)) < len(inverted):
+            raise ParameterError(f"invert must be {_NONE}, or some of {', '.join(AXES)}, not {self.invert!r}")
+
+    def outside(self, deflection: Array, full: Array) -> Array:
+        """Return a deflection without its dead zone, (6,).
+
+        A full deflection stays full.
+
+        Args:
+            deflection: From the centre [m, rad], (6,).
+            full: The full one [m, rad], (6,).
+        """
+        if self.dead_zone == 0.0:
+            return deflection
+        rest = np.maximum(np.abs(deflection) - self.dead_zone * full, 0.0) / (1.0 - self.dead_zone)
+        return np.copysign(rest, deflection)
+
+    def __call__(self, shares: Array) -> Array:
+        """Return the six numbers, (6,); NaN counts as 0.
+
+        Args:
+            shares: Of the full deflection or rate, (6,).
+        """
+        told: Array = self._matrix @ np.nan_to_num(shares, posinf=_FINITE, neginf=-_FINITE)
+        if self.dominant:
+            told[np.arange(len(AXES)) != np.argmax(np.abs(told))] = 0.0
+        return told
+
+    def _inverted(self) -> list[str]:
+        return [] if self.invert == _NONE else self.invert.split(",")
+
+    @cached_property
+    def _matrix(self) -> Array:
+        matrix = np.zeros((len(AXES), len(AXES)))
+        for row, (name, source) in enumerate(zip(AXES, self.order.split(","))):
+            if source != _NOTHING:
+                gain = self.gain if row < 3 else self.turning_gain
+                matrix[row, AXES.index(source)] = -gain if name in self._inverted() else gain
+        return matrix
 
 
 HAND_MAPPING = AxisMapping(gain=3.0, turning_gain=3.0, dead_zone=0.15)
@@ -276,8 +348,23 @@ def _first(process: SideProcess) -> Any:
     return next(process.received(), [])
 
 
-_AT_ONCE = 65_536
-_AGAIN = 1.0
+_AT_ONCE, _AGAIN, _FULL_COUNT = 65_536, 1.0, 500
+_EVENT, _GREETING = struct.Struct("=8i"), struct.pack("=f", 1.0)  # protocol 0: kind, values; a client's sensitivity
+_MOTION, _PRESS = 0, 1
+_SETTINGS, _DAEMONS = Path("/etc/spnavrc"), Path("/var/run/spnav.sock")
+_EXCHANGED = 0, 2, 1, 3, 5, 4  # axes of a 3D mouse, in the order of the device
+
+
+def searched_paths() -> list[Path]:
+    """Return possible 3D mouse sockets, as libspnav 1.0 tries them."""
+    try:
+        lines = _SETTINGS.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        lines = []
+    split = [line.strip().partition("=") for line in lines]
+    set_there = [path.strip() for word, _, path in split if word.startswith("socket") and path.strip()]
+    named = os.environ.get("SPNAV_SOCKET")
+    return [*map(Path, [named] if named else []), *map(Path, set_there[:1]), _DAEMONS]
 
 
 class SpacenavMouse:
@@ -331,14 +418,14 @@ class SpacenavMouse:
 
     def _call(self) -> None:
         """Connect to the socket, if possible."""
-        self._rest, self._shares = b"", _shares(REST)
+        self._rest, self._shares = b"", (0.0,) * len(AXES)
         if not hasattr(socket, "AF_UNIX"):
             return
         self._line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._line.setblocking(False)
         try:
             self._line.connect(os.fspath(self._path))
-            self._line.send(GREETING)
+            self._line.send(_GREETING)
         except OSError:  # no driver, or too many clients wait
             self.close()
 
@@ -349,19 +436,14 @@ class SpacenavMouse:
         """
         self._rest += data
         pressed = []
-        while len(self._rest) >= EVENT:
-            event, self._rest = self._rest[:EVENT], self._rest[EVENT:]
-            axes, button = read_event(event)
-            if axes is not None:
-                self._shares = _shares(axes)
-            if button is not None:
-                pressed.append(button)
+        while len(self._rest) >= _EVENT.size:
+            kind, *values = _EVENT.unpack(self._rest[: _EVENT.size])
+            self._rest = self._rest[_EVENT.size :]
+            if kind == _MOTION:
+                self._shares = tuple(values[index] / _FULL_COUNT for index in _EXCHANGED)
+            elif kind == _PRESS:
+                pressed.append(values[0])
         return pressed
-
-
-def _shares(axes: tuple[int, ...]) -> tuple[float, ...]:
-    """Return shares of the full deflection, in device order."""
-    return tuple(axes[index] / FULL for index in EXCHANGED)
 
 
 AUTO = "auto"

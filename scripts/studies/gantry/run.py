@@ -13,7 +13,7 @@ from gantry.task import BLOCK_DAMPING, FIRM, Coupling, CouplingLaw, Gains, Slave
 from maglev_mj import Controller, drive
 from maglev_mj.control import Bias, Hold, StickSlip
 from maglev_mj.frames import Array, Command, Mask, Sample
-from maglev_mj.interop.spacenav.mapping import Navigation, Navigator
+from maglev_mj.interop.navigation import Navigation, Navigator
 from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.plants.hand import HANDS, GuidedHand, get_hand
 from maglev_mj.scenes.rooms import INERTIA, MASS, WEIGHT

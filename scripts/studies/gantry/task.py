@@ -16,7 +16,7 @@ from maglev_mj.control import Law, StickSlip
 from maglev_mj.control.timeline import Timeline
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array
-from maglev_mj.interop.spacenav.mapping import Navigator
+from maglev_mj.interop.navigation import Navigator
 from maglev_mj.parameters import number, numbers
 from maglev_mj.plants import Timing
 from maglev_mj.plants.hand import Hand, Trajectory, motion, transition

@@ -1,9 +1,0 @@
-from maglev_mj.interop.spacenav.mapping import FULL as FULL
-from maglev_mj.interop.spacenav.mapping import AxisMapping as AxisMapping
-from maglev_mj.interop.spacenav.mapping import PoseAxes as PoseAxes
-from maglev_mj.interop.spacenav.mapping import RateAxes as RateAxes
-from maglev_mj.interop.spacenav.mapping import SpacenavMapping as SpacenavMapping
-from maglev_mj.interop.spacenav.mapping import Taps as Taps
-from maglev_mj.interop.spacenav.server import SpacenavServer as SpacenavServer
-from maglev_mj.interop.spacenav.server import default_path as default_path
-from maglev_mj.interop.spacenav.server import searched_paths as searched_paths
