@@ -71,21 +71,23 @@ def presses() -> Comparison:
     return compare(BARE.replace(pulse=220.0), ["pd", "pulse", "colgate"], phases=2)
 
 
-def test_figures_are_those_of_the_single_studies_to_the_last_bit(drops: Comparison, presses: Comparison) -> None:
-    pulsed = BARE.replace(pulse=220.0)
-    singles: list[tuple[Comparison, str, Scene]] = [
-        (drops, "pd", Drop(pulse=0.0)),
-        (drops, "pulse", Drop()),
-        (presses, "pd", BARE),
-        (presses, "pulse", pulsed),
-        (presses, "colgate", pulsed.replace(**PASSIVE)),
-    ]
-    for found, label, scene in singles:
+def check_figures(found: Comparison, scenes: Mapping[str, Scene]) -> None:
+    """Assert that each law has the figures of its scene alone."""
+    for label, scene in scenes.items():
         alone = run_phases(scene, len(found.phases[label].phases), plant="exact").figures
         shown = found.phases[label].figures.keys() - {"hardness"}
         assert {name for name in alone if "penetration" in name or "peak_force" in name} <= shown
         for name in shown:
             np.testing.assert_array_equal(found.phases[label].figures[name], alone[name])
+
+
+def test_figures_of_drops_are_those_of_single_studies_to_the_last_bit(drops: Comparison) -> None:
+    check_figures(drops, {"pd": Drop(pulse=0.0), "pulse": Drop()})
+
+
+def test_figures_of_presses_are_those_of_single_studies_to_the_last_bit(presses: Comparison) -> None:
+    pulsed = BARE.replace(pulse=220.0)
+    check_figures(presses, {"pd": BARE, "pulse": pulsed, "colgate": pulsed.replace(**PASSIVE)})
 
 
 @pytest.mark.usefixtures("no_margins")

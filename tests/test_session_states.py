@@ -249,7 +249,7 @@ class SessionStates(RuleBasedStateMachine):
 
 
 SETTINGS = settings(
-    max_examples=2,
+    max_examples=3,
     stateful_step_count=30,
     derandomize=True,
     database=None,
@@ -261,7 +261,7 @@ TestSessionStates.settings = SETTINGS
 
 
 @pytest.mark.study
-class TestMoreSessionStates(SessionStates.TestCase):  # type: ignore[name-defined, misc]
+class TestMoreSessionStates(SessionStates.TestCase):  # type: ignore[valid-type, misc]
     """The same over more examples."""
 
     settings = settings(SETTINGS, max_examples=40)
