@@ -116,7 +116,7 @@ def random_needs(seed: int) -> WallRequirements:
         period=period,
         mass=(mass, mass * random.uniform(1.0, 2.0)),
         delay=(delay, delay * random.uniform(1.0, 1.5)),
-        hands=[str(hand) for hand in random.choice(SEVERAL, random.integers(1, 3), replace=False)],
+        hands=list(dict.fromkeys(map(str, random.choice(SEVERAL, random.integers(1, 3), replace=False)))),
         modulus=float(random.choice([0.9, 0.97, 0.99, 0.999, 1.0])),
     )
 

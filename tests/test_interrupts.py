@@ -10,9 +10,11 @@ from importlib import import_module
 from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from maglev_mj.cli.program import _interruptible
 from maglev_mj.process import SideProcess, be_nice, interrupts_held, start_tracker
 from tests.processes import run
 
@@ -87,7 +89,7 @@ def test_a_thread_leaves_signals_alone() -> None:
 
     def work() -> None:
         try:
-            with interrupts_held():
+            with _interruptible(), interrupts_held():
                 pass
         except BaseException as error:
             failed.append(error)
@@ -157,3 +159,18 @@ def test_processes_start_and_answer_without_what_windows_lacks(monkeypatch: pyte
 def test_looking_at_the_program_s_module_leaves_signals_alone() -> None:
     assert callable(import_module("maglev_mj.__main__").main)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("before", [signal.SIG_IGN, signal.SIG_DFL, lambda *_: None])
+def test_the_handler_before_a_command_is_back_after_it_and_an_ignored_signal_stays_ignored(before: Any) -> None:
+    earlier, raised = signal.signal(signal.SIGINT, before), False
+    try:
+        try:
+            with _interruptible():
+                signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raised = True
+        assert raised == (before is not signal.SIG_IGN)
+        assert signal.getsignal(signal.SIGINT) is before
+    finally:
+        signal.signal(signal.SIGINT, earlier)

@@ -8,8 +8,10 @@ import gc
 import io
 import os
 import select
+import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from importlib import import_module
 from typing import NamedTuple, TextIO
@@ -143,8 +145,9 @@ def _run(options: argparse.Namespace) -> int:
     from maglev_mj.cli.output import check_outputs  # a help needs neither
 
     try:
-        check_outputs(options)
-        status: int = options.run(options)
+        with _interruptible():
+            check_outputs(options)
+            status: int = options.run(options)
         return status
     except KeyboardInterrupt as stopped:
         return _stopped(options, str(stopped) or "stopped")
@@ -164,6 +167,24 @@ def _run(options: argparse.Namespace) -> int:
             raise
         say(f"maglev-mj {options.command}: {line}: {type(error).__name__}: {error}", sys.stderr)
         return 2
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Raise KeyboardInterrupt on Ctrl-C during a command; while a program loads and ends, Ctrl-C exits at once.
+
+    A signal that a shell lets the program ignore stays ignored.
+    """
+    before, replaced = signal.getsignal(signal.SIGINT), False
+    with suppress(ValueError):  # not the main thread, which alone receives signals
+        if replaced := before not in (signal.SIG_IGN, None):
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            if replaced:
+                signal.signal(signal.SIGINT, before)
 
 
 def _stopped(options: argparse.Namespace, why: str) -> int:
