@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import traceback
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import pytest
 from maglev_mj.cli import main
 from maglev_mj.errors import DivergenceError
 from maglev_mj.recording import ArrayFile, Recording, RecordingError, best_suffix
+from maglev_mj.recording.sample import compiled
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
@@ -200,3 +202,10 @@ def test_a_recorded_run_is_the_run_of_the_table(
     trace = made[0].trace()
     pose, _, _ = trace.at(stretch.time)
     assert stretch.position.tolist() == pose.tolist() and said["parameters"]["phase"] == 0.3
+
+
+def test_an_error_in_the_generated_function_of_a_sample_shows_its_source() -> None:
+    with pytest.raises(AttributeError) as error:
+        compiled("sample, command, applied, plant", "return ({values},)")(None, None, None, None)
+    lines = "".join(traceback.format_exception(error.value))
+    assert "return ((sample." in lines or "return (*(sample." in lines, lines

@@ -6,6 +6,7 @@ One table of fields defines all file formats.
 from __future__ import annotations
 
 import json
+import linecache
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -188,9 +189,12 @@ def compiled(arguments: str, template: str, fields: Sequence[Field] = FIELDS, **
     values = ", ".join(f"*({source})" if field.six else f"({source})" for field, source in sources)
     known: dict[str, Any] = {"NAN": math.nan, "ZERO": ZERO, **names}
     body = template.format(values=values).replace("\n", "\n    ")
-    exec(f"def made({arguments}):\n    {body}", known)
-    made: Callable[..., Any] = known["made"]
-    return made
+    source = f"def values_of({arguments}):\n    {body}\n"
+    name = f"<values of a sample {hash(source):x}>"
+    linecache.cache[name] = len(source), None, source.splitlines(keepends=True), name  # a traceback shows its lines
+    exec(compile(source, name, "exec"), known)
+    function: Callable[..., Any] = known["values_of"]
+    return function
 
 
 def _source(field: Field, plant: RecordedPlant | None) -> str:
