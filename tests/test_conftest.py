@@ -64,10 +64,12 @@ ALL_PACKAGES = "libosmesa6 xvfb libgl1 xdotool chromium gcc libc6-dev gcc-arm-no
 SUITE, MACHINE = ("-m", "not study and not machine"), ("-m", "machine and not study")
 
 
-def run(folder: Path, *options: str, tests: str = TESTS, limit: str = "LIMIT, SHARED = 2.0, 5.0") -> tuple[int, str]:
+def run(
+    folder: Path, *options: str, tests: str = TESTS, limit: str = "LIMIT, SHARED = 2.0, 5.0", load: str = "0.0"
+) -> tuple[int, str]:
     """Run tests under the settings of this suite where no program is installed; return status and output."""
-    settings = Path(conftest.__file__).read_text()
-    assert "LIMIT, SHARED = 2.0, 5.0" in settings
+    settings = Path(conftest.__file__).read_text().replace("os.getloadavg()[0]", load)
+    assert "LIMIT, SHARED = 2.0, 5.0" in settings and f"{load} > 1.5" in settings
     (folder / "conftest.py").write_text(settings.replace("LIMIT, SHARED = 2.0, 5.0", limit))
     (folder / "test_some.py").write_text(tests)
     done = subprocess.run(
@@ -117,3 +119,5 @@ def test_a_test_that_uses_too_much_processor_time_fails(tmp_path: Path) -> None:
         "FAILED test_child_burns",
     ], out
     assert "s of processor time, limit 0." in out and "mark it study" in out
+    # where other programs share the cores nothing is judged
+    assert run(tmp_path, "-p", "no:xdist", tests=BURNERS, limit="LIMIT, SHARED = 0.05, 0.05", load="1e9")[0] == 0
