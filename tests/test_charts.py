@@ -119,8 +119,8 @@ COMMANDS = {
 }
 
 
-LONG = {"stability"}
-"""Charts of several seconds: studies. That of `stability, hand` has the same panels."""
+LONG = {"stability", "card"}
+"""Expensive charts: studies. `stability, hand` has the same panels; `test_card` draws a card of one hand."""
 
 
 @pytest.mark.parametrize(
