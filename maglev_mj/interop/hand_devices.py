@@ -112,10 +112,10 @@ class AxisMapping(Parameters):
         Args:
             shares: Of the full deflection or rate, (6,).
         """
-        told: Array = self._matrix @ np.nan_to_num(shares, posinf=_FINITE, neginf=-_FINITE)
+        values: Array = self._matrix @ np.nan_to_num(shares, posinf=_FINITE, neginf=-_FINITE)
         if self.dominant:
-            told[np.arange(len(AXES)) != np.argmax(np.abs(told))] = 0.0
-        return told
+            values[np.arange(len(AXES)) != np.argmax(np.abs(values))] = 0.0
+        return values
 
     def _inverted(self) -> list[str]:
         return [] if self.invert == _NONE else self.invert.split(",")

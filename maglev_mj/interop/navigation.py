@@ -32,7 +32,7 @@ class Navigation:
         gain: The slave's speed for the deflection beyond the edge [1/s].
         give: How far the spring of the friction stretches before it breaks away, breakaway over stiffness [m, rad];
             by default 2 N over 6000 N/m, for rotations the same at the radius of gyration.
-        breakaway: The force at which it does [N, N m]; by default 2 N, likewise.
+        breakaway: Breakaway force [N, N m]; by default 2 N, for rotations the same at the radius of gyration.
 
     Raises:
         ParameterError: If a value is out of its bounds, or neither a number nor (6,).
@@ -78,7 +78,7 @@ class Navigator:
             mode, where it goes as far as the flotor goes, (6,).
 
     Source: two modes, and friction that lets one change between them without the slave being returned: Salcudean &
-        Vlaar 1997, section 4. How the mode is told from the friction's spring is this package's own.
+        Vlaar 1997, section 4. The rule that derives the mode from the spring of the friction is this package's own.
     """
 
     def __init__(self, navigation: Navigation | None = None) -> None:
