@@ -128,8 +128,9 @@ def tab(browser: Any, run: Run) -> Any:
 
 
 @pytest.fixture(autouse=True)
-def let_go(run: Run) -> None:
-    """Begin each test with a released hand."""
+def let_go(run: Run, tab: Any) -> None:
+    """Begin each test with a released hand, even after one that failed in mid drag."""
+    tab.mouse.up()
     run.until(lambda shown: shown.target is None)
 
 
@@ -147,21 +148,20 @@ def await_hold(run: Run) -> None:
 
 
 def press(tab: Any, run: Run) -> tuple[float, float]:
-    """Press the knob with a moving mouse.
+    """Press the knob with a moving mouse, once the page shows by its cursor that the mouse came over it.
 
-    A click alone does not take hold.
+    A drag that misses the knob would turn the view. A click alone does not take hold.
     """
     x, y = knob(tab, run)
     end = time.monotonic() + PATIENCE
-    while run.shown.target is None:  # the device is drawn some time after the panel is there
-        tab.mouse.move(x, y)
-        tab.mouse.down()
-        tab.mouse.move(x + 6, y, steps=3)
-        await_hold(run)
-        if run.shown.target is None:
-            tab.mouse.move(x, y, steps=3)  # such a drag turns the view: back again
-            tab.mouse.up()
-        assert time.monotonic() < end
+    for above, cursor in (60.0, "auto"), (0.0, "pointer"):  # that of an earlier size of the page may still be there
+        while tab.locator("canvas").last.evaluate("canvas => canvas.style.cursor || 'auto'") != cursor:
+            assert time.monotonic() < end, f"the cursor is not {cursor}"
+            tab.mouse.move(x + 2, y - above)
+            tab.mouse.move(x, y - above)
+    tab.mouse.down()
+    tab.mouse.move(x + 6, y, steps=3)
+    run.until(lambda shown: shown.target is not None)
     return x, y
 
 
