@@ -339,6 +339,7 @@ def test_on_a_phone_the_stop_is_in_reach_and_all_is_for_a_finger(run: Run, brows
     phone.get_by_text("force on x").wait_for()
     stop.click()
     run.until(lambda shown: shown.state == "stopped")
+    phone.wait_for_selector("[role=alert]:has-text('press centre')")  # drawn with it, the panel moves its buttons
     phone.get_by_role("button", name="centre", exact=True).click()
     run.until(lambda shown: shown.state == "running")
     phone.context.close()
