@@ -3,9 +3,9 @@
 Pictures without a window too.
 """
 
+import json
 import math
 import os
-import re
 import subprocess
 import sys
 import time
@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from live_client import LiveClient
-from maglev_mj.frames import AXES, Array
+from maglev_mj.frames import Array
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.shapes import GRIP
 from maglev_mj.recording import Recording, RecordingError
@@ -43,7 +43,7 @@ needs_screen = pytest.mark.needs("screen", "xdotool")
 
 SCREEN = 600, 400
 VIEW = Area(0, 0, *fitted_size(*SCREEN))
-SAMPLE, RATE = "/maglev/sample", 200
+RATE = 200
 DRAG = 8
 """Pixels."""
 
@@ -80,7 +80,7 @@ class Session:
     said: str
     folder: Path
     paused: int
-    """Samples in its pause."""
+    """Samples while it is paused."""
 
     @property
     def recordings(self) -> list[Recording]:
@@ -101,41 +101,50 @@ def whole(folder: Path) -> list[Path]:
 
 
 class Watched:
-    """Scene behind a window, watched by its live server.
+    """Scene behind a window, which writes each snapshot to a file; a slow machine is waited for.
 
-    A slow machine is waited for.
+    Args:
+        path: The file, see `tests/watched_view.py`.
     """
 
-    def __init__(self, url: str) -> None:
-        self._url = url
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        waited(path.exists, PATIENCE)
 
-    def until(self, so: Callable[[Any], bool], samples: int = 1) -> None:
-        """Wait until some samples in a row meet a condition."""
-        row = 0
-        with LiveClient(self._url, {SAMPLE}) as client:
-            for message in client.messages(PATIENCE):
-                row = row + 1 if so(message.fields) else 0
-                if row == samples:
-                    return
+    def _snapshots(self) -> Iterator[dict[str, Any]]:
+        """Yield the snapshots from now on, as they come."""
+        line, end = "", time.monotonic() + PATIENCE
+        with self._path.open(encoding="utf-8") as file:
+            file.seek(0, os.SEEK_END)
+            while time.monotonic() < end:
+                line += file.readline()
+                if line.endswith("\n"):
+                    yield json.loads(line)
+                    line = ""
+                else:
+                    time.sleep(0.01)
         raise AssertionError("waited in vain")
+
+    def until(self, so: Callable[[dict[str, Any]], bool], samples: int = 0) -> None:
+        """Wait until a condition has held for a number of samples."""
+        first: int | None = None
+        for snapshot in self._snapshots():
+            first = None if not so(snapshot) else snapshot["tick"] if first is None else first
+            if first is not None and snapshot["tick"] - first >= samples:
+                return
 
     def set_to(self, name: str, value: object) -> None:
         """Wait until a parameter has a value."""
-
-        def so() -> bool:
-            with LiveClient(self._url, set()) as client:
-                return bool(client.parameters()[name] == pytest.approx(value))
-
-        waited(so, PATIENCE)
+        self.until(lambda snapshot: bool(snapshot[name] == pytest.approx(value)))
 
     def later(self, seconds: float) -> None:
         """Wait for some time of the scene."""
         self.until(lambda _: True, round(seconds * RATE))
 
-    def samples(self, seconds: float) -> int:
-        """Return how many samples come."""
-        with LiveClient(self._url, {SAMPLE}) as client:
-            return len(list(client.messages(seconds)))
+    def samples(self, count: int) -> int:
+        """Return how many samples come from the first to the last of some snapshots."""
+        first, *_, last = islice(self._snapshots(), count)
+        return int(last["tick"] - first["tick"])
 
 
 @pytest.fixture(scope="module")
@@ -148,16 +157,13 @@ def screen() -> Iterator[VirtualScreen]:
 def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> Session:
     """Drag, release, press every key, close the window."""
     folder = tmp_path_factory.mktemp("session")
-    command = [sys.executable, "-m", "maglev_mj", "view", "joystick", "--no-wall", "--out", str(folder)]
-    command += ["--foxglove", "0"]
+    snapshots, watched = folder / "snapshots.jsonl", Path(__file__).with_name("watched_view.py")
+    command = [sys.executable, str(watched), str(snapshots), "joystick", "--no-wall", "--out", str(folder)]
     program = subprocess.Popen(
         command, env=screen.environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
     )
     try:
-        assert program.stdout is not None
-        found = re.search(r"ws://\S+:\d+", program.stdout.readline())
-        assert found
-        scene, window = Watched(found[0]), screen.window("joystick")
+        scene, window = Watched(snapshots), screen.window("joystick")
         scene.later(1.0)
         geometry = dict(line.split("=") for line in screen.xdotool("getwindowgeometry", "--shell", window).split())
         assert (int(geometry["WIDTH"]), int(geometry["HEIGHT"])) == fitted_size(*SCREEN)
@@ -175,29 +181,29 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
             time.sleep(0.2)
         places: deque[Array] = deque(maxlen=2)
 
-        def at_rest(sample: Any) -> bool:
-            places.append(np.array([getattr(sample.position, axis) for axis in AXES]))
+        def at_rest(snapshot: dict[str, Any]) -> bool:
+            places.append(np.array(snapshot["pose"]))
             return bool(np.ptp(places, axis=0).max() < 1e-7)
 
-        def held(sample: Any) -> bool:
-            return any(getattr(sample.hand, axis) for axis in AXES)
+        def held(snapshot: dict[str, Any]) -> bool:
+            return any(snapshot["hand"])
 
-        scene.until(lambda sample: at_rest(sample) and held(sample), round(1.5 * RATE))
+        scene.until(lambda snapshot: at_rest(snapshot) and held(snapshot), round(1.5 * RATE))
         screen.xdotool("mouseup", 1)
-        scene.until(lambda sample: at_rest(sample) and not held(sample), round(1.0 * RATE))
+        scene.until(lambda snapshot: at_rest(snapshot) and not held(snapshot), round(1.0 * RATE))
         screen.xdotool("key", "F10")
         waited(lambda: whole(folder), PATIENCE)
         aside = middle[0] - 150, middle[1] + 40
         screen.xdotool("mousemove", *aside, "mousedown", 1)  # beside the knob: the engine turns its camera
         time.sleep(2.0 * FRAME)
         screen.xdotool("mousemove", aside[0] + 20, aside[1], "mouseup", 1)
-        scene.until(lambda sample: not held(sample), round(0.5 * RATE))
+        scene.until(lambda snapshot: not held(snapshot), round(0.5 * RATE))
         screen.xdotool("keydown", "ctrl", "mousemove", *aside, "mousedown", 3)  # the engine's own hand
         time.sleep(1.0)
         screen.xdotool("mousemove", aside[0] + DRAG, aside[1])
         scene.until(held)
         screen.xdotool("mouseup", 3, "keyup", "ctrl", "key", "Page_Down")
-        scene.until(lambda sample: at_rest(sample) and not held(sample), round(1.0 * RATE))
+        scene.until(lambda snapshot: at_rest(snapshot) and not held(snapshot), round(1.0 * RATE))
         time.sleep(1.1)  # names go by the second
         screen.xdotool("key", "6", "key", "F10")  # the wall is back for the keys' own turn
         waited(lambda: len(list(folder.glob("*.mcap"))) == 2, PATIENCE)
@@ -212,8 +218,7 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
         scene.later(0.3)
         screen.xdotool("key", "space")
         scene.set_to("state", "paused")
-        time.sleep(0.2)
-        paused = scene.samples(0.5)
+        paused = scene.samples(30)
         screen.xdotool("key", "space")
         scene.later(0.3)
         screen.xdotool("key", "Return")
