@@ -56,7 +56,6 @@ Scenes:
     Phases                   figures over the phases
     Session                  a scene in real time
     real_time                paces a session
-    LiveServer               serves a session to other programs
 
 Stability and design:
 

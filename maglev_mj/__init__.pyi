@@ -30,7 +30,6 @@ from maglev_mj.errors import PlantError as PlantError
 from maglev_mj.frames import AXES as AXES
 from maglev_mj.frames import Command as Command
 from maglev_mj.frames import Sample as Sample
-from maglev_mj.interop.foxglove import LiveServer as LiveServer
 from maglev_mj.interop.hand_devices import AxisMapping as AxisMapping
 from maglev_mj.parameters import Turn as Turn
 from maglev_mj.parameters import param as param

@@ -15,7 +15,6 @@ COUNTED = "must vary as LOW:HIGH:COUNT"
 ABSENT = "hand-device must be one of those that `--hand-device list` prints, not "
 NEAR = "bridge udp://127.0.0.1:9"
 WALL = "sweep wall --vary period=0.005"
-HELD = "foxglove is for scenes"
 
 REFUSED = {
     # scenes, studies and recordings
@@ -128,13 +127,8 @@ REFUSED = {
     "stick-slip --format pdf": "format must be given with out, the folder of pictures, not 'pdf' alone",
     f"{NEAR} --record a.foo": "record must be a file that ends in .mcap or .npz, not 'a.foo'",
     # servers and pages
-    f"{NEAR} --foxglove 65536": "port must be a whole number of 0 to 65535, not 65536",
     "twin --plant euler": "plant must be one of exact, mujoco, not 'euler'",
-    "twin --foxglove -1": "port must be a whole number of 0 to 65535, not -1",
     "view --allow-origin http://a/b": "argument --allow-origin: origin must be as http://192.168.0.5:8080, without a",
-    "view --foxglove 99999": "port must be a whole number of 0 to 65535, not 99999",
-    "twin --foxglove x": "must be a whole number, not 'x'",
-    f"{NEAR} --identify f.json --foxglove": HELD,
     "view --web --host 0.0.0.0": "token must be given for a host that is not this machine",
     "view --web --token short": "token must be 16 or more letters",
     "view --web --port 65536": "port must be a whole number of 0 to 65535",

@@ -17,7 +17,6 @@ from contextlib import (
     AbstractContextManager,
     ExitStack,
     chdir,
-    closing,
     contextmanager,
     nullcontext,
     redirect_stderr,
@@ -31,7 +30,6 @@ from unittest.mock import patch
 import pytest
 
 import maglev_mj
-from live_client import LiveClient
 from maglev_mj.bridge import State, Twin, TwinParameters
 from maglev_mj.bridge.connection import estop
 from maglev_mj.bridge.links import UdpServer
@@ -39,8 +37,6 @@ from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.cli import main, parser
 from maglev_mj.cli.declare import joined
-from maglev_mj.interop.foxglove import LiveServer
-from maglev_mj.session import Session
 from tests.processes import lockstep_twin
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -106,21 +102,8 @@ def device(_: list[str]) -> Iterator[dict[str, str]]:
         server.close()
 
 
-@contextmanager
-def scene(_: list[str]) -> Iterator[dict[str, str]]:
-    """Serve a scene that is there to be watched."""
-    with closing(LiveServer(0)) as live:
-        session = Session(publishers=[live], file=live)
-        session.tick(0.0)  # tells of the start
-        with LiveClient(f"ws://127.0.0.1:{live.port}", set()) as client:
-            while not client.parameters():
-                pass
-        yield {"8765": str(live.port)}
-
-
 BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]] = {
     "docs/howto/fly.md": device,
-    "docs/reference/live.md": scene,
 }
 
 
@@ -188,8 +171,6 @@ def test_the_python_of_a_page_runs(page: str, thinned: bool) -> None:
         assert lines[0] == "1.0 kg"
         for one, other in (lines[1:3], lines[3:5]):  # both plants
             assert one.split(" ", 1)[1] == other.split(" ", 1)[1]
-    elif page == "docs/reference/live.md":
-        assert "'scene': 'joystick', 'state': 'running'" in lines[-1]
 
 
 @pytest.mark.needs("drawing")

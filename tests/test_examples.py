@@ -32,7 +32,7 @@ from maglev_mj.studies.cells import chosen_workers, dask_workers, run_cells
 from maglev_mj.theory import judge
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "scripts" / "examples"
-SHORT = sorted(path.name for path in EXAMPLES.glob("*.py") if path.name != "live_client.py")
+SHORT = sorted(path.name for path in EXAMPLES.glob("*.py"))
 
 GALLERY = (EXAMPLES.parents[1] / "docs" / "gallery.md").read_text(encoding="utf-8").splitlines()
 

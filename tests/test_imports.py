@@ -49,7 +49,7 @@ ALLOWED = {
     "serial": {"bridge"},
     "argcomplete": {"cli"},
     "mcap": {"recording"},
-    "foxglove": {"interop", "recording"},
+    "foxglove": {"recording"},
     "gymnasium": {"interop"},
     "pandas": {"result"},
     "pyarrow": {"recording", "studies"},
@@ -201,7 +201,7 @@ def test_a_command_loads_what_it_runs(words: str, absent: Sequence[str]) -> None
     assert sorted(loaded.intersection(absent)) == []
 
 
-@pytest.mark.parametrize("name", ["Recording", "RemotePlant", "Controller", "Scene", "LiveServer", "sweep"])
+@pytest.mark.parametrize("name", ["Recording", "RemotePlant", "Controller", "Scene", "sweep"])
 def test_what_needs_no_engine_waits_for_none(name: str) -> None:
     ask = f"import sys; from maglev_mj import {name}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)

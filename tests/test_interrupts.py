@@ -5,6 +5,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import import_module
 from multiprocessing.connection import Connection
@@ -154,6 +155,18 @@ def test_processes_start_and_answer_without_what_windows_lacks(monkeypatch: pyte
         process.close()
     start_tracker()
     be_nice()
+
+
+@pytest.mark.parametrize("calls", [("send",), ("received", "send")])
+def test_what_is_sent_to_a_process_that_has_ended_is_lost(calls: Sequence[str]) -> None:
+    process = SideProcess(repr)
+    process._process.join()
+    for call in calls:
+        assert call != "received" or list(process.received()) == []
+        process.send(1)
+        assert process.ended and not process.ready and list(process.received()) == []
+    process.close()
+    process.close()
 
 
 def test_looking_at_the_program_s_module_leaves_signals_alone() -> None:

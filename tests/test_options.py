@@ -22,7 +22,6 @@ from maglev_mj.cli.declare import Parser, declare, option
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.cli.program import COMMANDS
 from maglev_mj.errors import ParameterError
-from maglev_mj.interop.foxglove import PORT
 from maglev_mj.interop.hand_devices import AUTO
 from maglev_mj.parameters import Parameters, interval, param
 from maglev_mj.pictures import FORMATS
@@ -208,7 +207,7 @@ def allowed(function: Callable[..., int], name: str) -> tuple[str, ...]:
 def test_what_a_help_says_without_its_library_is_what_the_library_has() -> None:
     twin = defaults(cli_twin.twin)
     assert (twin["watchdog"], twin["noise"]) == (Limits.watchdog, TwinParameters.noise)
-    assert peripherals.LIVE_PORT == PORT and output.FORMATS == FORMATS and peripherals._AUTO == AUTO
+    assert output.FORMATS == FORMATS and peripherals._AUTO == AUTO
     assert allowed(recordings.export, "to") == tuple(EXPORTS)
     assert allowed(studies.design, "law") == LAWS and allowed(studies.design, "goal") == GOALS
 

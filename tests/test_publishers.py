@@ -1,89 +1,24 @@
-"""Live server and 3D mouse on a device.
-
-With their options.
-"""
+"""Publishers: snapshots and settings of other programs, in a session and in a flight."""
 
 import re
-import sys
-import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
-from inspect import CO_OPTIMIZED
+from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from live_client import LiveClient, reader
-from maglev_mj import theory
+from maglev_mj import cli
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.landing import StopSwitch
 from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
 from maglev_mj.control.laws.base import as_law
-from maglev_mj.interop.foxglove import LiveServer
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Box, Joystick
-from maglev_mj.session import ChangeRequest, Publishers, Session, Snapshot, unstable_loop
-from tests.processes import PATIENCE, ended, said_by, started, twin
-
-
-@pytest.mark.machine
-def test_a_device_is_seen_set_and_recorded_by_other_programs(tmp_path: Path) -> None:
-    # A wall on the wire is refused or taken; what was flown is in the file with both settings.
-    record = tmp_path / "run.mcap"
-    publishers = ("--foxglove", "0")
-    with twin("--watchdog", "1") as (device, address):
-        options = ("--scene", "table", "--record", str(record), "--out", str(tmp_path), *publishers)
-        with started("bridge", address, "--as-written", "--anyway", *options) as host:
-            with LiveClient(host.wait_for(r"ws://[\d.:]+"), {"/maglev/sample"}) as client:
-                while client.parameters().get("state") != "flying":
-                    time.sleep(0.1)
-                wall = {"wall": True, "walls": [["z", 1, -0.001]]}
-                end = time.monotonic() + PATIENCE  # the delay is told once it has been measured
-                while time.monotonic() < end:
-                    refused = client.set(**wall, stiffness=40000.0)
-                    if refused["figures"]["delay"] > 0.0015 + 1e-4:
-                        break
-                assert refused["figures"]["modulus"] > 1.0 and refused["figures"]["delay"] > 0.0015 + 1e-4
-                accepted = client.set(**wall, stiffness=2000.0)
-                assert accepted["since"] is not None and not accepted["reason"]
-                ticks = [message.fields.tick for message in client.messages(0.5)]
-                assert abs(next(client.messages(PATIENCE)).fields.position.z) < 1e-3
-            assert host.end().status == 0
-        assert not (tmp_path / "s").exists()
-        assert "inactive, faults: none" in ended(device)[1]
-    recording = Recording.load(record)
-    before, after = (stretch.setup["parameters"] for stretch in recording.stretches)
-    assert (before["stiffness"], before["walls"]) == (6000.0, None)
-    assert (after["stiffness"], after["walls"]) == (2000.0, [["z", 1, -0.001]])
-    assert recording.stretches[1].tick[0] == accepted["since"]
-    kept = np.concatenate([stretch.tick for stretch in recording.stretches])
-    assert ticks and set(ticks) <= set(kept.astype(int))
-    status, said_again = said_by("replay", str(record), "--check")
-    assert status == 0 and f"{recording.ticks} of {recording.ticks} the same: command," in said_again
-    assert said_by("analyse", str(record))[0] == 0
-
-
-@pytest.mark.machine
-def test_a_twin_shows_its_true_pose_and_its_faults() -> None:
-    # It lies on its stop, nothing can be set there, and an emergency stop is logged.
-    with started("twin", "--foxglove", "0", "--listen", "udp://127.0.0.1:0") as device:
-        with LiveClient(device.wait_for(r"ws://[\d.:]+")) as client:
-            sample = next(one.fields for one in client.messages(PATIENCE) if one.topic == "/maglev/sample")
-            assert sample.position.z == pytest.approx(-0.0045, abs=1e-5) and not sample.applied.z
-            assert client.parameters() == {} and client.set(wall=True)["reason"] == "no scene runs here"
-            client.send({"op": "nonsense"})  # is not for the person at the terminal
-            said_by("estop", device.wait_for(r"udp://[\d.:]+"))
-            logged = (one.fields.message for one in client.messages(PATIENCE) if one.topic == "/log")
-            assert next(line for line in logged if "fault" in line) == "fault: ESTOP"
-        ended_twin = device.end()
-        assert (ended_twin.status, ended_twin.errors) == (0, "")
+from maglev_mj.session import ChangeRequest, Publishers, Snapshot
+from tests.recorded import decoder
 
 
 def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
@@ -168,7 +103,9 @@ def slow() -> Callable[[], float]:
     return lambda: next(now) / 60.0
 
 
-def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flight_is_recorded_through_changes_as_one_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     # Settings from outside: what is missed and when counts on from change to change, for a device does.
     monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
     wishes = [Joystick(friction=True), Joystick(stiffness=4000.0)]
@@ -189,16 +126,19 @@ def test_a_flight_is_recorded_through_changes_as_one_run(tmp_path: Path, monkeyp
     assert since == begun and 1 <= since[1] - asks.snapshots[2].tick <= 3
     with (tmp_path / "run.mcap").open("rb") as opened:
         read = [
-            (message.log_time, reader(channel.message_encoding, schema.name, schema.data)(message.data))
-            for schema, channel, message in make_reader(opened).iter_messages(topics=["/maglev/sample"])
+            (message.log_time, decoder(schema)(message.data))
+            for schema, _, message in make_reader(opened).iter_messages(topics=["/maglev/sample"])
             if schema is not None
         ]
-    firsts = [next(said for _, said in read if said.stretch == place) for place in range(3)]
-    assert [said.missed for said in firsts] == [0, 0, 0]
+    firsts = [next(said for _, said in read if said["stretch"] == place) for place in range(3)]
+    assert [said["missed"] for said in firsts] == [0, 0, 0]
     for place in range(3):
-        logged = [(when, said.tick) for when, said in read if said.stretch == place]
+        logged = [(when, said["tick"]) for when, said in read if said["stretch"] == place]
         for when, tick in logged:
             assert (when - logged[0][0]) * 1e-9 == pytest.approx((tick - logged[0][1]) * plant.period, abs=1e-6)
+    assert cli.main(["replay", str(tmp_path / "run.mcap"), "--check"]) == 0
+    assert f"{recording.ticks} of {recording.ticks} the same: command," in capsys.readouterr().out
+    assert cli.main(["analyse", str(tmp_path / "run.mcap")]) == 0
 
 
 def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -233,70 +173,6 @@ def test_period_and_delay_of_settings_are_the_devices(monkeypatch: pytest.Monkey
         assert flown.run(0.3).ticks == 60
     assert asks.snapshots[-1].scene == Joystick(stiffness=3000.0, period=plant.period, delay=plant.delay)
     assert asks.answers == [asks.snapshots[-1].since]
-
-
-@contextmanager
-def theory_called() -> Iterator[set[str]]:
-    """Yield the called functions of the theory.
-
-    In this thread and in new ones of this process.
-    """
-    called, folder = set[str](), str(Path(theory.__file__).parent)
-
-    def note(frame: FrameType, event: str, _: object) -> None:
-        code = frame.f_code
-        if event == "call" and code.co_filename.startswith(folder) and code.co_flags & CO_OPTIMIZED:  # no import
-            called.add(code.co_qualname)
-
-    threading.setprofile(note)
-    sys.setprofile(note)
-    try:
-        yield called
-    finally:
-        sys.setprofile(None)
-        threading.setprofile(None)
-
-
-def fly(live: LiveServer, switch: StopSwitch) -> None:
-    flown, plant = flight(publishers=[live], file=live, switch=switch)
-    with plant:
-        flown.run()
-
-
-def render(live: LiveServer, switch: StopSwitch) -> None:
-    session = Session(publishers=[live], file=live)
-    while not switch.landing:
-        session.tick(0.005)
-        time.sleep(0.001)
-
-
-@pytest.mark.machine
-@pytest.mark.parametrize("run", [fly, render])
-def test_settings_are_checked_in_another_process(run: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
-    # No function of the theory is called where a scene runs, whether settings are refused or accepted.
-    with theory_called() as called:
-        unstable_loop(Joystick())
-    assert "stability" in called
-    answers: list[dict[str, Any]] = []
-    with closing(LiveServer(0)) as live, theory_called() as called:
-        switch = StopSwitch()
-
-        def ask() -> None:
-            try:
-                with LiveClient(f"ws://127.0.0.1:{live.port}", set()) as client:
-                    while client.parameters().get("state") not in ("flying", "running"):
-                        time.sleep(0.01)
-                    answers.extend(client.set(stiffness=stiffness) for stiffness in (60000.0, 3000.0))
-            finally:
-                switch.land()
-
-        client = threading.Thread(target=ask)
-        client.start()
-        run(live, switch)
-        client.join()
-    refused, accepted = answers
-    assert refused["figures"]["modulus"] > 1.0 and accepted["since"] is not None
-    assert not called
 
 
 def broken(position: Any, velocity: Any) -> Any:

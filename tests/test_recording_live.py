@@ -607,6 +607,22 @@ def test_no_memory_to_share_is_one_line_before_anything_runs(
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_reader_removes_the_memory_of_a_program_that_was_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    # On Windows, where nobody could before.
+    ring, unlink = Ring(), Path.unlink
+
+    def in_use(path: Path, missing_ok: bool = False) -> None:
+        monkeypatch.setattr(Path, "unlink", unlink)
+        raise PermissionError(13, "it is used by another process")
+
+    monkeypatch.setattr(Path, "unlink", in_use)
+    reader = RowReader(ring.path)
+    assert ring.path.exists()
+    reader.close()
+    assert not ring.path.exists()
+    ring.close()
+
+
 def test_the_writer_takes_no_modules_from_the_folder_that_it_is_in(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

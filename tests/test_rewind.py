@@ -18,7 +18,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants import Sensor, SpotSensor, Timing
 from maglev_mj.plants.hand import GuidedHand, Hand, RecordedHand, Trajectory
-from maglev_mj.recording import ArrayFile, OwnCodeError, Recording
+from maglev_mj.recording import OwnCodeError, Recording
 from maglev_mj.recording.verify import first_other_answer, verify
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
@@ -259,33 +259,33 @@ def test_a_recording_of_many_rewinds_is_checked_to_the_last_bit(
     assert f"{count} of {count} the same: period, delay, carried, inertia, load, before, faces, hand_recorded" in said
 
 
-def test_a_rewind_before_a_change_takes_its_scripted_hand_along_and_sticks_alike() -> None:
-    file, hand = ArrayFile(), Hand(mass=0.1, damping=4.0, stiffness=1500.0, axes="x")
+def test_a_rewind_before_a_change_takes_its_scripted_hand_along_and_sticks_alike(tmp_path: Path) -> None:
+    record, hand = tmp_path / "run.npz", Hand(mass=0.1, damping=4.0, stiffness=1500.0, axes="x")
     path = Trajectory([0.0, 0.3, 0.5, 0.9], [[place, 0.0, 0.0, 0.0, 0.0, 0.0] for place in (0.0, 3e-3, 0.0, 2e-3)])
-    session = made(find_scene("table")(), file=file, hand=GuidedHand(hand=hand, path=path))
+    session = made(find_scene("table")(), record=record, hand=GuidedHand(hand=hand, path=path))
     session.tick(0.5)
     session.change({"delay": 0.0016})  # a hand's path begins again
     session.tick(0.6)
     session.rewind(0.3, again=True)
     run_to(session, 1.2)
     session.close()
-    first, _, again = file.recording.stretches
-    verdict = verify(file.recording, rebuild)
-    assert verdict.same and verdict.fields["hand"].compared == len(first) + len(file.recording.stretches[1])
+    recording = Recording.load(record)
+    first, changed, again = recording.stretches
+    verdict = verify(recording, rebuild)
+    assert verdict.same and verdict.fields["hand"].compared == len(first) + len(changed)
     firsts, sticks = stick_positions_of(first), stick_positions_of(again)
     assert firsts is not None and sticks is not None and sticks[:40].tobytes() == firsts[60:].tobytes()
-    shown = Replay(file.recording)
+    shown = Replay(recording)
     shown.change({"time": 1.2})
     for _ in range(3):
         shown.tick(0.0)
-    place = shown.snapshot().tick - len(first) - len(file.recording.stretches[1])
+    place = shown.snapshot().tick - len(first) - len(changed)
     anchors = shown.snapshot().anchors
     assert anchors is not None and anchors.tobytes() == sticks[place].tobytes()
 
 
-def test_a_recording_goes_on_and_loses_nothing() -> None:
-    file = ArrayFile()
-    session = played(made(file=file), 1.0)
+def test_a_recording_goes_on_and_loses_nothing(tmp_path: Path) -> None:
+    session = played(made(record=tmp_path / "run.npz"), 1.0)
     session.rewind(0.4, again=True)
     run_to(session, 1.0)
     session.change({"rewind": 0.3})
@@ -293,7 +293,7 @@ def test_a_recording_goes_on_and_loses_nothing() -> None:
     session.act("pause")
     session.tick(0.3)
     session.close()
-    recording = file.recording
+    recording = Recording.load(tmp_path / "run.npz")
     assert [len(one) for one in recording.stretches] == [200, 120, 60]
     again = recording.stretches[1]
     assert again.metadata.before.tobytes() == recording.stretches[0].applied[79].tobytes()

@@ -14,7 +14,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Joystick
-from maglev_mj.session import TIME_SCALES, Note, Pacer, Session
+from maglev_mj.session import TIME_SCALES, Note, Pacer, Session, changed
 from maglev_mj.views.readings import Banner, banner
 
 FRAME = 1.0 / 60.0
@@ -71,6 +71,38 @@ def test_a_change_that_is_refused_changes_nothing(given: dict[str, Any], said: s
     session.tick(0.2)
     now = session.snapshot()
     assert (now.scene, now.time_scale, now.hand_stiffness, now.since) == (Joystick(), 1.0, 200.0, 0)
+
+
+LIVE = "wall, pulse, friction, weightless, stiffness, damping, breakaway, walls"
+NUMBER = "stiffness must be a finite number at least 1 and at most 1e+06, not"
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"period": 0.001}, "period is the device's, or the person's at the machine; a program cannot set it"),
+        ({"delay": 0.0}, "delay is the device's, or the person's at the machine; a program cannot set it"),
+        ({"stifness": 5.0, "scene": 1}, f"parameters must be of {LIVE}, not scene, stifness"),
+        ({"stiffness": 0.5}, f"{NUMBER} 0.5"),
+        ({"stiffness": "none"}, f"{NUMBER} 'none'"),
+        ({"stiffness": True}, f"{NUMBER} True"),
+        ({"damping": 10**400}, f"damping must be a finite number at least 0 and at most 10000, not {10**400}"),
+        ({"wall": 1}, "wall must be True or False, not 1"),
+        ({"walls": b"z"}, "a wall must be an axis, a normal and an edge, not 122"),
+        ({"walls": [["z", 1, 0.002], ["z", -1, 0.001]]}, "walls must leave room between them, not 0.002 to 0.001 on z"),
+    ],
+)
+def test_what_a_program_cannot_set_is_refused_in_a_line(given: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ParameterError) as error:
+        changed(Joystick(), given)
+    assert str(error.value) == reason
+
+
+def test_what_is_not_named_stays() -> None:
+    present = Joystick(friction=True, breakaway=1.5)
+    wanted = changed(present, {"damping": 70, "pulse": False, "walls": [["rx", -1.0, 0.05]]})
+    assert wanted == Joystick(friction=True, breakaway=1.5, damping=70.0, pulse=False, walls=(("rx", -1, 0.05),))
+    assert changed(wanted, {"walls": None}) == wanted.replace(walls=None)
 
 
 class Picky(Scene):

@@ -1,6 +1,7 @@
 """Settings by other programs: own walls, and their stability check."""
 
 import json
+import random
 from typing import Any
 
 import mujoco
@@ -15,9 +16,10 @@ from maglev_mj.parameters import param
 from maglev_mj.plants.model import model_path
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.rooms import INERTIA, MASS, InteractiveScene, Joystick, Table
+from maglev_mj.scenes.rooms import INERTIA, MASS, Box, Corner, InteractiveScene, Joystick, Table
 from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, unstable_loop
+from maglev_mj.spec import RANGE
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
 from maglev_mj.views.readings import STABILITY
 from maglev_mj.views.window.screen import Plots
@@ -154,6 +156,28 @@ def test_settings_are_refused_from_the_boundary_of_theory_on(name: str, period: 
     assert refused.largest_stable == pytest.approx(bound * share, rel=1e-6)
     assert refused.largest_stable is not None and refused.stiffness > refused.largest_stable
     assert "must be below 1" in str(refused) and "stable up to" in str(refused)
+
+
+def test_a_scene_is_checked_with_another_delay_or_flotor() -> None:
+    for delay, stable in ((0.0, True), (0.0015, True), (0.003, False)):
+        refused = unstable_loop(Box(stiffness=9000.0), delay=delay)
+        assert (None if refused is None else refused.delay) == (None if stable else delay)
+    for mass, stable in ((0.7, True), (0.35, False)):
+        assert (unstable_loop(Drop(), inertia=[mass] * 3 + [1e-3] * 3) is None) is stable
+
+
+@pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.study)])
+def test_every_legal_scene_is_judged(count: int) -> None:
+    draw, stable = random.Random(3), 0
+    for _ in range(count):
+        cls = draw.choice((Joystick, Table, Box, Corner))
+        values: dict[str, Any] = {name: draw.random() < 0.5 for name in ("wall", "friction", "pulse", "weightless")}
+        values |= {"stiffness": 10 ** draw.uniform(0, 6), "damping": 10 ** draw.uniform(-2, 4)}
+        if draw.random() < 0.5:
+            reaches = zip(AXES, RANGE, strict=True)
+            values["walls"] = [[axis, 1, draw.uniform(-reach, reach)] for axis, reach in reaches if draw.random() < 0.5]
+        stable += unstable_loop(cls(period=draw.choice((5e-3, 1e-3)), delay=draw.uniform(0.0, 5e-3), **values)) is None
+    assert 0.1 * count < stable < 0.9 * count
 
 
 @pytest.mark.parametrize("above", [False, True])

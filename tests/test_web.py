@@ -32,14 +32,14 @@ from websockets.typing import Origin, Subprotocol
 from maglev_mj.cli import main
 from maglev_mj.cli.peripherals import PageOptions
 from maglev_mj.colours import BAD, TOUCHED, hex_of
-from maglev_mj.errors import MaglevError
+from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.parameters import Turn, param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.shapes import GRIP, KNOB, Shape, shapes
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
-from maglev_mj.session.access import ListenError, listen
+from maglev_mj.session.access import ListenError, check_origin, listen
 from maglev_mj.session.pacing import Due
 from maglev_mj.views.page.page import Door, Page, PageServer
 from maglev_mj.views.page.panel import Choice, Control, Slider, control
@@ -174,6 +174,14 @@ def test_a_named_origin_is_let_in_with_the_token_alone() -> None:
         assert statuses == [101, 101, 101, 403]
     with served(token=TOKEN, origins=["null"]) as server:
         assert upgrade(server, "null") == 403
+
+
+@pytest.mark.parametrize(
+    "origin", ["", "*", "http://", "http://a/", "http://a/b", "ftp://a", "a.example", "http://a b", "http://a,http://b"]
+)
+def test_an_origin_that_is_none_is_refused(origin: str) -> None:
+    with pytest.raises(ParameterError, match="origin must be as http"):
+        check_origin(origin)
 
 
 def server_url(server: PageServer) -> str:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from browser import chromium
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.recording import ArrayFile
+from maglev_mj.recording import Recording
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay
 from maglev_mj.session.tour import Tour
@@ -108,13 +109,13 @@ def test_the_tour_is_done_in_a_browser(browser: Any) -> None:
 
 
 @pytest.mark.study
-def test_a_recording_is_searched_in_a_browser(browser: Any) -> None:
-    file = ArrayFile()
-    session = Session(hand=SpringHand(target=[4e-3, 0, 0, 0, 0, 0]), file=file, pacer=Pacer(budget=60.0))
+def test_a_recording_is_searched_in_a_browser(browser: Any, tmp_path: Path) -> None:
+    record = tmp_path / "run.npz"
+    session = Session(hand=SpringHand(target=[4e-3, 0, 0, 0, 0, 0]), record=record, pacer=Pacer(budget=60.0))
     for _ in range(40):
         session.tick(0.1)
     session.close()
-    with page_of(browser, Replay(file.recording), drag=False, settings=False) as (run, tab):
+    with page_of(browser, Replay(Recording.load(record)), drag=False, settings=False) as (run, tab):
         for name, so in (
             ("pause", lambda shown: shown.state == "paused"),
             ("start", lambda shown: shown.time == 0.0),

@@ -46,7 +46,6 @@ view --hand-stiffness -1                            | -1
 view --seconds nan                                  | nan
 view --web --host 8.8.8.8                           | 8.8.8.8
 view --web --token short                            | token
-view --foxglove 99999                               | 99999
 tour --seconds -1                                   | -1
 tour box                                            | box
 render                                              | --out

@@ -41,12 +41,12 @@ from maglev_mj.cli.options import (
     chosen_scene,
 )
 from maglev_mj.cli.output import Progress, print_written
-from maglev_mj.cli.peripherals import PageOptions, PublisherOptions
+from maglev_mj.cli.peripherals import PageOptions
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.process import SideAnswers
-from maglev_mj.recording import RecordingFile, open_recording, tee
+from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import Scene
-from maglev_mj.session import DEVICES_OWN, UNKNOWN, Publisher, Snapshot, device_actions
+from maglev_mj.session import DEVICES_OWN, UNKNOWN, Snapshot, device_actions
 from maglev_mj.terminal import say, wrapped
 from maglev_mj.views.remote import Front, RemoteViewer
 
@@ -127,7 +127,6 @@ def bridge(
     limits: _Limits,
     record: Record = None,
     out: Annotated[Path, option("folder for the last cycles before a fault", "output", "DIR")] = Path(),
-    publishing: PublisherOptions,
     identify: Annotated[
         Path | None,
         option(f"shake the flotor gently for {_IDENTIFYING:g} s and write its calibration", _IDENTIFICATION),
@@ -136,21 +135,13 @@ def bridge(
     reconnect: _Reconnect,
 ) -> int:
     """A scene on a device at the other end of a wire."""  # noqa: D401
-    flying = {
-        "record": record is not None,
-        "view": view,
-        "web": page.web,
-        "seconds": seconds is not None,
-        "foxglove": publishing.foxglove is not None,
-    }
+    flying = {"record": record is not None, "view": view, "web": page.web, "seconds": seconds is not None}
     modes = {"reset": reset, "check": check, "identify": identify is not None}
     _check(modes, mass is not None, [name for name, chosen in flying.items() if chosen])
     front = page.front(view, out, watch=True)
-    # publishers first: their errors are reported before the device moves
     with (
         _with_remedy(address, reconnect),
         stopping(interrupt, lambda: None),  # closing is not stopped by a second Ctrl-C
-        publishing.open() as (publishers, live),
         _opened(address, key, calibration, limits, out) as plant,
     ):
         if reset:
@@ -170,8 +161,7 @@ def bridge(
         anyway = _may_fly(plant, address, found, anyway)
         if found.softened:
             print("\n".join(wrapped(found.softened)), flush=True)
-        flight = _Flown(found, anyway, seconds, record, publishing.step_force, realtime)
-        return _fly(plant, flight, front, page.web, publishers, live)
+        return _fly(plant, _Flown(found, anyway, seconds, record, realtime), front, page.web)
 
 
 def _check(modes: Mapping[str, bool], mass: bool, flying: Sequence[str]) -> None:
@@ -229,18 +219,10 @@ class _Flown(NamedTuple):
     anyway: bool
     seconds: float | None
     record: Path | None
-    step_force: float
     realtime: Literal["enforce", "ignore"]
 
 
-def _fly(
-    plant: RemotePlant,
-    flown: _Flown,
-    front: Front | None,
-    watch: bool,
-    publishers: Sequence[Publisher],
-    live: RecordingFile | None,
-) -> int:
+def _fly(plant: RemotePlant, flown: _Flown, front: Front | None, watch: bool) -> int:
     """Fly a scene; then disarm the device and close recordings; return the exit status.
 
     In this order, at any end of the flight.
@@ -254,22 +236,20 @@ def _fly(
             blank = Snapshot(scene=scene, actions=device_actions(type(scene)))
             viewer = RemoteViewer(blank, front, watch=watch)
             last.callback(viewer.close)
-            publishers = [*publishers, viewer]
         file = None if flown.record is None else open_recording(flown.record)
         if file is not None:
             last.push(partial(_keep, file))
         judge = None
-        if publishers:  # before this thread is a real-time one, as a process inherits that
+        if viewer is not None:  # before this thread is a real-time one, as a process inherits that
             judge = SideAnswers(partial(judge_change, report=found.report, anyway=flown.anyway), UNKNOWN)
             last.callback(judge.close, 0.0)
         flight = Flight(
             plant,
             scene,
             switch=switch,
-            file=tee(file, live),
-            publishers=publishers,
+            file=file,
+            publishers=[] if viewer is None else [viewer],
             warn=_warn,
-            step_force=flown.step_force,
             bears=found.report.anyway if found.problem else found.bears,
             judge=judge,
         )

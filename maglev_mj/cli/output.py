@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _WIDTH, _SLIDER = 30, 6
 _ERASED = "\r\x1b[K"
 
-LAYOUT = Path(__file__).parents[1] / "interop" / "foxglove" / "layout.json"
+LAYOUT = Path(__file__).parents[1] / "recording" / "layout.json"
 """Layout file for Foxglove: device, walls, arrows, plots of position and force, log."""
 
 

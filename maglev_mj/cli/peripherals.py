@@ -1,4 +1,4 @@
-"""Options of the page, the live server and the hand's device."""
+"""Options of the page and the hand's device."""
 
 from __future__ import annotations
 
@@ -6,32 +6,27 @@ import argparse
 import os
 import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
-from maglev_mj.cli.declare import Parser, Shared, count, option
+from maglev_mj.cli.declare import Parser, Shared, option
 from maglev_mj.cli.options import parameters
-from maglev_mj.cli.output import LAYOUT
 from maglev_mj.errors import ParameterError, require
 from maglev_mj.lazy import loaded
 from maglev_mj.terminal import say
 
 if TYPE_CHECKING:
-    from maglev_mj.interop.foxglove import LiveServer
     from maglev_mj.interop.hand_devices import AxisMapping, HandDevice
     from maglev_mj.plants.hand import SpringHand
-    from maglev_mj.session import Publisher, SnapshotSource
+    from maglev_mj.session import SnapshotSource
     from maglev_mj.views.remote import Front, ShowReport
 
 PORT = 8123
 """Default port of the page."""
-
-LIVE_PORT = 8765
-"""Default port of the live server: that of `maglev_mj.interop.foxglove`, which loads arrays."""
 
 _TOKEN = re.compile(r"[\w-]{16,}", re.ASCII)
 _OWN = "port", "no_open", "host", "token"
@@ -47,19 +42,6 @@ def _origin(text: str) -> str:
         return check_origin(text)
     except ParameterError as error:
         raise argparse.ArgumentTypeError(str(error)) from None
-
-
-AllowedOrigins: TypeAlias = Annotated[
-    list[str],
-    option(
-        "let pages of this origin connect to the page and to the live server, such as http://192.168.0.5:8080, file:// "
-        "or null; may be given several times",
-        _PAGE,
-        "URL",
-        kind=_origin,
-    ),
-]
-"""Origins of viewers' pages that may use the servers, besides those that may in any case."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +61,16 @@ class PageOptions:
             const="",
         ),
     ] = None
-    allow_origin: AllowedOrigins = field(default_factory=list)
+    allow_origin: Annotated[
+        list[str],
+        option(
+            "let pages of this origin connect to the page, such as http://192.168.0.5:8080, file:// or null; may be "
+            "given several times",
+            _PAGE,
+            "URL",
+            kind=_origin,
+        ),
+    ] = field(default_factory=list)
     listens: Annotated[bool, Shared(None, lambda options: "listen" in options)] = False
     """True if the command has an address of its own."""
 
@@ -148,46 +139,6 @@ class PageOptions:
         return partial(show, folder=folder)
 
 
-def _port(text: str) -> int:
-    from maglev_mj.session.access import check_port
-
-    try:
-        return check_port(count(text))
-    except ParameterError as error:  # before a window is asked for
-        raise argparse.ArgumentTypeError(str(error)) from None
-
-
-Foxglove: TypeAlias = Annotated[
-    int | None,
-    option(
-        f"serve every sample to programs on this machine that read the Foxglove protocol (default {LIVE_PORT})",
-        "other programs",
-        "PORT",
-        kind=_port,
-        const=LIVE_PORT,
-    ),
-]
-
-
-def open_foxglove(port: int | None, origins: Sequence[str]) -> LiveServer | None:
-    """Start and return the live server at a port; None without one.
-
-    Args:
-        port: See `LiveServer`.
-        origins: See `LiveServer`.
-
-    Raises:
-        LiveServerError: See `LiveServer`.
-    """
-    if port is None:
-        return None
-    from maglev_mj.interop.foxglove import LiveServer
-
-    live = LiveServer(port, origins)
-    say(f"  live at ws://127.0.0.1:{live.port}, as Foxglove opens it, with the layout {LAYOUT}")
-    return live
-
-
 def _open_browser(url: str) -> None:
     import threading
     import webbrowser
@@ -231,51 +182,6 @@ def _has_screen() -> bool:
 _HAND = "gamepad or 3D mouse as the hand"
 _hand_mapping = partial(loaded, "maglev_mj.interop.hand_devices:HAND_MAPPING")
 _HandMapping: TypeAlias = Annotated["AxisMapping", parameters(_hand_mapping, _HAND, "hand-")]
-
-
-class OpenPublishers(NamedTuple):
-    """Opened connections to other programs.
-
-    Attributes:
-        publishers: All publishers.
-        live: The live server; None for none.
-    """
-
-    publishers: list[Publisher]
-    live: LiveServer | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class PublisherOptions:
-    """Chosen connections to other programs."""
-
-    foxglove: Foxglove = None
-    allow_origin: AllowedOrigins = field(default_factory=list)
-    step_force: Annotated[
-        float,
-        option(
-            "largest step of force where the flotor is that new settings may make [N]",
-            "other programs",
-            name="step-force",
-            default=partial(loaded, "maglev_mj.session:STEP_FORCE"),
-            above=0.0,
-        ),
-    ]
-
-    @contextmanager
-    def open(self) -> Iterator[OpenPublishers]:
-        """Open them; close them at the end.
-
-        Raises:
-            ParameterError: If an option is wrong.
-            MaglevError: If a port or a socket cannot be opened.
-        """
-        with ExitStack() as last:
-            publishers: list[Publisher] = []
-            if (live := open_foxglove(self.foxglove, self.allow_origin)) is not None:
-                last.callback(live.close)
-                publishers.append(live)
-            yield OpenPublishers(publishers, live)
 
 
 class _Device(argparse.Action):

@@ -23,7 +23,7 @@ from maglev_mj.cli.options import (
     warn_of_instability,
 )
 from maglev_mj.cli.output import Progress, keep_partial, print_written, write_result
-from maglev_mj.cli.peripherals import HandOptions, PageOptions, PublisherOptions, show_session
+from maglev_mj.cli.peripherals import HandOptions, PageOptions, show_session
 from maglev_mj.errors import DivergenceError, ParameterError
 
 if TYPE_CHECKING:
@@ -139,7 +139,6 @@ def view(
     out: Folder = Path(),
     page: PageOptions,
     input_hand: HandOptions,
-    publishing: PublisherOptions,
 ) -> int:
     """Feel a scene in a window: pull with the mouse."""
     from maglev_mj.plants.hand import SpringHand
@@ -154,17 +153,8 @@ def view(
 
         require_display()
     out.mkdir(parents=True, exist_ok=True)
-    # the device first: a 3D mouse of our own is none for this hand
-    with input_hand.open(hand) as devices, publishing.open() as (publishers, live):
-        session = Session(
-            scene,
-            hand=hand,
-            folder=out,
-            record=record,
-            file=live,
-            publishers=[*publishers, *devices],
-            step_force=publishing.step_force,
-        )
+    with input_hand.open(hand) as devices:
+        session = Session(scene, hand=hand, folder=out, record=record, publishers=devices)
         _show(session, session, devices, front, out, seconds)
     return 0
 

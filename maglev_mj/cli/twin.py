@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS
 from maglev_mj.cli.declare import option
 from maglev_mj.cli.options import CalibrationFile, Key, Realtime, Seconds
-from maglev_mj.cli.peripherals import Foxglove, PageOptions, open_foxglove
+from maglev_mj.cli.peripherals import PageOptions
 from maglev_mj.errors import ParameterError
 from maglev_mj.spec import Spec
 
 if TYPE_CHECKING:
     from maglev_mj.bridge.links import Server
-    from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
-    from maglev_mj.interop.foxglove import LiveServer
+    from maglev_mj.bridge.twin.twin import TwinParameters, TwinServer
     from maglev_mj.plants.hand import HandForce, SpringHand
     from maglev_mj.scenes import Scene
     from maglev_mj.session import Snapshot
@@ -69,7 +68,6 @@ def twin(
     view: Annotated[bool, option("a window, with the mouse as the hand", "window")] = False,
     scene: Annotated[str, option("what the window or page looks like", "window", "SCENE")] = "joystick",
     page: PageOptions,
-    foxglove: Foxglove = None,
 ) -> int:
     """A simulated device behind the wire of a real one."""  # noqa: D401
     from maglev_mj.bridge.bench.calibration import Calibration
@@ -102,19 +100,16 @@ def twin(
         if (front := page.front(view)) is not None:
             viewer = RemoteViewer(blank, front)
             last.callback(viewer.close)
-        if (live := open_foxglove(foxglove, page.allow_origin)) is not None:
-            last.callback(live.close)
         twin = Twin(parameters, key=key, hand_force=_hand(push, support if viewer is None else viewer.hand))
         server = TwinServer(twin, _server(listen, key))
         last.callback(server.close)
         print(_greeting(listen, server), flush=True)
-        shown = [] if viewer is None else [_shown(viewer, blank, server)]
-        shown += [] if live is None else [_logged(live, twin)]
+        shown = None if viewer is None else _shown(viewer, blank, server)
         last.enter_context(engine_warnings_silenced())
         for complaint in last.enter_context(realtime_policy(realtime)):
             print(f"  not in real time: {complaint}", flush=True)
         with stopping(server.stop):
-            served = server.run(seconds, (lambda: [show() for show in shown]) if shown else None)
+            served = server.run(seconds, shown)
     print(served)
     return 0
 
@@ -233,31 +228,5 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
             )
         )
         publishers.wanted()  # the mouse; the settings are the host's
-
-    return each
-
-
-def _logged(live: LiveServer, twin: Twin) -> Callable[[], None]:
-    """Return a function that logs a twin's sample.
-
-    True pose, wrench of the currents, faults.
-    """
-    from maglev_mj.bridge.wire import Fault, fault_names
-    from maglev_mj.control.controller import Controller
-    from maglev_mj.frames import Command, Sample
-    from maglev_mj.recording import setup_of
-
-    plant, period, coils = twin.plant, twin.parameters.period, twin.truth.coils
-    controller, reported = Controller([], period=period), Fault(0)
-    record = live.begin(plant, controller, setup_of(plant, controller, name="twin"))
-
-    def each() -> None:
-        nonlocal reported
-        sample = Sample(twin.tick, twin.tick * period, twin.pose.tolist())
-        wrench = Command(coils.wrench(plant.currents).tolist())
-        record(sample, wrench, wrench)
-        if (faults := twin.firmware.faults) and faults != reported:
-            live.event("fault", fault_names(faults))
-        reported = faults
 
     return each

@@ -17,4 +17,3 @@ from maglev_mj.recording.writer import Recorder as Recorder
 from maglev_mj.recording.writer import best_suffix as best_suffix
 from maglev_mj.recording.writer import check_name as check_name
 from maglev_mj.recording.writer import open_recording as open_recording
-from maglev_mj.recording.writer import tee as tee

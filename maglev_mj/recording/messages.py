@@ -1,6 +1,6 @@
 """Run as messages for other programs: samples, frames, drawings, events.
 
-They are logged to a context of foxglove-sdk, for the files and servers attached to it.
+They are logged to a context of foxglove-sdk, for the files attached to it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ _LEVELS = {
     "fault": messages.LogLevel.Error,
     "lost": messages.LogLevel.Error,
     "missed": messages.LogLevel.Warning,
-    "refused": messages.LogLevel.Warning,
 }
 _WRENCH = "N", "N m"
 _NUMBER = schema(STRETCH_NUMBER)
@@ -60,7 +59,7 @@ _STRETCH_FIELDS = {
 _EVENT_FIELDS = {
     "stretch": _NUMBER,
     "tick": schema(FIELDS[0]),
-    "kind": _of("string", "fault, missed, lost, timing, or refused by the live server"),
+    "kind": _of("string", "fault, missed, lost, timing or landing"),
     "text": _of("string", "what happened"),
     "missed": schema(Field("missed", "", "samples that were missed with it, besides gaps in the ticks")),
 }
@@ -75,7 +74,7 @@ class Messages:
     """Logger of a run's messages.
 
     Args:
-        context: Destination; all files and servers attached to it get every message.
+        context: Destination; all files attached to it get every message.
         model: Model of the drawn device, as of `maglev_mj.plants.model.load_model`.
 
     Raises:
@@ -99,8 +98,6 @@ class Messages:
         self._began = self._now = 0
         self._first: float | None = None
         self._shown = -1
-        self._begun: Mapping[str, Any] = {}
-        self._drawn = self._device
         self._stick: Sequence[float] | None = None
         self._totals: Totals | None = None
 
@@ -120,20 +117,11 @@ class Messages:
         self._totals = Totals(metadata)
         plates = [plate for plate in map(wall_plate, metadata.faces) if plate]
         walls = [Shape(False, "box", half, place, _UPRIGHT, _WALL) for place, half in plates]
-        self._drawn, self._stick = [*self._device, ("stator", "walls", _primitives(walls))], None
+        self._stick = None
         whole = {name: part for name, part in setup.items() if name != "run"}
-        self._begun = {"stretch": self._stretch, "setup": whole, **run}
-        self.greet()
+        self._send(self._stretch_channel, {"stretch": self._stretch, "setup": whole, **run})
+        self._draw(self._shapes, [*self._device, ("stator", "walls", _primitives(walls))])
         self._tell(messages.LogLevel.Info, f"stretch {self._stretch + 1}: {metadata.name or setup.get('kind', '')}")
-
-    def greet(self) -> None:
-        """Log the stretch's beginning and drawing again for new clients.
-
-        Nothing before the first stretch.
-        """
-        if self._begun:
-            self._send(self._stretch_channel, self._begun)
-            self._draw(self._shapes, self._drawn)
 
     def stick(self, position: Sequence[float] | None) -> None:
         """Set the stick position [m, rad], six.

@@ -1,6 +1,5 @@
 from maglev_mj.scenes.stability_check import STEP_FORCE as STEP_FORCE
 from maglev_mj.scenes.stability_check import UNKNOWN as UNKNOWN
-from maglev_mj.scenes.stability_check import UnstableLoop as UnstableLoop
 from maglev_mj.scenes.stability_check import check_step as check_step
 from maglev_mj.scenes.stability_check import own_code_refused as own_code_refused
 from maglev_mj.scenes.stability_check import unstable_loop as unstable_loop

@@ -109,13 +109,11 @@ class Access:
     Args:
         hosts: Pattern of the permitted Host.
         named: What that is, in words.
-        origins: Pattern of the permitted Origins, and what they are in words; None for those of the page itself.
-        allowed: Further permitted Origins, see `check_origin`.
+        allowed: Permitted Origins besides that of the page itself, see `check_origin`.
     """
 
     hosts: str
     named: str
-    origins: tuple[str, str] | None = None
     allowed: Sequence[str] = ()
 
     def refusal(self, hosts: Sequence[str], origins: Sequence[str]) -> str:
@@ -127,7 +125,6 @@ class Access:
         """
         if len(hosts) != 1 or not re.fullmatch(self.hosts, hosts[0], re.IGNORECASE):
             return f"Host must be {self.named}, not {', '.join(hosts)!r}"
-        pattern, named = self.origins or (f"https?://{re.escape(hosts[0])}", "the page itself")
-        pattern = "|".join((pattern, *map(re.escape, self.allowed)))
+        pattern = "|".join((f"https?://{re.escape(hosts[0])}", *map(re.escape, self.allowed)))
         wrong = [origin for origin in origins if not re.fullmatch(pattern, origin, re.IGNORECASE)]
-        return f"Origin must be {', '.join((named, *self.allowed))}, not {wrong[0]!r}" if wrong else ""
+        return f"Origin must be {', '.join(('the page itself', *self.allowed))}, not {wrong[0]!r}" if wrong else ""

@@ -19,7 +19,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
-from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording, tee
+from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.rooms import WEIGHT
@@ -35,27 +35,21 @@ class SessionRecorder:
 
     Args:
         folder: Folder of the files.
-        beside: Further destination of all samples, left open; None for none.
 
     Attributes:
         written: Closed recordings.
         file: Open recording; None for none.
     """
 
-    def __init__(self, folder: Path, beside: RecordingFile | None = None) -> None:
+    def __init__(self, folder: Path) -> None:
         self.written: list[Path] = []
         self.file: RecordingFile | None = None
-        self._folder, self._beside, self._failed, self._missed = folder, beside, "", 0
+        self._folder, self._failed, self._missed = folder, "", 0
         self._said = Note()
         self._closing: list[threading.Thread] = []
         self._unwritten: dict[RecordingFile, str] = {}
         self._broken: list[str] = []
         self._named: set[Path] = set()
-
-    @property
-    def whole(self) -> RecordingFile | None:
-        """File for all samples, None without one."""
-        return tee(self.file, self._beside)
 
     def start(self, path: Path | None = None) -> None:
         """Begin a recording.
@@ -117,14 +111,14 @@ class SessionRecorder:
 
     def failed(self, why: str) -> None:
         """Set the reason of a stopped scene."""
-        if (file := self.whole) is not None:
-            file.event("fault", why)
+        if self.file is not None:
+            self.file.event("fault", why)
 
     def missed(self, count: int) -> None:
         """Set the number of ticks given up so far."""
         more, self._missed = count - self._missed, count
-        if more and (file := self.whole) is not None:
-            file.event("missed", f"{more} ticks were given up: too slow", more)
+        if more and self.file is not None:
+            self.file.event("missed", f"{more} ticks were given up: too slow", more)
 
     @property
     def notes(self) -> list[str]:
@@ -201,7 +195,6 @@ class Session:
         hand: The hand on the flotor; the mouse's by default.
         folder: Folder of recordings started by a key.
         record: File to record to from the start; None for no recording until a key starts one.
-        file: Further destination of every sample, such as a live server; left open.
         pacer: Scheduler of the ticks in real time.
         publishers: Publishers to other programs; closed with the session.
         step_force: Largest step of force by settings of other programs [N]; see `check_step`.
@@ -226,7 +219,6 @@ class Session:
         hand: HandForce | None = None,
         folder: Path = Path(),
         record: Path | None = None,
-        file: RecordingFile | None = None,
         pacer: Pacer | None = None,
         publishers: Sequence[Publisher] = (),
         step_force: float = STEP_FORCE,
@@ -242,7 +234,7 @@ class Session:
         if own not in self._scenes:
             self._scenes.insert(0, own)
         self._past, self._acting = Past(), self._hand
-        self._recorder = SessionRecorder(folder, file)
+        self._recorder = SessionRecorder(folder)
         self.recordings: Sequence[Path] = self._recorder.written
         if record is not None:
             self._recorder.start(record)
@@ -401,7 +393,7 @@ class Session:
         self._acting = HandAgain(rows, end, lambda: self._stretch.time, self._hand) if again else self._hand
         if self._scene == self._stretch.scene:
             self._changed = False
-            self._stretch.begin(self._acting, self._recorder.whole, self._ticks)
+            self._stretch.begin(self._acting, self._recorder.file, self._ticks)
             self._past.keep(self._stretch)  # with where this part begins
         else:
             self._go_on()
@@ -506,7 +498,7 @@ class Session:
             pose=pose,
             twist=twist,
             wrench=wrench,
-            file=self._recorder.whole,
+            file=self._recorder.file,
             began=began,
             first=self._since,
             keep=self._past.history.add,

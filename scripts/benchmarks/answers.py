@@ -1,4 +1,4 @@
-"""Cost of answers: stiffest wall, boundary, designed wall, checked setting, map in the engine.
+"""Cost of answers: stiffest wall, boundary, designed wall, checked scene, map in the engine.
 
 `measure` is a section of bench.py.
 """
@@ -15,11 +15,9 @@ import numpy as np
 
 from maglev_mj.control import FiniteDifference, LowPass, VelocityEstimator, Window
 from maglev_mj.errors import ParameterError
-from maglev_mj.interop.foxglove.settings import State, checked
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes import BUILT_IN, find_scene
-from maglev_mj.scenes.scene import Scene
-from maglev_mj.session import settable
+from maglev_mj.session import settable, unstable_loop
 from maglev_mj.studies.stability_map import StabilityParameters, run_stability
 from maglev_mj.theory import WallRequirements, design_wall, largest_stable_stiffness
 from maglev_mj.theory.closed_loop import LoopKeywords
@@ -73,21 +71,20 @@ def measure(quick: bool) -> dict[str, Any]:
         seconds, best = answered(partial(largest_stable_stiffness, **loop), repeats)
         stiffest.append(seconds)
         single.append(answered(partial(largest_stable_stiffness, 0.7 * float(best.damping), **loop), repeats)[0])
-    refused, margins = [], []
+    unstable, margins = [], []
     for scene in (find_scene(name)() for name in BUILT_IN):
         margins.append(answered(partial(margin, scene), repeats)[0])
         if "stiffness" in settable(scene):
-            state = State(scene, scene.delay, None, "running")
-            seconds, verdict = answered(partial(checked, state, {"stiffness": 6e4}), repeats)
-            if isinstance(verdict, Scene):
-                raise ParameterError(f"{scene.name} must be refused, not {verdict}")
-            refused.append(seconds)
+            seconds, verdict = answered(partial(unstable_loop, scene.replace(stiffness=6e4)), repeats)
+            if verdict is None:
+                raise ParameterError(f"{scene.name} must be unstable at 60000 N/m")
+            unstable.append(seconds)
     grid = _QUICK_GRID if quick else _GRID
     return {
         "stiffest wall": _spread(stiffest),
         "boundary at a damping": _spread(single),
         "design_wall": answered(partial(design_wall, WallRequirements(**DESIGNED)))[0],
-        "setting refused": _spread(refused),
+        "unstable scene": _spread(unstable),
         "margin": _spread(margins),
         f"map of {grid} x {grid} in MuJoCo": answered(
             partial(run_stability, StabilityParameters(plant="mujoco", grid=grid))

@@ -25,13 +25,13 @@ from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from maglev_mj import Command, Sample
 from maglev_mj.control.loop import ControlLoop, Record
-from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load_samples, setup_of, tee
+from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load_samples, setup_of
 from maglev_mj.recording.ring import Ring
 from maglev_mj.recording.sample import ROW, as_table
 from maglev_mj.recording.writer import LiveFile, McapWriter, row_of
@@ -88,29 +88,15 @@ def tick_times(makers: Sequence[Callable[[Nothing], Record] | None], turns: int)
 
 def tick_costs(turns: int, runs: int) -> dict[str, float]:
     """Return a tick's time and each recording's cost [s]: medians of runs, each of its turns."""
-    found: dict[str, list[float]] = {"bare": [], "mcap": [], "npz": [], "tee": []}
+    found: dict[str, list[float]] = {"bare": [], "mcap": [], "npz": []}
     for _ in range(runs):
         ring = Ring()
-        arrays, both = ArrayFile(), tee(cast(RecordingFile, _Opened(ring)), ArrayFile())
-        assert both is not None
-        makers: list[Callable[[Nothing], Record] | None] = [None, ring.record]
-        bare, *recorded = tick_times([*makers, partial(_begun, arrays), partial(_begun, both)], turns)
+        bare, *recorded = tick_times([None, ring.record, partial(_begun, ArrayFile())], turns)
         ring.close()
         found["bare"].append(statistics.median(bare))
-        for name, one in zip(("mcap", "npz", "tee"), recorded, strict=True):
+        for name, one in zip(("mcap", "npz"), recorded, strict=True):
             found[name].append(statistics.median(more - less for more, less in zip(one, bare, strict=True)))
     return {name: statistics.median(times) for name, times in found.items()}
-
-
-class _Opened:
-    """Recording file of a ring, without writer process."""
-
-    def __init__(self, ring: Ring) -> None:
-        self._ring = ring
-
-    def begin(self, plant: Nothing, controller: Any, setup: Any = None) -> Record:
-        """Return the loop's record function."""
-        return self._ring.record(plant)
 
 
 def _begun(file: RecordingFile, plant: Nothing) -> Record:
@@ -285,7 +271,7 @@ def main() -> None:
     found = measure(options.quick)
     tick, bare = found["tick"], found["tick"]["bare"]
     print(f"  a tick without recording             {bare * 1e6:5.2f} µs")
-    for name, what in (("mcap", ".mcap, into shared memory"), ("npz", ".npz, into memory"), ("tee", "both at once")):
+    for name, what in (("mcap", ".mcap, into shared memory"), ("npz", ".npz, into memory")):
         more = f"{tick[name] * 1e6:5.2f} µs, {1.0 + tick[name] / bare:.3f} times the tick"
         print(f"  recorded to {what:25s}+{more}")
     for rate, one in found["writer"].items():
