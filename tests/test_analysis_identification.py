@@ -15,7 +15,7 @@ import pytest
 from identified_recordings import draw, estimates, holds, record, truth
 from maglev_mj import ExactPlant, Hold, Timing, Wall
 from maglev_mj.analysis import Estimate, Identification, identification, identify
-from maglev_mj.analysis.fit import Forces, estimate_quantum, inverse, student
+from maglev_mj.analysis.fit import Forces, estimate_quantum, solve, student
 from maglev_mj.analysis.identification import _Row
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
@@ -326,23 +326,23 @@ def test_intervals_are_those_of_student_and_singular_columns_are_not_told() -> N
     for degrees, point in ((6, 2.447), (10, 2.228), (30, 2.042), (1000, 1.962)):
         assert student(degrees) == pytest.approx(point, abs=2e-3)
     columns = np.column_stack([np.arange(5.0), 2.0 * np.arange(5.0), np.ones(5), np.zeros(5)])
-    gram, known = inverse(columns)
-    assert known.tolist() == [False, False, True, False]
+    solution = solve(columns, np.arange(5.0) + 3.0)
+    assert solution.separate.tolist() == [False, False, True, False]
+    assert solution.values[2] == pytest.approx(3.0)
+    assert solution.residuals == pytest.approx(np.zeros(5), abs=1e-12)
     kept = columns[:, [0, 2]]
-    assert gram[2, 2] == pytest.approx(np.linalg.inv(kept.T @ kept)[1, 1])
+    assert solution.gram[2, 2] == pytest.approx(np.linalg.inv(kept.T @ kept)[1, 1])
 
 
 @pytest.mark.parametrize("delay", [0.0, 1e-3, 2e-3])
 def test_a_force_that_switches_at_a_sample_is_counted_once(delay: float) -> None:
-    random = np.random.default_rng(1)
+    levels = np.append(1.0, np.random.default_rng(1).normal(size=12))[:, None]
     time, nothing = np.linspace(0.0, 0.011, 12), np.zeros((11, 1))
-    forces = Forces(
-        time=time, switch=time, late=random.normal(size=(12, 1)), before=np.ones(1), speed=nothing, way=nothing
-    )
-    at = forces.gained(delay)
+    forces = Forces(time=time, switch=time, levels=levels, momentum=nothing, displacement=nothing)
+    at = forces.integrals(delay)
     for near in (1e-12, -1e-12):
-        for one, other in zip(at[:2], forces.gained(delay + near)[:2], strict=True):
-            assert one == pytest.approx(other, abs=1e-11)
+        for integral, other in zip(at, forces.integrals(delay + near), strict=True):
+            assert integral[:, 0] == pytest.approx(other[:, 0], abs=1e-11)
 
 
 def test_a_stop_that_nobody_recorded_does_not_pass_for_a_weight() -> None:

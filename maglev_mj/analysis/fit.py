@@ -16,9 +16,9 @@ Source: output-error method as in Ljung 1999; not checked against the original.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeAlias
 
 import numpy as np
 
@@ -30,6 +30,10 @@ from maglev_mj.recording.sample import Face
 _SINGULAR, _ROUNDS = 1e-10, 40
 _LEAST_SAMPLES, _WINDOW_TIME = 40, 0.05
 _MOST_LEVERAGE = 0.9
+_CLEAR = 10.0
+"""Least ratio of caused motion to noise for identification."""
+_NOT_LINEAR = 0.02
+"""Largest residual of a linear law, relative to its commands."""
 _SENSOR = 1e-8
 """Residual below that of any sensor [m, rad]."""
 SLOW = 0.6
@@ -45,6 +49,9 @@ From this value on, noise of half a step moves a flotor at rest over several ste
 """
 _OFF_LATTICE, _DIVISORS, _LEAST_STEPS, _LEAST_MOVING = 1e-4, 20, 4, 20
 _EXACT, _NORMAL, _TINY = 1e-12, 1.959963984540054, 4.0 * float(np.finfo(np.float64).eps)
+
+Part: TypeAlias = tuple[str, int]
+"""Name of a part of a law, and number of its wall."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,21 +105,40 @@ def student(degrees: float) -> float:
     return float(z + sum(term / n ** (power + 1) for power, term in enumerate(terms)))
 
 
-def inverse(columns: Array) -> tuple[Array, Mask]:
-    """Return the inverse Gram matrix of columns, (P, P).
+class Solution(NamedTuple):
+    """Linear least-squares solution for P values from N equations.
 
-    A mask (P,) of linearly independent columns is returned too.
+    Attributes:
+        values: The values, (P,).
+        gram: Inverse Gram matrix of the columns, (P, P).
+        separate: True for linearly independent columns, (P,).
+        residuals: Residuals, (N,).
+    """
+
+    values: Array
+    gram: Array
+    separate: Mask
+    residuals: Array
+
+
+def solve(columns: Array, target: Array) -> Solution:
+    """Return the least-squares solution of columns @ values = target.
+
+    Dependent columns share their part: the solution with the least norm in units of the columns' sizes.
 
     Args:
         columns: (N, P).
+        target: (N,).
     """
     size = np.sqrt(np.square(columns).sum(axis=0))
     unit = columns / np.where(size > 0.0, size, 1.0)
-    values, vectors = np.linalg.eigh(unit.T @ unit)
-    weak = values < _SINGULAR
-    known = (size > 0.0) & ~((np.square(vectors) * weak).sum(axis=1) > _SINGULAR)
-    gram = (vectors * np.where(weak, 0.0, 1.0 / np.where(weak, 1.0, values))) @ vectors.T
-    return gram / np.outer(*[np.where(size > 0.0, size, np.inf)] * 2), known
+    eigenvalues, vectors = np.linalg.eigh(unit.T @ unit)
+    weak = eigenvalues < _SINGULAR
+    separate = (size > 0.0) & ~((np.square(vectors) * weak).sum(axis=1) > _SINGULAR)
+    gram = (vectors * np.where(weak, 0.0, 1.0 / np.where(weak, 1.0, eigenvalues))) @ vectors.T
+    gram /= np.outer(*[np.where(size > 0.0, size, np.inf)] * 2)
+    values = gram @ (columns.T @ target)
+    return Solution(values, gram, separate, target - columns @ values)
 
 
 class Windows(NamedTuple):
@@ -146,8 +172,7 @@ class Windows(NamedTuple):
         for index, part in enumerate(parts):
             rows[index, : len(part)], there[index, : len(part)] = part, True
         since = (time[rows] - time[rows[:, :1]]) * there
-        basis, _ = np.linalg.qr(np.stack([there.astype(np.float64), since], axis=-1)) if rows.size else (since, None)
-        return cls(rows, there, basis)
+        return cls(rows, there, np.linalg.qr(np.stack([there.astype(np.float64), since], axis=-1))[0])
 
     def choose(self, position: Array, most: int) -> Windows:
         """Return the windows with the least straight motion.
@@ -172,230 +197,196 @@ class Windows(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Forces:
-    """P forces on one coordinate over N samples.
+    """P forces on one coordinate over N samples, each to be multiplied by a factor.
 
-    Each is multiplied by a value to be found.
+    The first S are switched by the commands. Others act without delay: a part of the last switched force, and the
+    forces after it.
 
     Attributes:
         time: Times of the samples [s], (N,).
-        switch: Switching times of commands, without their delay [s], (S,).
-        late: Forces after each switch [N], (S, P).
-        before: Forces before the first switch [N], (P,).
-        speed: Integral of the forces without delay, from each sample to the next [N s], (N - 1, P).
-        way: Double integral of the same forces [N s²], (N - 1, P).
+        switch: Switching times of commands, without their delay [s], (K,).
+        levels: Switched forces before the first switch, and after each [N], (K + 1, S).
+        momentum: Integral of the forces without delay, from each sample to the next [N s], (N - 1, P - S + 1).
+        displacement: Double integral of the same forces [N s²], (N - 1, P - S + 1).
     """
 
     time: Array
     switch: Array
-    late: Array
-    before: Array
-    speed: Array
-    way: Array
+    levels: Array
+    momentum: Array
+    displacement: Array
 
-    def gained(self, delay: float) -> tuple[Array, Array, Array, Array]:
-        """Return the forces' integrals over each period, with slopes.
+    def integrals(self, delay: float) -> tuple[Array, Array]:
+        """Return integral and double integral of the forces over each period, (N - 1, P + S) each.
 
-        Integral, double integral, and the derivatives of both with respect to the delay, (N - 1, P).
+        The last S columns are the derivatives of the switched forces' integrals with respect to the delay.
         """
         time, when = self.time, self.switch + delay
-        levels = np.vstack([self.before, self.late])
-        at = levels[np.searchsorted(when, time, side="right")]
-        period = np.searchsorted(time, when, side="right") - 1
-        inside = (period >= 0) & (period < len(time) - 1)
-        inside[inside] = when[inside] > time[period[inside]]
-        index, jump = period[inside], np.diff(levels, axis=0)[inside]
-        left = (time[index + 1] - when[inside])[:, None]
         width = np.diff(time)[:, None]
-        speed, way = width * at[:-1], 0.5 * width**2 * at[:-1]
-        for column in range(levels.shape[1]):
-            speed[:, column] += np.bincount(index, (left * jump)[:, column], len(width))
-            way[:, column] += np.bincount(index, (0.5 * left**2 * jump)[:, column], len(width))
-        return speed + self.speed, way + self.way, at[:-1] - at[1:], width * at[:-1] - speed
+        # a switch at a sample belongs to the period after it
+        level = self.levels[np.searchsorted(when, time)]
+        inside = (when >= time[0]) & (when < time[-1])
+        index, jump = np.searchsorted(time, when[inside], side="right") - 1, np.diff(self.levels, axis=0)[inside]
+        remaining = (time[index + 1] - when[inside])[:, None]
+        momentum, displacement = width * level[:-1], 0.5 * width**2 * level[:-1]
+        np.add.at(momentum, index, remaining * jump)
+        np.add.at(displacement, index, 0.5 * remaining**2 * jump)
+        slopes = level[:-1] - level[1:], width * level[:-1] - momentum
+        momentum[:, -1] += self.momentum[:, 0]
+        displacement[:, -1] += self.displacement[:, 0]
+        return (
+            np.concatenate([momentum, self.momentum[:, 1:], slopes[0]], axis=1),
+            np.concatenate([displacement, self.displacement[:, 1:], slopes[1]], axis=1),
+        )
 
-    def moved(self, windows: Windows, delay: float) -> tuple[Array, Array]:
-        """Return each force's displacement of a unit mass.
+    def displace(self, windows: Windows, delay: float) -> tuple[Array, Array]:
+        """Return each force's displacement of a unit mass in the windows, (M W, P).
 
-        The derivative with respect to the delay is returned too, (M, W, P) each.
+        The derivatives of the first S with respect to the delay are returned too, (M W, S).
         """
-        speed, way, by_speed, by_way = self.gained(delay)
-        width = np.diff(self.time)[:, None]
-        steps = np.minimum(windows.rows[:, :-1], len(width) - 1)
-        on = windows.there[:, 1:, None]
-
-        def summed(fast: Array, far: Array) -> Array:
-            fast, far = fast[steps] * on, far[steps] * on
-            before = np.cumsum(fast, axis=1) - fast
-            position = np.cumsum(far + width[steps] * before, axis=1)
-            return np.concatenate([np.zeros_like(position[:, :1]), position], axis=1)
-
-        return summed(speed, way), summed(by_speed, by_way)
+        momentum, displacement = self.integrals(delay)
+        steps = np.minimum(windows.rows[:, :-1], len(momentum) - 1)
+        exists = windows.there[:, 1:, None]
+        speed, displacement = momentum[steps] * exists, displacement[steps] * exists
+        width = np.diff(self.time)[steps][:, :, None]
+        position = np.cumsum(displacement + width * (np.cumsum(speed, axis=1) - speed), axis=1)
+        columns = windows.project(np.pad(position, ((0, 0), (1, 0), (0, 0)))).reshape(windows.rows.size, -1)
+        switched = self.levels.shape[1]
+        return columns[:, :-switched], columns[:, -switched:]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """Fit of P values and a delay.
+    """Fit of positions by forces.
 
     Attributes:
-        values: Factors of the forces [1/kg], (P,).
-        delay: Delay of the commands [s].
-        covariance: Covariance of the values and the delay, for white residuals, (P + 1, P + 1).
-        errors: Standard errors of both, (P + 1,).
-        moves: Largest motion explained by each value alone, for the delay by one period of it [m], (P + 1,); 0 for a
-            value that the others can replace.
+        values: Factors of the P forces [1/kg] and, if it was fitted, the delay of the commands [s], (P + 1,).
+        covariance: Covariance of the values, (P + 1, P + 1); enlarged if the residuals are not white.
+        effects: Largest motion caused by a unit of each value alone [m], (P + 1,); 0 for a value that the others can
+            replace.
         residual: Root mean square of the residuals [m].
         degrees: Degrees of freedom.
-        left: Residuals, scaled to the error of a sample [m], (M, W); 0 for missing samples.
+        residuals: Residuals, scaled to the error of a sample [m], (M, W); 0 for missing samples.
         whiteness: Mean square of the residuals' differences over twice their own mean square: 1 for noise, near 0 for
             slow changes, such as those of a missing force.
         share: Residual relative to the motion to be explained.
     """
 
     values: Array
-    delay: float
     covariance: Array
-    errors: Array
-    moves: Array
+    effects: Array
     residual: float
     degrees: int
-    left: Array
+    residuals: Array
     whiteness: float
     share: float
 
-    def estimate(self, value: float, error: float) -> Estimate:
-        """Return an estimate from the fit."""
-        return Estimate.of(value, error, self.degrees, self.residual)
+    def moves(self, index: int, change: float) -> bool:
+        """Return whether a change of a value moves the coordinate by clearly more than noise."""
+        return bool(self.effects[index] * abs(change) >= _CLEAR * self.residual)
 
-    def error_of(self, weights: Array) -> float:
-        """Return the standard error of a sum of values and delay by weights, (P + 1,)."""
-        white = np.sqrt(np.diag(self.covariance))
-        # enlarged if the residuals are not white
-        ratio = np.where(white > 0.0, self.errors / np.where(white > 0.0, white, 1.0), 1.0)
-        scaled = np.asarray(weights) * ratio
-        return math.sqrt(max(float(scaled @ self.covariance @ scaled), 0.0))
+    def estimate(self, value: float, slopes: Mapping[int, float]) -> Estimate:
+        """Return an estimate of a function of the values, from its derivatives by their indices."""
+        index, weights = list(slopes), np.array(list(slopes.values()))
+        variance = float(weights @ self.covariance[np.ix_(index, index)] @ weights)
+        return Estimate.of(value, math.sqrt(max(variance, 0.0)), self.degrees, self.residual)
 
 
-def fit(
-    forces: Forces,
-    windows: Windows,
-    position: Array,
-    delay: float,
-    *,
-    period: float,
-    search: bool,
-    floor: float,
-    fixed: Array,
-) -> Fit:
-    """Return the fit of positions by forces, with its errors.
+def fit_motion(forces: Forces, windows: Windows, position: Array, delay: float, period: float) -> Fit:
+    """Fit positions by forces with unknown factors and delay, by Gauss-Newton steps of the delay.
 
     Args:
         forces: The forces.
         windows: Windows of the samples.
         position: Positions at the samples [m], (N,).
-        delay: First guess at the delay [s], or the delay.
+        delay: First guess at the delay [s].
         period: Sample period [s].
-        search: True to find the delay.
-        floor: Least error of a position, such as that of rounding [m].
-        fixed: Known values, (P,); NaN for values to be found.
     """
-    seen = windows.project(position[windows.rows][:, :, None])[:, :, 0]
-    free = np.isnan(fixed)
-    fixed_values = np.where(free, 0.0, fixed)
+    target = windows.project(position[windows.rows][:, :, None]).ravel()
 
-    def at(late: float) -> tuple[Array, Array, Array, Array]:
-        """Return values, residuals and columns at a delay.
+    def solve_at(delay: float) -> tuple[Solution, Array, float]:
+        """Return the solution at a delay, its columns with one for the delay, and its sum of squares."""
+        columns, slopes = forces.displace(windows, delay)
+        solution = solve(columns, target)
+        by_delay = slopes @ solution.values[: slopes.shape[1]]
+        return solution, np.column_stack([columns, by_delay]), float(np.square(solution.residuals).sum())
 
-        The columns are the displacements and their derivatives with respect to the delay.
-        """
-        where, slope = (windows.project(part) for part in forces.moved(windows, late))
-        target = seen - where @ fixed_values
-        columns = where[:, :, free].reshape(-1, int(free.sum()))
-        gram, _ = inverse(columns)
-        factors = gram @ (columns.T @ target.ravel())
-        values = fixed_values.copy()
-        values[free] = factors
-        return values, target - (where[:, :, free] @ factors), where, slope
-
-    values, left, where, slope = at(delay)
-    for _ in range(_ROUNDS if search else 0):
-        columns = np.concatenate([where[:, :, free], (slope @ values)[:, :, None]], axis=2)
-        columns = columns.reshape(-1, columns.shape[2])
-        gram, _ = inverse(columns)
-        move = float(np.clip((gram @ (columns.T @ left.ravel()))[-1], -0.25 * period, 0.25 * period))
-        best = float(np.square(left).sum())
-        while abs(move) > 1e-9 * period:
-            trial = at(delay + move)
-            if float(np.square(trial[1]).sum()) < best:
+    solution, columns, squares = solve_at(delay)
+    for _ in range(_ROUNDS):
+        step = float(np.clip(solve(columns, solution.residuals).values[-1], -0.25 * period, 0.25 * period))
+        while abs(step) > 1e-9 * period:
+            trial = solve_at(delay + step)
+            if trial[2] < squares:
                 break
-            move *= 0.5
+            step *= 0.5
         else:
             break
-        delay += move
-        values, left, where, slope = trial
-    # the errors, with a column for the delay
-    where = np.concatenate([where, (slope @ values)[:, :, None] * search], axis=2)
-    size = where.shape[2]
-    chosen = np.append(np.flatnonzero(free), size - 1 if search else []).astype(np.intp)
-    columns = where[:, :, chosen].reshape(-1, len(chosen))
-    gram, known = inverse(columns)
+        delay += step
+        solution, columns, squares = trial
+    return _assess(windows, position, columns, target, solution, delay)
+
+
+def fit_constant(forces: Forces, windows: Windows, position: Array, delay: float, mass: float) -> Fit:
+    """Fit positions by all forces but the first, which has a known delay [s] and moves a known mass [kg].
+
+    Other arguments are those of `fit_motion`.
+    """
+    columns, _ = forces.displace(windows, delay)
+    known, columns = columns[:, 0] / mass, columns[:, 1:]
+    target = windows.project(position[windows.rows][:, :, None]).ravel() - known
+    solution = solve(columns, target)
+    return _assess(windows, position, columns, target, solution)
+
+
+def _assess(windows: Windows, position: Array, columns: Array, target: Array, solution: Solution, *delay: float) -> Fit:
+    """Return a solution with its errors; the last column is that of a fitted delay."""
+    residuals = solution.residuals
+    _, gram, separate, _ = solve(columns, residuals)
     count = int(windows.there.sum())
-    degrees = max(count - 2 * len(windows.rows) - int(known.sum()), 1)
-    spread = max(float(np.sqrt(np.square(left).sum() / degrees)), floor)
+    degrees = max(count - 2 * len(windows.rows) - int(separate.sum()), 1)
+    residual = max(math.sqrt(np.square(residuals).sum() / degrees), ROUNDING * float(np.abs(position).max()))
     leverage = np.square(windows.basis).sum(axis=2).ravel() + ((columns @ gram) * columns).sum(axis=1)
-    kept = 1.0 - np.minimum(leverage, _MOST_LEVERAGE)
-    white = gram * spread**2
+    scaled = residuals / np.sqrt(1.0 - np.minimum(leverage, _MOST_LEVERAGE))
     inner = windows.there[:, 1:]
-    change = np.square(np.diff(left, axis=1) * inner).sum() / max(int(inner.sum()), 1)
-    square = np.square(left).sum() / count
+    change = np.square(np.diff(residuals.reshape(windows.rows.shape), axis=1) * inner).sum() / max(int(inner.sum()), 1)
+    square = np.square(residuals).sum() / count
     whiteness = float(change / (2.0 * square)) if square > 0.0 else 1.0
-    errors = np.sqrt(np.diag(white))
-    if whiteness < SLOW or spread < _SENSOR or count < _LEAST_SAMPLES:
+    scale = np.diag(gram)
+    unit = np.where(scale > 0.0, scale, 1.0)
+    enlarged = np.ones(len(unit))
+    if whiteness < SLOW or residual < _SENSOR or count < _LEAST_SAMPLES:
         # residuals of forces or of rounding, or too few samples to tell: the worst case, with all of one sign
-        errors = np.maximum(errors, np.abs(columns @ gram).T @ np.abs(left.ravel()))
-    covariance, wide, moves = np.zeros((size, size)), np.zeros(size), np.zeros(size)
-    covariance[np.ix_(chosen, chosen)] = white
-    wide[chosen] = errors
+        worst = np.abs(columns @ gram).T @ np.abs(residuals)
+        enlarged = np.maximum(worst / (residual * np.sqrt(unit)), 1.0)
     # the effect of a column beyond all others
-    unit = np.diag(gram) > 0.0
-    alone = np.abs(columns @ (gram / np.where(unit, np.diag(gram), 1.0))).max(axis=0, initial=0.0)
-    moves[chosen] = np.where(known & unit, alone, 0.0)
-    moves *= np.append(np.abs(values), period * search)
+    effects = np.abs(columns @ (gram / unit)).max(axis=0, initial=0.0)
     return Fit(
-        values=values,
-        delay=delay,
-        covariance=covariance,
-        errors=wide,
-        moves=moves,
-        residual=spread,
+        values=np.append(solution.values, delay),
+        covariance=gram * residual**2 * np.outer(enlarged, enlarged),
+        effects=np.where(separate, effects, 0.0),
+        residual=residual,
         degrees=degrees,
-        left=left / np.sqrt(kept.reshape(left.shape)) * windows.there,
+        residuals=scaled.reshape(windows.rows.shape) * windows.there,
         whiteness=whiteness,
-        share=float(np.sqrt(square / max(np.square(seen).sum() / count, 1e-300))),
+        share=math.sqrt(square / max(np.square(target).sum() / count, 1e-300)),
     )
 
 
 class CommandedLaw(NamedTuple):
     """Linear fit of commands by P parts.
 
-    A part is a known function of the measured positions; each has a gain.
+    A part is a function of the measured positions; each has a gain.
 
     Attributes:
-        names: Names of the parts, such as ("stiffness", 0) for the first face.
+        estimates: Gains by the parts' names, such as ("stiffness", 0) for the first face, in order.
+        gains: The same gains, identified or not, (P,).
         parts: Values of the parts at unit gain, (N, P).
-        gains: The gains, (P,).
-        errors: Their standard errors, (P,); infinite for a gain that cannot be separated from the others.
-        residual: Residual of the commands [N, N m].
-        degrees: Degrees of freedom.
-        scale: Root mean square of all parts [N, N m].
         rest: Commands as applied without all parts [N, N m], (N,).
     """
 
-    names: Sequence[tuple[str, int]]
-    parts: Array
+    estimates: Mapping[Part, Estimate]
     gains: Array
-    errors: Array
-    residual: float
-    degrees: int
-    scale: float
+    parts: Array
     rest: Array
 
 
@@ -416,49 +407,49 @@ def fit_law(stretch: Stretch, axis: int, faces: Sequence[Face], anchors: Array |
         anchors: Stick positions of the axis [m, rad], (N,); None without friction.
         used: True for samples that count, (N,).
     """
-    tick, position, period = stretch.tick, stretch.position[:, axis], stretch.metadata.period
-    speed = np.append(0.0, np.diff(position) / (np.diff(tick) * period))
-    names: list[tuple[str, int]] = []
-    parts: list[Array] = []
-    outside = np.ones(len(position), dtype=np.bool_)
-    for number, face in enumerate(faces):
+    position, applied, stated = (part[:, axis] for part in (stretch.position, stretch.applied, stretch.command))
+    command = np.where(np.isfinite(stated), stated, applied) - stretch.metadata.carried[axis]
+    largest = float(np.abs(command).max())
+    ticks = np.diff(stretch.tick)
+    speed = np.append(0.0, np.diff(position) / (ticks * stretch.metadata.period))
+    parts: dict[Part, Array] = {}
+    outside = used.copy()
+    for index, face in enumerate(faces):
         inside = is_inside(position, face)
         outside &= ~inside
-        names += [("stiffness", number), ("damping", number)]
-        parts += [inside * (face[2] - position), inside * -speed]
-    stated = stretch.command[:, axis]
-    applied = stretch.applied[:, axis]
-    command = np.where(np.isfinite(stated), stated, applied) - stretch.metadata.carried[axis]
-    outside &= used
+        parts["stiffness", index] = inside * (face[2] - position)
+        parts["damping", index] = inside * -speed
     if anchors is not None:
         stuck = np.isfinite(anchors)
         last = anchors[np.maximum.accumulate(np.where(stuck, np.arange(len(stuck)), np.argmax(stuck)))]
-        names += [("stuck", 0), ("sliding", 0)]
-        parts += [np.where(stuck, anchors - position, 0.0), ~stuck * np.sign(last - position)]
-    largest = float(np.abs(command).max())
+        parts["stuck", 0] = np.where(stuck, anchors - position, 0.0)
+        parts["sliding", 0] = ~stuck * np.sign(last - position)
     if anchors is not None or (outside.any() and np.ptp(command[outside]) > _NOTHING * largest):
-        names += [("spring", 0), ("damper", 0)]
-        parts += [-position, -speed]
-    columns = np.column_stack([*parts, np.ones(len(position))][: len(parts) + bool(outside.sum() > 1)])
-    moved = used & np.append(False, np.diff(tick) > 0)
-    gram, separate = inverse(columns[moved])
-    gains = gram @ (columns[moved].T @ command[moved])
-    left = command[moved] - columns[moved] @ gains
-    degrees = max(int(moved.sum()) - columns.shape[1], 1)
-    residual = max(float(np.sqrt(np.square(left).sum() / degrees)), ROUNDING * largest)
-    errors = np.where(separate, residual * np.sqrt(np.maximum(np.diag(gram), 0.0)), np.inf)
+        parts["spring", 0], parts["damper", 0] = -position, -speed
     count = len(parts)
-    explained = columns[:, :count] @ gains[:count]
-    rest = applied - explained
+    columns = np.column_stack([*parts.values(), *[np.ones(len(position))] * bool(outside.sum() > 1)])
+    moved = used & np.append(False, ticks > 0)
+    solution = solve(columns[moved], command[moved])
+    degrees = max(int(moved.sum()) - columns.shape[1], 1)
+    residual = max(math.sqrt(np.square(solution.residuals).sum() / degrees), ROUNDING * largest)
+    columns, gains = columns[:, :count], solution.values[:count]
+    explained = columns @ gains
+    is_linear = residual <= _NOT_LINEAR * math.sqrt(np.square(explained[moved]).mean())
+
+    def estimate(index: int) -> Estimate:
+        """Return a gain, if the law is linear and the gain separate from others."""
+        if not is_linear:
+            return Estimate(why=f"commands are not those of a spring and a damper ({residual:.2g} apart)")
+        if not solution.separate[index]:
+            return Estimate(why="nothing tells it from the other laws on the axis")
+        error = residual * math.sqrt(max(solution.gram[index, index], 0.0))
+        return Estimate.of(float(gains[index]), error, degrees, residual)
+
     return CommandedLaw(
-        names=names,
-        parts=columns[:, :count],
-        gains=gains[:count],
-        errors=errors[:count],
-        residual=residual,
-        degrees=degrees,
-        scale=float(np.sqrt(np.square(explained[moved]).mean())),
-        rest=np.where(np.abs(rest) > _NOTHING * largest, rest, 0.0),
+        estimates={name: estimate(index) for index, name in enumerate(parts)},
+        gains=gains,
+        parts=columns,
+        rest=np.where(np.abs(applied - explained) > _NOTHING * largest, applied - explained, 0.0),
     )
 
 
@@ -503,9 +494,9 @@ def estimate_noise(motion: Fit, there: Mask, moving: Mask, step: float) -> Estim
         moving: True for samples with motion by more than a step, (M, W).
         step: Step of the sensor; 0 for none.
     """
-    left = motion.left[there]
+    left = motion.residuals[there]
     if np.square(left).mean() < _DITHERED * step**2:  # at rest within a step the noise is rarely visible
-        left = motion.left[moving & there]
+        left = motion.residuals[moving & there]
     if len(left) < _LEAST_MOVING:
         return Estimate(why=f"only {len(left)} samples move over the sensor's steps")
     square = np.square(left)

@@ -9,25 +9,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from maglev_mj.analysis.fit import (
-    ROUNDING,
     SLOW,
     CommandedLaw,
     Estimate,
     Fit,
     Forces,
+    Part,
     Windows,
     estimate_noise,
     estimate_quantum,
-    fit,
+    fit_constant,
     fit_law,
+    fit_motion,
     is_inside,
 )
 from maglev_mj.analysis.motion import OfWall, reconstruct
@@ -42,15 +43,13 @@ from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.theory.closed_loop import MOST_PERIODS
 
 _MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6
-_CLEAR = 10.0
-"""Least ratio of caused motion to noise for identification."""
 _MOST_DELAY = 0.1
 """Largest standard error of an identified delay, in periods."""
 _UNEXPLAINED = 3e-3
 """Least share of motion of a relevant unrecorded force."""
 _GYRATION = 0.036
 """Radius of gyration of the flotor [m]."""
-_NOT_LINEAR, _DECIMALS = 0.02, 4
+_DECIMALS = 4
 _STILL = 1e-9
 """Largest travel of an axis at rest [m, rad]."""
 _HOLDS = 0.5
@@ -72,11 +71,11 @@ class AxisEstimates:
         quantum: Step of the positions [m, rad].
     """
 
-    inertia: Estimate
+    inertia: Estimate = field(metadata={"row": ("mass", "kg")})
     delay: Estimate
-    force_error: Estimate
-    noise: Estimate
-    quantum: Estimate
+    force_error: Estimate = field(metadata={"row": ("force not compensated", "mN", 1e3)})
+    noise: Estimate = field(metadata={"row": ("noise", "µm", 1e6)})
+    quantum: Estimate = field(metadata={"row": ("steps", "µm", 1e6)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,16 +85,16 @@ class WallEstimates(OfWall):
     Attributes:
         stiffness: Stiffness from the motion, with the recorded mass of the flotor [N/m, N m/rad].
         damping: Damping from the motion, with the recorded mass of the flotor [N s/m, N m s/rad].
+        share: Stiffness over the largest stable stiffness at this damping and delay.
         commanded_stiffness: Slope of the commands over the measured position [N/m, N m/rad].
         commanded_damping: Slope of the commands over its difference quotient [N s/m, N m s/rad].
-        share: Stiffness over the largest stable stiffness at this damping and delay.
     """
 
-    stiffness: Estimate
-    damping: Estimate
-    commanded_stiffness: Estimate
-    commanded_damping: Estimate
-    share: Estimate
+    stiffness: Estimate = field(metadata={"row": ("stiffness", "N/m")})
+    damping: Estimate = field(metadata={"row": ("damping", "N s/m")})
+    share: Estimate = field(metadata={"row": ("of largest stable", "%", 1e2)})
+    commanded_stiffness: Estimate = field(metadata={"row": ("commanded stiffness", "N/m", 1.0, "N")})
+    commanded_damping: Estimate = field(metadata={"row": ("commanded damping", "N s/m", 1.0, "N")})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -110,43 +109,46 @@ class Friction:
         damping: Total viscous damping on the axis, as commanded [N s/m, N m s/rad].
     """
 
-    stiffness: Estimate
-    commanded_stiffness: Estimate
-    breakaway: Estimate
-    sliding: Estimate
-    damping: Estimate
+    stiffness: Estimate = field(metadata={"row": ("stiffness", "N/m")})
+    commanded_stiffness: Estimate = field(metadata={"row": ("commanded stiffness", "N/m", 1.0, "N")})
+    breakaway: Estimate = field(metadata={"row": ("breakaway", "N", 1.0, "N")})
+    sliding: Estimate = field(metadata={"row": ("sliding", "N", 1.0, "N")})
+    damping: Estimate = field(metadata={"row": ("damping", "N s/m", 1.0, "N")})
 
 
-def _every(kind: type[AxisEstimates | WallEstimates | Friction], estimate: Estimate) -> dict[str, Estimate]:
+_Estimates: TypeAlias = AxisEstimates | WallEstimates | Friction
+
+
+def _every(kind: type[_Estimates], estimate: Estimate) -> dict[str, Estimate]:
     """Return the same estimate for all quantities."""
-    return {one.name: estimate for one in fields(kind) if one.type == "Estimate"}
+    return {quantity.name: estimate for quantity in fields(kind) if quantity.type == "Estimate"}
 
 
 class _Row(NamedTuple):
     """Row of the table of identified quantities.
 
-    Owner, axis, name, estimate, its unit and that of its residual on a translation, and scale of the estimate.
+    Owner, axis, name, estimate, its unit on a translation and scale, and unit of its residual on a translation.
     """
 
-    whose: str
+    owner: str
     axis: str
     name: str
     estimate: Estimate
     unit: str
-    left: str = "µm"
     scale: float = 1.0
+    residual_unit: str = "µm"
 
     def cells(self) -> tuple[str, ...]:
         """Return an identified quantity as texts, its value rounded to two digits of its error."""
         value, error = self.estimate.value * self.scale, self.estimate.standard_error * self.scale
         decimals = min(max(1 - math.floor(math.log10(error)), 0), _DECIMALS) if error > 0.0 else _DECIMALS
-        left = self.estimate.residual * (1e6 if self.left == "µm" else 1.0)
+        residual = self.estimate.residual * (1e6 if self.residual_unit == "µm" else 1.0)
         return (
-            f"{'  ' if self.whose else ''}{self.name}",
+            f"{'  ' if self.owner else ''}{self.name}",
             f"{round(value, decimals) + 0.0:.{decimals}f}",
             f"{error:.2g}" if error < 100.0 else f"{error:.0f}",
             unit_of(self.unit, self.axis),
-            f"{left:.2g} {unit_of(self.left, self.axis)}",
+            f"{residual:.2g} {unit_of(self.residual_unit, self.axis)}",
         )
 
 
@@ -171,8 +173,8 @@ class Identification:
     @property
     def delay(self) -> Estimate:
         """Delay from the axis with the smallest error [s]."""
-        delays = [one.delay for one in self.axes.values()] or [Estimate(why="nothing moves")]
-        return min(delays, key=lambda one: one.standard_error if one.known else math.inf)
+        delays = [estimates.delay for estimates in self.axes.values()] or [Estimate(why="nothing moves")]
+        return min(delays, key=lambda delay: delay.standard_error if delay.known else math.inf)
 
     @property
     def outside(self) -> list[str]:
@@ -181,60 +183,47 @@ class Identification:
         See docs/explanation/analysis.md.
         """
         beyond = [
-            f"{one.name} at {one.share.value:.0%} of the limit" for one in self.walls if one.share.beyond(0.1, 0.8)
+            f"{wall.name} at {wall.share.value:.0%} of the limit" for wall in self.walls if wall.share.beyond(0.1, 0.8)
         ]
         for axis, friction in self.friction.items():
             if axis in AXES[:3] and friction.breakaway.beyond(0.5, 3.0):
                 beyond.append(f"breakaway {friction.breakaway.value:.2g} N on {axis}")
-        for axis, one in self.axes.items():
-            if axis in AXES[:3] and (one.noise.beyond(0.0, 5.05e-6) or one.quantum.beyond(0.0, 5.05e-6)):
+        for axis, sensor in self.axes.items():
+            if axis in AXES[:3] and (sensor.noise.beyond(0.0, 5.05e-6) or sensor.quantum.beyond(0.0, 5.05e-6)):
                 beyond.append(f"noise or steps above 5 µm on {axis}")
         return beyond
 
     def _rows(self) -> Iterator[_Row]:
-        best = next((axis for axis, one in self.axes.items() if one.delay is self.delay), AXES[0])
-        yield _Row("", best, "effective delay", self.delay, "ms", scale=1e3)
-        for wall in self.walls:
-            name, axis = wall.name, wall.axis
-            yield _Row(name, axis, "stiffness", wall.stiffness, "N/m")
-            yield _Row(name, axis, "damping", wall.damping, "N s/m")
-            yield _Row(name, axis, "of largest stable", wall.share, "%", scale=1e2)
-            yield _Row(name, axis, "commanded stiffness", wall.commanded_stiffness, "N/m", "N")
-            yield _Row(name, axis, "commanded damping", wall.commanded_damping, "N s/m", "N")
-        for axis, friction in self.friction.items():
-            name = f"friction on {axis}"
-            yield _Row(name, axis, "stiffness", friction.stiffness, "N/m")
-            yield _Row(name, axis, "commanded stiffness", friction.commanded_stiffness, "N/m", "N")
-            yield _Row(name, axis, "breakaway", friction.breakaway, "N", "N")
-            yield _Row(name, axis, "sliding", friction.sliding, "N", "N")
-            yield _Row(name, axis, "damping", friction.damping, "N s/m", "N")
-        for axis, one in self.axes.items():
-            if axis in AXES[:3]:
-                yield _Row(axis, axis, "mass", one.inertia, "kg")
-            else:
-                yield _Row(axis, axis, "moment of inertia", one.inertia, "g m²", scale=1e3)
-            yield _Row(axis, axis, "force not compensated", one.force_error, "mN", scale=1e3)
-            yield _Row(axis, axis, "noise", one.noise, "µm", scale=1e6)
-            yield _Row(axis, axis, "steps", one.quantum, "µm", scale=1e6)
+        best = next((axis for axis, estimates in self.axes.items() if estimates.delay is self.delay), AXES[0])
+        yield _Row("", best, "effective delay", self.delay, "ms", 1e3)
+        owners: list[tuple[str, str, _Estimates]] = [(wall.name, wall.axis, wall) for wall in self.walls]
+        owners += [(f"friction on {axis}", axis, friction) for axis, friction in self.friction.items()]
+        owners += [(axis, axis, estimates) for axis, estimates in self.axes.items()]
+        for owner, axis, estimates in owners:
+            for quantity in (quantity for quantity in fields(estimates) if "row" in quantity.metadata):
+                name, *cells = quantity.metadata["row"]
+                if name == "mass" and axis in AXES[3:]:
+                    name, *cells = "moment of inertia", "g m²", 1e3
+                yield _Row(owner, axis, name, getattr(estimates, quantity.name), *cells)
 
     def table(self) -> Table:
         """Return a row for each identified quantity, and the reasons for the others below."""
         rows: list[tuple[str, ...]] = []
         unknown: dict[tuple[str, str], list[str]] = {}
         heading = ""
-        for (whose, why), group in groupby(self._rows(), key=lambda row: (row.whose, row.estimate.why)):
+        for (owner, why), group in groupby(self._rows(), key=lambda row: (row.owner, row.estimate.why)):
             quantities = list(group)
             if why:
-                unknown.setdefault((", ".join(row.name for row in quantities), why), []).append(whose)
+                unknown.setdefault((", ".join(row.name for row in quantities), why), []).append(owner)
                 continue
-            if whose not in ("", heading):
-                rows.append((whose, *[""] * 4))
-            heading = whose
+            if owner not in ("", heading):
+                rows.append((owner, *[""] * 4))
+            heading = owner
             rows += [row.cells() for row in quantities]
         remarks = []
         for (names, why), owners in unknown.items():
-            whose = f" of {', '.join(owners)}" if any(owners) else ""
-            remarks.append(f"not identified: {names}{whose}: {why}")
+            of = f" of {', '.join(owners)}" if any(owners) else ""
+            remarks.append(f"not identified: {names}{of}: {why}")
         if self.outside:
             remarks.append(f"outside the ranges in which errors were tested: {', '.join(self.outside)}")
         if self.samples < self.of:
@@ -243,8 +232,8 @@ class Identification:
 
     def as_json(self) -> dict[str, Any]:
         """Return everything, ready for JSON."""
-        kept = {one.name: plain(getattr(self, one.name)) for one in fields(self)}
-        return {"outside": self.outside, "delay": plain(self.delay), **kept}
+        values = {part.name: plain(getattr(self, part.name)) for part in fields(self)}
+        return {"outside": self.outside, "delay": plain(self.delay), **values}
 
 
 def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: Array | None = None) -> Identification:
@@ -278,21 +267,15 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
     for index, name in enumerate(AXES):
         stuck = None if anchors is None or not np.isfinite(anchors[:, index]).any() else anchors[:, index]
         faces = [face for face in stretch.metadata.faces if face[0] == index]
-        axis = None
-        if len(stretch) < _LEAST_SAMPLES:
-            why = f"only {len(stretch)} samples"
-        elif not np.ptp(stretch.position[:, index]) > _STILL:
-            why = "the axis does not move"
-        else:
-            axis, why = _Axis.of(stretch, index, stuck), "too few samples without a gap"
-        if axis is None:
-            walls += [WallEstimates.of(face, **_every(WallEstimates, Estimate(why=why))) for face in faces]
-        else:
-            axes[name] = axis.estimates
+        axis = _Axis.of(stretch, index, stuck)
+        if isinstance(axis, _Axis):
+            axes[name] = axis.estimates()
             used = max(used, int(axis.used.sum()))
             walls += [axis.wall(face) for face in faces]
+        else:
+            walls += [WallEstimates.of(face, **_every(WallEstimates, axis)) for face in faces]
         if stuck is not None:
-            friction[name] = Friction(**_every(Friction, Estimate(why=why))) if axis is None else axis.friction()
+            friction[name] = axis.friction() if isinstance(axis, _Axis) else Friction(**_every(Friction, axis))
     return Identification(axes=axes, walls=walls, friction=friction, samples=used, of=len(stretch))
 
 
@@ -315,21 +298,25 @@ class _Axis:
     held: bool = False
 
     @classmethod
-    def of(cls, stretch: Stretch, axis: int, anchors: Array | None) -> _Axis | None:
-        """Return the coordinate with its selected samples, or None.
+    def of(cls, stretch: Stretch, axis: int, anchors: Array | None) -> _Axis | Estimate:
+        """Return the coordinate with its selected samples, or an estimate with the reason against it.
 
-        Of a long stretch, the windows with the least straight motion are selected; None if there are none.
+        Of a long stretch, the windows with the least straight motion are selected.
         """
+        if len(stretch) < _LEAST_SAMPLES:
+            return Estimate(why=f"only {len(stretch)} samples")
+        if not np.ptp(stretch.position[:, axis]) > _STILL:
+            return Estimate(why="the axis does not move")
         period = stretch.metadata.period
         # after a gap the delayed commands are unknown
         ahead = int(split_delay(stretch.metadata.delay, period)[0]) + 2
         breaks = (np.flatnonzero(np.diff(stretch.tick) != 1) + 1).tolist()
         first = 0 if stretch.time[0] < period else ahead
-        runs = [(one, end) for one, end in zip([first, *(at + ahead for at in breaks)], [*breaks, len(stretch)])]
-        windows = Windows.cut(stretch.time, [run for run in runs if run[1] > run[0]], period)
+        runs = zip([first, *(index + ahead for index in breaks)], [*breaks, len(stretch)])
+        windows = Windows.cut(stretch.time, [(start, end) for start, end in runs if end > start], period)
         windows = windows.choose(stretch.position[:, axis], _MOST_SAMPLES)
         if windows.there.sum() < _LEAST_SAMPLES:
-            return None
+            return Estimate(why="too few samples without a gap")
         needed = np.unique(np.maximum(windows.rows[windows.there][:, None] - np.arange(ahead + 1), 0))
         windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.there)
         stuck = None if anchors is None else anchors[needed]
@@ -356,71 +343,55 @@ class _Axis:
         """Recorded mass or moment of inertia [kg, kg m²]."""
         return float(self.stretch.metadata.inertia[self.axis])
 
-    def _fit(
-        self, *, delay: float, search: bool, mass: float | None = None, law: tuple[Array, Array] | None = None
-    ) -> Fit:
-        """Fit the motion by forces of known shape.
-
-        They are P parts of the command, the rest of the recorded forces, and a constant.
+    def _forces(self, parts: Array, rest: Array) -> Forces:
+        """Return P parts of the command, the rest of the recorded forces, a constant, and forces of a holding hand.
 
         Args:
-            delay: First guess at the delay, or the delay [s].
-            search: True to find the delay.
-            mass: Moving mass or moment of inertia [kg, kg m²]; None to find it too.
-            law: Parts of the command, each to be multiplied by a gain, (N, P), and the command without them [N, N m],
-                (N,); None for no parts.
+            parts: Parts of the command, (N, P).
+            rest: The command without them [N, N m], (N,).
         """
-        whole = np.zeros((len(self.position), 0)), self.stretch.applied[:, self.axis]
-        parts, rest = whole if law is None else law
-        count, gains = parts.shape
-        period, time, axis = self.stretch.metadata.period, self.stretch.time, self.axis
-        nothing, none = np.zeros((count, gains)), np.zeros(count)
-        late = np.column_stack([parts, rest, none])
-        extra = np.column_stack([nothing, self.stretch.applied_pulse[:, axis], none])
-        width = self.stretch.applied_pulse_width
-        switch, levels = recorded_switches(time, late, extra, width, period=period, delay=0.0)
-        before = np.append(np.zeros(gains), [self.stretch.metadata.before[axis], 0.0])
-        hand = self.stretch.known_hand[:-1, axis] if self.stretch.metadata.hand_acts_on_flotor else none[:-1]
-        span = np.diff(time)[:, None]
-        prompt = np.column_stack([nothing[:-1], hand, none[:-1] + 1.0])
-        speed, way = span * prompt, 0.5 * span**2 * prompt
-        fixed = np.full(gains + 2, np.nan)
-        if mass is not None:
-            fixed[gains] = 1.0 / mass
+        stretch, metadata, axis = self.stretch, self.stretch.metadata, self.axis
+        held = np.column_stack([parts, rest])
+        pulse = np.column_stack([np.zeros_like(parts), stretch.applied_pulse[:, axis]])
+        width, period = stretch.applied_pulse_width, metadata.period
+        switch, levels = recorded_switches(stretch.time, held, pulse, width, period=period, delay=0.0)
+        before = np.append(np.zeros(parts.shape[1]), metadata.before[axis])
+        duration = np.diff(stretch.time)[:, None]
+        hand = stretch.known_hand[:-1, axis] * metadata.hand_acts_on_flotor
+        prompt = np.column_stack([hand, np.ones(len(duration))])
+        momentum, displacement = duration * prompt, 0.5 * duration**2 * prompt
         if self.held:
-            speed, way = (np.column_stack(both) for both in zip((speed, way), *self._impedance, strict=True))
-            levels, before, fixed = (
-                np.pad(levels, ((0, 0), (0, 2))),
-                np.pad(before, (0, 2)),
-                np.append(fixed, [np.nan] * 2),
-            )
-        forces = Forces(time=time, switch=switch, late=levels, before=before, speed=speed, way=way)
-        floor = ROUNDING * float(np.abs(self.position).max())
-        return fit(forces, self.windows, self.position, delay, period=period, search=search, floor=floor, fixed=fixed)
+            momentum, displacement = map(np.column_stack, zip((momentum, displacement), self._impedance, strict=True))
+        return Forces(
+            time=stretch.time,
+            switch=switch,
+            levels=np.vstack([before, levels]),
+            momentum=momentum,
+            displacement=displacement,
+        )
 
     @cached_property
-    def _impedance(self) -> list[tuple[Array, Array]]:
-        """Integrals of a unit spring's and a unit damper's force.
-
-        The integral and double integral over each period, (N - 1,), for the spring, then for the damper.
-        """
-        motion, axis = reconstruct(self.stretch), self.axis
-        trace, ends = motion.trace.along(axis), motion.starts
-        knots, position, speed = trace.time, trace.pose[:-1, 0], trace.twist[:-1, 0]
+    def _impedance(self) -> tuple[Array, Array]:
+        """Integral and double integral of a unit spring's and a unit damper's force over each period, (N - 1, 2)."""
+        motion = reconstruct(self.stretch)
+        first, starts = motion.starts[0], motion.starts - motion.starts[0]
+        trace = motion.trace.along(self.axis)
+        knots, position, speed = (part[first:] for part in (trace.time, trace.pose[:, 0], trace.twist[:, 0]))
         width = np.diff(knots)
-        bend = trace.pose[1:, 0] - position - speed * width
+        bend = np.diff(position) - speed[:-1] * width
         # of the parabola between two knots, and of its product with the time since the first
-        whole = width * (position + 0.5 * width * speed + bend / 3.0)
-        later = width**2 * (position / 2.0 + width * speed / 3.0 + bend / 4.0)
-        period = np.searchsorted(ends, np.arange(len(width)), side="right") - 1
-        inside = period >= 0
-        left = knots[ends[period + 1]] - knots[:-1]
-        count = len(self.position) - 1
-        one, two = np.zeros((2, count))
-        np.add.at(one, period[inside], whole[inside])
-        np.add.at(two, period[inside], (left * whole - later)[inside])
+        whole = width * (position[:-1] + 0.5 * width * speed[:-1] + bend / 3.0)
+        later = width**2 * (position[:-1] / 2.0 + width * speed[:-1] / 3.0 + bend / 4.0)
+        remaining = np.repeat(knots[starts[1:]], np.diff(starts)) - knots[:-1]
+        single, double = (np.add.reduceat(part, starts[:-1]) for part in (whole, remaining * whole - later))
         start, end = self.position[:-1], self.position[1:]
-        return [(-one, -two), (start - end, np.diff(self.stretch.time) * start - one)]
+        damper = np.diff(self.stretch.time) * start - single
+        return np.column_stack([-single, start - end]), np.column_stack([-double, damper])
+
+    @cached_property
+    def forces(self) -> Forces:
+        """All recorded forces, a constant, and those of a holding hand."""
+        return self._forces(np.zeros((len(self.position), 0)), self.stretch.applied[:, self.axis])
 
     @cached_property
     def motion(self) -> Fit:
@@ -428,14 +399,10 @@ class _Axis:
 
         It has their common factor, a constant, and their delay.
         """
-        return self._fit(delay=self.stretch.metadata.delay, search=True)
+        metadata = self.stretch.metadata
+        return fit_motion(self.forces, self.windows, self.position, metadata.delay, metadata.period)
 
-    @property
-    def pushed(self) -> bool:
-        """True if recorded forces move it more than noise."""
-        return bool(self.motion.moves[0] >= _CLEAR * self.motion.residual and self.motion.values[0] > 0.0)
-
-    @property
+    @cached_property
     def disturbed(self) -> str:
         """Reason for a motion with unrecorded forces, or empty.
 
@@ -449,47 +416,63 @@ class _Axis:
         unknown = self.motion.whiteness < SLOW and self.motion.share > _UNEXPLAINED
         return "forces act that were not recorded" if unknown else ""
 
-    @property
+    @cached_property
     def _why(self) -> str:
         """Reason against identification from the motion, or empty."""
-        if why := self.disturbed:
-            return why
-        return "" if self.pushed else "the force on it does not change by more than noise"
+        if self.disturbed:
+            return self.disturbed
+        factor = float(self.motion.values[0])
+        pushed = factor > 0.0 and self.motion.moves(0, factor)
+        return "" if pushed else "the force on it does not change by more than noise"
 
-    @cached_property
     def estimates(self) -> AxisEstimates:
-        """Quantities identified from the motion, independent of the law."""
-        motion = self.motion
+        """Return the quantities identified from the motion, independent of the law."""
         quantum = estimate_quantum(self.position[self.used])
         if self.disturbed:
-            unknown = Estimate(why=self._why, residual=motion.residual)
+            unknown = Estimate(why=self.disturbed, residual=self.motion.residual)
             return AxisEstimates(**_every(AxisEstimates, unknown) | {"quantum": quantum})
-        step = quantum.value if quantum.known else 0.0
+        return AxisEstimates(
+            inertia=self._inertia(),
+            delay=self._delay(),
+            force_error=self._force_error(),
+            noise=self._noise(quantum.value if quantum.known else 0.0),
+            quantum=quantum,
+        )
+
+    def _inertia(self) -> Estimate:
+        """Return the moving mass, or moment of inertia."""
+        if self._why:
+            return Estimate(why=self._why)
+        mass = 1.0 / self.motion.values[0]
+        return self.motion.estimate(mass, {0: mass**2})
+
+    def _delay(self) -> Estimate:
+        """Return the delay of the force."""
+        if self._why:
+            return Estimate(why=self._why)
+        period = self.stretch.metadata.period
+        delay = self.motion.estimate(self.motion.values[-1], {-1: 1.0})
+        if not self.motion.moves(-1, period) or delay.standard_error > _MOST_DELAY * period:
+            return Estimate(why="the force switches too little")
+        return delay
+
+    def _force_error(self) -> Estimate:
+        """Return the constant force beyond the recorded load, with the recorded mass if none is identified."""
+        load, delay = float(self.stretch.metadata.load[self.axis]), self.stretch.metadata.delay
+        if self._why:
+            mass = self.inertia
+            constant = fit_constant(self.forces, self.windows, self.position, delay, mass)
+            return constant.estimate(mass * constant.values[0] - load, {0: mass})
+        factor, acceleration = self.motion.values[:2]
+        mass = 1.0 / factor
+        return self.motion.estimate(mass * acceleration - load, {0: -acceleration * mass**2, 1: mass})
+
+    def _noise(self, step: float) -> Estimate:
+        """Return the noise of a sensor with steps [m, rad]; 0 for none."""
         rows = self.windows.rows
         after, before = np.minimum(rows + 1, len(self.position) - 1), np.maximum(rows - 1, 0)
-        moving = np.abs(self.position[after] - self.position[before])
-        noise = estimate_noise(motion, self.windows.there, moving > 2.0 * step, step)
-        inertia = delay = Estimate(why=self._why)
-        mass = self.inertia
-        if not self._why:
-            mass = 1.0 / motion.values[0]
-            inertia = motion.estimate(mass, mass**2 * motion.errors[0])
-            delay = self._late(motion)
-        else:
-            motion = self._fit(delay=self.stretch.metadata.delay, search=False, mass=mass)
-        slope = np.zeros(len(motion.errors))
-        slope[:2] = -motion.values[1] * mass**2 * (not self._why), mass
-        force = mass * motion.values[1] - float(self.stretch.metadata.load[self.axis])
-        error = motion.estimate(force, motion.error_of(slope))
-        return AxisEstimates(inertia=inertia, delay=delay, force_error=error, noise=noise, quantum=quantum)
-
-    def _late(self, motion: Fit) -> Estimate:
-        if (
-            motion.moves[-1] < _CLEAR * motion.residual
-            or motion.errors[-1] > _MOST_DELAY * self.stretch.metadata.period
-        ):
-            return Estimate(why="the force switches too little")
-        return motion.estimate(motion.delay, motion.errors[-1])
+        moving = np.abs(self.position[after] - self.position[before]) > 2.0 * step
+        return estimate_noise(self.motion, self.windows.there, moving, step)
 
     # -- the law --------------------------------------------------------------------------------------------------
 
@@ -504,39 +487,31 @@ class _Axis:
         """Law as a fit of commands by positions."""
         return fit_law(self.stretch, self.axis, self.faces, self.anchors, self.used)
 
-    def _commanded(self, name: tuple[str, int]) -> Estimate:
-        """Return an identified gain of the law."""
-        law = self.law
-        if law.residual > _NOT_LINEAR * law.scale:
-            return Estimate(why=f"commands are not those of a spring and a damper ({law.residual:.2g} apart)")
-        index = law.names.index(name)
-        if not math.isfinite(law.errors[index]):
-            return Estimate(why="nothing tells it from the other laws on the axis")
-        return Estimate.of(law.gains[index], law.errors[index], law.degrees, law.residual)
-
     @cached_property
     def rendered(self) -> Fit:
         """Fit of the motion by the law's parts.
 
         The gain of each part is found from the motion.
         """
-        return self._fit(delay=self.motion.delay, search=True, law=(self.law.parts, self.law.rest))
+        forces, period = self._forces(self.law.parts, self.law.rest), self.stretch.metadata.period
+        return fit_motion(forces, self.windows, self.position, float(self.motion.values[-1]), period)
 
-    def _shown(self, name: tuple[str, int]) -> Estimate:
+    def _shown(self, name: Part) -> Estimate:
         """Return a gain as identified from the motion.
 
         The flotor is assumed to have the recorded mass.
         """
         if self._why:
             return Estimate(why=self._why, residual=self.motion.residual)
-        if not (commanded := self._commanded(name)).known:
-            return commanded
-        index, rendered = self.law.names.index(name), self.rendered
+        commanded = self.law.estimates
+        if not commanded[name].known:
+            return commanded[name]
+        rendered, index = self.rendered, list(commanded).index(name)
         if rendered.degrees < _LEAST_DEGREES:
             return Estimate(why="too few samples for all that acts on the axis")
-        if rendered.moves[index] < _CLEAR * rendered.residual:
+        if not rendered.moves(index, rendered.values[index]):
             return Estimate(why="it moves the flotor too little")
-        return rendered.estimate(self.inertia * rendered.values[index], self.inertia * rendered.errors[index])
+        return rendered.estimate(self.inertia * rendered.values[index], {index: self.inertia})
 
     def wall(self, face: Face) -> WallEstimates:
         """Return the identified quantities of a wall."""
@@ -544,49 +519,44 @@ class _Axis:
             count = int((is_inside(self.position, face) & self.used).sum())
             unknown = Estimate(why=f"only {count} samples in it" if count else "it was not touched")
             return WallEstimates.of(face, **_every(WallEstimates, unknown))
-        spring, damper = (("stiffness", self.faces.index(face)), ("damping", self.faces.index(face)))
+        spring, damper = ("stiffness", self.faces.index(face)), ("damping", self.faces.index(face))
         return WallEstimates.of(
             face,
             stiffness=self._shown(spring),
             damping=self._shown(damper),
-            commanded_stiffness=self._commanded(spring),
-            commanded_damping=self._commanded(damper),
             share=self._share(spring, damper),
+            commanded_stiffness=self.law.estimates[spring],
+            commanded_damping=self.law.estimates[damper],
         )
 
-    def _share(self, *gains: tuple[str, int]) -> Estimate:
+    def _share(self, *gains: Part) -> Estimate:
         """Return a wall's share of the largest stable stiffness.
 
         Its stiffness includes all other springs on the axis.
         """
-        for one in gains:
-            if not (shown := self._shown(one)).known:
+        for shown in map(self._shown, gains):
+            if not shown.known:
                 return shown
-        rendered, names, mass = self.rendered, self.law.names, self.inertia
-        period, last = self.stretch.metadata.period, len(rendered.values)
-        weights = np.zeros((3, last + 1))
-        for row, name, other in zip(weights, gains, (("spring", 0), ("damper", 0))):
-            row[[names.index(one) for one in (name, other) if one in names]] = mass
-        weights[2, last] = 1.0
-        stiffness, damping, delay = weights @ np.append(rendered.values, rendered.delay)
-        errors = np.array([rendered.error_of(weight) for weight in weights])
+        rendered, names, mass = self.rendered, list(self.law.estimates), self.inertia
+        period = self.stretch.metadata.period
+        weights = np.zeros((3, len(rendered.values)))
+        for row, gain, everywhere in zip(weights, gains, (("spring", 0), ("damper", 0))):
+            row[[index for index, name in enumerate(names) if name in (gain, everywhere)]] = mass
+        weights[2, -1] = 1.0
+        stiffness, damping, delay = weights @ rendered.values
+        errors = np.sqrt(np.maximum(np.diag(weights @ rendered.covariance @ weights.T), 0.0))[1:]
         # the boundary at the identified damping and delay, and one standard error to either side of each
-        aside = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * errors[1:]
-        dampings, delays = np.maximum(np.array([damping, delay]) + aside, 0.0).T
+        offsets = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * errors
+        dampings, delays = np.maximum(np.array([damping, delay]) + offsets, 0.0).T
         if delays.max() > MOST_PERIODS * period:
             return Estimate(why=f"the theory goes up to a delay of {MOST_PERIODS} periods")
-        most = np.array(
-            [
-                largest_stable_stiffness(one, delay=late, period=period, mass=mass)
-                for one, late in zip(dampings.tolist(), delays.tolist())
-            ]
-        )
+        most = largest_stable_stiffness(dampings, delay=delays, period=period, mass=mass)
         if not most.min() > 0.0:
             return Estimate(why="no wall is stable at this damping and delay")
         share = stiffness / most[0]
-        reach = np.maximum(2.0 * errors[1:], np.finfo(np.float64).tiny)
+        reach = np.maximum(2.0 * errors, np.finfo(np.float64).tiny)
         slopes = np.array([1.0 / most[0], *(-share / most[0] * (most[1::2] - most[2::2]) / reach)])
-        return rendered.estimate(float(share), rendered.error_of(slopes @ weights))
+        return rendered.estimate(float(share), dict(enumerate(slopes @ weights)))
 
     # -- friction -------------------------------------------------------------------------------------------------
 
@@ -594,10 +564,10 @@ class _Axis:
         """Return the identified friction."""
         return Friction(
             stiffness=self._shown(("stuck", 0)),
-            commanded_stiffness=self._commanded(("stuck", 0)),
+            commanded_stiffness=self.law.estimates["stuck", 0],
             breakaway=self._breakaway(),
-            sliding=self._commanded(("sliding", 0)),
-            damping=self._commanded(("damper", 0)),
+            sliding=self.law.estimates["sliding", 0],
+            damping=self.law.estimates["damper", 0],
         )
 
     def _breakaway(self) -> Estimate:
@@ -606,10 +576,10 @@ class _Axis:
         It is between the largest force while stuck and the least force that caused slip.
         """
         law, anchors = self.law, self.anchors
-        stiffness = self._commanded(("stuck", 0))
+        stiffness = law.estimates["stuck", 0]
         if not stiffness.known or anchors is None:
             return stiffness
-        index = [law.names.index((name, 0)) for name in ("stuck", "sliding")]
+        index = [list(law.estimates).index((name, 0)) for name in ("stuck", "sliding")]
         force = np.abs(law.parts[:, index] @ law.gains[index])
         stuck = np.isfinite(anchors)
         next_to = self.used[:-1] & self.used[1:] & (np.diff(self.stretch.tick) == 1)
@@ -618,7 +588,7 @@ class _Axis:
             return Estimate(why="it never slips")
         ends = force[last], force[last + 1]
         if np.median(ends[1]) > _HOLDS * np.median(ends[0]):  # it goes on sliding at its largest friction
-            return self._commanded(("sliding", 0))
+            return law.estimates["sliding", 0]
         if not stiffness.value > 0.0:
             return Estimate(why="it does not stick")
         held = float(force[stuck & self.used].max())
@@ -627,5 +597,5 @@ class _Axis:
         reach = 0.485 * width + stiffness.standard_error / stiffness.value * middle
         error = width / math.sqrt(12.0)
         return Estimate(
-            value=middle, standard_error=error, low=middle - reach, high=middle + reach, residual=law.residual
+            value=middle, standard_error=error, low=middle - reach, high=middle + reach, residual=stiffness.residual
         )
