@@ -36,9 +36,11 @@ _NOT_LINEAR = 0.02
 """Largest residual of a linear law, relative to its commands."""
 _SENSOR = 1e-8
 """Residual below that of any sensor [m, rad]."""
-SLOW = 0.6
-"""Whiteness limit; residuals below it are those of forces."""
-ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
+_WHITENESS = 0.6
+"""Least mean square of the differences of noise, over twice its own mean square; it is lower for residual forces."""
+_UNEXPLAINED = 3e-3
+"""Least share of motion of a relevant unrecorded force."""
+_ROUNDING = 64.0 * float(np.finfo(np.float64).eps)
 """Relative rounding of positions and commands."""
 _NOTHING = 1e-9
 """Part of the largest command below which a remainder is rounding, not a force."""
@@ -195,6 +197,11 @@ class Windows(NamedTuple):
         return np.asarray(values - self.basis @ (self.basis.swapaxes(1, 2) @ values))
 
 
+def unit_integrals(duration: Array) -> Array:
+    """Return integral and double integral of a unit force over durations (N,), [s, s²], (N, 2, 1)."""
+    return np.stack([duration, 0.5 * duration**2], axis=1)[:, :, None]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Forces:
     """P forces on one coordinate over N samples, each to be multiplied by a factor.
@@ -206,48 +213,40 @@ class Forces:
         time: Times of the samples [s], (N,).
         switch: Switching times of commands, without their delay [s], (K,).
         levels: Switched forces before the first switch, and after each [N], (K + 1, S).
-        momentum: Integral of the forces without delay, from each sample to the next [N s], (N - 1, P - S + 1).
-        displacement: Double integral of the same forces [N s²], (N - 1, P - S + 1).
+        prompt: Integral and double integral of the forces without delay, over each period [N s, N s²],
+            (N - 1, 2, P - S + 1).
     """
 
     time: Array
     switch: Array
     levels: Array
-    momentum: Array
-    displacement: Array
+    prompt: Array
 
-    def integrals(self, delay: float) -> tuple[Array, Array]:
-        """Return integral and double integral of the forces over each period, (N - 1, P + S) each.
+    def integrals(self, delay: float) -> Array:
+        """Return integral and double integral of the forces over each period, (N - 1, 2, P + S).
 
         The last S columns are the derivatives of the switched forces' integrals with respect to the delay.
         """
         time, when = self.time, self.switch + delay
-        width = np.diff(time)[:, None]
         # a switch at a sample belongs to the period after it
         level = self.levels[np.searchsorted(when, time)]
         inside = (when >= time[0]) & (when < time[-1])
         index, jump = np.searchsorted(time, when[inside], side="right") - 1, np.diff(self.levels, axis=0)[inside]
-        remaining = (time[index + 1] - when[inside])[:, None]
-        momentum, displacement = width * level[:-1], 0.5 * width**2 * level[:-1]
-        np.add.at(momentum, index, remaining * jump)
-        np.add.at(displacement, index, 0.5 * remaining**2 * jump)
-        slopes = level[:-1] - level[1:], width * level[:-1] - momentum
-        momentum[:, -1] += self.momentum[:, 0]
-        displacement[:, -1] += self.displacement[:, 0]
-        return (
-            np.concatenate([momentum, self.momentum[:, 1:], slopes[0]], axis=1),
-            np.concatenate([displacement, self.displacement[:, 1:], slopes[1]], axis=1),
-        )
+        duration = np.diff(time)
+        switched = unit_integrals(duration) * level[:-1, None]
+        np.add.at(switched, index, unit_integrals(time[index + 1] - when[inside]) * jump[:, None])
+        slopes = np.stack([level[:-1] - level[1:], duration[:, None] * level[:-1] - switched[:, 0]], axis=1)
+        switched[..., -1] += self.prompt[..., 0]
+        return np.concatenate([switched, self.prompt[..., 1:], slopes], axis=2)
 
     def displace(self, windows: Windows, delay: float) -> tuple[Array, Array]:
         """Return each force's displacement of a unit mass in the windows, (M W, P).
 
         The derivatives of the first S with respect to the delay are returned too, (M W, S).
         """
-        momentum, displacement = self.integrals(delay)
-        steps = np.minimum(windows.rows[:, :-1], len(momentum) - 1)
-        exists = windows.there[:, 1:, None]
-        speed, displacement = momentum[steps] * exists, displacement[steps] * exists
+        steps = np.minimum(windows.rows[:, :-1], len(self.time) - 2)
+        integrals = self.integrals(delay)[steps] * windows.there[:, 1:, None, None]
+        speed, displacement = integrals[:, :, 0], integrals[:, :, 1]
         width = np.diff(self.time)[steps][:, :, None]
         position = np.cumsum(displacement + width * (np.cumsum(speed, axis=1) - speed), axis=1)
         columns = windows.project(np.pad(position, ((0, 0), (1, 0), (0, 0)))).reshape(windows.rows.size, -1)
@@ -267,9 +266,7 @@ class Fit:
         residual: Root mean square of the residuals [m].
         degrees: Degrees of freedom.
         residuals: Residuals, scaled to the error of a sample [m], (M, W); 0 for missing samples.
-        whiteness: Mean square of the residuals' differences over twice their own mean square: 1 for noise, near 0 for
-            slow changes, such as those of a missing force.
-        share: Residual relative to the motion to be explained.
+        is_incomplete: True if the residuals are slow changes of relevant size, such as those of a missing force.
     """
 
     values: Array
@@ -278,8 +275,7 @@ class Fit:
     residual: float
     degrees: int
     residuals: Array
-    whiteness: float
-    share: float
+    is_incomplete: bool
 
     def moves(self, index: int, change: float) -> bool:
         """Return whether a change of a value moves the coordinate by clearly more than noise."""
@@ -344,17 +340,18 @@ def _assess(windows: Windows, position: Array, columns: Array, target: Array, so
     _, gram, separate, _ = solve(columns, residuals)
     count = int(windows.there.sum())
     degrees = max(count - 2 * len(windows.rows) - int(separate.sum()), 1)
-    residual = max(math.sqrt(np.square(residuals).sum() / degrees), ROUNDING * float(np.abs(position).max()))
+    residual = max(math.sqrt(np.square(residuals).sum() / degrees), _ROUNDING * float(np.abs(position).max()))
     leverage = np.square(windows.basis).sum(axis=2).ravel() + ((columns @ gram) * columns).sum(axis=1)
     scaled = residuals / np.sqrt(1.0 - np.minimum(leverage, _MOST_LEVERAGE))
     inner = windows.there[:, 1:]
     change = np.square(np.diff(residuals.reshape(windows.rows.shape), axis=1) * inner).sum() / max(int(inner.sum()), 1)
     square = np.square(residuals).sum() / count
-    whiteness = float(change / (2.0 * square)) if square > 0.0 else 1.0
+    # the mean square of differences is twice that of noise
+    is_slow = bool(change < 2.0 * _WHITENESS * square)
     scale = np.diag(gram)
     unit = np.where(scale > 0.0, scale, 1.0)
     enlarged = np.ones(len(unit))
-    if whiteness < SLOW or residual < _SENSOR or count < _LEAST_SAMPLES:
+    if is_slow or residual < _SENSOR or count < _LEAST_SAMPLES:
         # residuals of forces or of rounding, or too few samples to tell: the worst case, with all of one sign
         worst = np.abs(columns @ gram).T @ np.abs(residuals)
         enlarged = np.maximum(worst / (residual * np.sqrt(unit)), 1.0)
@@ -367,8 +364,7 @@ def _assess(windows: Windows, position: Array, columns: Array, target: Array, so
         residual=residual,
         degrees=degrees,
         residuals=scaled.reshape(windows.rows.shape) * windows.there,
-        whiteness=whiteness,
-        share=math.sqrt(square / max(np.square(target).sum() / count, 1e-300)),
+        is_incomplete=is_slow and bool(square > _UNEXPLAINED**2 * np.square(target).sum() / count),
     )
 
 
@@ -431,7 +427,7 @@ def fit_law(stretch: Stretch, axis: int, faces: Sequence[Face], anchors: Array |
     moved = used & np.append(False, ticks > 0)
     solution = solve(columns[moved], command[moved])
     degrees = max(int(moved.sum()) - columns.shape[1], 1)
-    residual = max(math.sqrt(np.square(solution.residuals).sum() / degrees), ROUNDING * largest)
+    residual = max(math.sqrt(np.square(solution.residuals).sum() / degrees), _ROUNDING * largest)
     columns, gains = columns[:, :count], solution.values[:count]
     explained = columns @ gains
     is_linear = residual <= _NOT_LINEAR * math.sqrt(np.square(explained[moved]).mean())

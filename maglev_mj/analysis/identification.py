@@ -17,7 +17,6 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from maglev_mj.analysis.fit import (
-    SLOW,
     CommandedLaw,
     Estimate,
     Fit,
@@ -30,11 +29,12 @@ from maglev_mj.analysis.fit import (
     fit_law,
     fit_motion,
     is_inside,
+    unit_integrals,
 )
 from maglev_mj.analysis.motion import OfWall, reconstruct
 from maglev_mj.control.timeline import recorded_switches, split_delay
 from maglev_mj.errors import check_instance
-from maglev_mj.frames import AXES, Array, Mask, unit_of
+from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.recording import RunMetadata, Stretch
 from maglev_mj.recording.recording import READ_STRETCH
 from maglev_mj.recording.sample import Face
@@ -45,8 +45,6 @@ from maglev_mj.theory.closed_loop import MOST_PERIODS
 _MOST_SAMPLES, _LEAST_SAMPLES, _LEAST_INSIDE, _LEAST_DEGREES = 20_000, 12, 5, 6
 _MOST_DELAY = 0.1
 """Largest standard error of an identified delay, in periods."""
-_UNEXPLAINED = 3e-3
-"""Least share of motion of a relevant unrecorded force."""
 _GYRATION = 0.036
 """Radius of gyration of the flotor [m]."""
 _DECIMALS = 4
@@ -279,23 +277,38 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
     return Identification(axes=axes, walls=walls, friction=friction, samples=used, of=len(stretch))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Axis:
     """One coordinate of a stretch, with its fits.
 
-    Attributes:
-        stretch: The samples used, and earlier ones whose commands take effect during them.
+    Args:
+        stretch: N samples: those used, and earlier ones whose commands take effect during them.
         axis: Index into AXES.
         anchors: Stick positions [m, rad], (N,); None without friction.
         windows: Windows of the samples used.
         held: True if an unrecorded spring and damper act on it, such as those of an arm.
+
+    Attributes:
+        position: Positions [m, rad], (N,).
+        used: True for samples in a window, (N,).
+        inertia: Recorded mass or moment of inertia [kg, kg m²].
+        faces: Touched walls of the axis.
+        forces: All recorded forces, a constant, and those of a holding hand.
+        motion: Fit of the motion by these forces. It has their common factor, a constant, and their delay.
     """
 
-    stretch: Stretch
-    axis: int
-    anchors: Array | None
-    windows: Windows
-    held: bool = False
+    def __init__(
+        self, stretch: Stretch, axis: int, anchors: Array | None, windows: Windows, *, held: bool = False
+    ) -> None:
+        self.stretch, self.metadata, self.axis = stretch, stretch.metadata, axis
+        self.anchors, self.windows, self.held = anchors, windows, held
+        self.period, self.inertia = self.metadata.period, float(self.metadata.inertia[axis])
+        self.position = np.ascontiguousarray(stretch.position[:, axis])
+        self.used = np.zeros(len(stretch), dtype=np.bool_)
+        self.used[windows.rows[windows.there]] = True
+        faces = [face for face in self.metadata.faces if face[0] == axis]
+        self.faces = [face for face in faces if self._count_inside(face) >= _LEAST_INSIDE]
+        self.forces = self._forces(np.zeros((len(stretch), 0)), stretch.applied[:, axis])
+        self.motion = fit_motion(self.forces, windows, self.position, self.metadata.delay, self.period)
 
     @classmethod
     def of(cls, stretch: Stretch, axis: int, anchors: Array | None) -> _Axis | Estimate:
@@ -320,28 +333,15 @@ class _Axis:
         needed = np.unique(np.maximum(windows.rows[windows.there][:, None] - np.arange(ahead + 1), 0))
         windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.there)
         stuck = None if anchors is None else anchors[needed]
-        free = cls(stretch=stretch[needed], axis=axis, anchors=stuck, windows=windows)
-        if free.disturbed:
-            held = replace(free, held=True)
-            return free if held.disturbed else held
-        return free
+        free = cls(stretch[needed], axis, stuck, windows)
+        if not free.disturbed:
+            return free
+        held = cls(stretch[needed], axis, stuck, windows, held=True)
+        return free if held.disturbed else held
 
-    @cached_property
-    def position(self) -> Array:
-        """Positions [m, rad], (N,)."""
-        return np.ascontiguousarray(self.stretch.position[:, self.axis])
-
-    @cached_property
-    def used(self) -> Mask:
-        """True for samples in a window, (N,)."""
-        used = np.zeros(len(self.position), dtype=np.bool_)
-        used[self.windows.rows[self.windows.there]] = True
-        return used
-
-    @property
-    def inertia(self) -> float:
-        """Recorded mass or moment of inertia [kg, kg m²]."""
-        return float(self.stretch.metadata.inertia[self.axis])
+    def _count_inside(self, face: Face) -> int:
+        """Return the number of used samples in a wall."""
+        return int((is_inside(self.position, face) & self.used).sum())
 
     def _forces(self, parts: Array, rest: Array) -> Forces:
         """Return P parts of the command, the rest of the recorded forces, a constant, and forces of a holding hand.
@@ -350,29 +350,21 @@ class _Axis:
             parts: Parts of the command, (N, P).
             rest: The command without them [N, N m], (N,).
         """
-        stretch, metadata, axis = self.stretch, self.stretch.metadata, self.axis
+        stretch, axis = self.stretch, self.axis
         held = np.column_stack([parts, rest])
         pulse = np.column_stack([np.zeros_like(parts), stretch.applied_pulse[:, axis]])
-        width, period = stretch.applied_pulse_width, metadata.period
-        switch, levels = recorded_switches(stretch.time, held, pulse, width, period=period, delay=0.0)
-        before = np.append(np.zeros(parts.shape[1]), metadata.before[axis])
-        duration = np.diff(stretch.time)[:, None]
-        hand = stretch.known_hand[:-1, axis] * metadata.hand_acts_on_flotor
-        prompt = np.column_stack([hand, np.ones(len(duration))])
-        momentum, displacement = duration * prompt, 0.5 * duration**2 * prompt
+        width = stretch.applied_pulse_width
+        switch, levels = recorded_switches(stretch.time, held, pulse, width, period=self.period, delay=0.0)
+        before = np.append(np.zeros(parts.shape[1]), self.metadata.before[axis])
+        hand = stretch.known_hand[:-1, axis] * self.metadata.hand_acts_on_flotor
+        prompt = unit_integrals(np.diff(stretch.time)) * np.column_stack([hand, np.ones(len(hand))])[:, None]
         if self.held:
-            momentum, displacement = map(np.column_stack, zip((momentum, displacement), self._impedance, strict=True))
-        return Forces(
-            time=stretch.time,
-            switch=switch,
-            levels=np.vstack([before, levels]),
-            momentum=momentum,
-            displacement=displacement,
-        )
+            prompt = np.concatenate([prompt, self._impedance], axis=2)
+        return Forces(time=stretch.time, switch=switch, levels=np.vstack([before, levels]), prompt=prompt)
 
     @cached_property
-    def _impedance(self) -> tuple[Array, Array]:
-        """Integral and double integral of a unit spring's and a unit damper's force over each period, (N - 1, 2)."""
+    def _impedance(self) -> Array:
+        """Integral and double integral of a unit spring's and damper's force over each period, (N - 1, 2, 2)."""
         motion = reconstruct(self.stretch)
         first, starts = motion.starts[0], motion.starts - motion.starts[0]
         trace = motion.trace.along(self.axis)
@@ -383,24 +375,10 @@ class _Axis:
         whole = width * (position[:-1] + 0.5 * width * speed[:-1] + bend / 3.0)
         later = width**2 * (position[:-1] / 2.0 + width * speed[:-1] / 3.0 + bend / 4.0)
         remaining = np.repeat(knots[starts[1:]], np.diff(starts)) - knots[:-1]
-        single, double = (np.add.reduceat(part, starts[:-1]) for part in (whole, remaining * whole - later))
+        spring = -np.add.reduceat([whole, remaining * whole - later], starts[:-1], axis=1)
         start, end = self.position[:-1], self.position[1:]
-        damper = np.diff(self.stretch.time) * start - single
-        return np.column_stack([-single, start - end]), np.column_stack([-double, damper])
-
-    @cached_property
-    def forces(self) -> Forces:
-        """All recorded forces, a constant, and those of a holding hand."""
-        return self._forces(np.zeros((len(self.position), 0)), self.stretch.applied[:, self.axis])
-
-    @cached_property
-    def motion(self) -> Fit:
-        """Fit of the motion by all recorded forces.
-
-        It has their common factor, a constant, and their delay.
-        """
-        metadata = self.stretch.metadata
-        return fit_motion(self.forces, self.windows, self.position, metadata.delay, metadata.period)
+        damper = [start - end, np.diff(self.stretch.time) * start + spring[0]]
+        return np.transpose([spring, damper])
 
     @cached_property
     def disturbed(self) -> str:
@@ -413,8 +391,7 @@ class _Axis:
         # coordinates act on a rotation by the product of two of them, which is left out
         if self.axis >= 3 and np.delete(travel, self.axis).max() * travel[3:].max() > self.motion.residual:
             return "the other coordinates act on it"
-        unknown = self.motion.whiteness < SLOW and self.motion.share > _UNEXPLAINED
-        return "forces act that were not recorded" if unknown else ""
+        return "forces act that were not recorded" if self.motion.is_incomplete else ""
 
     @cached_property
     def _why(self) -> str:
@@ -450,18 +427,17 @@ class _Axis:
         """Return the delay of the force."""
         if self._why:
             return Estimate(why=self._why)
-        period = self.stretch.metadata.period
         delay = self.motion.estimate(self.motion.values[-1], {-1: 1.0})
-        if not self.motion.moves(-1, period) or delay.standard_error > _MOST_DELAY * period:
+        if not self.motion.moves(-1, self.period) or delay.standard_error > _MOST_DELAY * self.period:
             return Estimate(why="the force switches too little")
         return delay
 
     def _force_error(self) -> Estimate:
         """Return the constant force beyond the recorded load, with the recorded mass if none is identified."""
-        load, delay = float(self.stretch.metadata.load[self.axis]), self.stretch.metadata.delay
+        load = float(self.metadata.load[self.axis])
         if self._why:
             mass = self.inertia
-            constant = fit_constant(self.forces, self.windows, self.position, delay, mass)
+            constant = fit_constant(self.forces, self.windows, self.position, self.metadata.delay, mass)
             return constant.estimate(mass * constant.values[0] - load, {0: mass})
         factor, acceleration = self.motion.values[:2]
         mass = 1.0 / factor
@@ -477,12 +453,6 @@ class _Axis:
     # -- the law --------------------------------------------------------------------------------------------------
 
     @cached_property
-    def faces(self) -> list[Face]:
-        """Touched walls of the axis."""
-        faces = [face for face in self.stretch.metadata.faces if face[0] == self.axis]
-        return [face for face in faces if (is_inside(self.position, face) & self.used).sum() >= _LEAST_INSIDE]
-
-    @cached_property
     def law(self) -> CommandedLaw:
         """Law as a fit of commands by positions."""
         return fit_law(self.stretch, self.axis, self.faces, self.anchors, self.used)
@@ -493,8 +463,8 @@ class _Axis:
 
         The gain of each part is found from the motion.
         """
-        forces, period = self._forces(self.law.parts, self.law.rest), self.stretch.metadata.period
-        return fit_motion(forces, self.windows, self.position, float(self.motion.values[-1]), period)
+        forces, delay = self._forces(self.law.parts, self.law.rest), float(self.motion.values[-1])
+        return fit_motion(forces, self.windows, self.position, delay, self.period)
 
     def _shown(self, name: Part) -> Estimate:
         """Return a gain as identified from the motion.
@@ -516,7 +486,7 @@ class _Axis:
     def wall(self, face: Face) -> WallEstimates:
         """Return the identified quantities of a wall."""
         if face not in self.faces:
-            count = int((is_inside(self.position, face) & self.used).sum())
+            count = self._count_inside(face)
             unknown = Estimate(why=f"only {count} samples in it" if count else "it was not touched")
             return WallEstimates.of(face, **_every(WallEstimates, unknown))
         spring, damper = ("stiffness", self.faces.index(face)), ("damping", self.faces.index(face))
@@ -538,7 +508,6 @@ class _Axis:
             if not shown.known:
                 return shown
         rendered, names, mass = self.rendered, list(self.law.estimates), self.inertia
-        period = self.stretch.metadata.period
         weights = np.zeros((3, len(rendered.values)))
         for row, gain, everywhere in zip(weights, gains, (("spring", 0), ("damper", 0))):
             row[[index for index, name in enumerate(names) if name in (gain, everywhere)]] = mass
@@ -548,9 +517,9 @@ class _Axis:
         # the boundary at the identified damping and delay, and one standard error to either side of each
         offsets = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]) * errors
         dampings, delays = np.maximum(np.array([damping, delay]) + offsets, 0.0).T
-        if delays.max() > MOST_PERIODS * period:
+        if delays.max() > MOST_PERIODS * self.period:
             return Estimate(why=f"the theory goes up to a delay of {MOST_PERIODS} periods")
-        most = largest_stable_stiffness(dampings, delay=delays, period=period, mass=mass)
+        most = largest_stable_stiffness(dampings, delay=delays, period=self.period, mass=mass)
         if not most.min() > 0.0:
             return Estimate(why="no wall is stable at this damping and delay")
         share = stiffness / most[0]
