@@ -328,8 +328,8 @@ def fit_constant(forces: Forces, windows: Windows, position: Array, delay: float
     Other arguments are those of `fit_motion`.
     """
     columns, _ = forces.displace(windows, delay)
-    known, columns = columns[:, 0] / mass, columns[:, 1:]
-    target = windows.project(position[windows.rows][:, :, None]).ravel() - known
+    displacement, columns = columns[:, 0] / mass, columns[:, 1:]
+    target = windows.project(position[windows.rows][:, :, None]).ravel() - displacement
     solution = solve(columns, target)
     return _assess(windows, position, columns, target, solution)
 
@@ -477,7 +477,7 @@ def estimate_quantum(position: Array) -> Estimate:
     return Estimate(why="positions lie on no lattice")
 
 
-def estimate_noise(motion: Fit, there: Mask, moving: Mask, step: float) -> Estimate:
+def estimate_noise(motion: Fit, windows: Windows, position: Array, step: float) -> Estimate:
     """Return the sensor noise before quantization [m, rad].
 
     It is the standard deviation of white noise.
@@ -486,27 +486,25 @@ def estimate_noise(motion: Fit, there: Mask, moving: Mask, step: float) -> Estim
 
     Args:
         motion: Fit of the motion.
-        there: True for existing samples, (M, W).
-        moving: True for samples with motion by more than a step, (M, W).
+        windows: Windows of the samples.
+        position: Positions at the samples [m, rad], (N,).
         step: Step of the sensor; 0 for none.
     """
-    left = motion.residuals[there]
-    if np.square(left).mean() < _DITHERED * step**2:  # at rest within a step the noise is rarely visible
-        left = motion.residuals[moving & there]
-    if len(left) < _LEAST_MOVING:
-        return Estimate(why=f"only {len(left)} samples move over the sensor's steps")
-    square = np.square(left)
-    mean = float(square.mean())
-    spread = max(float(square.std(ddof=1)), math.sqrt(2.0) * mean) / math.sqrt(len(left))
-    variance = mean - step * step / 12.0
-    # the logarithm of a variance is closer to a normal distribution
-    ends = (
-        mean * math.exp(sign * _NORMAL * spread / mean) - step * step / 12.0 if mean else 0.0 for sign in (-1.0, 1.0)
-    )
-    low, high = (math.sqrt(max(end, 0.0)) for end in ends)
+    squares = np.square(motion.residuals[windows.there])
+    if squares.mean() < _DITHERED * step**2:  # at rest within a step the noise is rarely visible
+        after, before = np.minimum(windows.rows + 1, len(position) - 1), np.maximum(windows.rows - 1, 0)
+        moving = np.abs(position[after] - position[before]) > 2.0 * step
+        squares = np.square(motion.residuals[moving & windows.there])
+    if len(squares) < _LEAST_MOVING:
+        return Estimate(why=f"only {len(squares)} samples move over the sensor's steps")
+    mean, quantization = float(squares.mean()), step * step / 12.0
     if math.sqrt(mean) < _EXACT:
         return Estimate(why="the forces explain the positions to rounding")
+    spread = max(float(squares.std(ddof=1)), math.sqrt(2.0) * mean) / math.sqrt(len(squares))
+    # the logarithm of a variance is closer to a normal distribution
+    ends = (mean * math.exp(sign * _NORMAL * spread / mean) - quantization for sign in (-1.0, 1.0))
+    low, high = (math.sqrt(max(end, 0.0)) for end in ends)
     if low == 0.0:
         return Estimate(why="it hides in the sensor's steps", low=0.0, high=max(high, math.sqrt(spread)))
-    value = math.sqrt(variance)
+    value = math.sqrt(mean - quantization)
     return Estimate(value=value, standard_error=0.5 * spread / value, low=low, high=high, residual=motion.residual)

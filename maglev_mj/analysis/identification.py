@@ -412,7 +412,7 @@ class _Axis:
             inertia=self._inertia(),
             delay=self._delay(),
             force_error=self._force_error(),
-            noise=self._noise(quantum.value if quantum.known else 0.0),
+            noise=estimate_noise(self.motion, self.windows, self.position, quantum.value if quantum.known else 0.0),
             quantum=quantum,
         )
 
@@ -442,13 +442,6 @@ class _Axis:
         factor, acceleration = self.motion.values[:2]
         mass = 1.0 / factor
         return self.motion.estimate(mass * acceleration - load, {0: -acceleration * mass**2, 1: mass})
-
-    def _noise(self, step: float) -> Estimate:
-        """Return the noise of a sensor with steps [m, rad]; 0 for none."""
-        rows = self.windows.rows
-        after, before = np.minimum(rows + 1, len(self.position) - 1), np.maximum(rows - 1, 0)
-        moving = np.abs(self.position[after] - self.position[before]) > 2.0 * step
-        return estimate_noise(self.motion, self.windows.there, moving, step)
 
     # -- the law --------------------------------------------------------------------------------------------------
 
@@ -560,9 +553,9 @@ class _Axis:
             return law.estimates["sliding", 0]
         if not stiffness.value > 0.0:
             return Estimate(why="it does not stick")
-        held = float(force[stuck & self.used].max())
-        broke = float((stiffness.value * np.abs(anchors[last] - self.position[last + 1])).min())
-        middle, width = 0.5 * (held + broke), abs(broke - held)
+        largest = float(force[stuck & self.used].max())
+        least = float((stiffness.value * np.abs(anchors[last] - self.position[last + 1])).min())
+        middle, width = 0.5 * (largest + least), abs(least - largest)
         reach = 0.485 * width + stiffness.standard_error / stiffness.value * middle
         error = width / math.sqrt(12.0)
         return Estimate(
