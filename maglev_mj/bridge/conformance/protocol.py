@@ -177,7 +177,7 @@ def _arm(t: Tester) -> str:
 
 @check("RESET is refused while a measured current is above 0.25 A")
 def _reset_flowing(t: Tester) -> str:
-    t.bring(State.ACTIVE, lambda frame: t.half, answering=False)
+    t.bring(State.ACTIVE, t.half, answering=False)
     t.ask(Operation.TRIP)
     answer = t.ask(Operation.RESET)
     if answer.result != Result.REFUSED and not is_off(t.last.body.currents):
@@ -273,7 +273,7 @@ def _enabled(t: Tester) -> str:
 @check("measured currents are those commanded, and zero after DISARM and TRIP")
 def _currents(t: Tester) -> str:
     for leave in (Operation.DISARM, Operation.TRIP):
-        t.bring(State.ACTIVE, lambda frame: t.half)
+        t.bring(State.ACTIVE, t.half)
         close(t.states(1)[0], t.half)
         t.ask(leave)
         zero(t)
@@ -303,7 +303,7 @@ def _pulse(t: Tester) -> str:
     return f"{shown(t.half)} A for a period"
 
 
-@check("no sample is taken before the last one is answered", name="lockstep", lockstep=True)
+@check("no sample is taken before the last one is answered", lockstep=True)
 def _lockstep(t: Tester) -> str:
     t.answering = False
     number = t.states(1)[0].sequence
@@ -313,7 +313,7 @@ def _lockstep(t: Tester) -> str:
 
 @check("temperatures rise as the measured currents say")
 def _temperatures(t: Tester) -> str:
-    t.bring(State.ACTIVE, lambda frame: t.half)
+    t.bring(State.ACTIVE, t.half)
     one, (first, *rest) = t.welcome, t.states(60)
     share, rises = -math.expm1(-one.period * 1e-9 / one.thermal_time), list(first.body.temperatures)
     for frame in rest:
@@ -348,7 +348,7 @@ def _bad_commands(name: str, fault: Fault, expected: str, values: Callable[[Test
     def run(t: Tester) -> str:
         places = [12] if name == "width" else range(12)
         for place, value in ((place, value) for place in places for value in values(t)):
-            t.bring(State.ACTIVE, lambda frame: t.half)
+            t.bring(State.ACTIVE, t.half)
             numbers = [*t.half, *t.half, 0.0]
             numbers[place] = value
             t.once = [[numbers[:6], numbers[6:12], numbers[12]]]
@@ -485,7 +485,7 @@ def _direction(t: Tester) -> str:
 @check("ESTOP is obeyed in every state, again and again, and answered with currents measured after it: zero")
 def _estop(t: Tester) -> str:
     for state, faults in zip(State, (Fault.ESTOP, Fault.ESTOP, Fault.ESTOP | Fault.HOST)):
-        t.bring(state, lambda frame: t.half)
+        t.bring(state, t.half)
         said = stopped(t, faults=faults)
         t.expect(State.FAULT, faults)
         stopped(t, faults=faults)
@@ -503,10 +503,10 @@ def _estop_without_session(t: Tester) -> str:
 
 @check(f"ESTOP is obeyed from another address, within 0.25 s behind {_JUNK} frames that are none", peers=2)
 def _estop_elsewhere(t: Tester) -> str:
-    t.bring(State.ACTIVE, lambda frame: t.half)
+    t.bring(State.ACTIVE, t.half)
     stopped(t, peer=1)
     t.expect(State.FAULT, Fault.ESTOP)
-    t.bring(State.ACTIVE, lambda frame: t.half)
+    t.bring(State.ACTIVE, t.half)
     for count in range(_JUNK):
         t.links[1].send(_CHANGES["crc"][1](t.encode(wire.Estop(count))))
     begun = t.now()

@@ -244,10 +244,10 @@ class Tester:
         same("operation", answer.operation, operation)
         return answer
 
-    def bring(self, state: State, law: _Law | None = None, *, answering: bool = True) -> None:
+    def bring(self, state: State, currents: Sequence[float] = ZERO, *, answering: bool = True) -> None:
         """Bring the device to a state, seen in a sample.
 
-        In ACTIVE it obeys commands of zero current by default; False for `answering` sends none from then on.
+        In ACTIVE it obeys commands of these currents [A]; False for `answering` sends none from then on.
         """
         self.law, self.answering, self.loss, self.once = _zeros, True, 0.0, []
         try:
@@ -264,7 +264,7 @@ class Tester:
         if state == State.FAULT:
             answer = self.ask(Operation.TRIP, faults=Fault.HOST)
         elif state == State.ACTIVE:
-            self.law = law or _zeros
+            self.law = lambda frame: currents
             answer = self.ask(Operation.ARM)
             self.states(1 + math.ceil(self.welcome.delay / self.welcome.period))
         same("state", answer.state, state)
