@@ -24,7 +24,7 @@ demo: $(DEMO)  ## drop the flotor: a summary here, pictures in figures/
 	  '  $(BIN)/maglev-mj press --out figures        a hand hits the wall' \
 	  '  $(BIN)/maglev-mj stick-slip --out figures   pulled out of friction' \
 	  '  $(BIN)/maglev-mj stability --hand arm       the stiffest wall in a hand' \
-	  '  $(BIN)/maglev-mj drop --record drop.mcap    a recording, for analyse, replay and export' \
+	  '  $(BIN)/maglev-mj drop --record drop.maglev    a recording, for analyse, replay and export' \
 	  '  $(BIN)/maglev-mj drop --help                height, gains, rate, delay'
 
 # tests start programs over and over, which compile the package each time where byte code is not kept
@@ -60,8 +60,8 @@ floors:  ## install the lowest versions that pyproject.toml allows; run the READ
 	$(PYTHON) -m venv $(FLOORS)
 	$(PYTHON) -c '$(LOWEST)' > $(FLOORS)/lowest.txt
 	$(FLOORS)/bin/python -m pip --disable-pip-version-check install --quiet --constraint $(FLOORS)/lowest.txt --editable '.[dev]'
-	$(FLOORS)/bin/maglev-mj drop --out $(FLOORS)/figures --record $(FLOORS)/drop.mcap
-	$(FLOORS)/bin/maglev-mj analyse $(FLOORS)/drop.mcap
+	$(FLOORS)/bin/maglev-mj drop --out $(FLOORS)/figures --record $(FLOORS)/drop.maglev
+	$(FLOORS)/bin/maglev-mj analyse $(FLOORS)/drop.maglev
 	$(FLOORS)/bin/python -m pytest -W ignore::DeprecationWarning -n logical --dist loadgroup $(TRIED)
 
 studies: $(READY)  ## run the sweeps behind the published figures in full: minutes to an hour

@@ -85,7 +85,7 @@ Recordings:
     open_recording           file that a loop of your own records to
     Recording                a recording, read or in memory
     load_samples             its samples as arrays or a data frame
-    export                   writes CSV, `.npz` or Parquet
+    export                   writes MCAP, CSV, `.npz`, Parquet or WAV
     rebuild                  makes controller and plant of a recording again
     verify                   runs a recording again and compares every bit
     analyse                  walls, energy and friction in a recording

@@ -48,7 +48,7 @@ from maglev_mj.plants.model import model_path as model_path
 from maglev_mj.recording import Recording as Recording
 from maglev_mj.recording import load_samples as load_samples
 from maglev_mj.recording import open_recording as open_recording
-from maglev_mj.recording.recording import export as export
+from maglev_mj.recording.export import export as export
 from maglev_mj.recording.verify import verify as verify
 from maglev_mj.scenes.bench import hold as hold
 from maglev_mj.scenes.find import find_scene as find_scene

@@ -185,8 +185,15 @@ def require(packages: Iterable[str], extra: str, why: str) -> None:
     Raises:
         MissingPackageError: If one is not installed.
     """
-    if not all(map(find_spec, packages)):
+    if not all(map(_is_installed, packages)):
         raise MissingPackageError(f"{why}: {install_command(extra)}")
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        return find_spec(name) is not None
+    except ModuleNotFoundError:  # of the package that it is in
+        return False
 
 
 def install_command(extra: str) -> str:

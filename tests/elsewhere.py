@@ -1,7 +1,6 @@
 """Windows' rules on files in use, pretended on Linux."""
 
 import os
-import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -12,11 +11,11 @@ START = "from tests.elsewhere import pretend; pretend(); "
 
 
 def pretend() -> None:
-    """Pretend the rules in this process and in writers that it starts.
+    """Pretend the rules in this process.
 
     A file that any process has open or mapped is neither renamed nor removed.
     """
-    from maglev_mj.recording import ring, writer
+    from maglev_mj.recording import journal
 
     for name in ("fork", "posix_fallocate", "nice", "set_blocking", "pipe2"):
         with suppress(AttributeError):
@@ -24,11 +23,7 @@ def pretend() -> None:
     Path.replace = _unless_in_use(Path.replace)  # type: ignore[method-assign]
     Path.unlink = _unless_in_use(Path.unlink)  # type: ignore[method-assign]
     os.replace = _unless_in_use(os.replace)
-    writer._RENAMES_OPEN = False
-    if not writer._WRITER.startswith(START):
-        writer._WRITER = START + writer._WRITER
-    tempfile.tempdir = os.environ.get("TEMP", tempfile.gettempdir())
-    ring._MEMORY = Path("no such folder")
+    journal._RENAMES_OPEN = False
 
 
 def _unless_in_use(do: Callable[..., Any]) -> Callable[..., Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from copy import deepcopy
 from functools import cache
@@ -13,12 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.frames import ZERO, Command
+from maglev_mj.frames import AXES, ZERO, Command
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import Recording
-from maglev_mj.recording.mcap import STRETCH_NUMBER as NUMBER
-from maglev_mj.recording.mcap import layout_of, packed
-from maglev_mj.recording.sample import FIELDS, TOTALS, as_rows
+from maglev_mj.recording.export import export
+from maglev_mj.recording.journal import (
+    SAMPLE,
+    TEXT,
+    byte_records,
+    checksum_record,
+    header,
+    open_journal,
+    sample_records,
+)
+from maglev_mj.recording.sample import FIELDS, ROW
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.stick_slip import StickSlip
@@ -63,17 +70,16 @@ KINDS: Mapping[str, Callable[[Path], None]] = {
 
 
 @cache
-def made(kind: str, suffix: str) -> bytes:
+def made(kind: str) -> bytes:
     """Return a file of one kind of run."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"run{suffix}"
+        path = Path(folder) / "run.maglev"
         KINDS[kind](path)
         return path.read_bytes()
 
 
-FIELD = {field.name: field for field in (NUMBER, *FIELDS, *TOTALS)}
 OURS = ("/maglev/stretch", "/maglev/sample", "/maglev/event")
 
 
@@ -105,7 +111,7 @@ def plain(message: Any) -> Message:
 
 
 def messages_in(data: bytes, topics: Collection[str] = OURS) -> list[tuple[str, Message]]:
-    """Return topic and content of each message about the run."""
+    """Return topic and content of each message of an MCAP file."""
     from mcap.reader import make_reader
 
     reader, decoders = make_reader(BytesIO(data)), {}
@@ -119,106 +125,68 @@ def messages_in(data: bytes, topics: Collection[str] = OURS) -> list[tuple[str, 
     return found
 
 
-def with_messages(data: bytes, change: Callable[[str, int, bytes], bytes | None]) -> bytes:
-    """Return a file with other messages, numbered and packed anew.
+Part = Message | Any
+"""A message, or a sample: a structured array (1,)."""
 
-    Args:
-        data: A file.
-        change: Returns the bytes of a message of some topic, and of which in that; None to leave it out.
+
+def parts_in(data: bytes) -> list[Part]:
+    """Return the messages and samples of a journal, in order."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "run.maglev")
+        path.write_bytes(data)
+        journal = open_journal(path)
+        found: list[Part] = []
+        for index, kind in enumerate(journal.kinds.tolist()):
+            if kind == TEXT:
+                found.append(journal.message(index))
+            elif kind == SAMPLE:
+                sample = np.empty(1, ROW)
+                for name in ROW.names or ():
+                    sample[name] = journal.records[name][index]
+                found.append(sample)
+        del journal  # its memory is the file's
+    return found
+
+
+def journal_of(parts: Iterable[Part], *, block: int = 1 << 30) -> bytes:
+    """Return a journal of messages and samples, with a checksum after `block` of them.
+
+    Numbers outside JSON are written as Python does.
     """
-    from mcap.reader import make_reader
-    from mcap.writer import Writer
-
-    file, reader = BytesIO(), make_reader(BytesIO(data))
-    writer = Writer(file)
-    writer.start()
-    for about in reader.iter_metadata():
-        writer.add_metadata(about.name, about.metadata)
-    for attached in reader.iter_attachments():
-        writer.add_attachment(
-            attached.create_time, attached.log_time, attached.name, attached.media_type, attached.data
-        )
-    ids: dict[str, int] = {}
-    counts: dict[str, int] = {}
-    places: dict[str, int] = {}
-    for schema, channel, message in reader.iter_messages(log_time_order=False):
-        topic = channel.topic
-        if topic not in ids:
-            made_from = writer.register_schema(schema.name, schema.encoding, schema.data)  # type: ignore[union-attr]
-            ids[topic] = writer.register_channel(topic, channel.message_encoding, made_from)
-        places[topic] = places.get(topic, -1) + 1
-        new = change(topic, places[topic], message.data)
-        if new is not None:
-            counts[topic] = counts.get(topic, 0) + 1
-            writer.add_message(ids[topic], message.log_time, new, message.publish_time, counts[topic])
-    writer.finish()
-    return file.getvalue()
+    records = [
+        byte_records(json.dumps(part).encode()) if isinstance(part, dict) else sample_records(part) for part in parts
+    ]
+    blocks = [b"".join(records[start : start + block]) for start in range(0, len(records), min(block, len(records)))]
+    return header() + b"".join(one + checksum_record(one) for one in blocks)
 
 
 def with_value(data: bytes, row: int, column: str, value: float) -> bytes:
-    """Return a file with another number in one sample."""
-
-    def new(topic: str, place: int, message: bytes) -> bytes:
-        if topic != "/maglev/sample" or place != row:
-            return message
-        found = bytearray(message)
-        for name, first in layout_of(message)._places.items():
-            for axis, (unit, _) in enumerate(FIELD[name].units):
-                if unit == column:
-                    struct.pack_into("<d" if FIELD[name].unit else "<Q", found, first + 9 * axis, value)
-        return bytes(found)
-
-    return with_messages(data, new)
+    """Return a journal with another number in one sample."""
+    parts = parts_in(data)
+    samples = [index for index, part in enumerate(parts) if not isinstance(part, dict)]
+    sample = parts[samples[row]] = parts[samples[row]].copy()
+    name, _, axis = column.partition(".")
+    if axis:
+        sample[name][0, AXES.index(axis)] = value
+    else:
+        sample[name] = value
+    return journal_of(parts)
 
 
-def mcap_of(messages: list[tuple[str, Message]], *, compressed: bool = True, chunk_size: int = 1 << 20) -> bytes:
-    """Return a complete file of messages about a run.
-
-    Its chunks have at least `chunk_size` bytes. Numbers outside JSON are written as Python does.
-    """
-    from mcap.writer import CompressionType, Writer
-
-    file = BytesIO()
-    compression = CompressionType.ZSTD if compressed else CompressionType.NONE
-    writer = Writer(file, chunk_size, compression=compression)
-    writer.start()
-    writer.add_metadata("maglev_mj", {"format": "2"})
-    schema = writer.register_schema(name="any", encoding="jsonschema", data=b"{}")
-    topics = dict.fromkeys(topic for topic, _ in messages)
-    channels = {topic: writer.register_channel(topic, "json", schema) for topic in topics}
-    counts = dict.fromkeys(topics, 0)
-    for number, (topic, message) in enumerate(messages):
-        counts[topic] += 1
-        data = packed_sample(message) if topic == "/maglev/sample" else json.dumps(message).encode()
-        writer.add_message(channels[topic], log_time=number, publish_time=number, data=data, sequence=counts[topic])
-    writer.finish()
-    return file.getvalue()
+COLUMNS = [name for field in FIELDS for name, _ in field.units]
+"""Columns of a sample."""
 
 
-def packed_sample(message: Message) -> bytes:
-    """Return a sample, given by names and values, as a protobuf message; None stands for NaN."""
-    values = []
-    for fields in (FIELDS, TOTALS):
-        parts = [message.get(field.name) for field in fields]
-        flat = [one for part in parts for one in (part.values() if isinstance(part, dict) else [part])]
-        values.append([np.nan if one is None else one for one in flat])
-    return packed(message["stretch"], as_rows(values[0]), np.array([values[1]]))[0]
+def exported(data: bytes, kind: str) -> bytes:
+    """Return an export of a journal."""
+    import tempfile
 
-
-def arrays_in(data: bytes) -> tuple[Message, dict[str, Any]]:
-    """Return header and arrays of a file, without attachments."""
-    with np.load(BytesIO(data)) as file:
-        header = json.loads(str(file["header"]))
-        names = [name for name in file.files if name != "header" and not name.startswith("attachment/")]
-        return {**header, "attachments": []}, {name: file[name].copy() for name in names}
-
-
-def npz_of(header: Message, arrays: Mapping[str, Any], *, compressed: bool = False) -> bytes:
-    """Return a file of arrays."""
-    file = BytesIO()
-    save = np.savez_compressed if compressed else np.savez
-    save(file, header=np.array(json.dumps(header)), **arrays)
-    return file.getvalue()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, f"run.{kind}")
+        export(load(data, Path(folder)), kind, path)
+        return path.read_bytes()
 
 
 def command_row(command: Command) -> list[float]:
@@ -255,8 +223,8 @@ def changed(value: Any, place: Place, new: Any) -> Any:
     return copy
 
 
-def load(data: bytes, folder: Path, suffix: str) -> Recording:
-    """Return the recording in a file of these bytes."""
-    path = folder / f"changed{suffix}"
+def load(data: bytes, folder: Path) -> Recording:
+    """Return the recording in a journal of these bytes."""
+    path = folder / "changed.maglev"
     path.write_bytes(data)
     return Recording.load(path)

@@ -27,7 +27,7 @@ from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.plants import Timing
 from maglev_mj.plants.hand import SpringHand, Trajectory
 from maglev_mj.plants.trace import PassivityObserver
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, Stretch, open_recording
+from maglev_mj.recording import MemoryFile, Recording, RecordingError, Stretch, open_recording
 from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import perceived_hardness, summarise_bounce
@@ -71,7 +71,7 @@ def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parame
 
     twin = Twin(TwinParameters(truth=truth, **parameters), hand_force=holder, draw=lambda: 7)  # type: ignore[arg-type]
     with RemotePlant(VirtualLink(twin, Impairment(loss=loss))) as plant:
-        file = ArrayFile()
+        file = MemoryFile()
         Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(2.0)
     (stretch,) = file.recording.stretches
     return stretch
@@ -212,7 +212,7 @@ def with_losses(hand: tuple[float, ...], law: Law, start: float) -> Stretch:
     plant = ExactPlant(
         Timing(), pose=(0.0, 0.0, start, 0.0, 0.0, 0.0), gravity=0.0, hand_force=lambda tick, time, state: hand
     )
-    controller, file = Controller([law], period=Timing().period), ArrayFile()
+    controller, file = Controller([law], period=Timing().period), MemoryFile()
     record = file.begin(plant, controller)
     for tick in range(60):
         sample = plant.read()
@@ -415,7 +415,7 @@ def test_what_cannot_be_analysed_is_refused() -> None:
 @pytest.mark.usefixtures("no_pixels")
 @pytest.mark.parametrize("kind", ["drop", "press", "stick-slip"])
 def test_an_experiment_is_analysed_from_the_command_line(kind: str, tmp_path: Path, capsys: Any) -> None:
-    path, folder = tmp_path / "run.npz", tmp_path / "pictures"
+    path, folder = tmp_path / "run.maglev", tmp_path / "pictures"
     assert main([kind, "--plant", "exact", "--record", str(path)]) == 0
     capsys.readouterr()
     assert main(["analyse", str(path), "--json", str(tmp_path / "run.json"), "--out", str(folder)]) == 0
@@ -454,7 +454,7 @@ def test_a_session_is_analysed_stretch_by_stretch(session: Path, tmp_path: Path,
 
 @pytest.mark.usefixtures("no_pixels")
 def test_a_flight_is_analysed_beside_a_simulated_device(tmp_path: Path, capsys: Any) -> None:
-    path = tmp_path / "flight.npz"
+    path = tmp_path / "flight.maglev"
     Recording([flown(hand=True, loss=0.05, quantum=0.0, noise=0.0)]).save(path)
     assert main(["analyse", str(path), "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
@@ -483,15 +483,15 @@ def test_a_wrong_option_is_one_line_and_status_2(
     options: list[str], words: str, tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    record_run(Drop(), plant="exact", phase=0.3).save("run.npz")
+    record_run(Drop(), plant="exact", phase=0.3).save("run.maglev")
     try:
-        status = main(["analyse", "run.npz", *options])
+        status = main(["analyse", "run.maglev", *options])
     except SystemExit as stop:  # argparse's own complaints
         status = int(str(stop.code))
     said = capsys.readouterr().err
     assert status == 2
     assert len(said.splitlines()) == 1 and words in said
-    assert [path.name for path in tmp_path.iterdir()] == ["run.npz"]
+    assert [path.name for path in tmp_path.iterdir()] == ["run.maglev"]
 
 
 def test_a_part_of_several_stretches_is_not_clear(session: Path, capsys: Any) -> None:
@@ -500,7 +500,7 @@ def test_a_part_of_several_stretches_is_not_clear(session: Path, capsys: Any) ->
 
 
 def test_a_file_with_nothing_in_it_is_one_line_and_status_2(tmp_path: Path, capsys: Any) -> None:
-    for name, recording in (("none.npz", Recording([])), ("one.npz", None)):
+    for name, recording in (("none.maglev", Recording([])), ("one.maglev", None)):
         if recording is None:
             stretch = recorded(Drop())
             recording = Recording([stretch[:1]])
@@ -508,13 +508,13 @@ def test_a_file_with_nothing_in_it_is_one_line_and_status_2(tmp_path: Path, caps
         assert main(["analyse", str(tmp_path / name)]) == 2
         said = capsys.readouterr().err
         assert len(said.splitlines()) == 1 and "there is nothing in" in said
-    assert main(["analyse", str(tmp_path / "missing.npz")]) == 2
+    assert main(["analyse", str(tmp_path / "missing.maglev")]) == 2
 
 
 def test_a_flight_is_recorded_with_the_mass_of_its_calibration() -> None:
     weighed = replace(Calibration.nominal(), mass=0.75, inertia=np.array([1e-3, 2e-3, 3e-3]))
     twin = Twin(TwinParameters(calibration=weighed), draw=lambda: 7)
-    file = ArrayFile()
+    file = MemoryFile()
     with RemotePlant(VirtualLink(twin), calibration=weighed) as plant:
         Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(0.5)
     metadata = file.recording.stretches[0].metadata
@@ -523,9 +523,8 @@ def test_a_flight_is_recorded_with_the_mass_of_its_calibration() -> None:
 
 
 @pytest.mark.usefixtures("no_pixels")
-@pytest.mark.parametrize("suffix", [".mcap", ".npz"])
-def test_the_hand_on_a_device_is_an_estimate_and_taken_for_none(suffix: str, tmp_path: Path, capsys: Any) -> None:
-    path, file = tmp_path / f"flight{suffix}", open_recording(tmp_path / f"flight{suffix}", wait=True)
+def test_the_hand_on_a_device_is_an_estimate_and_taken_for_none(tmp_path: Path, capsys: Any) -> None:
+    path, file = tmp_path / "flight.maglev", open_recording(tmp_path / "flight.maglev", wait=True)
     with RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7))) as plant:
         Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(0.5)
     file.close()

@@ -27,7 +27,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.frames import Array, Mask
 from maglev_mj.plants.sensor import Sensor
-from maglev_mj.recording import ArrayFile, Stretch
+from maglev_mj.recording import MemoryFile, Stretch
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.rooms import Joystick
@@ -169,7 +169,7 @@ def test_the_lag_of_drivers_counts_as_delay() -> None:
         sensor=Sensor(noise=1e-6),
     )
     controller = Controller([Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)], period=plant.period)
-    file = ArrayFile()
+    file = MemoryFile()
     with plant:
         ControlLoop(plant, controller, record=file.begin(plant, controller)).cycle(80)
     (stretch,) = file.recording.stretches
@@ -190,7 +190,7 @@ def test_friction_is_found(law: str) -> None:
 def flight(mass: float) -> Stretch:
     """Return a hovering joystick's recording with an assumed 0.7 kg."""
     twin = Twin(TwinParameters(truth=replace(Calibration.nominal(), mass=mass)), draw=lambda: 7)
-    file = ArrayFile()
+    file = MemoryFile()
     with RemotePlant(VirtualLink(twin)) as plant:
         Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(2.0)
     (stretch,) = file.recording.stretches
@@ -299,7 +299,7 @@ def test_a_rotation_is_told_where_nothing_else_acts_on_it() -> None:
 
 
 def test_the_table_and_the_json_say_every_estimate(tmp_path: Path, capsys: Any) -> None:
-    path = tmp_path / "run.npz"
+    path = tmp_path / "run.maglev"
     assert main(["drop", "--plant", "exact", "--quantize", "5e-6", "--record", str(path)]) == 0
     capsys.readouterr()
     assert main(["analyse", str(path), "--json", str(tmp_path / "run.json")]) == 0

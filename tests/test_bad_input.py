@@ -26,7 +26,7 @@ REFUSED = {
     "view pub": "scene must be one of joystick",
     "view box --seconds 0": "seconds must be a finite number above 0",
     "view box --hand-stiffness -5": "hand stiffness must be",
-    "drop --record nowhere/a.npz": "record must be a file in a folder that is there",
+    "drop --record nowhere/a.maglev": "record must be a file in a folder that is there",
     "fidelity moon": "scene must be one of joystick, drop, press, ",
     "fidelity drop --tolerance 0": "tolerance must be a finite number above 0, not 0",
     "fidelity drop --boundary-tolerance 0": "boundary must be a finite number above 0, not 0",
@@ -125,7 +125,7 @@ REFUSED = {
     "press --json no/such.json": "json must be a file in a folder that is there, not 'no/such.json'",
     "stick-slip --out pictures --format bmp": "--format must be one of png, pdf, svg, not 'bmp'",
     "stick-slip --format pdf": "format must be given with out, the folder of pictures, not 'pdf' alone",
-    f"{NEAR} --record a.foo": "record must be a file that ends in .mcap or .npz, not 'a.foo'",
+    f"{NEAR} --record a.foo": "record must be a file that ends in .maglev, not 'a.foo'",
     # servers and pages
     "twin --plant euler": "plant must be one of exact, mujoco, not 'euler'",
     "view --allow-origin http://a/b": "argument --allow-origin: origin must be as http://192.168.0.5:8080, without a",

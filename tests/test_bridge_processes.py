@@ -55,8 +55,8 @@ server.run(60.0)
 
 @contextmanager
 def flown(address: str, folder: Path, *options: str) -> Iterator[Program]:
-    """Fly a device; yield once it is in the air, with samples in `run.mcap`."""
-    record = folder / "run.mcap"
+    """Fly a device; yield once it is in the air, with samples in `run.maglev`."""
+    record = folder / "run.maglev"
     with started("bridge", address, "--anyway", "--record", str(record), "--out", str(folder), *options) as host:
 
         def in_flight() -> bool:
@@ -150,14 +150,14 @@ def assert_runs_again(path: Path) -> None:
     (stretch,) = Recording.load(path).stretches
     row = len(stretch) // 2
     stretch.command[row, 2] = np.nextafter(stretch.command[row, 2], 1e3)
-    other = path.with_name("other.npz")
+    other = path.with_name("other.maglev")
     Recording([stretch]).save(other)
     status, said = said_by("replay", str(other), "--check")
     assert status == 1 and "tick" in said
 
 
 def test_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(device: Twin, tmp_path: Path) -> None:
-    record = tmp_path / "run.npz"
+    record = tmp_path / "run.maglev"
     status, said = said_by("bridge", FAR, "--seconds", "1", "--friction", "--record", str(record))
     assert status == 0 and "200 samples, 0 lost, 0 skipped" in said and "at rest" in said, said
     assert (device.firmware.state, device.firmware.faults) == (State.INACTIVE, Fault(0))
@@ -166,7 +166,7 @@ def test_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(device:
 
 @pytest.mark.machine
 def test_in_real_time_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(tmp_path: Path) -> None:
-    record = tmp_path / "run.npz"
+    record = tmp_path / "run.maglev"
     with twin("--watchdog", "1") as (device, address):
         status, said = said_by("bridge", address, "--anyway", "--seconds", "1", "--friction", "--record", str(record))
         assert status == 0, said
@@ -210,7 +210,7 @@ def test_a_device_that_is_gone_is_a_fault_of_the_host_and_the_recording_is_kept(
         device.child.kill()
         status, said = ended(host, None)
         assert status == 1 and "HOST: no sample from the device within 1 s" in said
-        assert Recording.load(tmp_path / "run.mcap").ticks > 0
+        assert Recording.load(tmp_path / "run.maglev").ticks > 0
 
 
 @pytest.mark.machine
@@ -221,7 +221,7 @@ def test_a_second_host_is_turned_away_and_the_first_flies_on_until_ctrl_c(tmp_pa
         assert status == 1 and "another host has the device" in said
         status, said = ended(host, signal.SIGINT)
         assert status == 0, said
-        assert Recording.load(tmp_path / "run.mcap").ticks > 0
+        assert Recording.load(tmp_path / "run.maglev").ticks > 0
         assert "inactive, faults: none" in ended(device)[1]
 
 

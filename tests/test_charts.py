@@ -199,7 +199,7 @@ def test_the_gains_in_use_are_marked_where_the_map_has_them() -> None:
 
 @pytest.mark.parametrize("scene", ["drop", "press", "stick-slip", "run let-go"])
 def test_a_chart_of_a_recording_can_be_read(scene: str, tmp_path: Path, figures: list[Any]) -> None:
-    path = tmp_path / "run.npz"
+    path = tmp_path / "run.maglev"
     assert main([*scene.split(), "--plant", "exact", "--record", str(path)]) == 0
     assert main(["analyse", str(path), "--out", str(tmp_path)]) == 0
     free = scene == "run let-go"  # no wall, and no force

@@ -80,7 +80,7 @@ def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
 
     In one process, each with a pipe of its own. Long commands and those with a window run with --help.
     """
-    write_run(tmp_path / "run.npz", Drop(), plant="exact")
+    write_run(tmp_path / "run.maglev", Drop(), plant="exact")
     lines = [
         "drop --json -",
         "press --plant exact",
@@ -91,10 +91,10 @@ def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
         "stability --grid 4 --plant exact --json -",
         "sweep drop --vary phase=0:0.5:2 --set plant=exact --workers 0",
         "sweep drop --vary phase=0:0.5:2 --set plant=exact --workers 0 --json -",
-        "analyse run.npz",
-        "analyse run.npz --json -",
-        "replay run.npz --check",
-        "export run.npz --to csv",
+        "analyse run.maglev",
+        "analyse run.maglev --json -",
+        "replay run.maglev --check",
+        "export run.maglev --to csv",
         "info",
         "info --json -",
         "twin --seconds 0.1",

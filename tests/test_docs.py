@@ -166,7 +166,7 @@ def test_the_python_of_a_page_runs(page: str, thinned: bool) -> None:
         assert lines[0].startswith("height in mm:") and "force in N:" in lines[0]
     elif page == "docs/reference/recording.md":
         assert -2.6e-3 < float(lines[-1]) < -2.2e-3
-        assert "mine.mcap" in files
+        assert "mine.maglev" in files
     elif page == "docs/howto/device.md":
         assert lines[0] == "1.0 kg"
         for one, other in (lines[1:3], lines[3:5]):  # both plants
@@ -275,7 +275,7 @@ def test_the_emergency_stop_says_what_the_drill_waits_for() -> None:
     ]
 
 
-PRESS = "press --plant exact --hits 1 --quantize 5e-6 --record run.npz", "analyse run.npz"
+PRESS = "press --plant exact --hits 1 --quantize 5e-6 --record run.maglev", "analyse run.maglev"
 """A press over a sensor of 5 µm, as two pages say in words."""
 
 BEFORE = {("docs/howto/record.md", 0): PRESS, ("docs/explanation/analysis.md", 1): PRESS}

@@ -206,7 +206,7 @@ def test_the_command_says_in_one_line_what_happened_and_how_to_go_on(
     monkeypatch.setattr(bridge, "preflight", unchecked)  # the law fails there too
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(SCENE.format(left=50))
-    record = tmp_path / "run.npz"
+    record = tmp_path / "run.maglev"
     asked = ["bridge", "udp://127.0.0.1:1", "--key", "a key"]
     Path("a key").write_text("a7" * 16)
     Path("a key").chmod(0o600)

@@ -101,16 +101,16 @@ def test_that_a_name_is_as_good_as_the_thing(case: str) -> None:
 
 
 def test_that_a_file_may_be_a_text(tmp_path: Path) -> None:
-    path = str(tmp_path / "run.npz")
+    path = str(tmp_path / "run.maglev")
     assert m.write_run(path, DROP, plant="exact") == [Path(path)]
     recording = m.Recording.load(path)
     table = str(tmp_path / "run.csv")
     m.export(recording, "csv", table)
     assert len(Path(table).read_text().splitlines()) == recording.ticks + 1
-    file = m.open_recording(str(tmp_path / "own.npz"))
+    file = m.open_recording(str(tmp_path / "own.maglev"))
     with m.ExactPlant() as plant:
         m.drive(plant, controller(), 5, record=file.begin(plant, controller()))
-    assert file.close() == tmp_path / "own.npz"
+    assert file.close() == tmp_path / "own.maglev"
 
 
 def test_that_a_session_takes_a_name() -> None:
@@ -153,7 +153,7 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "number of an axis": (lambda: m.Wall(axes=2, lower=0.0, stiffness=1.0, damping=1.0), "axis must be .* not 2"),
     "class of a plant": (lambda: m.drive(m.ExactPlant, controller(), 5), r"plant must have read\(\), .*ExactPlant"),
     "file as record": (
-        lambda: m.drive(m.ExactPlant(), controller(), 5, record="x.npz"),
+        lambda: m.drive(m.ExactPlant(), controller(), 5, record="x.maglev"),
         r"record must be a function, as open_recording",
     ),
     "time of a session": (lambda: m.Session("box").tick("1"), "elapsed must be a finite number, not '1'"),
@@ -162,15 +162,15 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "session, nothing like it": (lambda: m.Session(0), "scene must be a Scene, .* not 0"),
     "a scene to be found": (lambda: m.find_scene(DROP), "scene must be a name, .* not Drop"),
     "requirements": (lambda: m.design_wall("pd"), "requirements must be WallRequirements.* not 'pd'"),
-    "a file to analyse": (lambda: m.analyse("f.mcap"), "stretch must be a Stretch, .* not 'f.mcap'"),
-    "a file to identify": (lambda: m.identify("f.mcap"), "stretch must be a Stretch, .* not 'f.mcap'"),
-    "a file to verify": (lambda: m.verify("f.mcap", m.rebuild), "recording must be .*load.* not 'f.mcap'"),
-    "a file to export": (lambda: m.export("f.mcap", "csv", "f.csv"), "recording must be .*load.* not 'f.mcap'"),
-    "a file as recording": (lambda: m.Recording("f.mcap"), "stretches must be a list .*load.* not 'f.mcap'"),
-    "a file that is not there": (lambda: m.Recording.load("f.mcap"), "recording 'f.mcap' cannot be read: No such"),
+    "a file to analyse": (lambda: m.analyse("f.maglev"), "stretch must be a Stretch, .* not 'f.maglev'"),
+    "a file to identify": (lambda: m.identify("f.maglev"), "stretch must be a Stretch, .* not 'f.maglev'"),
+    "a file to verify": (lambda: m.verify("f.maglev", m.rebuild), "recording must be .*load.* not 'f.maglev'"),
+    "a file to export": (lambda: m.export("f.maglev", "csv", "f.csv"), "recording must be .*load.* not 'f.maglev'"),
+    "a file as recording": (lambda: m.Recording("f.maglev"), "stretches must be a list .*load.* not 'f.maglev'"),
+    "a file that is not there": (lambda: m.Recording.load("f.maglev"), "recording 'f.maglev' cannot be read: No such"),
     "a number as file": (lambda: m.Recording.load(3), "path must be the path of a file, not 3"),
-    "scene before file": (lambda: m.write_run(DROP, "x.npz"), "path must be the path of a file, not Drop"),
-    "another kind of file": (lambda: m.write_run("x.foo", DROP), r"record must be .*\.mcap or \.npz, not 'x\.foo'"),
+    "scene before file": (lambda: m.write_run(DROP, "x.maglev"), "path must be the path of a file, not Drop"),
+    "another kind of file": (lambda: m.write_run("x.foo", DROP), r"record must be .*\.maglev, not 'x\.foo'"),
     "a setup": (lambda: m.rebuild("drop", None), "setup must be an object, not 'drop'"),
     "controller first": (lambda: m.drive(controller(), m.ExactPlant(), 5), r"plant must have read\(\), .*Controller"),
     "scene to be driven": (lambda: m.drive(m.ExactPlant(), DROP, 5), r"controller must have step\(\), .*Drop"),

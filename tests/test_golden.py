@@ -41,7 +41,7 @@ def test_a_command_says_what_it_said(name: str) -> None:
 
 def test_an_earlier_command_that_fails_is_shown_with_its_errors() -> None:
     with pytest.raises(AssertionError, match=r"maglev-mj drop --rate 0: exit status 2\n.*argument --rate"):
-        outcome("drop --rate 0 && replay run.mcap")
+        outcome("drop --rate 0 && replay run.maglev")
 
 
 @pytest.mark.parametrize("name", PRESSED)
@@ -112,6 +112,6 @@ def test_one_change_is_seen(where: str, new: Any, near: bool) -> None:
     ],
 )
 def test_an_identified_value_that_changes_is_seen(name: str, new: Any, near: bool) -> None:
-    old = kept_once("analyse")["analyse/kept drop-exact.mcap"]
+    old = kept_once("analyse")["analyse/kept drop-exact.maglev"]
     found = changed(old, f"files.out_json.stretches.0.identified.walls.0.stiffness.{name}", new)
     assert bool(differences("analyse", old, found)) != near

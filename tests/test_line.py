@@ -271,7 +271,7 @@ def test_check_says_what_the_line_bears_and_ends(
     assert all(f"{hand} " in said for hand in HANDS)
 
 
-@pytest.mark.parametrize("other", ["--seconds=1", "--record=x.npz", "--reset", "--identify=a.json"])
+@pytest.mark.parametrize("other", ["--seconds=1", "--record=x.maglev", "--reset", "--identify=a.json"])
 def test_check_does_that_alone(other: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bridge", "udp://127.0.0.1:1", "--check", other]) == 2
     assert "check" in capsys.readouterr().err

@@ -131,9 +131,9 @@ NEEDED = {
     "commission": "udp://127.0.0.1:9 spots",
     "conform": "udp://127.0.0.1:9",
     "fault": "a.json",
-    "replay": "a.mcap",
-    "analyse": "a.mcap",
-    "export": "a.mcap --to csv",
+    "replay": "a.maglev",
+    "analyse": "a.maglev",
+    "export": "a.maglev --to csv",
 }
 TIMED = set("view render drop press stick-slip run stability design card compare fidelity twin".split())
 

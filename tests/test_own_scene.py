@@ -129,8 +129,8 @@ def assert_checked_with_the_scene_alone(say: Say, name: str) -> None:
 
 
 def test_a_run_is_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
-    assert say(*"run detents.py --plant exact --duration 0.1 --record run.npz".split())[0] == 0
-    assert_checked_with_the_scene_alone(say, "run.npz")
+    assert say(*"run detents.py --plant exact --duration 0.1 --record run.maglev".split())[0] == 0
+    assert_checked_with_the_scene_alone(say, "run.maglev")
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def twin_link() -> VirtualLink:
 
 
 def fly(say: Say, address: str) -> None:
-    flight = ["bridge", address, "--scene", "detents.py", "--seconds", "0.3", "--record", "fly.npz"]
+    flight = ["bridge", address, "--scene", "detents.py", "--seconds", "0.3", "--record", "fly.maglev"]
     status, said, wrong = say(*flight, "--stiffness", "3000", "--anyway")
     assert status == 0, wrong
     assert "detents at 200 Hz" in said
@@ -155,18 +155,18 @@ def fly(say: Say, address: str) -> None:
 @pytest.mark.study
 def test_a_flight_is_recorded_checked_and_analysed(served: str, folder: Path, say: Say) -> None:
     fly(say, served)
-    assert_checked_with_the_scene_alone(say, "fly.npz")
+    assert_checked_with_the_scene_alone(say, "fly.maglev")
 
 
 def test_it_is_flown_on_a_twin_recorded_and_checked(served: str, folder: Path, say: Say) -> None:
     fly(say, served)
-    recording = Recording.load(folder / "fly.npz")
+    recording = Recording.load(folder / "fly.maglev")
     (stretch,) = recording.stretches
     source = f"source/{hash_of((folder / 'detents.py').read_text())}/detents.py"
     assert {"calibration.json", "model/maglev.xml", source} <= recording.attachments.keys()
     assert json.loads(recording.attachments["calibration.json"]) == Calibration.nominal().as_json()
     assert stretch.setup["kind"] == "device" and stretch.setup["parameters"]["stiffness"] == 3000.0
-    status, said, wrong = say("replay", "fly.npz", "--check", "--scene", "detents.py")
+    status, said, wrong = say("replay", "fly.maglev", "--check", "--scene", "detents.py")
     assert (status, wrong) == (0, "") and "the same: " in said
 
 

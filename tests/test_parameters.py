@@ -31,7 +31,7 @@ NEEDED: dict[str, Any] = {
     "kind": "scene",
     "name": "drop",
     "parser": Parser(),
-    "path": Path("run.npz"),
+    "path": Path("run.maglev"),
     "period": 0.005,
     "pose": np.zeros((2, 6)),
     "pushed": True,

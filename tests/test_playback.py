@@ -28,7 +28,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
     Ticks are missed in the second.
     """
-    path = tmp_path_factory.mktemp("playback") / "run.mcap"
+    path = tmp_path_factory.mktemp("playback") / "run.maglev"
     hand = SpringHand(target=[6e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
     session = Session(hand=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))
     session.tick(3.0)

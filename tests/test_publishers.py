@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Box, Joystick
 from maglev_mj.session import ChangeRequest, Publishers, Snapshot
-from tests.recorded import decoder
+from tests.recorded import decoder, exported
 
 
 def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
@@ -109,12 +110,12 @@ def test_a_flight_is_recorded_through_changes_as_one_run(
     # Settings from outside: what is missed and when counts on from change to change, for a device does.
     monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
     wishes = [Joystick(friction=True), Joystick(stiffness=4000.0)]
-    asks, file = Asks(*wishes), open_recording(tmp_path / "run.mcap")
+    asks, file = Asks(*wishes), open_recording(tmp_path / "run.maglev")
     flown, plant = flight(publishers=[asks], file=file)
     with plant:
         flown.run(0.5)
     file.close()
-    recording = Recording.load(tmp_path / "run.mcap")
+    recording = Recording.load(tmp_path / "run.maglev")
     assert [stretch.setup["parameters"]["friction"] for stretch in recording.stretches] == [False, True, False]
     ticks = np.concatenate([stretch.tick for stretch in recording.stretches])
     assert (np.diff(ticks) >= 1).all() and ticks[0] > 100  # it counts from takeoff on
@@ -124,21 +125,22 @@ def test_a_flight_is_recorded_through_changes_as_one_run(
     assert asks.answers == begun[1:]
     since = [next(one.since for one in asks.snapshots if one.scene == stretch) for stretch in (Joystick(), *wishes)]
     assert since == begun and 1 <= since[1] - asks.snapshots[2].tick <= 3
-    with (tmp_path / "run.mcap").open("rb") as opened:
-        read = [
-            (message.log_time, decoder(schema)(message.data))
-            for schema, _, message in make_reader(opened).iter_messages(topics=["/maglev/sample"])
-            if schema is not None
-        ]
+    read = [
+        (message.log_time, decoder(schema)(message.data))
+        for schema, _, message in make_reader(
+            BytesIO(exported((tmp_path / "run.maglev").read_bytes(), "mcap"))
+        ).iter_messages(topics=["/maglev/sample"])
+        if schema is not None
+    ]
     firsts = [next(said for _, said in read if said["stretch"] == place) for place in range(3)]
     assert [said["missed"] for said in firsts] == [0, 0, 0]
     for place in range(3):
         logged = [(when, said["tick"]) for when, said in read if said["stretch"] == place]
         for when, tick in logged:
             assert (when - logged[0][0]) * 1e-9 == pytest.approx((tick - logged[0][1]) * plant.period, abs=1e-6)
-    assert cli.main(["replay", str(tmp_path / "run.mcap"), "--check"]) == 0
+    assert cli.main(["replay", str(tmp_path / "run.maglev"), "--check"]) == 0
     assert f"{recording.ticks} of {recording.ticks} the same: command," in capsys.readouterr().out
-    assert cli.main(["analyse", str(tmp_path / "run.mcap")]) == 0
+    assert cli.main(["analyse", str(tmp_path / "run.maglev")]) == 0
 
 
 def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -223,12 +225,17 @@ def test_the_delay_that_is_told_is_the_usual_one(monkeypatch: pytest.MonkeyPatch
     assert plant.delay + 1e-4 < np.median(last) < max(last) - 1e-4
 
 
-def test_a_flight_whose_recording_ends_says_so_and_goes_on(tmp_path: Path) -> None:
+def full(_: bytes) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_a_flight_whose_recording_ends_says_so_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    file: Any = open_recording(tmp_path / "run.mcap")
+    file: Any = open_recording(tmp_path / "run.maglev")
     flown, plant = flight(file=file, warn=said.append)
-    file._process.kill()
-    file._process.wait()
+    monkeypatch.setattr(file._journal, "_write", full)
+    file.event("timing", "for a test")
+    file._journal._thread.join()
     with plant:
         assert flown.run(0.5).ticks == 100
     assert len(said) == 1 and "is not written any more" in said[0]

@@ -243,7 +243,7 @@ def test_a_device_in_lockstep_has_no_age_of_samples() -> None:
 def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
     # On a line of 4 ms each way at 200 Hz no answer is there before the next sample.
     twin = Twin(TwinParameters(), draw=lambda: 7)
-    file = open_recording(tmp_path / "run.npz")
+    file = open_recording(tmp_path / "run.maglev")
     with RemotePlant(VirtualLink(twin, Impairment(delay=0.004, jitter=0.0005))) as plant:
         scene = Table(period=plant.period, delay=plant.delay, friction=False)
         flown = Flight(plant, scene, file=file)
@@ -254,7 +254,7 @@ def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
     assert report.landing.at_rest and "at rest" in str(report)
     assert timing.delay.count > 90 and timing.delay.p50 == pytest.approx(0.008 + plant.delay, abs=3e-4)
     assert timing.age.max < 1.1e-3 < timing.delay.p50
-    told = [event for event in Recording.load(tmp_path / "run.npz").events if event.startswith("timing: ")]
+    told = [event for event in Recording.load(tmp_path / "run.maglev").events if event.startswith("timing: ")]
     assert any("delay at the device: 9." in event for event in told) and any("samples lost" in event for event in told)
     table = str(timing.table())
     assert all(name in table for name in timing.kinds)

@@ -14,7 +14,7 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.errors import DivergenceError
-from maglev_mj.recording import ArrayFile, Recording, RecordingError, best_suffix
+from maglev_mj.recording import MemoryFile, Recording, RecordingError
 from maglev_mj.recording.sample import compiled
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
@@ -26,7 +26,7 @@ from maglev_mj.views.window.offscreen import slow_motion, write_clip, write_pict
 
 
 def test_a_run_that_diverges_is_recorded_up_to_there(tmp_path: Path) -> None:
-    path = tmp_path / "run.npz"
+    path = tmp_path / "run.maglev"
     assert main(["drop", "--plant", "exact", "--stiffness", "4e4", "--delay", "0.005", "--record", str(path)]) == 1
     recording = Recording.load(path)
     assert recording.ticks > 5
@@ -34,7 +34,7 @@ def test_a_run_that_diverges_is_recorded_up_to_there(tmp_path: Path) -> None:
 
 
 def test_a_fault_of_another_run_is_no_event_of_a_recording() -> None:
-    file = ArrayFile()
+    file = MemoryFile()
     runs = {"recorded": Drop(duration=0.1), "diverges": Drop(stiffness=4e4, delay=0.005)}
     with pytest.raises(DivergenceError):
         run_variants(runs, plant="exact", recording=recorded(file))
@@ -45,7 +45,7 @@ def test_a_fault_of_another_run_is_no_event_of_a_recording() -> None:
 
 
 def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:-2000])
+    path.write_bytes(path.read_bytes()[:4000])
 
 
 def text(path: Path) -> None:
@@ -53,16 +53,21 @@ def text(path: Path) -> None:
 
 
 def another(path: Path) -> None:
-    np.savez(path, header=np.array('{"format": "maglev_mj recording 9", "setups": []}'))
+    path.write_bytes(path.read_bytes().replace(b'"version": 1', b'"version": 9', 1))
+
+
+def older(path: Path) -> None:
+    np.savez(path.with_suffix(".npz"), header=np.array("{}"))
+    path.write_bytes(path.with_suffix(".npz").read_bytes())
 
 
 def missing(path: Path) -> None:
     path.unlink()
 
 
-@pytest.mark.parametrize("spoil", [cut, text, another, missing])
+@pytest.mark.parametrize("spoil", [cut, text, another, older, missing])
 def test_a_file_that_is_no_recording_is_one_line(spoil: Callable[[Path], None], tmp_path: Path, capsys: Any) -> None:
-    path = tmp_path / "run.npz"
+    path = tmp_path / "run.maglev"
     record_run(Drop(), plant="exact").save(path)
     spoil(path)
     assert main(["replay", str(path), "--check"]) == 2
@@ -147,39 +152,42 @@ def test_a_clip_keeps_the_colour_of_a_small_mark(tmp_path: Path) -> None:
     assert np.abs(seen - green).max() < 20
 
 
-def test_what_is_wrong_with_a_file_goes_into_arrays_of_it(tmp_path: Path, capsys: Any) -> None:
-    assert main(["drop", "--plant", "exact", "--record", str(tmp_path / "run.mcap")]) == 0
-    data = (tmp_path / "run.mcap").read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(data[:-30])
-    assert main(["export", str(tmp_path / "cut.mcap"), "--to", "npz"]) == 0
-    assert Recording.load(tmp_path / "cut.npz").damage == "its end is missing"
-    assert main(["replay", str(tmp_path / "cut.npz"), "--check"]) == 1
-    assert "its end is missing" in capsys.readouterr().out
+def test_what_is_wrong_with_a_file_goes_into_exports_of_it(tmp_path: Path, capsys: Any) -> None:
+    assert main(["drop", "--plant", "exact", "--record", str(tmp_path / "run.maglev")]) == 0
+    data = (tmp_path / "run.maglev").read_bytes()
+    (tmp_path / "cut.maglev").write_bytes(data[:-700])
+    assert main(["export", str(tmp_path / "cut.maglev"), "--to", "csv"]) == 0
+    assert "not closed: read to 0.4 s" in capsys.readouterr().out
+    assert json.loads((tmp_path / "cut.csv.json").read_text())["damage"] == "not closed: read to 0.4 s"
+    Recording.load(tmp_path / "cut.maglev").save(tmp_path / "saved.maglev")
+    assert main(["replay", str(tmp_path / "saved.maglev"), "--check"]) == 1
+    assert "not closed: read to 0.4 s" in capsys.readouterr().out
 
 
 def test_each_gap_of_a_slow_session_is_its_own_ticks(tmp_path: Path) -> None:
     # One tick a frame is all that the budget allows, of ten, of six, of ten: the others are given up.
-    session = Session(record=tmp_path / "run.npz", pacer=Pacer(budget=1e-9, patience=0.0))
+    session = Session(record=tmp_path / "run.maglev", pacer=Pacer(budget=1e-9, patience=0.0))
     for frame in (0.05, 0.03, 0.05):
         session.tick(frame)
     session.close()
-    recording = Recording.load(tmp_path / "run.npz")
+    recording = Recording.load(tmp_path / "run.maglev")
     (stretch,) = recording.stretches
     assert list(stretch.gaps) == [(1, 9), (2, 5), (3, 9)]
     assert list(recording.events) == [f"missed: {count} ticks were given up: too slow" for count in (9, 5, 9)]
 
 
-def test_what_is_no_recording_is_called_none(tmp_path: Path, capsys: Any) -> None:
-    (tmp_path / "text.mcap").write_text("a text")
-    assert main(["analyse", str(tmp_path / "text.mcap")]) == 2
-    assert capsys.readouterr().err.endswith("is not a whole recording: it is neither MCAP nor .npz\n")
+OTHERS = {
+    b"a text": "it is no journal",
+    b"\x89MCAP0\r\n": "it is no journal, but MCAP or .npz: recordings of these kinds",
+}
 
 
-def test_a_session_records_to_what_can_be_written(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert best_suffix() == ".mcap"
-    for missing in ("mcap", "foxglove"):
-        monkeypatch.setattr("maglev_mj.recording.writer.find_spec", lambda name, missing=missing: name != missing)
-        assert best_suffix() == ".npz"
+@pytest.mark.parametrize("start", OTHERS)
+def test_what_is_no_recording_is_called_none(start: bytes, tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "text.maglev"
+    path.write_bytes(start)
+    assert main(["analyse", str(path)]) == 2
+    assert f"is not a whole recording: {OTHERS[start]}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
@@ -194,11 +202,11 @@ def test_a_recorded_run_is_the_run_of_the_table(
         return made[-1]
 
     monkeypatch.setattr(Drop, "plant", plant_of)
-    words = ["drop", "--plant", plant, "--phase", "0.3", "--duration", "0.1", "--record", str(tmp_path / "run.npz")]
+    words = ["drop", "--plant", plant, "--phase", "0.3", "--duration", "0.1", "--record", str(tmp_path / "run.maglev")]
     assert main([*words, "--json", "-"]) == 0
     assert len(made) == 1  # one run, recorded and told
     said = json.loads(capsys.readouterr().out)
-    (stretch,) = Recording.load(tmp_path / "run.npz").stretches
+    (stretch,) = Recording.load(tmp_path / "run.maglev").stretches
     trace = made[0].trace()
     pose, _, _ = trace.at(stretch.time)
     assert stretch.position.tolist() == pose.tolist() and said["parameters"]["phase"] == 0.3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 import subprocess
@@ -47,7 +48,7 @@ from maglev_mj.control.loop import drive
 from maglev_mj.frames import AXES
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
 from maglev_mj.plants.hand import GuidedHand, Hand, SpringHand, Trajectory
-from maglev_mj.recording import ArrayFile, InvalidRecordingError, Recording, open_recording
+from maglev_mj.recording import InvalidRecordingError, MemoryFile, Recording, open_recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.find import _module_of_text, find_scene
 from maglev_mj.scenes.rooms import WEIGHT
@@ -55,7 +56,7 @@ from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, write_run
 from maglev_mj.versions import MODELS, differences, hash_of, versions
 from tests.golden.outputs import HERE
-from tests.recorded import arrays_in, npz_of, numbers_in, some_of
+from tests.recorded import Part, journal_of, numbers_in, parts_in, some_of
 
 TICKS, PERIOD, DELAY = 80, 0.002, 0.003
 ALL: dict[str, Any] = {"stiffness": 300.0, "damping": 5.0, "axes": ("x", "y", "z")}
@@ -177,24 +178,20 @@ def test_every_law_and_estimate_of_the_package_is_in_the_product() -> None:
 
 
 @pytest.mark.parametrize(
-    ("plant", "suffix", "names"),
+    ("plant", "names"),
     [
-        ("exact", ".npz", tuple(LAWS)),
-        ("mujoco", ".mcap", ("StickSlip",)),
-        ("exact, with options", ".npz", ("Wall",)),
-        ("mujoco, with options", ".npz", ("PassivityController",)),
-        # laws do not depend on plants, and setups are written alike in both files
-        *(
-            pytest.param(plant, suffix, tuple(LAWS), marks=pytest.mark.study)
-            for plant in PLANTS
-            for suffix in (".mcap", ".npz")
-        ),
+        ("exact", tuple(LAWS)),
+        ("mujoco", ("StickSlip",)),
+        ("exact, with options", ("Wall",)),
+        ("mujoco, with options", ("PassivityController",)),
+        # laws do not depend on plants
+        *(pytest.param(plant, tuple(LAWS), marks=pytest.mark.study) for plant in PLANTS),
     ],
 )
 def test_a_script_s_recording_is_checked_analysed_and_shown(
-    plant: str, suffix: str, names: tuple[str, ...], tmp_path: Path, say: Any
+    plant: str, names: tuple[str, ...], tmp_path: Path, say: Any
 ) -> None:
-    path = tmp_path / f"run{suffix}"
+    path = tmp_path / "run.maglev"
     ticks = 25
     record(path, [plant], names, ticks=ticks)
     status, said, wrong = say("replay", str(path), "--check")
@@ -237,7 +234,7 @@ def unseen(plant: str, names: list[str], part: str, every: int) -> tuple[list[st
 
     Of one number of each n-th field; of all numbers for n = 0.
     """
-    file, missed, tried = ArrayFile(), [], 0
+    file, missed, tried = MemoryFile(), [], 0
     for law in names:
         made, controller = PLANTS[plant](), controller_of(law)
         drive(made, controller, ticks=TICKS, record=file.begin(made, controller))
@@ -356,9 +353,8 @@ def run_of(text: str, name: str) -> bytes:
         return (folder / name).read_bytes()
 
 
-@pytest.mark.parametrize("suffix", [pytest.param(".mcap", marks=pytest.mark.study), ".npz"])
-def test_a_law_of_one_s_own_is_executed_only_by_leave(suffix: str, folder: Path, say: Any) -> None:
-    name = f"run{suffix}"
+def test_a_law_of_one_s_own_is_executed_only_by_leave(folder: Path, say: Any) -> None:
+    name = "run.maglev"
     run_script(folder, name)
     script = folder / "script.py"
     text = script.read_text()
@@ -384,11 +380,11 @@ def test_a_law_of_one_s_own_is_executed_only_by_leave(suffix: str, folder: Path,
 
 
 def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder: Path, say: Any) -> None:
-    run_script(folder, "run.npz")
-    recording = Recording.load(folder / "run.npz")
+    run_script(folder, "run.maglev")
+    recording = Recording.load(folder / "run.maglev")
     others = {name: data + b"# more\n" for name, data in recording.attachments.items()}
-    replace(recording, attachments=others).save(folder / "run.npz")
-    status, _, wrong = say("replay", "run.npz", "--check", "--scene", "attached")
+    replace(recording, attachments=others).save(folder / "run.maglev")
+    status, _, wrong = say("replay", "run.maglev", "--check", "--scene", "attached")
     assert (status, wrong.count("\n")) == (2, 1) and "does not hold 'script.py' as it was" in wrong
     assert not list(folder.glob("*executed"))
 
@@ -399,11 +395,11 @@ def test_a_hand_that_somebody_moves_is_taken_from_the_samples(folder: Path, say:
     def move(sample: Any, command: Any) -> None:
         hand.target = [1e-3 * np.sin(0.3 * sample.tick), 0.0, 0.0, 0.0, 0.0, 0.0]
 
-    file = open_recording(Path("run.npz"))
+    file = open_recording(Path("run.maglev"))
     plant, controller = ExactPlant(Timing(**TIMING), **START, hand_force=hand), controller_of("Hold")
     drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller), observe=move)
     file.close()
-    status, said, wrong = say("replay", "run.npz", "--check")
+    status, said, wrong = say("replay", "run.maglev", "--check")
     assert (status, wrong) == (0, "") and "80 of 80 the same: tick, time, position, command," in said
     assert "only the recording knows them: hand" in said
 
@@ -424,15 +420,15 @@ class Odd(Law):
 
 
 def test_a_plant_of_one_s_own_is_left_out_in_one_line(folder: Path, say: Any) -> None:
-    file, plant, controller = open_recording(Path("run.npz")), Mine(Timing(**TIMING), **START), controller_of("Hold")
+    file, plant, controller = open_recording(Path("run.maglev")), Mine(Timing(**TIMING), **START), controller_of("Hold")
     drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller))
     file.close()
-    status, said, wrong = say("replay", "run.npz", "--check")
+    status, said, wrong = say("replay", "run.maglev", "--check")
     assert (status, wrong) == (0, "") and "80 of 80 the same: command, pulse, pulse_width" in said
     assert "not run again, for only the recording knows them: tick, time, position, applied," in unwrapped(said)
     told = "test_recording_alone.Mine, cannot be made here: the controller's answers alone are compared"
     assert unwrapped(said).endswith(told)
-    assert say("analyse", "run.npz")[0] == 0
+    assert say("analyse", "run.maglev")[0] == 0
 
 
 def started(plant: SampledPlant, controller: Controller) -> None:
@@ -447,15 +443,15 @@ def started(plant: SampledPlant, controller: Controller) -> None:
     ],
 )
 def test_what_nothing_tells_is_one_line(controller: Any, before: Any, words: str, folder: Path, say: Any) -> None:
-    file, plant, answers = open_recording(Path("run.npz")), PLANTS["exact"](), controller()
+    file, plant, answers = open_recording(Path("run.maglev")), PLANTS["exact"](), controller()
     if before is not None:
         before(plant, answers)
     drive(plant, answers, ticks=5, record=file.begin(plant, answers))
     file.close()
     for given in ([], ["--scene", "attached"]):
-        status, _, wrong = say("replay", "run.npz", "--check", *given)
+        status, _, wrong = say("replay", "run.maglev", "--check", *given)
         assert (status, wrong.count("\n")) == (2, 1) and words in wrong
-    assert say("analyse", "run.npz")[0] == 0
+    assert say("analyse", "run.maglev")[0] == 0
 
 
 # files made to do harm
@@ -487,7 +483,7 @@ HOSTILE: Mapping[str, Change] = {
     "a dotted name": law(**{"class": "subprocess.Popen", "args": ["touch", "executed"]}),
     "a builtin": law(**{"class": "eval", "source": "1/0"}),
     "a file elsewhere": law(**{"class": f"../../../tmp/evil.py:Evil@{DIGEST}"}),
-    "a class of the package that is no law": law(**{"class": "ArrayFile", "path": "executed"}),
+    "a class of the package that is no law": law(**{"class": "MemoryFile", "path": "executed"}),
     "a plant as law": law(**{"class": "ExactPlant"}),
     "a law as plant": told("plant", "class", value="Wall"),
     "own code as plant": told("plant", "class", value=f"script.py:Magnet@{DIGEST}"),
@@ -540,15 +536,15 @@ OF_OWN_CODE = ("a module's function", "a file elsewhere", "own code as plant", "
 def test_a_scene_that_is_none_is_shown_or_refused(
     kind: str, name: str, value: Any, folder: Path, say: Any, capsys: Any
 ) -> None:
-    header, arrays = arrays_in(kept())
+    parts = parts_in(kept())
     capsys.readouterr()
-    header["setups"][0] |= {"kind": kind, "scene": "mine.py:Mine", "source": DIGEST} | {name: value}
-    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    begun_in(parts).update({"kind": kind, "scene": "mine.py:Mine", "source": DIGEST} | {name: value})
+    (folder / "run.maglev").write_bytes(journal_of(parts))
     heard.clear()
     for typed in (["replay", "--check"], ["analyse"], ["analyse", "--scene", "attached"]):
-        status, _, wrong = say(typed[0], "run.npz", *typed[1:])
+        status, _, wrong = say(typed[0], "run.maglev", *typed[1:])
         assert status in (0, 1, 2) and wrong.count("\n") == (status == 2), wrong
-    assert [event for event in heard if event[0] != "open" or "run.npz" not in str(event[1])] == []
+    assert [event for event in heard if event[0] != "open" or "run.maglev" not in str(event[1])] == []
 
 
 @pytest.mark.parametrize(
@@ -562,18 +558,23 @@ def test_a_hostile_file_executes_nothing_and_is_one_line(
     what: str, given: Any, folder: Path, say: Any, capsys: Any
 ) -> None:
     # Whatever it names, and even where a person lets the program execute what it holds.
-    header, arrays = arrays_in(kept())
+    parts = parts_in(kept())
     for command in ("replay", "analyse"):  # the program's own code is loaded
-        program.parser().parse_args([command, "run.npz"])
+        program.parser().parse_args([command, "run.maglev"])
     capsys.readouterr()
-    HOSTILE[what](header["setups"][0])
-    (folder / "run.npz").write_bytes(npz_of(header, arrays))
+    HOSTILE[what](begun_in(parts))
+    (folder / "run.maglev").write_bytes(journal_of(parts))
     heard.clear()
-    status, said, wrong = say("replay", "run.npz", "--check", *given)
+    status, said, wrong = say("replay", "run.maglev", "--check", *given)
     assert (status, said) == (2, "") and wrong.count("\n") == 1 and len(wrong) < 400, wrong
-    assert say("analyse", "run.npz")[0] in (0, 2)
-    assert [event for event in heard if event[0] != "open" or "run.npz" not in str(event[1])] == []
-    assert [path.name for path in folder.iterdir()] == ["run.npz"]
+    assert say("analyse", "run.maglev")[0] in (0, 2)
+    assert [event for event in heard if event[0] != "open" or "run.maglev" not in str(event[1])] == []
+    assert [path.name for path in folder.iterdir()] == ["run.maglev"]
+
+
+def begun_in(parts: list[Part]) -> dict[str, Any]:
+    """Return the first setup."""
+    return next(part["begin"] for part in parts if isinstance(part, dict) and "begin" in part)
 
 
 heard: list[tuple[str, Any]] = []
@@ -594,7 +595,7 @@ def kept() -> bytes:
     import tempfile
 
     with tempfile.TemporaryDirectory() as place:
-        path = Path(place) / "run.npz"
+        path = Path(place) / "run.maglev"
         file, plant, controller = open_recording(path), PLANTS["mujoco"](), controller_of("Hold")
         drive(plant, controller, ticks=20, record=file.begin(plant, controller))
         file.close()
@@ -664,37 +665,37 @@ def test_other_code_with_other_answers_is_refused_in_one_line(
 def test_laws_of_one_s_own_of_other_code_are_shown_and_said_to_be(
     folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run_script(folder, "run.npz")
-    of_other_code(monkeypatch, Path("run.npz"))
-    status, said, wrong = say("replay", "run.npz")
+    run_script(folder, "run.maglev")
+    of_other_code(monkeypatch, Path("run.maglev"))
+    status, said, wrong = say("replay", "run.maglev")
     assert (status, wrong, len(shown)) == (0, "", 1) and "its laws were not run again" in said
-    said = unwrapped(say("replay", "run.npz", "--scene", "attached")[1])
+    said = unwrapped(say("replay", "run.maglev", "--scene", "attached")[1])
     assert "answers of each stretch are the same here" in said
     assert not (folder / "executed").exists()
 
 
 def of_script(folder: Path) -> Path:
-    file, plant, controller = open_recording(Path("run.npz")), PLANTS["exact"](), controller_of("Hold")
+    file, plant, controller = open_recording(Path("run.maglev")), PLANTS["exact"](), controller_of("Hold")
     drive(plant, controller, ticks=20, record=file.begin(plant, controller))
     return Path(str(file.close()))
 
 
 def of_scene(folder: Path) -> Path:
-    (path,) = write_run(Path("run.npz"), find_scene("joystick")(), plant="mujoco")
+    (path,) = write_run(Path("run.maglev"), find_scene("joystick")(), plant="mujoco")
     return path
 
 
 def of_session(folder: Path) -> Path:
-    session = Session(record=Path("run.npz"), pacer=Pacer(budget=60.0, patience=3600.0))
+    session = Session(record=Path("run.maglev"), pacer=Pacer(budget=60.0, patience=3600.0))
     for _ in range(2):
         session.tick(0.05)
         session.act("friction")
     session.close()
-    return Path("run.npz")
+    return Path("run.maglev")
 
 
 def of_device(folder: Path) -> Path:
-    return HERE / "recordings" / "flight.mcap"
+    return HERE / "recordings" / "flight.maglev"
 
 
 def test_a_flight_has_the_delay_of_its_setup_and_an_unmeasured_hand() -> None:
@@ -716,17 +717,15 @@ RECORDED = {"script": of_script, "scene": of_scene, "session": of_session, "devi
 
 
 def test_stretches_of_one_file_attach_a_source_once(folder: Path) -> None:
-    from mcap.reader import make_reader
-
-    run_script(folder, "run.mcap", stretches=2)
-    with (folder / "run.mcap").open("rb") as file:
-        found = [(one.name, one.media_type, one.data) for one in make_reader(file).iter_attachments()]
+    run_script(folder, "run.maglev", stretches=2)
+    parts = [part for part in parts_in((folder / "run.maglev").read_bytes()) if isinstance(part, dict)]
+    found = [(part["attach"], part["type"], base64.b64decode(part["data"])) for part in parts if "attach" in part]
     text = (folder / "script.py").read_text()
     assert sorted(name for name, _, _ in found) == sorted(
         ["model/drop.xml", "model/maglev.xml", f"source/{hash_of(text)}/script.py"]
     )
     assert (f"source/{hash_of(text)}/script.py", "text/x-python", text.encode()) in found
-    assert len(Recording.load(folder / "run.mcap").stretches) == 2
+    assert len(Recording.load(folder / "run.maglev").stretches) == 2
 
 
 def test_the_source_of_a_scene_without_a_law_of_its_own_is_attached(folder: Path, say: Any) -> None:
@@ -734,11 +733,11 @@ def test_the_source_of_a_scene_without_a_law_of_its_own_is_attached(folder: Path
         "import AxisLaw, gain", "import AxisLaw, Hold, gain"
     )
     (folder / "mine.py").write_text(text)
-    write_run(Path("run.npz"), find_scene("mine.py")(), plant="exact")
+    write_run(Path("run.maglev"), find_scene("mine.py")(), plant="exact")
     (folder / "mine.py").unlink()
-    assert f"source/{hash_of(text)}/mine.py" in Recording.load(Path("run.npz")).attachments
+    assert f"source/{hash_of(text)}/mine.py" in Recording.load(Path("run.maglev")).attachments
     for given in ([], ["--scene", "attached"]):
-        assert say("replay", "run.npz", "--check", *given)[0] == 0
+        assert say("replay", "run.maglev", "--check", *given)[0] == 0
 
 
 OWN = """
@@ -786,14 +785,14 @@ def lift(position, velocity):
 @pytest.mark.parametrize("given", ["script.py", "attached"])
 def test_leave_is_for_the_laws_that_a_file_defines(wanted: str, given: str, folder: Path, say: Any) -> None:
     # Neither what it imports nor a class that is no law gets the arguments that a recording tells.
-    run_script(folder, "run.npz")
+    run_script(folder, "run.maglev")
     (folder / "script.py").write_text(IMPORTS)
-    recording = Recording.load(folder / "run.npz")
+    recording = Recording.load(folder / "run.maglev")
     setup: Any = recording.stretches[0].setup
     digest, arguments = hash_of(IMPORTS), ["touch", "made"] if wanted == "Popen" else ["made"]
     setup["controller"]["laws"] = [{"class": f"script.py:{wanted}@{digest}", "args": arguments}]
-    replace(recording, attachments={f"source/{digest}/script.py": IMPORTS.encode()}).save(folder / "run.npz")
-    status, _, wrong = say("replay", "run.npz", "--check", "--scene", given)
+    replace(recording, attachments={f"source/{digest}/script.py": IMPORTS.encode()}).save(folder / "run.maglev")
+    status, _, wrong = say("replay", "run.maglev", "--check", "--scene", given)
     assert (status, wrong.count("\n")) == (2, 1), wrong
     assert ("script.py must define Popen" if wanted == "Popen" else "a class with __call__") in wrong
     assert not (folder / "made").exists()

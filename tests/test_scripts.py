@@ -249,7 +249,7 @@ def test_the_cost_of_cells_is_a_row_for_each_number_of_them(run_script: Script) 
 @pytest.mark.machine
 def test_recorder_prints_what_a_tick_costs(run_script: Script) -> None:
     out = run_script("benchmarks/recorder.py", "--quick")
-    assert "recorded to .mcap, into shared memory" in out and "samples a second" in out and "is read in" in out
+    assert "recorded to a journal, with its thread" in out and "samples a second" in out and "is read in" in out
 
 
 @pytest.mark.machine

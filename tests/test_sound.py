@@ -14,7 +14,7 @@ import pytest
 from maglev_mj import export, record_run
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording
-from maglev_mj.recording.recording import write_sound
+from maglev_mj.recording.export import write_sound
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.views.window import offscreen
@@ -105,10 +105,10 @@ def test_a_wall_that_buzzes_is_louder_than_one_that_does_not(tmp_path: Path) -> 
 
 
 def test_an_empty_and_a_wrong_file_are_refused_in_one_line(tmp_path: Path, capsys: Any) -> None:
-    Recording([]).save(tmp_path / "empty.npz")
-    (tmp_path / "wrong.npz").write_bytes(b"no recording")
-    for name, words in {"empty": "nothing to hear", "wrong": "wrong.npz"}.items():
-        assert main(["export", str(tmp_path / f"{name}.npz"), "--to", "wav"]) == 2
+    Recording([]).save(tmp_path / "empty.maglev")
+    (tmp_path / "wrong.maglev").write_bytes(b"no recording")
+    for name, words in {"empty": "nothing to hear", "wrong": "wrong.maglev"}.items():
+        assert main(["export", str(tmp_path / f"{name}.maglev"), "--to", "wav"]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert words in line and not (tmp_path / f"{name}.wav").exists()
 

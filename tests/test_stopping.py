@@ -242,7 +242,7 @@ LANDING = some(
 def test_the_first_signal_lands_at_any_time_of_takeoff_and_flight(
     kind: signal.Signals, at: float, timeline: Presser, tmp_path: Path
 ) -> None:
-    record, device = tmp_path / "run.npz", timeline((at, kind))
+    record, device = tmp_path / "run.maglev", timeline((at, kind))
     status, said = device.fly(tmp_path, "--record", str(record))
     assert status == 0, said
     assert device.ended == (State.INACTIVE, Fault(0))
@@ -257,7 +257,7 @@ def test_the_first_signal_lands_at_any_time_of_takeoff_and_flight(
     ("at", "gap"), some([(0.02, 0.05), (0.3, 0.4), (1.6, 0.05)], [(0.02, 0.4), (0.3, 0.05), (1.6, 0.4)])
 )
 def test_a_second_ctrl_c_cuts_now(at: float, gap: float, timeline: Presser, tmp_path: Path) -> None:
-    record, device = tmp_path / "run.npz", timeline((at, signal.SIGINT), (at + gap, signal.SIGINT))
+    record, device = tmp_path / "run.maglev", timeline((at, signal.SIGINT), (at + gap, signal.SIGINT))
     status, said = device.fly(tmp_path, "--record", str(record))
     assert status == 1 and "ESTOP" in said, said
     assert device.ended == (State.FAULT, Fault.ESTOP)
@@ -329,7 +329,7 @@ def test_a_signal_lands_a_real_flight(kind: signal.Signals, at: float, tmp_path:
 @pytest.mark.machine
 @pytest.mark.parametrize("at", only(1.6, (0.02,), (0.3,)))
 def test_a_second_ctrl_c_cuts_a_real_flight(at: float, tmp_path: Path) -> None:
-    record = tmp_path / "run.npz"
+    record = tmp_path / "run.maglev"
     with Watched() as twin, flight(twin, tmp_path, "--record", str(record)) as host:
         twin.flown(at)
         host.child.send_signal(signal.SIGINT)
@@ -364,7 +364,7 @@ def test_a_handshake_is_given_up_at_once(kind: signal.Signals, tmp_path: Path) -
         deaf.bind(("127.0.0.1", 0))
         deaf.settimeout(60.0)
         address = f"udp://127.0.0.1:{deaf.getsockname()[1]}"
-        with running(*COMMAND, "bridge", address, "--record", str(tmp_path / "run.npz")) as host:
+        with running(*COMMAND, "bridge", address, "--record", str(tmp_path / "run.maglev")) as host:
             deaf.recv(4096)  # a hello
             host.child.send_signal(kind)
             status, said = ended(host, None)

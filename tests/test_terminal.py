@@ -151,7 +151,7 @@ OFFERED = {
     "maglev-mj design --law d": ["disturbance-observer"],
     "maglev-mj drop --period ": [],
     "maglev-mj view --stiffness 4e3 --seconds ": [],
-    "maglev-mj replay ru": ["run.mcap"],
+    "maglev-mj replay ru": ["run.maglev"],
     "maglev-mj bridge udp://127.0.0.1:1 --scene bo": ["box"],
     "maglev-mj bridge udp://127.0.0.1:1 --scene none.py --vi": ["--view"],
 }
@@ -161,7 +161,7 @@ OFFERED = {
 def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -> None:
     here = tmp_path / "here"
     here.mkdir()
-    for name in ("mine.py", "run.mcap"):
+    for name in ("mine.py", "run.maglev"):
         (here / name).touch()
     asked, lines = [sys.executable, "-c", ASK], [*OFFERED]
     done = subprocess.run(asked, input="\n".join(lines), text=True, cwd=here, capture_output=True, check=True)

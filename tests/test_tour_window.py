@@ -154,7 +154,7 @@ def test_the_tour_is_done_by_mouse_and_keys(tmp_path: Path) -> None:
 
 
 def test_a_recording_is_searched_by_keys(tmp_path: Path) -> None:
-    path = tmp_path / "run.npz"
+    path = tmp_path / "run.maglev"
     session = Session(hand=SpringHand(target=[4e-3, 0, 0, 0, 0, 0]), record=path, pacer=Pacer(budget=60.0))
     for _ in range(40):
         session.tick(0.1)

@@ -85,7 +85,7 @@ class Session:
     @property
     def recordings(self) -> list[Recording]:
         """In the order in which they were made."""
-        return [Recording.load(path) for path in sorted(self.folder.glob("*.mcap"))]
+        return [Recording.load(path) for path in sorted(self.folder.glob("*.maglev"))]
 
 
 def whole(folder: Path) -> list[Path]:
@@ -94,7 +94,7 @@ def whole(folder: Path) -> list[Path]:
     Files exist from their start on.
     """
     found = []
-    for path in folder.glob("*.mcap"):
+    for path in folder.glob("*.maglev"):
         with suppress(RecordingError):
             found += [path] if not Recording.load(path).damage else []
     return found
@@ -173,7 +173,7 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
         screen.xdotool("mousemove", *middle)  # keys go to the window under the mouse
         time.sleep(0.5)
         screen.xdotool("key", "F10")
-        waited(lambda: list(folder.glob("*.mcap")), PATIENCE)
+        waited(lambda: list(folder.glob("*.maglev")), PATIENCE)
         screen.xdotool("mousemove", *middle, "mousedown", 1)
         time.sleep(1.5)  # a slow frame that sees the press with the first move takes the drag for shorter
         for step in range(1, 5):
@@ -206,7 +206,7 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
         scene.until(lambda snapshot: at_rest(snapshot) and not held(snapshot), round(1.0 * RATE))
         time.sleep(1.1)  # names go by the second
         screen.xdotool("key", "6", "key", "F10")  # the wall is back for the keys' own turn
-        waited(lambda: len(list(folder.glob("*.mcap"))) == 2, PATIENCE)
+        waited(lambda: len(list(folder.glob("*.maglev"))) == 2, PATIENCE)
         for key, (name, value) in PRESSED.items():
             scene.later(0.1)
             screen.xdotool("key", key)

@@ -164,7 +164,7 @@ def flying(screen: VirtualScreen, folder: Path, look: str, *options: str) -> Ite
 
 @pytest.mark.needs("screen", "xdotool")
 def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_path: Path) -> None:
-    record = tmp_path / "run.mcap"  # which is read while it is written
+    record = tmp_path / "run.maglev"  # which is read while it is written
     with VirtualScreen(*SIZE) as screen:
         with flying(screen, tmp_path, "twin", "--seconds", "60", "--record", str(record)) as (twin, host, window):
             for _ in range(8):  # a busy machine's window takes long to draw, and misses a drag

@@ -110,7 +110,7 @@ def test_the_tour_is_done_in_a_browser(browser: Any) -> None:
 
 @pytest.mark.study
 def test_a_recording_is_searched_in_a_browser(browser: Any, tmp_path: Path) -> None:
-    record = tmp_path / "run.npz"
+    record = tmp_path / "run.maglev"
     session = Session(hand=SpringHand(target=[4e-3, 0, 0, 0, 0, 0]), record=record, pacer=Pacer(budget=60.0))
     for _ in range(40):
         session.tick(0.1)

@@ -75,12 +75,12 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     name, what = option.removeprefix("--"), "file" if kind == "FILE" else "folder"
-    path = closed / "new.npz"
+    path = closed / "new.maglev"
     told = refused(words_of(command, option, path), capsys)
     assert told.endswith(f": {name} must be a {what} that may be written, not {str(path)!r}\n")
     held = tmp_path / "held"
     held.write_text("")
-    told = refused(words_of(command, option, held / "new.npz" if what == "file" else held / "below"), capsys)
+    told = refused(words_of(command, option, held / "new.maglev" if what == "file" else held / "below"), capsys)
     assert f": {name} must be a {what}" in told and str(held) in told
     assert [*tmp_path.iterdir()] == [held] and not held.read_text()
 
@@ -94,7 +94,7 @@ def test_every_output_is_known() -> None:
 def test_a_default_output_is_checked_too(
     closed: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recording = closed / "flight.mcap"
+    recording = closed / "flight.maglev"
     told = refused(["export", str(recording), "--to", "csv"], capsys)
     assert told == f"maglev-mj export: out must be a file that may be written, not '{closed}/flight.csv'\n"
     monkeypatch.chdir(closed)
@@ -104,9 +104,9 @@ def test_a_default_output_is_checked_too(
     assert told == "maglev-mj drop: out must be a folder that may be written, not '.'\n"
 
 
-@pytest.mark.parametrize("words", ["analyse {0} --json {0}", "export {0} --to npz --out {0}", "export {0} --to npz"])
+@pytest.mark.parametrize("words", ["analyse {0} --json {0}", "export {0} --to npz --out {0}"])
 def test_a_recording_is_not_written_over(words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "run.npz"
+    path = tmp_path / "run.maglev"
     assert cli.main(["drop", "--plant", "exact", "--record", str(path), "--json", str(tmp_path / "a")]) == 0
     capsys.readouterr()
     before = path.read_bytes()

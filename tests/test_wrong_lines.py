@@ -89,7 +89,7 @@ stability --delay -1                                | -1
 stability --workers -1                              | -1
 stability --record notes.jsonl                      | notes.jsonl
 stability no_laws.py                                | no_laws.py
-stability run.npz                                   | run.npz
+stability run.maglev                                   | run.maglev
 stability drop --grid 3                             | --grid
 compare drop --law glue                             | glue
 compare drop --law pd --law pd                      | pd
@@ -159,8 +159,8 @@ bridge DEVICE --mass 1                              | mass is for --identify
 bridge DEVICE --identify a.json --view              | view
 bridge DEVICE --profile nosuch.json                 | profile 'nosuch.json' cannot be read
 bridge DEVICE --current-limit 2                     | --current-limit
-bridge DEVICE --calibration run.npz                 | run.npz
-bridge DEVICE --key run.npz                         | run.npz
+bridge DEVICE --calibration run.maglev                 | run.maglev
+bridge DEVICE --key run.maglev                         | run.maglev
 bridge 127.0.0.1:5678                               | address must be udp://HOST:PORT
 bridge DEVICE --reset --seconds 1                   | seconds is for scenes, not for --reset
 bridge DEVICE --reset --identify a                  | identify flies, and --reset does not
@@ -184,26 +184,26 @@ conform DEVICE --calibration nosuch.json            | nosuch.json
 fault nosuch.json                                   | black box 'nosuch.json' cannot be read
 fault empty.json                                    | empty.json
 fault broken.json                                   | is not JSON
-fault run.npz                                       | run.npz
+fault run.maglev                                       | run.maglev
 fault empty.json --format png                       | png
-replay nosuch.mcap                                  | nosuch.mcap
+replay nosuch.maglev                                  | nosuch.maglev
 replay garbage.npz                                  | garbage.npz
 replay empty.json                                   | empty.json
-replay run.npz --scene nosuch.py --check            | nosuch.py
-replay run.npz --port 80                            | port
-analyse nosuch.mcap                                 | nosuch.mcap
+replay run.maglev --scene nosuch.py --check            | nosuch.py
+replay run.maglev --port 80                            | port
+analyse nosuch.maglev                                 | nosuch.maglev
 analyse drop                                        | drop
-analyse run.npz --stretch 9                         | 9
-analyse run.npz --from nan                          | nan
-analyse run.npz --from -1                           | -1
-analyse run.npz --to 0                              | 0
-analyse run.npz --axis w                            | w
-analyse run.npz --scene nosuch.py                   | nosuch.py
-export run.npz                                      | --to
-export run.npz --to xls                             | xls
+analyse run.maglev --stretch 9                         | 9
+analyse run.maglev --from nan                          | nan
+analyse run.maglev --from -1                           | -1
+analyse run.maglev --to 0                              | 0
+analyse run.maglev --axis w                            | w
+analyse run.maglev --scene nosuch.py                   | nosuch.py
+export run.maglev                                      | --to
+export run.maglev --to xls                             | xls
 export garbage.npz --to csv                         | garbage.npz
-export csv run.npz                                  | --to
-export run.npz --to npz                             | run.npz
+export csv run.maglev                                  | --to
+export run.maglev --to npz --out run.maglev             | run.maglev
 """
 LINES = [[part.strip() for part in line.replace("DEVICE", DEVICE).split(" | ")] for line in TABLE.strip().splitlines()]
 LINES += [[f"{command} {NEEDED.get(command, '')} --nosuch", "--nosuch"] for command in COMMANDS]
@@ -217,7 +217,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (made / f"{name}.py").write_text(f"from maglev_mj import Hold, Scene\n\n\nclass Own(Scene):\n{body}")
     for name, text in FILES.items():
         (made / name).write_text(text)
-    assert cli.main(["drop", "--plant", "exact", "--record", str(made / "run.npz"), "--json", str(made / "json")]) == 0
+    record = str(made / "run.maglev")
+    assert cli.main(["drop", "--plant", "exact", "--record", record, "--json", str(made / "json")]) == 0
     return made
 
 

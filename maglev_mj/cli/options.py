@@ -181,7 +181,7 @@ Json: TypeAlias = Annotated[str | None, json_of()]
 Pictures: TypeAlias = Annotated["PictureFolder | None", pictures_to()]
 Picture: TypeAlias = Annotated["PictureFolder | None", pictures_to("write a picture to this folder")]
 Record: TypeAlias = Annotated[
-    Path | None, option("write a recording, .mcap or .npz, for `maglev-mj replay`", "output", "FILE")
+    Path | None, option("write a recording, FILE.maglev, for `maglev-mj replay`", "output", "FILE")
 ]
 Folder: TypeAlias = Annotated[Path, option("folder for recordings and screenshots", "output", "DIR")]
 Recorded: TypeAlias = Annotated[Path, option("a recording of run, view or bridge", "", "FILE")]

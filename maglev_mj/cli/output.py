@@ -228,10 +228,8 @@ def write_results(
 
 
 def print_written(path: Path) -> None:
-    """Print the path of a written file; for an MCAP file also that of Foxglove's layout."""
+    """Print the path of a written file."""
     print(f"  wrote {path}")
-    if path.suffix == ".mcap":
-        print(f"  Foxglove shows it with the layout {LAYOUT}")
 
 
 def write_result(

@@ -46,7 +46,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
     "compute": {
         "drop": Command("drop the flotor on a stiff wall (figures 3, 4)", "--pulse 0 --phases 20 --out figures", "run"),
         "press": Command("a hand hits a wall, then presses (figure 6)", "--hand stylus --hits 2 --json -", "run"),
-        "stick-slip": Command("pull out of rendered friction (figure 8)", "--law lugre --record run.npz", "run"),
+        "stick-slip": Command("pull out of rendered friction (figure 8)", "--law lugre --record run.maglev", "run"),
         "run": Command("run any scene: of this package, or a file of yours", "twist --plant exact --json run.json"),
         "stability": Command("where a wall is stable (figure 2), or a scene", "--hand arm --delay 0.002 --grid 20"),
         "design": Command("the stiffest wall for what is uncertain", "--mass 0.56:0.84 --hand arm,stylus"),
@@ -58,16 +58,16 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
     },
     "device": {
         "twin": Command("a simulated device behind the wire of a real one", "--rate 1000 --fault dead-coil:2@3 --view"),
-        "bridge": Command("a scene on a device", "udp://127.0.0.1:5678 --scene box --view --record flight.mcap"),
+        "bridge": Command("a scene on a device", "udp://127.0.0.1:5678 --scene box --view --record f.maglev"),
         "estop": Command("stop a device, also in the session of another host", "udp://192.168.1.20:5678 --key lab.key"),
         "commission": Command("diodes and coils of a new device, before it hovers", "udp://127.0.0.1:5678 coils"),
         "conform": Command("test a device's side of the protocol", "udp://127.0.0.1:5678 --json report.json"),
         "fault": Command("what happened before a fault, from its file", "maglev-fault-20260101-120000.json --all"),
     },
     "recordings": {
-        "replay": Command("show a recording, or check it bit for bit", "run.mcap --check"),
-        "analyse": Command("figures of a recording beside its simulation", "run.mcap --from 0.1 --out figures"),
-        "export": Command("a recording as a table or sound, for other programs", "run.mcap --to csv"),
+        "replay": Command("show a recording, or check it bit for bit", "run.maglev --check"),
+        "analyse": Command("figures of a recording beside its simulation", "run.maglev --from 0.1 --out figures"),
+        "export": Command("a recording for other programs: MCAP, table, arrays, sound", "run.maglev --to mcap"),
     },
 }
 """Commands in the order of the help."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from maglev_mj.cli.declare import option
 from maglev_mj.cli.options import Picture, Pictures, Recorded, json_of
-from maglev_mj.cli.output import Progress, check_files, write_json
+from maglev_mj.cli.output import LAYOUT, Progress, check_files, write_json
 from maglev_mj.cli.peripherals import PageOptions, show_session
 from maglev_mj.errors import ParameterError
 from maglev_mj.terminal import printable, say, wrapped
@@ -250,15 +250,16 @@ def _draw(analysed: StretchReport, axis: int, pictures: PictureFolder, stem: str
 
 
 def export(
-    file: Annotated[Path, option("a recording, .mcap or .npz", "", "FILE")],
+    file: Annotated[Path, option("a recording", "", "FILE")],
     to: Annotated[
-        Literal["npz", "csv", "parquet", "wav"], option("what kind of table; wav is the force as sound", "output")
+        Literal["npz", "mcap", "csv", "parquet", "wav"],
+        option("format; mcap is for Foxglove and Rerun, wav is the force as sound", "output"),
     ],
     out: Annotated[Path | None, option("where to (default: beside the recording)", "output")] = None,
 ) -> int:
-    """A recording as a table for other programs, or as sound."""  # noqa: D401
+    """A recording for other programs: MCAP, table, arrays or sound."""  # noqa: D401
     from maglev_mj.recording import Recording
-    from maglev_mj.recording.recording import export
+    from maglev_mj.recording.export import export
 
     path = out or file.with_suffix(f".{to}")
     check_files({"out": path}, file)
@@ -268,6 +269,8 @@ def export(
     if recording.damage:
         say(f"  {file}: {recording.damage}")
     print(f"  wrote {path}: {recording.ticks} samples")
+    if to == "mcap":
+        print(f"  Foxglove shows it with the layout {LAYOUT}")
     return 0
 
 

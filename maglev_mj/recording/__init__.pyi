@@ -1,7 +1,7 @@
-from maglev_mj.recording.recording import EXPORTS as EXPORTS
-from maglev_mj.recording.recording import InvalidRecordingError as InvalidRecordingError
+from maglev_mj.recording.export import EXPORTS as EXPORTS
+from maglev_mj.recording.journal import InvalidRecordingError as InvalidRecordingError
+from maglev_mj.recording.journal import RecordingError as RecordingError
 from maglev_mj.recording.recording import Recording as Recording
-from maglev_mj.recording.recording import RecordingError as RecordingError
 from maglev_mj.recording.recording import Samples as Samples
 from maglev_mj.recording.recording import Stretch as Stretch
 from maglev_mj.recording.recording import load_samples as load_samples
@@ -12,8 +12,7 @@ from maglev_mj.recording.setup import RecordingFile as RecordingFile
 from maglev_mj.recording.setup import setup_of as setup_of
 from maglev_mj.recording.verify import Rebuild as Rebuild
 from maglev_mj.recording.verify import Verdict as Verdict
-from maglev_mj.recording.writer import ArrayFile as ArrayFile
+from maglev_mj.recording.writer import MemoryFile as MemoryFile
 from maglev_mj.recording.writer import Recorder as Recorder
-from maglev_mj.recording.writer import best_suffix as best_suffix
 from maglev_mj.recording.writer import check_name as check_name
 from maglev_mj.recording.writer import open_recording as open_recording

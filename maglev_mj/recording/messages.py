@@ -17,7 +17,7 @@ from foxglove.channels import FrameTransformsChannel, LogChannel, SceneUpdateCha
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
 from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, STRETCH, STRETCH_NUMBER, descriptor, packed
-from maglev_mj.recording.sample import FIELDS, Field, Row, RunMetadata, Setup, Totals, as_rows, schema
+from maglev_mj.recording.sample import FIELDS, Field, Rows, RunMetadata, Setup, Totals, schema
 
 FRAMES, SHAPES, ARROWS, LOG = "/tf", "/maglev/shapes", "/maglev/arrows", "/log"
 
@@ -130,12 +130,11 @@ class Messages:
         """
         self._stick = position
 
-    def rows(self, rows: Sequence[Row]) -> None:
-        """Log one or more samples, their values in FIELDS order."""
+    def rows(self, rows: Rows) -> None:
+        """Log samples, a structured array (N,)."""
         assert self._totals is not None
-        table = as_rows(rows)
-        for row, values, message in zip(rows, table, packed(self._stretch, table, self._totals.take(table))):
-            time, self._tick = row[1], int(row[0])
+        for values, message in zip(rows, packed(self._stretch, rows, self._totals.take(rows))):
+            time, self._tick = float(values["time"]), int(values["tick"])
             self._first = time if self._first is None else self._first
             self._now = max(self._now, self._began + round((time - self._first) * 1e9))
             self._sample.log(message, self._now)

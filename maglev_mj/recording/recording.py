@@ -1,58 +1,38 @@
-"""Recordings in memory, as files of arrays, and as tables for other programs."""
+"""Recordings in memory, read from journals and written to them."""
 
 from __future__ import annotations
 
 import base64
-import csv
-import json
-import math
 import os
-import wave
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO, Any, ClassVar
-from zipfile import ZIP_STORED
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from maglev_mj.errors import MaglevError, ParameterError, check_instance, check_one_of, file_path, require
-from maglev_mj.frames import AXES, Array
+from maglev_mj.errors import ParameterError, check_instance, file_path
+from maglev_mj.frames import Array
 from maglev_mj.parameters import whole
-from maglev_mj.recording.mcap import MAGIC, Allowance, UnpackingError, read_mcap
-from maglev_mj.recording.sample import (
-    ARRAYS,
-    FIELDS,
-    TOTALS,
-    Field,
-    RunMetadata,
-    Setup,
-    check_rows,
-    check_setup,
-    is_recorded,
-    parsed,
-    units,
-    value_in,
+from maglev_mj.recording.journal import (
+    SUFFIX,
+    InvalidRecordingError,
+    checksum_record,
+    header,
+    sample_records,
+    text_records,
 )
+from maglev_mj.recording.reading import Content
+from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, Field, Rows, RunMetadata, Setup, units, value_in
 from maglev_mj.result import Result, Table
 
-_ZIP = b"PK"
-_FORMAT = "maglev_mj recording 1"
 _RECORDED = [one.name for one in FIELDS]
 
 READ = "a Recording, as Recording.load(FILE) returns"
 READ_STRETCH = "a Stretch, such as Recording.load(FILE).stretches[0]"
 """Allowed values of a recording and a stretch, for messages."""
-
-
-class RecordingError(MaglevError):
-    """Error of a recording: it cannot be written or replayed."""
-
-
-class InvalidRecordingError(RecordingError, ParameterError):
-    """A file is not a recording, or has invalid content."""
 
 
 class _Fields:
@@ -79,6 +59,9 @@ class Stretch(_Fields):
             of the hand, `hand_work` [J], and samples `missed`, each from the beginning on.
         gaps: Samples missed without a gap in the ticks: row that follows, and number.
         before: Samples of earlier stretches of the same run, if it goes on from them after a rewind; else None.
+        began: Time of the beginning since 1970 [µs]; 0 if not known.
+        sticks: Row that follows and stick position from there on [m, rad], six, NaN for sliding axes; None without
+            friction.
         metadata: Metadata of the setup.
 
     Raises:
@@ -89,6 +72,8 @@ class Stretch(_Fields):
     arrays: Mapping[str, Array]
     gaps: Sequence[tuple[int, int]] = ()
     before: Stretch | None = None
+    began: int = 0
+    sticks: Sequence[tuple[int, Sequence[float] | None]] = ()
     metadata: RunMetadata = field(init=False)
 
     def __post_init__(self) -> None:
@@ -99,8 +84,8 @@ class Stretch(_Fields):
 
     def __getitem__(self, rows: slice | NDArray[Any]) -> Stretch:
         totals = {one.name for one in TOTALS}
-        arrays = {name: values[rows] for name, values in self.arrays.items() if name not in totals}
-        return replace(self, arrays=arrays, gaps=())
+        arrays = {name: self.arrays[name][rows] for name in self.arrays if name not in totals}
+        return replace(self, arrays=arrays, gaps=(), sticks=())
 
     @property
     def whole(self) -> Stretch:
@@ -184,40 +169,75 @@ class Recording(Result):
         events = f", {len(self.events)} events" if self.events else ""
         return Table(f"recording of {self.ticks} samples{events}", head, rows)
 
+    def parts(self) -> Iterator[tuple[str, Any]]:
+        """Yield the content in order of time, as a journal has it: a kind and its value.
+
+        Kinds are "begin" (a stretch), "rows" (samples of it, a structured array (N,)), "stick" (position, six or None)
+        and "event" (kind, text and number of samples missed with it).
+        """
+        events = list(zip(self.event_samples, self.events))
+        first = 0
+        for stretch in self.stretches:
+            yield "begin", stretch
+            rows, gaps, start = _rows(stretch), list(stretch.gaps), 0
+            beside: list[tuple[int, tuple[str, Any]]] = [(row, ("stick", stuck)) for row, stuck in stretch.sticks]
+            while events and events[0][0] <= first + len(rows):  # one between two stretches is of the first
+                place, text = events.pop(0)
+                kind, _, words = text.partition(": ")
+                at = next((gap for gap in gaps if gap[0] == place - first), None) if kind == "missed" else None
+                if at is not None:
+                    gaps.remove(at)
+                beside.append((place - first, ("event", (kind, words, 0 if at is None else at[1]))))
+            for row, part in sorted(beside, key=lambda one: one[0]):
+                if row > start:
+                    yield "rows", rows[start:row]
+                    start = row
+                yield part
+            if start < len(rows):
+                yield "rows", rows[start:]
+            first += len(rows)
+
     def save(self, path: Path | str) -> None:
-        """Write to a file atomically.
+        """Write a journal, atomically.
+
+        Args:
+            path: Path of the file, with the suffix .maglev.
 
         Raises:
+            ParameterError: If it has another suffix.
             OSError: If it cannot be written.
         """
-        attached = enumerate(self.attachments.values())
-        arrays: dict[str, Any] = {f"attachment/{place}": np.frombuffer(data, np.uint8) for place, data in attached}
-        for index, stretch in enumerate(self.stretches):
-            for name, fields in _STORED.items():
-                columns = [stretch.arrays[one.name] for one in fields if one.name in stretch.arrays]
-                if any(is_recorded(one, values) for one, values in zip(fields, columns)):
-                    arrays[f"{index}/{name}"] = columns[0] if len(columns) == 1 else np.column_stack(columns)
-        header = _about(self, list(self.attachments)) | {
-            "format": _FORMAT,
-            "axes": AXES,
-            "gaps": [list(stretch.gaps) for stretch in self.stretches],
-            "event_samples": list(self.event_samples),
-        }
-        with aside(Path(path)) as partial, partial.open("wb") as file:
-            np.savez(file, header=np.array(json.dumps(header)), **arrays)
+        path = file_path(path)
+        if path.suffix != SUFFIX:
+            raise ParameterError(f"path must end in {SUFFIX}, not {path.name!r}: export writes other formats")
+        with aside(path) as partial, partial.open("wb") as file:
+            file.write(header())
+            for block in self._blocks():
+                file.write(block + checksum_record(block))
+
+    def _blocks(self) -> Iterator[bytes]:
+        """Yield the records of a journal."""
+        for name, data in self.attachments.items():
+            yield text_records({"attach": name, "data": base64.b64encode(data).decode()})
+        for kind, part in self.parts():
+            if kind == "rows":
+                yield sample_records(part)
+            elif kind == "begin":
+                yield text_records({"begin": part.setup, "time": part.began})
+            elif kind == "stick":
+                yield text_records({"stick": stick_as_json(part)})
+            else:
+                yield text_records(dict(zip(("event", "text", "missed"), part)))
+        if not self.damage:
+            yield text_records({"end": {"lost": 0}})
 
     @classmethod
     def load(cls, path: Path | str) -> Recording:
-        """Read a file of either format.
-
-        An MCAP file that was not closed is read up to its last complete chunk.
-
-        The unpacked size is limited, for example to 64 MiB for each part.
+        """Read a journal; one that was not closed up to its last whole record.
 
         Raises:
-            MissingPackageError: If an MCAP file needs a package that is not installed.
-            InvalidRecordingError: If it is missing, no recording, or invalid, for example by a number that is
-                not finite, of another type or out of range.
+            InvalidRecordingError: If it is missing, no recording, or invalid, for example by a wrong checksum, or a
+                number that is not finite, of another type or out of range.
         """
         return _read(path)
 
@@ -243,34 +263,39 @@ def _joined(stretches: Sequence[Stretch]) -> list[Stretch]:
     return joined
 
 
+def _rows(stretch: Stretch) -> Rows:
+    """Return the samples of a stretch as a structured array (N,)."""
+    rows = np.empty(len(stretch), ROW)
+    for name in _RECORDED:
+        rows[name] = stretch.arrays[name]
+    return rows
+
+
+def stick_as_json(position: Sequence[float] | None) -> list[float | None] | None:
+    """Return a stick position for JSON, which has no NaN."""
+    return None if position is None else [None if value != value else value for value in position]
+
+
 def _read(path: Path | str, names: frozenset[str] | None = None) -> Recording:
-    """Read a file of either format, some fields of MCAP or all; see `Recording.load`."""
+    """Read some fields of a journal, or all; see `Recording.load`."""
     path = file_path(path)
     try:
-        with path.open("rb", buffering=1 << 20) as file:
-            size, first = os.fstat(file.fileno()).st_size, file.read(len(MAGIC))
-            file.seek(0)
-            if first == MAGIC:
-                return _read_mcap(file, size, names)
-            if first[:2] not in (MAGIC[:2], _ZIP):
-                raise ParameterError("it is neither MCAP nor .npz")
-            return _read_arrays(file, size)
+        content = Content(path, names)
+        return Recording(
+            [
+                Stretch(setup=one.setup, arrays=one.arrays(), gaps=one.gaps, began=one.began, sticks=one.sticks)
+                for one in content.segments
+            ],
+            events=content.events,
+            event_samples=content.event_samples,
+            damage=content.damage,
+            attachments=content.attachments,
+            about=content.about,
+        )
     except OSError as error:
         raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
     except ParameterError as error:
         raise InvalidRecordingError(f"{str(path)!r} is not a whole recording: {error}") from None
-
-
-def _read_mcap(file: IO[bytes], size: int, names: frozenset[str] | None) -> Recording:
-    content = read_mcap(file, size, names)
-    return Recording(
-        [Stretch(setup=one.setup, arrays=one.arrays(), gaps=one.gaps) for one in content.stretches if len(one)],
-        events=content.events,
-        event_samples=content.event_samples,
-        damage="; ".join(content.damage),
-        attachments=content.attachments,
-        about=content.about,
-    )
 
 
 @contextmanager
@@ -288,74 +313,6 @@ def aside(path: Path) -> Iterator[Path]:
 
 
 _FIELDS: Mapping[str, Field] = {one.name: one for one in (*FIELDS, *TOTALS)}
-
-_STORED: Mapping[str, Sequence[Field]] = {**ARRAYS, **{one.name: [one] for one in TOTALS}}
-"""Fields in each array of a stretch."""
-
-
-def _read_arrays(file: IO[bytes], size: int) -> Recording:
-    """Read an .npz file of `size` bytes.
-
-    Raises:
-        ParameterError: If it holds no recording or an invalid one.
-        OSError: If it cannot be read.
-    """
-    allowance = Allowance(size)
-    try:
-        with np.load(file, allow_pickle=False) as arrays:
-            for member in arrays.zip.infolist():
-                if member.compress_type != ZIP_STORED:
-                    allowance.part(member.file_size)
-                elif member.file_size != member.compress_size:
-                    raise UnpackingError(f"{member.filename} must have one size")
-            text = str(arrays["header"])
-            allowance.text(len(text))
-            header = parsed(text)
-            if value_in(header, "format", str) != _FORMAT:
-                raise ParameterError(f"format must be {_FORMAT!r}, not {header['format']!r}")
-            setups, gaps = value_in(header, "setups", list), value_in(header, "gaps", list)
-            names = value_in(header, "attachments", list)
-            return Recording(
-                [_read_stretch(arrays, *one) for one in zip(range(len(setups)), setups, gaps, strict=True)],
-                events=_texts(value_in(header, "events", list)),
-                event_samples=[whole("event_samples", one) for one in header.get("event_samples", ())],
-                damage=value_in(header, "damage", str),
-                attachments={name: arrays[f"attachment/{place}"].tobytes() for place, name in enumerate(_texts(names))},
-                about=dict(zip(header["about"], _texts(header["about"].values()), strict=True)),
-            )
-    except (OSError, ParameterError):
-        raise
-    except UnpackingError as error:
-        raise ParameterError(str(error)) from None
-    except Exception:  # errors of zip files, unpacking and headers: a damaged file fails in many ways
-        raise ParameterError("it is damaged") from None
-
-
-def _texts(values: Iterable[Any]) -> list[str]:
-    return [value_in({"a text": value}, "a text", str) for value in values]
-
-
-def _read_stretch(stored: Any, index: int, setup: Any, gaps: Any) -> Stretch:
-    arrays: dict[str, Array] = {}
-    size = len(stored[f"{index}/tick"])
-    for name, fields in _STORED.items():
-        columns = np.cumsum([len(one.units) for one in fields])
-        shape = (size,) if columns[-1] == 1 else (size, columns[-1])
-        if f"{index}/{name}" in stored:
-            values = stored[f"{index}/{name}"]
-            if values.dtype != np.float64 or values.shape != shape:
-                raise ParameterError(f"{name} must be float64 {shape}, not {values.dtype} {values.shape}")
-        elif all(one.optional for one in fields):
-            values = np.full(shape, np.nan)
-        elif fields[0] in TOTALS:
-            continue
-        else:
-            raise ParameterError(f"a stretch must have {name}")
-        parts = np.split(values.reshape(size, -1), columns[:-1], axis=1)
-        arrays |= {one.name: part if one.six else part[:, 0] for one, part in zip(fields, parts, strict=True)}
-    check_rows(arrays)
-    missed = [(whole("a gap", row, at_most=size), whole("a gap", count)) for row, count in gaps]
-    return Stretch(setup=check_setup(setup), arrays=arrays, gaps=missed)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -416,11 +373,10 @@ def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Sampl
     An hour at 1 kHz takes some seconds and below 1 GB: a field that is constant or equals another is stored once.
 
     Args:
-        path: A file of either format; an MCAP file that was not closed is read up to its last complete chunk.
+        path: A journal; one that was not closed is read up to its last whole record.
         fields: Names of the fields to keep, such as "time" and "position"; None for all.
 
     Raises:
-        MissingPackageError: If an MCAP file needs a package that is not installed.
         InvalidRecordingError: If it is missing, no recording, or invalid.
         ParameterError: If a field is not known.
 
@@ -429,7 +385,7 @@ def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Sampl
         >>> from pathlib import Path
         >>> from maglev_mj import find_scene, load_samples, write_run
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     file = write_run(Path(folder, "run.npz"), find_scene("drop")(duration=0.1), plant="exact")[0]
+        ...     file = write_run(Path(folder, "run.maglev"), find_scene("drop")(duration=0.1), plant="exact")[0]
         ...     samples = load_samples(file, ["time", "position"])
         >>> samples.position.shape
         (21, 6)
@@ -439,149 +395,3 @@ def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Sampl
     if unknown:
         raise ParameterError(f"fields must be of {', '.join(_FIELDS)}, not {unknown[0]!r}")
     return _read(path, frozenset({"tick", *names})).samples(names)
-
-
-_BLOCK = 1 << 14
-
-
-def export(recording: Recording, kind: str, path: Path | str) -> None:
-    """Write a recording as a table, one row per sample, or as sound.
-
-    A table has the columns of `Recording.columns`, and all other content and the units go with it.
-
-    Args:
-        recording: The recording.
-        kind: One of EXPORTS; with csv, content other than the table goes to a .json file of the same name beside it.
-        path: Path of the new file.
-
-    Raises:
-        ParameterError: If the kind is not known, or there are no samples for a sound.
-        MissingPackageError: If the package for Parquet is needed and not installed.
-        OSError: If it cannot be written; an existing file then stays.
-
-    Example:
-        >>> import tempfile
-        >>> from pathlib import Path
-        >>> from maglev_mj import export, find_scene, record_run
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     export(record_run(find_scene("drop")(duration=0.1), plant="exact"), "csv", Path(folder, "run.csv"))
-        ...     lines = Path(folder, "run.csv").read_text().splitlines()
-        >>> [line.split(",")[:2] for line in lines if not line.startswith("#")][:2]
-        [['stretch', 'tick'], ['0', '0']]
-    """
-    check_one_of("to", EXPORTS, kind)
-    check_instance("recording", recording, Recording, READ)
-    path = file_path(path)
-    with aside(path) as partial:
-        EXPORTS[kind](recording, partial, path)
-
-
-def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
-    """Return each known column of all samples, (N,)."""
-    stretches = recording.stretches
-    fields = [*FIELDS, *(one for one in TOTALS if stretches and all(one.name in part.arrays for part in stretches))]
-    samples = recording.samples([field.name for field in fields])
-    recorded = {one.name: values for one in fields if is_recorded(one, values := samples.arrays[one.name])}
-    return replace(samples, arrays=recorded).columns()
-
-
-def _about(recording: Recording, attachments: Any) -> dict[str, Any]:
-    """Return the content besides samples, ready for JSON."""
-    return {
-        "units": units(),
-        "setups": [stretch.setup for stretch in recording.stretches],
-        "events": list(recording.events),
-        "about": dict(recording.about),
-        "damage": recording.damage,
-        "attachments": attachments,
-    }
-
-
-def _encoded(recording: Recording) -> dict[str, Any]:
-    """Return the content besides samples, with attachments in base64."""
-    return _about(recording, {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()})
-
-
-def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
-    columns = _columns(recording)
-    with aside(path.with_name(f"{path.name}.json")) as beside:
-        beside.write_text(json.dumps(_encoded(recording), indent=1), encoding="utf-8")
-        with partial.open("w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file)
-            table.writerow(columns)
-            for first in range(0, recording.ticks, _BLOCK):
-                table.writerows(zip(*(column[first : first + _BLOCK].tolist() for column in columns.values())))
-
-
-def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
-    require(("pyarrow",), "parquet", "Parquet needs pyarrow")
-    import pyarrow
-    from pyarrow import parquet
-
-    columns, unit_of = {name: pyarrow.array(column) for name, column in _columns(recording).items()}, units()
-    fields = [
-        pyarrow.field(name, column.type, metadata={"unit": unit_of[name]} if unit_of.get(name) else None)
-        for name, column in columns.items()
-    ]
-    about = {f"maglev_mj.{name}": json.dumps(part) for name, part in _encoded(recording).items()}
-    parquet.write_table(pyarrow.table([*columns.values()], schema=pyarrow.schema(fields, metadata=about)), partial)
-
-
-_SOUND_RATE, _LOWEST, _LOUDEST = 48_000, 20.0, (50.0, 1.0)
-"""Frames a second, lowest frequency [Hz] and full scale [N, N m] of a sound."""
-
-_STEP = 0.005  # at which a sound is filtered, at least [s]
-
-
-def _as_wav(recording: Recording, partial: Path, _path: Path) -> None:
-    if not recording.ticks:
-        raise InvalidRecordingError("there is nothing to hear: the recording has no samples")
-    parts = [(one.applied, one.metadata.period) for one in recording.stretches]
-    with partial.open("wb") as file:
-        write_sound(file, parts, turns=AXES.index(recording.stretches[0].metadata.axis) > 2)
-
-
-def write_sound(file: IO[bytes], parts: Sequence[tuple[Array, float]], *, turns: bool) -> None:
-    """Write held forces as WAV, on the axis where they change most.
-
-    Args:
-        file: Open file.
-        parts: One after the other, wrenches at the samples [N, N m], (N, 6), and the time that each is heard [s].
-        turns: True for a torque, False for a force.
-    """
-    forces = [np.nan_to_num(wrench[:, 3:] if turns else wrench[:, :3]) for wrench, _ in parts]
-    axis = int(np.argmax(sum(np.square(np.diff(force, axis=0)).sum(axis=0) for force in forces)))
-    with wave.open(file, "wb") as sound:
-        sound.setnchannels(1)
-        sound.setsampwidth(2)
-        sound.setframerate(_SOUND_RATE)
-        for (_, period), force in zip(parts, forces, strict=True):
-            count = math.ceil(period / _STEP)  # a step fades within a longer sample
-            heard = _without_slow(np.repeat(force[:, axis], count), period / count) / _LOUDEST[turns]
-            frames = np.round(np.clip(heard, -1.0, 1.0) * 32767).astype("<i2")
-            edges = np.round(np.arange(len(frames) + 1) * (period / count * _SOUND_RATE)).astype(np.int64)
-            for first in range(0, len(frames), _BLOCK):  # an hour is 350 MB
-                held = np.diff(edges[first : first + _BLOCK + 1])
-                sound.writeframes(np.repeat(frames[first : first + _BLOCK], held).tobytes())
-
-
-def _without_slow(values: Array, period: float) -> Array:
-    """Return values (N,) through a high-pass of first order, which starts at rest."""
-    kept, state = float(np.exp(-2.0 * np.pi * _LOWEST * period)), 0.0
-    out = []
-    for change in np.diff(values, prepend=values[:1]).tolist():
-        state = kept * (state + change)
-        out.append(state)
-    return np.array(out)
-
-
-EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {
-    "npz": lambda recording, partial, _: recording.save(partial),
-    "csv": _as_csv,
-    "parquet": _as_parquet,
-    "wav": _as_wav,
-}
-"""Export functions by format name.
-
-Each writes a recording to a temporary path; the second path is the final one.
-"""

@@ -23,7 +23,7 @@ from maglev_mj.parameters import number
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing, engine_warnings_silenced
 from maglev_mj.plants.hand import GuidedHand, Hand, HandForce, SpringHand, Trajectory
 from maglev_mj.plants.model import model_files, model_names
-from maglev_mj.recording.recording import InvalidRecordingError
+from maglev_mj.recording.journal import InvalidRecordingError
 from maglev_mj.recording.sample import RecordedPlant, RunMetadata, Setup, check_setup, value_in
 from maglev_mj.versions import file_of, hash_of
 
@@ -169,7 +169,6 @@ class RecordingFile(Protocol):
 
         Raises:
             RecordingError: If the file is incomplete.
-            OSError: If it cannot be written.
         """
 
 

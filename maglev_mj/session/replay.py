@@ -23,8 +23,8 @@ from maglev_mj.plants.hand import HandForce, SpringHand
 from maglev_mj.plants.model import load_model
 from maglev_mj.plants.trace import hand_work
 from maglev_mj.recording import (
-    ArrayFile,
     InvalidRecordingError,
+    MemoryFile,
     OwnCodeError,
     Rebuild,
     Recording,
@@ -227,7 +227,7 @@ def record_run(scene: SceneLike, *, plant: str | None = None, phase: float = 0.0
         >>> recording.ticks  # a sample each 5 ms
         21
     """
-    file = ArrayFile()
+    file = MemoryFile()
     with recorded(file, quiet=True) as begin:
         run(scene, plant=plant, phase=checked_phase(phase), begin=begin)
     return file.recording
@@ -236,7 +236,7 @@ def record_run(scene: SceneLike, *, plant: str | None = None, phase: float = 0.0
 def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, phase: float = 0.0) -> list[Path]:
     """Run a scene and record it to a file.
 
-    The file is .mcap or .npz. A run that fails is recorded up to the failure.
+    The file is a journal, .maglev. A run that fails is recorded up to the failure.
 
     Args:
         path: The file.
@@ -245,10 +245,10 @@ def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, p
         phase: Phase of the samples, in [0, 1).
 
     Returns:
-        The file written, in another folder if its own is not writable; none without a sample.
+        The file written; none without a sample.
 
     Raises:
-        ParameterError: If the file is of neither kind.
+        ParameterError: If the file has another suffix.
         RecordingError: If it could not be written as a whole.
         OSError: If it could not be written at all.
 
@@ -257,10 +257,10 @@ def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, p
         >>> from pathlib import Path
         >>> from maglev_mj import Recording, find_scene, write_run
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     files = write_run(Path(folder, "run.npz"), find_scene("drop")(duration=0.1), plant="exact")
+        ...     files = write_run(Path(folder, "run.maglev"), find_scene("drop")(duration=0.1), plant="exact")
         ...     ticks = Recording.load(files[0]).ticks
         >>> files[0].name, ticks
-        ('run.npz', 21)
+        ('run.maglev', 21)
     """
     written = list[Path]()
     with recorded_to(path, written, quiet=True) as begin:

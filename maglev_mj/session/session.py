@@ -19,7 +19,8 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, not_one_of
 from maglev_mj.parameters import flag, number
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
-from maglev_mj.recording import RecordingError, RecordingFile, best_suffix, open_recording
+from maglev_mj.recording import RecordingError, RecordingFile, open_recording
+from maglev_mj.recording.journal import SUFFIX
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.rooms import WEIGHT
@@ -47,7 +48,6 @@ class SessionRecorder:
         self._folder, self._failed, self._missed = folder, "", 0
         self._said = Note()
         self._closing: list[threading.Thread] = []
-        self._unwritten: dict[RecordingFile, str] = {}
         self._broken: list[str] = []
         self._named: set[Path] = set()
 
@@ -82,16 +82,13 @@ class SessionRecorder:
         """End the recording and wait for all files.
 
         Raises:
-            RecordingError: If one is not whole, or cannot be written after another try; all are tried.
+            RecordingError: If one is not whole; all are closed.
         """
         self.stop()
         for thread in self._closing:
             thread.join()
-        again, self._unwritten = self._unwritten, {}
-        for file in again:
-            self._keep(file)
-        if broken := [*self._broken, *self._unwritten.values()]:
-            raise RecordingError("; ".join(broken))
+        if self._broken:
+            raise RecordingError("; ".join(self._broken))
 
     def _keep(self, file: RecordingFile) -> None:
         """Close a file and report the outcome."""
@@ -100,10 +97,6 @@ class SessionRecorder:
         except RecordingError as error:  # the part before the error is on disk
             self._broken.append(str(error))
             self._failed = f"RECORDING: {error}"
-            return
-        except OSError as error:
-            self._unwritten[file] = str(error)
-            self._failed = f"RECORDING: {error}; it is tried again at the end"
             return
         self._said.say(f"wrote {path}" if path is not None else "nothing was recorded")
         if path is not None:
@@ -137,7 +130,7 @@ class SessionRecorder:
 
     def _new_path(self, folder: Path) -> Path:
         """Return an unused name for a recording."""
-        stem, suffix = datetime.now().strftime("maglev-%Y%m%d-%H%M%S"), best_suffix()
+        stem, suffix = datetime.now().strftime("maglev-%Y%m%d-%H%M%S"), SUFFIX
         path, count = folder / f"{stem}{suffix}", 1
         while path in self._named or path.exists():
             path, count = folder / f"{stem}-{count}{suffix}", count + 1

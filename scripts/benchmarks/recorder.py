@@ -4,16 +4,15 @@
     python scripts/benchmarks/recorder.py --rate 20000 --seconds 30
 
 The same loop with and without a recording in turn, with the wall's laws on a plant that costs nothing; the difference
-is what recording adds to a tick. Times of ticks and writer are of the processor, medians over many short turns and
-some runs; the machine may be shared. The time to read an hour at 1 kHz, all six axes noisy, is extrapolated from some
-minutes of it; with --hour a file of the whole, of 830 MB, is made and read. With --rate a run in real time is recorded.
+is what recording adds to a tick. Times are of the processor, medians over many short turns and some runs; the machine
+may be shared. The time to read an hour at 1 kHz, all six axes noisy, is extrapolated from some minutes of it; with
+--hour a file of the whole, of 1.2 GB, is made and read. With --rate a run in real time is recorded.
 """
 
 from __future__ import annotations
 
 import argparse
 import gc
-import io
 import json
 import math
 import statistics
@@ -31,16 +30,14 @@ import numpy as np
 
 from maglev_mj import Command, Sample
 from maglev_mj.control.loop import ControlLoop, Record
-from maglev_mj.recording import ArrayFile, RecordingError, RecordingFile, load_samples, setup_of
-from maglev_mj.recording.ring import Ring
-from maglev_mj.recording.sample import ROW, as_table
-from maglev_mj.recording.writer import LiveFile, McapWriter, row_of
+from maglev_mj.recording import MemoryFile, RecordingError, RecordingFile, load_samples, open_recording, setup_of
+from maglev_mj.recording.journal import checksum_record, header, sample_records, text_records
+from maglev_mj.recording.sample import ROW
 from maglev_mj.scenes.rooms import Joystick
 
 BLOCK = 200
 PERIOD = Joystick().period
 NOISY = 60_000
-TOGETHER = 1 << 10
 
 
 class Nothing:
@@ -87,46 +84,39 @@ def tick_times(makers: Sequence[Callable[[Nothing], Record] | None], turns: int)
 
 
 def tick_costs(turns: int, runs: int) -> dict[str, float]:
-    """Return a tick's time and each recording's cost [s]: medians of runs, each of its turns."""
-    found: dict[str, list[float]] = {"bare": [], "mcap": [], "npz": []}
+    """Return the time of a tick and what recording adds [s]: medians of runs, each of its turns.
+
+    Of the loop's own thread, to a journal and to memory; `all` is that of a journal with its thread.
+    """
+    found: dict[str, list[float]] = {"bare": [], "journal": [], "memory": [], "all": []}
     for _ in range(runs):
-        ring = Ring()
-        bare, *recorded = tick_times([None, ring.record, partial(_begun, ArrayFile())], turns)
-        ring.close()
+        with TemporaryDirectory() as folder:
+            file = open_recording(Path(folder) / "run.maglev")
+            bare, *recorded = tick_times([None, partial(_begun, file), partial(_begun, MemoryFile())], turns)
+            file.close()
         found["bare"].append(statistics.median(bare))
-        for name, one in zip(("mcap", "npz"), recorded, strict=True):
+        for name, one in zip(("journal", "memory"), recorded, strict=True):
             found[name].append(statistics.median(more - less for more, less in zip(one, bare, strict=True)))
+        alone, beside = (_whole_cost(recording, turns) for recording in (False, True))
+        found["all"].append(beside - alone)
     return {name: statistics.median(times) for name, times in found.items()}
+
+
+def _whole_cost(recording: bool, turns: int) -> float:
+    """Return the processor time a tick of all threads [s]."""
+    plant, controller = Nothing(), Joystick().controller()
+    with TemporaryDirectory() as folder:
+        file = open_recording(Path(folder) / "run.maglev", wait=True)
+        record = file.begin(plant, controller, setup_of(plant, controller, delay=0.0)) if recording else None
+        loop, start = ControlLoop(plant, controller, record=record), time.process_time()
+        loop.cycle(turns * BLOCK)
+        file.close()
+        return (time.process_time() - start) / (turns * BLOCK)
 
 
 def _begun(file: RecordingFile, plant: Nothing) -> Record:
     controller = Joystick().controller()
     return file.begin(plant, controller, setup_of(plant, controller, delay=0.0))
-
-
-def writer_costs(count: int, runs: int) -> dict[str, dict[str, float]]:
-    """Return the writer's cost a sample, by rate: time of the processor [s], and bytes."""
-    plant, controller = Nothing(), Joystick().controller()
-    rows: list[list[float]] = []
-
-    def keep(sample: Sample, command: Command, applied: Command) -> None:
-        rows.append([*row_of(sample, command, applied, plant)])
-
-    ControlLoop(plant, controller, record=keep).cycle(count)
-    whole, costs = {**setup_of(plant, controller, delay=0.0), "versions": {}}, {}
-    for rate in (200, 1000, 20_000):
-        for tick, row in enumerate(rows):
-            row[1] = tick / rate
-        found = []
-        for _ in range(runs):
-            file = io.BytesIO()
-            writer, start = McapWriter(file), time.thread_time()
-            writer.begin(whole, 10**18)
-            write(writer, rows)
-            writer.close()
-            found.append((time.thread_time() - start) / count)
-        costs[f"{rate} Hz"] = {"seconds": statistics.median(found), "bytes": len(file.getvalue()) / count}
-    return costs
 
 
 def kept_up(rate: float, seconds: float) -> dict[str, float]:
@@ -137,8 +127,8 @@ def kept_up(rate: float, seconds: float) -> dict[str, float]:
     """
     plant, controller = Nothing(), Joystick().controller()
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "run.mcap"
-        file = LiveFile(path)
+        path = Path(folder) / "run.maglev"
+        file = open_recording(path)
         record = file.begin(plant, controller, setup_of(plant, controller, delay=0.0))
         loop, start, done = ControlLoop(plant, controller, record=record), time.perf_counter(), 0
         while (now := time.perf_counter() - start) < seconds:
@@ -159,8 +149,8 @@ def throughput(samples: int) -> float:
     """Return samples a second of a running writer, to the last one in the file."""
     plant, controller = Nothing(), Joystick().controller()
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "run.mcap"
-        file = LiveFile(path, wait=True)
+        path = Path(folder) / "run.maglev"
+        file = open_recording(path, wait=True)
         record = file.begin(plant, controller, setup_of(plant, controller, delay=0.0))
         loop = ControlLoop(plant, controller, record=record)
         loop.cycle(1)
@@ -172,26 +162,8 @@ def throughput(samples: int) -> float:
         return samples / (time.perf_counter() - start)
 
 
-def write(writer: Any, rows: Sequence[Sequence[float]]) -> None:
-    """Write rows as the process that writes a recording does."""
-    for start in range(0, len(rows), TOGETHER):
-        writer.rows(rows[start : start + TOGETHER])
-
-
-class _Totals:
-    """Totals that cost nothing."""
-
-    def __init__(self, values: Sequence[Sequence[float]]) -> None:
-        self._values, self._place = values, 0
-
-    def take(self, rows: Any) -> Any:
-        """Return the next ones."""
-        first, self._place = self._place, self._place + len(rows)
-        return np.array([(*self._values[(first + row) % len(self._values)], 0) for row in range(len(rows))])
-
-
 def make_file(path: Path, samples: int) -> None:
-    """Write a file of many samples at 1 kHz by the writer, from noise."""
+    """Write a journal of many samples at 1 kHz, from noise."""
     random, rows = np.random.default_rng(1), np.zeros(NOISY, ROW)
     for name, size in (("position", 1e-3), ("command", 10.0), ("hand", 3.0)):
         rows[name] = random.normal(size=(NOISY, 6)) * size
@@ -200,16 +172,18 @@ def make_file(path: Path, samples: int) -> None:
     for name in ("", "_pulse", "_pulse_width"):
         rows[f"applied{name}"] = rows["command" if not name else name[1:]]
     rows["arrival"] = np.nan
-    values, (plant, controller) = as_table(rows).tolist(), (Nothing(), Joystick().controller())
+    plant, controller = Nothing(), Joystick().controller()
+    begun = text_records({"begin": setup_of(plant, controller, delay=0.0), "time": 0})
     with path.open("wb") as file:
-        writer = McapWriter(file)
-        writer.begin({**setup_of(plant, controller, delay=0.0), "versions": {}}, 10**18)
-        writer._messages._totals = _Totals(random.normal(size=(NOISY, 2)).tolist())  # type: ignore[assignment]
-        for start in range(0, samples, NOISY):
-            for tick, row in enumerate(values, start):
-                row[:2] = [tick, tick * 1e-3]
-            write(writer, values[: samples - start])
-        writer.close()
+        file.write(header() + begun + checksum_record(begun))
+        for first in range(0, samples, BLOCK):
+            block = rows[first % NOISY :][: min(BLOCK, samples - first)].copy()
+            block["tick"] = np.arange(first, first + len(block))
+            block["time"] = block["tick"] * 1e-3
+            data = sample_records(block)
+            file.write(data + checksum_record(data))
+        end = text_records({"end": {"lost": 0}})
+        file.write(end + checksum_record(end))
 
 
 READ = """
@@ -231,7 +205,7 @@ def read_cost(path: Path, fields: str = "") -> dict[str, float]:
 def read_hour(minutes: float, runs: int) -> dict[str, float]:
     """Return the extrapolated time to read an hour [s], at 1 kHz, from a few minutes."""
     with TemporaryDirectory() as folder:
-        path = Path(folder) / "minutes.mcap"
+        path = Path(folder) / "minutes.maglev"
         make_file(path, round(minutes * 60_000))
         found = [read_cost(path) for _ in range(runs)]
         size = path.stat().st_size
@@ -246,10 +220,9 @@ def read_hour(minutes: float, runs: int) -> dict[str, float]:
 
 def measure(quick: bool) -> dict[str, Any]:
     """Return the costs of recording and reading."""
-    turns, count, runs = (5, 500, 1) if quick else (60, 4000, 3)
+    turns, runs = (5, 1) if quick else (60, 3)
     return {
         "tick": tick_costs(turns, runs),
-        "writer": writer_costs(count, runs),
         "kept_up": kept_up(20_000.0, 0.3 if quick else 1.0),
         "throughput": throughput(1000 if quick else 30_000),
         "read_hour": read_hour(0.01 if quick else 1.0, runs),
@@ -271,14 +244,12 @@ def main() -> None:
     found = measure(options.quick)
     tick, bare = found["tick"], found["tick"]["bare"]
     print(f"  a tick without recording             {bare * 1e6:5.2f} µs")
-    for name, what in (("mcap", ".mcap, into shared memory"), ("npz", ".npz, into memory")):
+    for name, what in (("journal", "a journal"), ("memory", "memory"), ("all", "a journal, with its thread")):
         more = f"{tick[name] * 1e6:5.2f} µs, {1.0 + tick[name] / bare:.3f} times the tick"
         print(f"  recorded to {what:25s}+{more}")
-    for rate, one in found["writer"].items():
-        print(f"  the writer takes {one['seconds'] * 1e6:.0f} µs a sample at {rate}, {one['bytes']:.0f} bytes each")
     kept = found["kept_up"]
     print(f"  at 20 kHz {kept['lost']} of {kept['samples']} samples are lost;", end=" ")
-    print(f"the writer takes up to {found['throughput']:.0f} samples a second")
+    print(f"a run that waits records {found['throughput']:.0f} samples a second")
     hour = found["read_hour"]
     print(f"  an hour at 1 kHz is read in {hour['seconds']:.1f} s, {hour['processor']:.1f} s of processor,", end=" ")
     print(f"from {hour['minutes']:g} minutes of it")

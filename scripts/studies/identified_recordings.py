@@ -25,7 +25,7 @@ from maglev_mj.control.loop import ControlLoop
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants.hand import HANDS, Hand, Trajectory
 from maglev_mj.plants.sensor import Sensor
-from maglev_mj.recording import ArrayFile, Stretch, setup_of
+from maglev_mj.recording import MemoryFile, Stretch, setup_of
 from maglev_mj.recording.sample import mechanics
 from maglev_mj.result import plain
 from maglev_mj.spec import GRAVITY, INERTIA
@@ -138,7 +138,7 @@ def record(case: Case) -> tuple[Stretch, Array]:
     )
     inertia = mechanics(plant)["inertia"] + np.array([MASS - case.mass] * 3 + [0.0] * 3)
     stated = {"inertia": inertia, "load": (0.0, 0.0, -MASS * GRAVITY, 0.0, 0.0, 0.0)}
-    file = ArrayFile()
+    file = MemoryFile()
     keep = file.begin(plant, controller, setup_of(plant, controller, delay=case.stated_delay, **stated))
     anchors: list[Array] = []
 

@@ -140,10 +140,23 @@ def content(path: Path) -> Any:
     if path.suffix == ".npz":
         with np.load(path) as arrays:
             return {name: _array(arrays[name]) for name in arrays.files}
-    assert path.suffix == ".mcap", path
     from tests.recorded import messages_in
 
-    return _lasting([[topic, message] for topic, message in messages_in(path.read_bytes())])
+    mcap = path
+    if path.suffix == ".maglev":
+        mcap = _exported(path, "mcap")
+    assert mcap.suffix == ".mcap", path
+    return _lasting([[topic, message] for topic, message in messages_in(mcap.read_bytes())])
+
+
+def _exported(path: Path, kind: str) -> Path:
+    """Export a recording beside itself; return the new file."""
+    from maglev_mj.recording import Recording
+    from maglev_mj.recording.export import export
+
+    other = path.with_suffix(f".{kind}")
+    export(Recording.load(path), kind, other)
+    return other
 
 
 def _results(record: Path) -> list[Any]:
@@ -180,7 +193,7 @@ def pressed(name: str, count: int = 100, seed: int = 16) -> list[dict[str, Any]]
     draw, paused = random.Random(seed + PRESSED.index(name)), False
     made: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "run.npz"
+        path = Path(folder) / "run.maglev"
         session = Session(
             find_scene(name)(), hand=SpringHand(), record=path, pacer=Pacer(budget=3600.0, patience=3600.0)
         )
@@ -193,7 +206,7 @@ def pressed(name: str, count: int = 100, seed: int = 16) -> list[dict[str, Any]]
                 session.hand.target = [*(0.02 * pull for pull in pulls[:3]), *(0.3 * pull for pull in pulls[3:])]
             made.append({"action": action, "ticks": session.tick(draw.choice((1.0 / 60.0, 0.05)))})
         session.close()
-        with np.load(path) as arrays:
+        with np.load(_exported(path, "npz")) as arrays:
             held = {
                 name: json.loads(str(one)) if one.dtype.kind == "U" else one.tolist() for name, one in arrays.items()
             }

@@ -23,7 +23,7 @@ from maglev_mj.parameters import flag
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import interrupts_held
-from maglev_mj.recording.recording import write_sound
+from maglev_mj.recording.export import write_sound
 from maglev_mj.scenes import Scene
 from maglev_mj.session import TIME_SCALES, Pacer, Session, Snapshot
 from maglev_mj.terminal import say

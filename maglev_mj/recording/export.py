@@ -1,0 +1,225 @@
+"""Recordings in the formats of other programs: arrays, tables, MCAP, sound."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import json
+import math
+import time
+import wave
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from maglev_mj.errors import check_instance, check_one_of, file_path, require
+from maglev_mj.frames import AXES, Array
+from maglev_mj.recording.journal import InvalidRecordingError
+from maglev_mj.recording.recording import READ, Recording, aside
+from maglev_mj.recording.sample import ARRAYS, FIELDS, TOTALS, is_recorded, units
+from maglev_mj.versions import versions
+
+_BLOCK = 1 << 14
+
+
+def export(recording: Recording, kind: str, path: Path | str) -> None:
+    """Write a recording as arrays, as a table with one row per sample, as MCAP or as sound.
+
+    A table has the columns of `Recording.columns`, and all other content and the units go with it.
+
+    Args:
+        recording: The recording.
+        kind: One of EXPORTS; with csv, content other than the table goes to a .json file of the same name beside it.
+        path: Path of the new file.
+
+    Raises:
+        ParameterError: If the kind is not known, or there are no samples for a sound.
+        MissingPackageError: If a package for the kind is not installed.
+        OSError: If it cannot be written; an existing file then stays.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from maglev_mj import export, find_scene, record_run
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     export(record_run(find_scene("drop")(duration=0.1), plant="exact"), "csv", Path(folder, "run.csv"))
+        ...     lines = Path(folder, "run.csv").read_text().splitlines()
+        >>> [line.split(",")[:2] for line in lines if not line.startswith("#")][:2]
+        [['stretch', 'tick'], ['0', '0']]
+    """
+    check_one_of("to", EXPORTS, kind)
+    check_instance("recording", recording, Recording, READ)
+    path = file_path(path)
+    with aside(path) as partial:
+        EXPORTS[kind](recording, partial, path)
+
+
+def _as_npz(recording: Recording, partial: Path, _path: Path) -> None:
+    arrays: dict[str, Any] = {
+        f"attachment/{place}": np.frombuffer(data, np.uint8)
+        for place, data in enumerate(recording.attachments.values())
+    }
+    stored = {**ARRAYS, **{one.name: [one] for one in TOTALS}}
+    for index, stretch in enumerate(recording.stretches):
+        for name, fields in stored.items():
+            columns = [stretch.arrays[one.name] for one in fields if one.name in stretch.arrays]
+            if any(is_recorded(one, values) for one, values in zip(fields, columns)):
+                arrays[f"{index}/{name}"] = columns[0] if len(columns) == 1 else np.column_stack(columns)
+    header = _about(recording, list(recording.attachments)) | {
+        "format": "maglev_mj recording 1",
+        "axes": AXES,
+        "gaps": [list(stretch.gaps) for stretch in recording.stretches],
+        "event_samples": list(recording.event_samples),
+    }
+    with partial.open("wb") as file:
+        np.savez(file, header=np.array(json.dumps(header)), **arrays)
+
+
+_METADATA = "maglev_mj"  # name of the metadata record
+_CHUNK = 1 << 16
+
+
+def _as_mcap(recording: Recording, partial: Path, _path: Path) -> None:
+    require(("foxglove", "google.protobuf"), "mcap", "MCAP needs foxglove-sdk and protobuf")
+    from foxglove import Context, open_mcap
+    from foxglove.mcap import MCAPWriteOptions
+
+    from maglev_mj.recording.messages import Messages
+
+    context = Context()  # without which its channels close
+    options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0)
+    about = {"units": json.dumps(units()), **(recording.about or versions())}
+    with partial.open("wb") as file:
+        writer = open_mcap(file, context=context, writer_options=options)
+        writer.write_metadata(_METADATA, about)
+        now = time.time_ns()
+        for name, data in recording.attachments.items():
+            media_type = "application/xml" if name.endswith(".xml") else "text/x-python"
+            writer.attach(log_time=now, create_time=now, name=name, media_type=media_type, data=data)
+        messages = Messages(context)
+        for kind, part in recording.parts():
+            if kind == "begin":
+                messages.begin(part.setup, 1000 * part.began)
+            elif kind == "rows":
+                messages.rows(part)
+            elif kind == "stick":
+                messages.stick(part)
+            else:
+                messages.event(*part)
+        writer.close()
+
+
+def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
+    """Return each known column of all samples, (N,)."""
+    stretches = recording.stretches
+    fields = [*FIELDS, *(one for one in TOTALS if stretches and all(one.name in part.arrays for part in stretches))]
+    samples = recording.samples([field.name for field in fields])
+    recorded = {one.name: values for one in fields if is_recorded(one, values := samples.arrays[one.name])}
+    return replace(samples, arrays=recorded).columns()
+
+
+def _about(recording: Recording, attachments: Any) -> dict[str, Any]:
+    """Return the content besides samples, ready for JSON."""
+    return {
+        "units": units(),
+        "setups": [stretch.setup for stretch in recording.stretches],
+        "events": list(recording.events),
+        "about": dict(recording.about),
+        "damage": recording.damage,
+        "attachments": attachments,
+    }
+
+
+def _encoded(recording: Recording) -> dict[str, Any]:
+    """Return the content besides samples, with attachments in base64."""
+    return _about(recording, {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()})
+
+
+def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
+    columns = _columns(recording)
+    with aside(path.with_name(f"{path.name}.json")) as beside:
+        beside.write_text(json.dumps(_encoded(recording), indent=1), encoding="utf-8")
+        with partial.open("w", newline="", encoding="utf-8") as file:
+            table = csv.writer(file)
+            table.writerow(columns)
+            for first in range(0, recording.ticks, _BLOCK):
+                table.writerows(zip(*(column[first : first + _BLOCK].tolist() for column in columns.values())))
+
+
+def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
+    require(("pyarrow",), "parquet", "Parquet needs pyarrow")
+    import pyarrow
+    from pyarrow import parquet
+
+    columns, unit_of = {name: pyarrow.array(column) for name, column in _columns(recording).items()}, units()
+    fields = [
+        pyarrow.field(name, column.type, metadata={"unit": unit_of[name]} if unit_of.get(name) else None)
+        for name, column in columns.items()
+    ]
+    about = {f"maglev_mj.{name}": json.dumps(part) for name, part in _encoded(recording).items()}
+    parquet.write_table(pyarrow.table([*columns.values()], schema=pyarrow.schema(fields, metadata=about)), partial)
+
+
+_SOUND_RATE, _LOWEST, _LOUDEST = 48_000, 20.0, (50.0, 1.0)
+"""Frames a second, lowest frequency [Hz] and full scale [N, N m] of a sound."""
+
+_STEP = 0.005  # at which a sound is filtered, at least [s]
+
+
+def _as_wav(recording: Recording, partial: Path, _path: Path) -> None:
+    if not recording.ticks:
+        raise InvalidRecordingError("there is nothing to hear: the recording has no samples")
+    parts = [(one.applied, one.metadata.period) for one in recording.stretches]
+    with partial.open("wb") as file:
+        write_sound(file, parts, turns=AXES.index(recording.stretches[0].metadata.axis) > 2)
+
+
+def write_sound(file: IO[bytes], parts: Sequence[tuple[Array, float]], *, turns: bool) -> None:
+    """Write held forces as WAV, on the axis where they change most.
+
+    Args:
+        file: Open file.
+        parts: One after the other, wrenches at the samples [N, N m], (N, 6), and the time that each is heard [s].
+        turns: True for a torque, False for a force.
+    """
+    forces = [np.nan_to_num(wrench[:, 3:] if turns else wrench[:, :3]) for wrench, _ in parts]
+    axis = int(np.argmax(sum(np.square(np.diff(force, axis=0)).sum(axis=0) for force in forces)))
+    with wave.open(file, "wb") as sound:
+        sound.setnchannels(1)
+        sound.setsampwidth(2)
+        sound.setframerate(_SOUND_RATE)
+        for (_, period), force in zip(parts, forces, strict=True):
+            count = math.ceil(period / _STEP)  # a step fades within a longer sample
+            heard = _without_slow(np.repeat(force[:, axis], count), period / count) / _LOUDEST[turns]
+            frames = np.round(np.clip(heard, -1.0, 1.0) * 32767).astype("<i2")
+            edges = np.round(np.arange(len(frames) + 1) * (period / count * _SOUND_RATE)).astype(np.int64)
+            for first in range(0, len(frames), _BLOCK):  # an hour is 350 MB
+                held = np.diff(edges[first : first + _BLOCK + 1])
+                sound.writeframes(np.repeat(frames[first : first + _BLOCK], held).tobytes())
+
+
+def _without_slow(values: Array, period: float) -> Array:
+    """Return values (N,) through a high-pass of first order, which starts at rest."""
+    kept, state = float(np.exp(-2.0 * np.pi * _LOWEST * period)), 0.0
+    out = []
+    for change in np.diff(values, prepend=values[:1]).tolist():
+        state = kept * (state + change)
+        out.append(state)
+    return np.array(out)
+
+
+EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {
+    "npz": _as_npz,
+    "mcap": _as_mcap,
+    "csv": _as_csv,
+    "parquet": _as_parquet,
+    "wav": _as_wav,
+}
+"""Export functions by format name.
+
+Each writes a recording to a temporary path; the second path is the final one.
+"""

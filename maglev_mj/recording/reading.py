@@ -1,0 +1,270 @@
+"""Content of a journal, checked: segments by column, events, attachments."""
+
+from __future__ import annotations
+
+import base64
+import operator
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Array
+from maglev_mj.parameters import number, whole
+from maglev_mj.recording.journal import FORMAT, SAMPLE, TEXT, VERSION, JournalContent, open_journal
+from maglev_mj.recording.sample import (
+    FIELDS,
+    TOTALS,
+    Rows,
+    RunMetadata,
+    Setup,
+    Totals,
+    check_rows,
+    check_setup,
+    value_in,
+)
+from maglev_mj.versions import versions_read
+
+_TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
+"""Fields that equal another bitwise unless a limit acts."""
+
+_TOTAL_NAMES = frozenset(field.name for field in TOTALS)
+_BLOCK = 1 << 11  # samples that are checked and stored together
+
+
+class SegmentContent:
+    """Samples of a segment read so far, by column.
+
+    A constant column, and a copy of another, is stored once.
+
+    Args:
+        message: Message at the beginning of the segment.
+        names: Fields to keep; None for all.
+
+    Attributes:
+        setup: Setup of plant and controller.
+        began: Time of the beginning since 1970 [µs].
+        gaps: Row that follows and number of samples missed without a gap in the ticks.
+        sticks: Row that follows and stick position from there on, six or None.
+    """
+
+    def __init__(self, message: Mapping[str, Any], names: frozenset[str] | None) -> None:
+        self.setup: Setup = check_setup(value_in(message, "begin", dict))
+        self.began = whole("time", value_in(message, "time"))
+        self.gaps: list[tuple[int, int]] = []
+        self.sticks: list[tuple[int, Sequence[float] | None]] = []
+        self._metadata = RunMetadata.from_json(value_in(self.setup, "run", dict))
+        self._names = [field.name for field in (*FIELDS, *TOTALS) if names is None or field.name in names]
+        totalled = not _TOTAL_NAMES.isdisjoint(self._names)
+        kept = [field.name for field in FIELDS if field.name in self._names or totalled]
+        self._blocks: dict[str, list[Array]] = {name: [] for name in kept}
+        self._last: dict[str, Array] = {}
+        self._count = 0
+
+    def __len__(self) -> int:
+        return self._count
+
+    def add(self, samples: Rows) -> None:
+        """Check and store samples, a structured array (N,) with the fields of the file.
+
+        Raises:
+            ParameterError: If a sample is invalid.
+        """
+        known = samples.dtype.names or ()
+        values = {
+            field.name: np.ascontiguousarray(samples[field.name])
+            if field.name in known
+            else np.full((len(samples), 6) if field.six else len(samples), np.nan)
+            for field in FIELDS
+        }
+        # with the row before, for checks between rows
+        rows = {name: np.concatenate([self._last.get(name, part[:0]), part]) for name, part in values.items()}
+        check_rows(rows, max(self._count - 1, 0))
+        self._count += len(samples)
+        self._last = {field.name: values[field.name][-1:].copy() for field in FIELDS}
+        kept = {name: _constant_once(part) for name, part in values.items()}
+        kept |= {name: kept[twin] for name, twin in _TWINS.items() if _same(values[name], values[twin])}
+        for name, blocks in self._blocks.items():
+            blocks.append(kept[name])
+
+    def arrays(self) -> Mapping[str, Array]:
+        """Return the fields of all samples, (N,) or (N, 6) each, not to be changed."""
+        blocks = self._blocks
+        twins = {name: twin for name, twin in _TWINS.items() if {name, twin} <= blocks.keys()}
+        copies = {name: twin for name, twin in twins.items() if all(map(operator.is_, blocks[name], blocks[twin]))}
+        arrays = {name: _joined(blocks.pop(name)) for name in list(blocks) if name not in copies}
+        arrays |= {name: arrays[twin] for name, twin in copies.items()}
+        return Columns(self._names, arrays, Totals(self._metadata), self.gaps)
+
+
+class Columns(Mapping[str, Array]):
+    """Fields of the samples of a segment; the totals are added up when one of them is first asked for.
+
+    Args:
+        names: Names of the fields.
+        arrays: Fields of the file, (N,) or (N, 6) each.
+        totals: What adds up.
+        gaps: Row that follows and number of samples missed without a gap in the ticks.
+    """
+
+    def __init__(
+        self, names: Sequence[str], arrays: Mapping[str, Array], totals: Totals, gaps: Sequence[tuple[int, int]]
+    ) -> None:
+        self._names, self._arrays, self._totals, self._gaps = names, dict(arrays), totals, gaps
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._names:
+            raise KeyError(name)
+        if name not in self._arrays:
+            self._arrays |= self._added_up()
+        return self._arrays[name]
+
+    def _added_up(self) -> Mapping[str, Array]:
+        parts: list[Array] = []
+        count, start = len(self._arrays["tick"]), 0
+        for row, missed in [*self._gaps, (count, 0)]:
+            for first in range(start, row, _BLOCK):
+                rows = slice(first, min(first + _BLOCK, row))
+                parts.append(self._totals.take({name: values[rows] for name, values in self._arrays.items()}))
+            start = row
+            self._totals.miss(missed)
+        return {field.name: column for field, column in zip(TOTALS, np.concatenate(parts).T)}
+
+
+def _same(one: Array, other: Array) -> bool:
+    """Return True if two arrays are bitwise equal."""
+    return bool((np.ascontiguousarray(one).view(np.int64) == np.ascontiguousarray(other).view(np.int64)).all())
+
+
+def _constant_once(block: Array) -> Array:
+    constant = np.broadcast_to(block[:1], block.shape)
+    return np.broadcast_to(block[:1].copy(), block.shape) if _same(block, constant) else block
+
+
+def _joined(blocks: Sequence[Array]) -> Array:
+    first, count = blocks[0][:1], sum(map(len, blocks))
+    if all(block.strides[0] == 0 and _same(block[:1], first) for block in blocks):
+        return np.broadcast_to(first, (count, *first.shape[1:]))
+    return np.concatenate(blocks)
+
+
+class Content:
+    """Content of a recording.
+
+    Args:
+        path: Path of the journal.
+        names: Fields to keep; None for all.
+
+    Attributes:
+        segments: Segments with samples, in order of time.
+        events: Texts of the events.
+        event_samples: Number of samples before each event.
+        attachments: Attached files by name.
+        about: Format of the file and versions of the code that made it.
+        damage: Description of a missing end; empty for none.
+
+    Raises:
+        ParameterError: If it is no journal, or holds invalid content.
+        OSError: If it cannot be read.
+    """
+
+    def __init__(self, path: Path, names: frozenset[str] | None = None) -> None:
+        journal = open_journal(path)
+        self.segments: list[SegmentContent] = []
+        self.events: list[str] = []
+        self.event_samples: list[int] = []
+        self.attachments: dict[str, bytes] = {}
+        self.about = {"format": f"{FORMAT} {VERSION}", **(versions_read(journal.header.get("versions")) or {})}
+        self.damage, self._closed, self._names, self._time = "", False, names, 0.0
+        last = 0
+        for first, last in _runs(journal):
+            self._take(journal, first, last)
+            if self._closed:
+                break
+        self.segments = [segment for segment in self.segments if len(segment)]
+        if not self._closed:
+            end = f"read to {self._time:.1f} s" if self.segments else "without a sample"
+            self.damage = f"not closed: {end}"
+        elif len(journal.records) - last + bool(journal.rest) > 1:  # its checksum may be cut
+            self.damage = "there is more behind its end"
+
+    def _take(self, journal: JournalContent, first: int, last: int) -> None:
+        """Take the records of a checked run of blocks."""
+        kinds = journal.kinds[first:last]
+        samples = first + np.flatnonzero(kinds == SAMPLE)
+        start = 0
+        for text in (first + np.flatnonzero(kinds == TEXT)).tolist():
+            end = int(np.searchsorted(samples, text))
+            self._add(journal, samples[start:end])
+            self._message(journal.message(text, {}))
+            start = end
+        self._add(journal, samples[start:])
+
+    def _add(self, journal: JournalContent, places: Any) -> None:
+        if not len(places):
+            return
+        if not self.segments:
+            raise ParameterError("a sample must be in a segment")
+        for start in range(0, len(places), _BLOCK):
+            rows = journal.records[places[start : start + _BLOCK]]
+            self.segments[-1].add(rows)
+        self._time = float(rows["time"][-1])
+
+    def _message(self, message: Mapping[str, Any]) -> None:
+        """Take a message; those that are not known are skipped."""
+        if "begin" in message:
+            self.segments.append(SegmentContent(message, self._names))
+        elif "event" in message:
+            self.events.append(f"{value_in(message, 'event', str)}: {value_in(message, 'text', str)}")
+            self.event_samples.append(sum(map(len, self.segments)))
+            if (missed := whole("missed", value_in(message, "missed"))) and self.segments:
+                self.segments[-1].gaps.append((len(self.segments[-1]), missed))
+        elif "stick" in message and self.segments:
+            self.segments[-1].sticks.append((len(self.segments[-1]), _stick(message["stick"])))
+        elif "attach" in message:
+            try:
+                data = base64.b64decode(value_in(message, "data", str), validate=True)
+            except ValueError:
+                raise ParameterError("data of an attachment must be base64") from None
+            self.attachments.setdefault(value_in(message, "attach", str), data)
+        elif "end" in message:
+            self._closed = True
+
+
+def _runs(journal: JournalContent) -> Iterator[tuple[int, int]]:
+    """Check the checksums; yield the records to take at once, first and last of each run.
+
+    A block is 0.1 s long: some of them are quicker together.
+    """
+    start = end = 0
+    for first, last in journal.blocks():
+        if last - start > _BLOCK and end > start:
+            yield start, end
+            start = first
+        end = last
+        if _ends(journal, first, last):
+            break
+    yield start, end
+
+
+def _ends(journal: JournalContent, first: int, last: int) -> bool:
+    """Return whether the last message of a block is that of the end."""
+    texts = first + np.flatnonzero(journal.kinds[first:last] == TEXT)
+    return bool(len(texts)) and "end" in journal.message(int(texts[-1]), {})
+
+
+def _stick(values: Any) -> Sequence[float] | None:
+    """Return a stick position, NaN for null; None without friction."""
+    if values is None:
+        return None
+    if not isinstance(values, list) or len(values) != 6:
+        raise ParameterError("stick must be six numbers or null")
+    return [np.nan if one is None else number("stick", one) for one in values]
