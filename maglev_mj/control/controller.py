@@ -166,7 +166,7 @@ class Controller:
     def _check(self, position: Six) -> None:
         if len(position) != len(AXES):
             raise ParameterError(f"a sample must have {len(AXES)} position components, not {len(position)}")
-        batch = np.broadcast_shapes(*map(np.shape, position))
+        batch = np.broadcast_shapes(*(np.shape(part) for part in position if part.__class__ is not float))
         for law in self.laws:
             if law.batch and law.batch != batch:
                 raise ParameterError(f"samples must have the batch shape {law.batch} of the laws, not {batch}")
