@@ -20,7 +20,7 @@ from maglev_mj.analysis.motion import _stick_slip
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.cli import main
 from maglev_mj.frames import AXES, Command, Sample
@@ -42,6 +42,7 @@ from maglev_mj.spec import GRAVITY
 from maglev_mj.views.page import panel, plots
 from maglev_mj.views.readings import Charts
 from maglev_mj.views.window.screen import Plots, status_rows
+from tests.impaired import ImpairedLine, Impairment
 
 ZERO = (0.0,) * 6
 TOUR = Trajectory(
@@ -70,7 +71,7 @@ def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parame
         return spring(tick, time, state) if hand and time > 1.3 else ZERO  # hands off in takeoff
 
     twin = Twin(TwinParameters(truth=truth, **parameters), hand_force=holder, draw=lambda: 7)  # type: ignore[arg-type]
-    with RemotePlant(VirtualLink(twin, Impairment(loss=loss))) as plant:
+    with RemotePlant(VirtualLink(twin, ImpairedLine(Impairment(loss=loss)))) as plant:
         file = MemoryFile()
         Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(2.0)
     (stretch,) = file.recording.stretches

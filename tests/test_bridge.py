@@ -24,7 +24,7 @@ from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.twin import firmware
-from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.control import Bias, FiniteDifference, Hold
@@ -35,6 +35,7 @@ from maglev_mj.plants import MuJoCoPlant, SpotSensor
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.rooms import INERTIA, WEIGHT
+from tests.impaired import ImpairedLine, Impairment
 from tests.recorded import command_row
 
 ZERO = (0.0,) * 6
@@ -94,7 +95,7 @@ class Rig:
     ) -> None:
         self.witness = Witness(hand)
         self.twin = Twin(TwinParameters(**parameters), key=key, hand_force=self.witness, draw=lambda: 7)
-        self.link = VirtualLink(self.twin, impairment)
+        self.link = VirtualLink(self.twin, ImpairedLine(impairment or Impairment()))
         self.plant = kind(self.link, key=key, **(host or {}))
         self.rows: list[list[float]] = []
 

@@ -22,7 +22,6 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import ThermalModel
 from maglev_mj.bridge.twin import firmware
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, InjectedFault
-from maglev_mj.bridge.twin.simulated_links import Impairment
 from maglev_mj.bridge.twin.twin import REST
 from maglev_mj.bridge.wire import Fault, State, fault_names
 from maglev_mj.control import Bias
@@ -32,6 +31,7 @@ from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command, Sample
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes.rooms import WEIGHT
+from tests.impaired import Impairment
 from tests.sweeps import sweep
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, REACH, TOUR, ZERO, Rig, hover
 

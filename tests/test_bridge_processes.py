@@ -24,7 +24,7 @@ from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.line import measure_line
 from maglev_mj.bridge.links import UdpLink, UdpServer
 from maglev_mj.bridge.realtime import RealtimeError, realtime
-from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.bridge.wire import StateReport
 from maglev_mj.cli import bridge
@@ -34,6 +34,7 @@ from maglev_mj.recording import Recording, RecordingError
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Table
+from tests.impaired import Impairment
 from tests.processes import ADDRESS, PATIENCE, Program, ended, running, said_by, started, twin
 from tests.recorded import command_row
 from tests.udp_proxy import UdpProxy

@@ -14,11 +14,12 @@ from maglev_mj.bridge.connection import EstopReport, estop
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.twin.simulated_links import Impairer, Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Estop, Fault, State
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command as MotionCommand
+from tests.impaired import Impairer, Impairment
 from tests.processes import ended, twin
 from tests.test_bridge import CENTRE, Rig
 from tests.test_bridge_processes import flown

@@ -23,7 +23,7 @@ from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.flight_guards import late_delay
 from maglev_mj.bridge.landing import StopSwitch
 from maglev_mj.bridge.line import LineReport, judge_change, measure_line
-from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge
 from maglev_mj.cli.peripherals import PageOptions
 from maglev_mj.errors import MaglevError
@@ -31,6 +31,7 @@ from maglev_mj.process import NICE, SideAnswers
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import INERTIA, Joystick
 from maglev_mj.session import REPLACED, UNKNOWN, ChangeRequest, Snapshot
+from tests.impaired import ImpairedLine, Impairment
 
 GOOD, STIFF, SLOW = Joystick(stiffness=4000.0), Joystick(stiffness=60_000.0), Joystick(stiffness=10_000.0)
 
@@ -153,7 +154,7 @@ class Wishes:
 
 
 def device(way: float = 0.00025) -> RemotePlant:
-    return RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), Impairment(delay=way)))
+    return RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(delay=way))))
 
 
 Fly = Callable[..., tuple[Flight, Wishes, Any]]

@@ -16,13 +16,14 @@ from maglev_mj.bridge.fault import DeviceFault, load_black_box
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.line import LineReport, LoopTiming, Preflight, measure_line
 from maglev_mj.bridge.remote import RemotePlant
-from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.cli import bridge
 from maglev_mj.frames import Sample
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
+from tests.impaired import ImpairedLine, Impairment
 from tests.sweeps import sweep
 
 ANALYSIS = 80_000_000
@@ -42,7 +43,7 @@ class Witnessed:
 
     def __init__(self, folder: Path, way: float = 0.0, **options: Any) -> None:
         self.twin = Twin(TwinParameters(), draw=lambda: 7)
-        self.link = VirtualLink(self.twin, Impairment(delay=way))
+        self.link = VirtualLink(self.twin, ImpairedLine(Impairment(delay=way)))
         self.plant = RemotePlant(self.link, folder=folder)
         self.flight = Flight(self.plant, Joystick(period=self.plant.period, delay=self.plant.delay), **options)
         self.segments: list[tuple[float, float]] = []
@@ -163,7 +164,7 @@ def test_so_do_a_recording_a_viewer_and_an_interrupt(
 def test_a_silent_serial_line_is_told_what_it_needs(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    twin, line = Twin(TwinParameters(), draw=lambda: 7), Impairment(blackouts=((2.7, 2.8),))
+    twin, line = Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(blackouts=((2.7, 2.8),)))
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(twin, line), folder=tmp_path))
     assert cli.main(["bridge", address, "--seconds", "1"]) == 1
     (fault,) = capsys.readouterr().err.splitlines()
@@ -201,7 +202,7 @@ def unchecked(plant: RemotePlant, scene: Scene, **_: Any) -> Preflight:
 def test_the_command_says_in_one_line_what_happened_and_how_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    twin, line = Twin(TwinParameters(), draw=lambda: 7), Impairment(delay=0.0006)
+    twin, line = Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(delay=0.0006))
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(twin, line), folder=tmp_path))
     monkeypatch.setattr(bridge, "preflight", unchecked)  # the law fails there too
     monkeypatch.chdir(tmp_path)

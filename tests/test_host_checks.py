@@ -11,13 +11,13 @@ import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.safety import HostLimits, Limits
-from maglev_mj.bridge.twin.simulated_links import Impairment
 from maglev_mj.bridge.wire import Fault, Flag, State, StateReport
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Command
 from maglev_mj.scenes.rooms import WEIGHT
+from tests.impaired import Impairment
 from tests.test_bridge import CENTRE, Rig
 
 

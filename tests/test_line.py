@@ -15,13 +15,14 @@ import pytest
 from maglev_mj import cli, find_scene
 from maglev_mj.bridge import HostLimits, RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.line import MARGIN, LineReport, measure_line, preflight, stiffest_walls
-from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge
 from maglev_mj.errors import PlantError
 from maglev_mj.plants.hand import HANDS
 from maglev_mj.session import device_controller
 from maglev_mj.theory import largest_modulus
 from maglev_mj.theory.verdict import delay_margins
+from tests.impaired import ImpairedLine, Impairment
 from tests.processes import started, twin
 
 SIGN_ERROR = """\
@@ -52,7 +53,7 @@ class Clock(VirtualLink):
 
 def device(folder: Path, way: float = 0.0, jitter: float = 0.0, clock: float = 1.0, **options: Any) -> RemotePlant:
     limits = options.pop("limits", None)
-    link = Clock(Twin(TwinParameters(**options), draw=lambda: 7), Impairment(delay=way, jitter=jitter))
+    link = Clock(Twin(TwinParameters(**options), draw=lambda: 7), ImpairedLine(Impairment(delay=way, jitter=jitter)))
     link.rate = clock
     return RemotePlant(link, folder=folder, limits=limits)
 

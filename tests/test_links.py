@@ -30,9 +30,9 @@ from maglev_mj.bridge.links import (
     open_link,
     parse_url,
 )
-from maglev_mj.bridge.twin.simulated_links import Impairer, Impairment
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.session.access import check_host, is_loopback
+from tests.impaired import Impairer, Impairment
 from tests.udp_proxy import UdpProxy
 
 PATIENCE = 60.0

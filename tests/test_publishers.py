@@ -13,12 +13,13 @@ from mcap.reader import make_reader
 from maglev_mj import cli
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.control.laws.base import as_law
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Box, Joystick
 from maglev_mj.session import ChangeRequest, Publishers, Snapshot
+from tests.impaired import ImpairedLine, Impairment
 from tests.recorded import decoder, exported
 
 
@@ -91,7 +92,8 @@ def flight(**options: Any) -> tuple[Flight, RemotePlant]:
 
     It takes off at once.
     """
-    plant = RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), Impairment(jitter=0.001)))
+    line = ImpairedLine(Impairment(jitter=0.001))
+    plant = RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), line))
     return Flight(plant, Joystick(period=plant.period, delay=plant.delay), **options), plant
 
 

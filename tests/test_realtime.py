@@ -17,10 +17,11 @@ from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.line import LoopTiming
 from maglev_mj.bridge.realtime import LatencyHistogram, RealtimeError, realtime
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.twin.simulated_links import Impairment, VirtualLink
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.recording import Recording, open_recording
 from maglev_mj.scenes.rooms import Table
+from tests.impaired import ImpairedLine, Impairment
 
 SCHEDULED = hasattr(os, "sched_getscheduler")
 
@@ -244,7 +245,7 @@ def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
     # On a line of 4 ms each way at 200 Hz no answer is there before the next sample.
     twin = Twin(TwinParameters(), draw=lambda: 7)
     file = open_recording(tmp_path / "run.maglev")
-    with RemotePlant(VirtualLink(twin, Impairment(delay=0.004, jitter=0.0005))) as plant:
+    with RemotePlant(VirtualLink(twin, ImpairedLine(Impairment(delay=0.004, jitter=0.0005)))) as plant:
         scene = Table(period=plant.period, delay=plant.delay, friction=False)
         flown = Flight(plant, scene, file=file)
         report = flown.run(0.5)
@@ -263,7 +264,7 @@ def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
 
 def test_each_answer_is_measured_once_and_samples_are_missed_from_takeoff_on() -> None:
     twin = Twin(TwinParameters(limits=Limits(watchdog=1.0)), draw=lambda: 7)
-    with RemotePlant(VirtualLink(twin, Impairment(loss=0.15, seed=3))) as plant:
+    with RemotePlant(VirtualLink(twin, ImpairedLine(Impairment(loss=0.15, seed=3)))) as plant:
         for _ in range(40):
             plant.read()
         before = plant.samples.lost

@@ -17,13 +17,13 @@ from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import Motion
 from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
-from maglev_mj.bridge.twin.simulated_links import Impairment
 from maglev_mj.bridge.twin.twin import REST
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Sample
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.rooms import WEIGHT
+from tests.impaired import Impairment
 from tests.sweeps import sweep
 from tests.test_bridge import BAD, BAD_REACH, CENTRE, Rig, hover
 

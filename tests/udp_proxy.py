@@ -7,7 +7,8 @@ import time
 from select import select
 
 from maglev_mj.bridge.links import Address, UdpLink, UdpServer
-from maglev_mj.bridge.twin.simulated_links import ImpairedLine, Impairment
+from maglev_mj.bridge.twin.simulated_links import TO_DEVICE, TO_HOST
+from tests.impaired import ImpairedLine, Impairment
 
 _LOOK = 0.05  # [s] between looks at a line on which nothing happens
 
@@ -44,7 +45,7 @@ class UdpProxy:
             raise
         self.address = self._host.address
         self._line = ImpairedLine(impairment, time.monotonic_ns())
-        self.to_device, self.to_host = self._line.to_device, self._line.to_host
+        self.to_device, self.to_host = self._line.impairers[TO_DEVICE], self._line.impairers[TO_HOST]
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="bad line", daemon=True)
         self._thread.start()
@@ -69,11 +70,11 @@ class UdpProxy:
                 select(ends, (), (), min(max((line.due - clock()) * 1e-9, 0.0), _LOOK))
                 while (heard := host.receive(0.0)) is not None:
                     data, peer = heard
-                    line.send(line.to_device, data, clock())
+                    line.send(TO_DEVICE, data, clock())
                 while (answer := device.receive(0.0)) is not None:
-                    line.send(line.to_host, answer, clock())
+                    line.send(TO_HOST, answer, clock())
                 for way, data in line.arrived(clock()):
-                    if way is line.to_device:
+                    if way == TO_DEVICE:
                         device.send(data)
                     elif peer is not None:
                         host.send(data, peer)

@@ -1,133 +1,43 @@
-"""Simulated links: impaired line, and twin in virtual time.
-
-The same seed loses, repeats, damages and delays the same frames.
-"""
+"""Link to a twin in virtual time."""
 
 from __future__ import annotations
 
 import heapq
-import random
-from collections import Counter
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from itertools import count
 
 from maglev_mj.bridge.twin.twin import Twin
-from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import number
 
 _PEER = "host"
 _NEVER = 2**63
+TO_HOST, TO_DEVICE = 0, 1
+"""Directions of a line."""
 
 
-@dataclass(frozen=True)
-class Impairment:
-    """Impairment of a line, each way.
-
-    Attributes:
-        loss: Probability that a frame never arrives.
-        duplicate: Probability that an arriving frame arrives twice.
-        corrupt: Probability that a copy arrives with one byte changed.
-        delay: Mean time under way [s].
-        jitter: Half width of the uniform variation of each copy's time [s]; the time is never negative.
-        blackouts: Pairs of start and end [s] since the beginning, in which all frames are lost.
-        seed: Seed of the random numbers.
-
-    Raises:
-        ParameterError: If a value is outside its bounds, or a blackout ends before it starts.
-    """
-
-    loss: float = 0.0
-    duplicate: float = 0.0
-    corrupt: float = 0.0
-    delay: float = 0.0
-    jitter: float = 0.0
-    blackouts: tuple[tuple[float, float], ...] = ()
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("loss", "duplicate", "corrupt"):
-            number(name, getattr(self, name), at_least=0.0, at_most=1.0)
-        for name in ("delay", "jitter"):
-            number(name, getattr(self, name), at_least=0.0)
-        for start, end in self.blackouts:
-            if not 0.0 <= start < end:
-                raise ParameterError(f"a blackout must start at 0 or later and end after that, not {(start, end)!r}")
-
-
-class Impairer:
-    """Random fate of each frame in one direction.
-
-    It draws equally often for each frame: its fate does not depend on others, nor its time on the loss rate.
-
-    Args:
-        impairment: Impairment of the line.
-        stream: Number of this direction; each has its own random numbers.
-        start: Instant [ns] from which blackouts count.
-
-    Attributes:
-        counts: Numbers of frames (`frames`, `lost`, lost to a `blackout`, `duplicated`) and of copies
-            (`corrupted`; `reordered`: arriving before one sent earlier).
-    """
-
-    def __init__(self, impairment: Impairment, stream: int = 0, start: int = 0) -> None:
-        self._impairment, self._start = impairment, start
-        self._random = random.Random(f"{impairment.seed} {stream}")
-        self._latest = 0
-        self.counts: Counter[str] = Counter()
-
-    def fates(self, data: bytes, now: int) -> list[tuple[int, bytes]]:
-        """Return arrival time [ns] and content of each copy.
-
-        The frame is sent at `now` [ns].
-        """
-        draw, line = self._random.random, self._impairment
-        lost, doubled = draw() < line.loss, draw() < line.duplicate
-        copies = [self._copy(data, now, (draw(), draw(), draw(), draw())) for _ in range(2)]
-        self.counts["frames"] += 1
-        since = (now - self._start) * 1e-9
-        dark = any(start <= since < end for start, end in line.blackouts)
-        if dark or lost:
-            self.counts["blackout" if dark else "lost"] += 1
-            return []
-        self.counts["duplicated"] += doubled
-        arriving = copies[: 1 + doubled]
-        self.counts["corrupted"] += sum(copy != data for _, copy in arriving)
-        self.counts["reordered"] += sum(due < self._latest for due, _ in arriving)
-        self._latest = max(self._latest, *(due for due, _ in arriving))
-        return arriving
-
-    def _copy(self, data: bytes, now: int, luck: tuple[float, float, float, float]) -> tuple[int, bytes]:
-        line = self._impairment
-        late = line.delay + (2.0 * luck[0] - 1.0) * line.jitter
-        if luck[1] < line.corrupt and data:
-            changed = bytearray(data)
-            changed[int(luck[2] * len(data))] ^= 1 + int(luck[3] * 255.0)
-            data = bytes(changed)
-        return now + max(round(late * 1e9), 0), data
-
-
-class ImpairedLine:
-    """Frames in transit in both directions.
+class Line:
+    """Frames in transit in both directions; each arrives at once. A subclass may delay, lose or change them.
 
     Of two due at once, the first sent arrives first.
     """
 
-    def __init__(self, impairment: Impairment, start: int = 0) -> None:
-        self.to_host, self.to_device = Impairer(impairment, 0, start), Impairer(impairment, 1, start)
-        self._order, self._frames = count(), list[tuple[int, int, Impairer, bytes]]()
+    def __init__(self) -> None:
+        self._order, self._frames = count(), list[tuple[int, int, int, bytes]]()
 
-    def send(self, way: Impairer, data: bytes, now: int) -> None:
+    def fates(self, direction: int, data: bytes, now: int) -> Sequence[tuple[int, bytes]]:
+        """Return arrival time [ns] and content of each copy of a frame that is sent at `now` [ns]."""
+        return [(now, data)]
+
+    def send(self, direction: int, data: bytes, now: int) -> None:
         """Send one frame in one direction at `now` [ns]."""
-        for due, copy in way.fates(data, now):
-            heapq.heappush(self._frames, (due, next(self._order), way, copy))
+        for due, copy in self.fates(direction, data, now):
+            heapq.heappush(self._frames, (due, next(self._order), direction, copy))
 
     @property
     def due(self) -> int:
         """Instant of the next arrival [ns]."""
         return self._frames[0][0] if self._frames else _NEVER
 
-    def arrived(self, now: int) -> Iterator[tuple[Impairer, bytes]]:
+    def arrived(self, now: int) -> Iterator[tuple[int, bytes]]:
         """Yield direction and content of each frame that has arrived."""
         while self.due <= now:
             yield heapq.heappop(self._frames)[2:]
@@ -140,21 +50,21 @@ class VirtualLink:
 
     Args:
         twin: The device, stepped by this link alone.
-        impairment: Impairment of the line; none by default.
+        line: Line to it; by default one on which each frame arrives at once.
 
     Attributes:
         time: Simulated time [ns].
     """
 
-    def __init__(self, twin: Twin, impairment: Impairment | None = None) -> None:
-        self._twin, self._line = twin, ImpairedLine(impairment or Impairment())
+    def __init__(self, twin: Twin, line: Line | None = None) -> None:
+        self._twin, self._line = twin, line or Line()
         self._arrived: list[bytes] = []
         self._period, self._lockstep = twin.parameters.profile.period, twin.parameters.lockstep
         self.time = 0
 
     def send(self, data: bytes) -> None:
-        """Send one frame; without impairment it arrives at once."""
-        self._line.send(self._line.to_device, data, self.time)
+        """Send one frame."""
+        self._line.send(TO_DEVICE, data, self.time)
         self._deliver()
 
     def receive(self, timeout: float) -> bytes | None:
@@ -194,14 +104,14 @@ class VirtualLink:
 
     def _sample(self) -> None:
         if (frame := self._twin.sample()) is not None:
-            self._line.send(self._line.to_host, frame, self.time)
+            self._line.send(TO_HOST, frame, self.time)
 
     def _deliver(self) -> None:
         """Deliver all frames that have arrived."""
         # in lockstep the device's clock stands at its last sample
         now = max(self._twin.tick, 0) * self._period if self._lockstep else self.time
-        for way, data in self._line.arrived(self.time):
-            if way is self._line.to_host:
+        for direction, data in self._line.arrived(self.time):
+            if direction == TO_HOST:
                 self._arrived.append(data)
             elif answer := self._twin.receive(data, now, _PEER):
-                self._line.send(self._line.to_host, answer, self.time)
+                self._line.send(TO_HOST, answer, self.time)

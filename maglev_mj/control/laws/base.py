@@ -370,7 +370,7 @@ def answer(law: Law, position: Six, velocity: Six, state: Any, wrench: list[Comp
     after = [*position, *velocity]
     if not (len(after) == len(before) and all(map(_same, after, before))):
         raise ParameterError(f"{name} must not change the position or velocity that it is given")
-    batch = np.broadcast_shapes(*(part.shape for part in before if part.__class__ is not float))
+    batch = np.broadcast_shapes(*(np.shape(part) for part in before if part.__class__ is not float))
     _check(name, "wrench", wrench, batch)
     if result[1] is not None:
         _check(name, "pulse", result[1], batch)
