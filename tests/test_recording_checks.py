@@ -429,9 +429,8 @@ def test_missed_samples_of_an_event_are_counted(tmp_path: Path) -> None:
     assert (told["event"], told["text"], told["missed"]) == ("missed", "3 ticks were given up: too slow", 3)
     recording = load(journal_of(parts), tmp_path)
     assert max(stretch.missed.max() for stretch in recording.stretches) == 3
-    assert verify(recording, rebuild).same
-    verdict = check(with_message(parts, row, ("missed",), 2), tmp_path)
-    assert verdict.fields["missed"].first is None  # it is what the file says that is shown
+    fewer = load(with_message(parts, row, ("missed",), 2), tmp_path)
+    assert max(stretch.missed.max() for stretch in fewer.stretches) == 2
 
 
 def test_a_file_of_any_header_takes_no_more_memory_than_its_size(tmp_path: Path) -> None:

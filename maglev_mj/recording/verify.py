@@ -19,11 +19,9 @@ from maglev_mj.recording.sample import (
     ARRAYS,
     FIELDS,
     ROW,
-    TOTALS,
     Rows,
     RunMetadata,
     Setup,
-    Totals,
     as_rows,
     as_table,
     compiled,
@@ -102,8 +100,6 @@ def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
     """Replay a recording and compare every field bitwise.
 
     A new controller gets the recorded samples, and a new plant the recorded hand.
-
-    Energy, work and missed samples are recomputed from the recorded samples.
 
     Args:
         recording: The recording.
@@ -195,9 +191,6 @@ def _fields(stretch: Stretch, rebuild: Rebuild) -> Iterator[_Field]:
             continue
         again = answers if field in _COMMANDED else seen if field.name != "hand" or has_hand else None
         yield field.name, recorded, None if again is None else again[field.name][-len(recorded) :]
-    if all(field.name in stretch.arrays for field in TOTALS):
-        for field, totals in zip(TOTALS, _totals(stretch).T, strict=True):
-            yield field.name, stretch.arrays[field.name], totals
     yield from metadata
 
 
@@ -262,14 +255,3 @@ def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows
         except MaglevError:  # the recorded run ended there too, or the comparison will say that it did not
             return seen, True
     return seen, False
-
-
-def _totals(stretch: Stretch) -> Array:
-    """Return the totals at each sample, (N, 3)."""
-    totals, blocks, first = Totals(stretch.metadata), list[Array](), 0
-    for row, missed in (*stretch.gaps, (len(stretch), 0)):
-        if row > first:
-            blocks.append(totals.take(stretch[first:row].arrays))
-            first = row
-        totals.miss(missed)
-    return np.concatenate(blocks)
