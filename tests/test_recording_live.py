@@ -356,6 +356,29 @@ def test_a_name_of_an_export_is_refused_with_the_command_that_writes_it(kind: st
     assert main(["export", str(journal), "--to", kind]) == 0 and (tmp_path / f"run.{kind}").stat().st_size
 
 
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_an_export_on_a_full_disk_is_one_line_and_an_older_file_stays(
+    kind: str, drop_run: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    import resource
+
+    path, other = tmp_path / "run.maglev", tmp_path / f"run.{kind}"
+    path.write_bytes(drop_run)
+    other.write_bytes(b"that of before")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for room in (100, 5_000):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+        try:
+            status = main(["export", str(path), "--to", kind])
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert status == 1
+        (line,) = capfd.readouterr().err.splitlines()
+        assert "File too large" in line and other.read_bytes() == b"that of before"
+    assert {one.name for one in tmp_path.iterdir()} == {path.name, other.name}
+
+
 def test_a_recording_is_exported_with_every_field_unit_event_and_attachment(tmp_path: Path, capsys: Any) -> None:
     # Of two stretches, as pandas and numpy read it without an option.
     import pandas

@@ -83,6 +83,42 @@ _METADATA = "maglev_mj"  # name of the metadata record
 _CHUNK = 1 << 16
 
 
+class _PatientFile:
+    """File that keeps its first error and takes what follows: foxglove-sdk would print each, and go on.
+
+    Args:
+        file: File to write to.
+
+    Attributes:
+        error: The first error; None for none.
+    """
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file = file
+        self.error: OSError | None = None
+
+    def write(self, data: bytes) -> int:
+        """Write data."""
+        self._kept(self._file.write, data)
+        return len(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Set the position, and return it."""
+        position = self._kept(self._file.seek, offset, whence)
+        return offset if position is None else int(position)
+
+    def flush(self) -> None:
+        """Write what is buffered."""
+        self._kept(self._file.flush)
+
+    def _kept(self, do: Callable[..., Any], *arguments: Any) -> Any:
+        try:
+            return do(*arguments) if self.error is None else None
+        except OSError as error:
+            self.error = error
+            return None
+
+
 def _as_mcap(recording: Recording, partial: Path, _path: Path) -> None:
     require(("foxglove", "google.protobuf"), "mcap", "MCAP needs foxglove-sdk and protobuf")
     from foxglove import Context, open_mcap
@@ -91,9 +127,10 @@ def _as_mcap(recording: Recording, partial: Path, _path: Path) -> None:
     from maglev_mj.recording.messages import Messages
 
     context = Context()  # without which its channels close
-    options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0)
+    options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0, disable_seeking=True)
     about = {"units": json.dumps(units()), **(recording.about or versions())}
-    with partial.open("wb") as file:
+    with partial.open("wb") as opened:
+        file = _PatientFile(opened)
         writer = open_mcap(file, context=context, writer_options=options)
         writer.write_metadata(_METADATA, about)
         now = time.time_ns()
@@ -111,6 +148,9 @@ def _as_mcap(recording: Recording, partial: Path, _path: Path) -> None:
             else:
                 messages.event(*part)
         writer.close()
+        file.flush()
+        if file.error is not None:
+            raise file.error
 
 
 def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
