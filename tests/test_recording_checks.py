@@ -239,6 +239,13 @@ def test_samples_that_are_laid_out_otherwise_are_refused(what: str, tmp_path: Pa
         load(line + data[entries["offset"] :], tmp_path)
 
 
+@pytest.mark.parametrize("offset", [0, 4095, 8192])
+def test_a_header_of_another_length_than_it_says_is_refused(offset: int, tmp_path: Path) -> None:
+    data = made("drop").replace(b'"offset": 4096    ', b'"offset": %-8d' % offset, 1)
+    with pytest.raises(InvalidRecordingError, match="the header must be as long as it says"):
+        load(data, tmp_path)
+
+
 def test_a_newer_kind_of_record_and_a_further_value_are_skipped(tmp_path: Path) -> None:
     data = made("drop")
     line, offset = data[: data.index(b"\n") + 1], data.index(b"\n") + 1
