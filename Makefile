@@ -53,7 +53,7 @@ FLOORS := build/floors
 LOWEST := import re, tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
   lines = sum(project["optional-dependencies"].values(), project["dependencies"]); \
   print(*sorted({f"{found[1]}=={found[2]}" for found in map(re.compile(r"([\w-]+)[^;]*>=([\d.]+)").match, lines) if found}), sep="\n")
-TRIED := $(addprefix tests/test_,$(addsuffix .py,plants laws loop drop scenes recording recording_messages result charts cli live web study design))
+TRIED := $(addprefix tests/test_,$(addsuffix .py,plants laws loop drop scenes recording recording_messages result charts cli web study design))
 # old packages stand on new ones of theirs, which warn of what is deprecated
 floors:  ## install the lowest versions that pyproject.toml allows; run the README's commands and a dozen test files
 	rm -rf $(FLOORS)
@@ -119,7 +119,7 @@ clean:
 
 # Downloads as measured on Linux with Python 3.11; on disk 416 and 1144 MB.
 $(DEMO): pyproject.toml requirements.lock
-	$(call install,charts$(comma)record$(comma)web,97 MB)
+	$(call install,charts$(comma)mcap$(comma)web,97 MB)
 	@touch $@
 
 $(READY): pyproject.toml requirements.lock

@@ -30,6 +30,7 @@ from maglev_mj.bridge.links import (
     open_link,
     parse_url,
 )
+from maglev_mj.bridge.twin.simulated_links import TO_DEVICE, Line
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.session.access import check_host, is_loopback
 from tests.impaired import Impairer, Impairment
@@ -603,3 +604,13 @@ def test_a_proxy_holds_frames_back_for_the_delay() -> None:
                     while not proxy.to_device.counts["frames"]:
                         time.sleep(1e-3)
                     assert server.receive(0.1) is None
+
+
+def test_a_line_delays_each_frame_and_keeps_their_order() -> None:
+    line = Line(delay=0.002)
+    for data in (b"first", b"second"):
+        line.send(TO_DEVICE, data, 5)
+    assert line.due == 2_000_005 and list(line.arrived(2_000_004)) == []
+    assert list(line.arrived(2_000_005)) == [(TO_DEVICE, b"first"), (TO_DEVICE, b"second")]
+    with pytest.raises(ParameterError, match="delay must be a finite number at least 0, not -1"):
+        Line(delay=-1.0)

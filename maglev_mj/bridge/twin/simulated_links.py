@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import count
 
 from maglev_mj.bridge.twin.twin import Twin
+from maglev_mj.parameters import number
 
 _PEER = "host"
 _NEVER = 2**63
@@ -15,17 +16,24 @@ TO_HOST, TO_DEVICE = 0, 1
 
 
 class Line:
-    """Frames in transit in both directions; each arrives at once. A subclass may delay, lose or change them.
+    """Frames in transit in both directions. A subclass may lose or change them.
 
     Of two due at once, the first sent arrives first.
+
+    Args:
+        delay: Time under way, each way [s].
+
+    Raises:
+        ParameterError: If it is below 0.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, delay: float = 0.0) -> None:
+        self._delay = round(number("delay", delay, at_least=0.0) * 1e9)
         self._order, self._frames = count(), list[tuple[int, int, int, bytes]]()
 
     def fates(self, direction: int, data: bytes, now: int) -> Sequence[tuple[int, bytes]]:
         """Return arrival time [ns] and content of each copy of a frame that is sent at `now` [ns]."""
-        return [(now, data)]
+        return [(now + self._delay, data)]
 
     def send(self, direction: int, data: bytes, now: int) -> None:
         """Send one frame in one direction at `now` [ns]."""
