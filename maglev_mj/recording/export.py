@@ -97,7 +97,7 @@ class _PatientFile:
         self._file = file
         self.error: OSError | None = None
 
-    def write(self, data: bytes) -> int:
+    def write(self, data: bytes | bytearray) -> int:
         """Write data."""
         self._kept(self._file.write, data)
         return len(data)
