@@ -150,16 +150,16 @@ def parts_in(data: bytes) -> list[Part]:
     return found
 
 
-def journal_of(parts: Iterable[Part], *, block: int = 1 << 30) -> bytes:
-    """Return a journal of messages and samples, with a checksum after `block` of them.
+def journal_of(parts: Iterable[Part]) -> bytes:
+    """Return a journal of messages and samples, in one block.
 
     Numbers outside JSON are written as Python does.
     """
     records = [
         byte_records(json.dumps(part).encode()) if isinstance(part, dict) else sample_records(part) for part in parts
     ]
-    blocks = [b"".join(records[start : start + block]) for start in range(0, len(records), min(block, len(records)))]
-    return header() + b"".join(one + checksum_record(one) for one in blocks)
+    block = b"".join(records)
+    return header() + block + checksum_record(block)
 
 
 def with_value(data: bytes, row: int, column: str, value: float) -> bytes:

@@ -177,8 +177,8 @@ def test_each_gap_of_a_slow_session_is_its_own_ticks(tmp_path: Path) -> None:
 
 
 OTHERS = {
-    b"a text": "it is no journal",
-    b"\x89MCAP0\r\n": "it is no journal, but MCAP or .npz: recordings of these kinds",
+    b"a text": "it is not a journal",
+    b"\x89MCAP0\r\n": "it is not a journal, but MCAP or .npz: maglev_mj 0.2",
 }
 
 

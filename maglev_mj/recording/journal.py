@@ -271,7 +271,7 @@ def _is_in_use(path: Path) -> bool:
         content = open_journal(path)
     except (OSError, ParameterError):
         return False
-    return not content.closed
+    return not content.ends(0, len(content.records))
 
 
 class JournalContent(NamedTuple):
@@ -289,28 +289,26 @@ class JournalContent(NamedTuple):
     kinds: NDArray[np.uint32]
     rest: int
 
-    @property
-    def closed(self) -> bool:
-        """Whether the last message is that of the end."""
-        texts = np.flatnonzero(self.kinds == TEXT)
-        return bool(len(texts)) and "end" in self.message(int(texts[-1]), {"end": None})
+    def ends(self, first: int, last: int) -> bool:
+        """Return whether the last message of these records is that of the end."""
+        texts = first + np.flatnonzero(self.kinds[first:last] == TEXT)
+        return bool(len(texts)) and "end" in self.message(int(texts[-1]))
 
-    def message(self, index: int, incomplete: Mapping[str, Any] | None = None) -> Mapping[str, Any]:
-        """Return the message that begins with a record.
+    def message(self, index: int) -> Mapping[str, Any]:
+        """Return the message that begins with a record; an empty one if the file ends within it.
 
         Args:
             index: Number of the record, from 0.
-            incomplete: Returned if the file ends within the message; None for an error.
 
         Raises:
-            ParameterError: If it is incomplete or no JSON object.
+            ParameterError: If other records follow within it, or it is not a JSON object.
         """
         size, payload = int(self.records["size"][index]), self.records.dtype.itemsize - _HEAD.size
         count = -(-size // payload)
-        if index + count > len(self.records) or (self.kinds[index + 1 : index + count] != CONTINUED).any():
-            if incomplete is None or index + count <= len(self.records):
-                raise ParameterError("a message must have all its records")
+        if index + count > len(self.records):
             return {}
+        if (self.kinds[index + 1 : index + count] != CONTINUED).any():
+            raise ParameterError("a message must have all its records")
         raw = np.ascontiguousarray(self.records[index : index + count]).view(np.uint8).reshape(count, -1)
         message = parsed(raw[:, _HEAD.size :].tobytes()[:size])
         if not isinstance(message, Mapping):
@@ -339,7 +337,7 @@ def open_journal(path: Path) -> JournalContent:
     """Return the content of a journal.
 
     Raises:
-        ParameterError: If it is no journal.
+        ParameterError: If it is not a journal.
         OSError: If it cannot be read.
     """
     with path.open("rb") as file:
@@ -362,10 +360,10 @@ def open_journal(path: Path) -> JournalContent:
 
 
 def _what_it_is(start: bytes) -> str:
-    """Return why a file is no journal."""
+    """Return why a file is not a journal."""
     if start.startswith((b"\x89MCAP", b"PK")):
-        return "it is no journal, but MCAP or .npz: recordings of these kinds are read by maglev_mj 0.2 and older"
-    return "it is no journal"
+        return "it is not a journal, but MCAP or .npz: maglev_mj 0.2 and older read these recordings"
+    return "it is not a journal"
 
 
 _DTYPES = {"<u4", "<f8", "6<f8"}
@@ -375,7 +373,7 @@ def _dtype(entries: Mapping[str, Any]) -> np.dtype[Any]:
     """Return the dtype of the records from the header.
 
     Raises:
-        ParameterError: If it is none, or lacks a value that every sample has.
+        ParameterError: If it is not a list of known formats, or lacks a value that every sample has.
     """
     names, formats = value_in(entries, "names", list), value_in(entries, "formats", list)
     good = all(isinstance(name, str) and re.fullmatch(r"\w{1,40}", name) for name in names)

@@ -172,7 +172,7 @@ class Content:
         damage: Description of a missing end; empty for none.
 
     Raises:
-        ParameterError: If it is no journal, or holds invalid content.
+        ParameterError: If it is not a journal, or holds invalid content.
         OSError: If it cannot be read.
     """
 
@@ -204,7 +204,7 @@ class Content:
         for text in (first + np.flatnonzero(kinds == TEXT)).tolist():
             end = int(np.searchsorted(samples, text))
             self._add(journal, samples[start:end])
-            self._message(journal.message(text, {}))
+            self._message(journal.message(text))
             start = end
         self._add(journal, samples[start:])
 
@@ -250,15 +250,9 @@ def _runs(journal: JournalContent) -> Iterator[tuple[int, int]]:
             yield start, end
             start = first
         end = last
-        if _ends(journal, first, last):
+        if journal.ends(first, last):
             break
     yield start, end
-
-
-def _ends(journal: JournalContent, first: int, last: int) -> bool:
-    """Return whether the last message of a block is that of the end."""
-    texts = first + np.flatnonzero(journal.kinds[first:last] == TEXT)
-    return bool(len(texts)) and "end" in journal.message(int(texts[-1]), {})
 
 
 def _stick(values: Any) -> Sequence[float] | None:

@@ -130,10 +130,10 @@ class SessionRecorder:
 
     def _new_path(self, folder: Path) -> Path:
         """Return an unused name for a recording."""
-        stem, suffix = datetime.now().strftime("maglev-%Y%m%d-%H%M%S"), SUFFIX
-        path, count = folder / f"{stem}{suffix}", 1
+        stem = datetime.now().strftime("maglev-%Y%m%d-%H%M%S")
+        path, count = folder / f"{stem}{SUFFIX}", 1
         while path in self._named or path.exists():
-            path, count = folder / f"{stem}-{count}{suffix}", count + 1
+            path, count = folder / f"{stem}-{count}{SUFFIX}", count + 1
         self._named.add(path)
         return path
 
