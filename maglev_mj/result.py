@@ -11,7 +11,6 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from maglev_mj.errors import MaglevError, require
-from maglev_mj.lazy import loaded
 from maglev_mj.terminal import WIDTH, printable, wrapped
 
 if TYPE_CHECKING:
@@ -97,14 +96,13 @@ class Table(NamedTuple):
 class Result:
     """Dataclass of a result, from whose fields and columns all its forms follow.
 
-    A subclass gives `columns` and `units`; `table` for a table other than the first rows of the columns.
+    A subclass gives `columns` and `units`; `table` for a table other than the first rows of the columns; `plot` if it
+    has a picture.
 
     Class attributes:
-        drawn_by: Function that draws it, as "module:function"; it is imported when a picture is asked for.
         derived: Names of properties that its JSON has besides the fields.
     """
 
-    drawn_by: ClassVar[str]
     derived: ClassVar[Sequence[str]] = ()
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
@@ -144,19 +142,17 @@ class Result:
         frame.attrs["units"] = {name: unit for name, unit in self.units.items() if name in frame}
         return frame
 
-    def plot(self, path: Path | None = None, **options: Any) -> Any:
+    def plot(self, path: Path | None = None) -> Any:
         """Return a picture, a matplotlib figure, or the path that it was written to.
 
         Args:
             path: File to write; None to return the figure.
-            options: Those of the function that draws it; see `drawn_by`.
 
         Raises:
             MissingPackageError: If matplotlib is not installed.
+            NotImplementedError: If the result has no picture.
         """
-        from maglev_mj.pictures import save  # arrays would be loaded with a command's help
-
-        return save(loaded(self.drawn_by)(self, **options), path)
+        raise NotImplementedError(f"{type(self).__name__} has no picture")
 
     def __repr__(self) -> str:
         try:

@@ -18,7 +18,6 @@ from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene, find_scene
 from maglev_mj.scenes.bench import WallScene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.pictures import draw_run, draw_variants
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.rooms import INERTIA, Joystick
@@ -169,7 +168,7 @@ def test_a_picture_waits_for_it(beside: StabilityMap) -> None:
 
 
 def test_charts_of_runs_and_recordings_say_it() -> None:
-    figure = draw_run(run(Press(stiffness=12_000.0), plant="exact"))
+    figure = run(Press(stiffness=12_000.0), plant="exact").plot()
     assert "wall of 12000 N/m and 80 N s/m (root 0.956, stiffness 78 % of its limit)\n" in figure.axes[0].get_title(
         "left"
     )
@@ -185,4 +184,4 @@ def test_charts_of_runs_and_recordings_say_it() -> None:
 
 def test_a_chart_of_walls_that_differ_names_none() -> None:
     runs = {f"{gain:g} N/m": run(Press(stiffness=gain), plant="exact") for gain in (3000.0, 6000.0)}
-    assert "wall of" not in draw_variants(Variants(runs)).axes[0].get_title("left")
+    assert "wall of" not in Variants(runs).plot().axes[0].get_title("left")

@@ -11,80 +11,12 @@ from typing import Any
 import numpy as np
 
 from maglev_mj.analysis import Run, StretchReport
-from maglev_mj.colours import REFERENCE, SERIES, STUCK
+from maglev_mj.colours import REFERENCE, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_grid
-from maglev_mj.plants.trace import Trace
-from maglev_mj.recording import Recording, Samples
 
-_STILL = 1e-6
 _SHOWN, _LEAD, _POINTS = 0.4, 0.1, 2001
 _MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045
-
-
-def trace(motion: Trace) -> Any:
-    """Draw position and force of the moving axes over time.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
-        ParameterError: If the trace is not of one device on six axes.
-    """
-    motion.columns()
-    return _moving(motion.time, motion.pose, motion.wrench)
-
-
-def samples(rows: Samples) -> Any:
-    """Draw position and command of the moving axes over time.
-
-    Raises:
-        AttributeError: If time, position or command were not loaded.
-        MissingPackageError: If matplotlib is not installed.
-    """
-    return _moving(rows.time, rows.position, rows.command)
-
-
-def recording(whole: Recording) -> Any:
-    """Draw position and command over time; see `samples`."""
-    return samples(whole.samples())
-
-
-def _moving(time: Array, position: Array, force: Array) -> Any:
-    """Draw the moving axes, translations and rotations side by side.
-
-    If none moves, draw z.
-    """
-    moving = np.flatnonzero(np.ptp(position, axis=0) > _STILL)
-    groups = [axes for axes in (moving[moving < 3], moving[moving > 2]) if axes.size] or [np.array([2])]
-    found, shown, lowest = {}, dict[str, Any](), {}
-    for axes in groups:
-        first = int(axes[0])
-        place, effort = ("position", "force") if first < 3 else ("rotation", "torque")
-        found[place] = 1e3 * position.T[axes], unit_of("mm", first)
-        found[effort] = force.T[axes], unit_of("N", first)
-        shown |= {place: (axes, "default"), effort: (axes, "steps-post")}
-    figure, panels = new_grid(found, "time (s)", high=2, always=next(iter(found)))
-    for name, panel in panels.items():
-        axes, step = shown[name]
-        for axis, curve in zip(axes, found[name][0], strict=True):
-            panel.plot(time, curve, drawstyle=step, color=SERIES[axis % 3], linewidth=1.3, label=AXES[axis])
-        lowest[axes[0]] = panel
-    for panel in lowest.values():
-        name_curves(panel)
-    return figure
-
-
-def stretch_report(report: StretchReport, axis: str | None = None) -> Any:
-    """Draw recording and simulation of the run; see `whole_run`.
-
-    Args:
-        report: The analysed stretch.
-        axis: Name from AXES; the one that tells most by default.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
-        ParameterError: If the axis does not move.
-    """
-    return whole_run(report, report.axis(axis))
 
 
 def first_contact(report: StretchReport, axis: int) -> Any:

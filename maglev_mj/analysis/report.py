@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import flag, number
+from maglev_mj.pictures import save
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import RecordedHand
 from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
@@ -146,7 +148,6 @@ class StretchReport(Result):
     units: ClassVar = {"time": "s"} | {
         f"{side}.{axis}": unit_of("m", axis) for side in ("recorded", "simulated") for axis in AXES
     }
-    drawn_by: ClassVar = "maglev_mj.analysis.pictures:stretch_report"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return time, recorded and simulated positions, (N,) each.
@@ -181,6 +182,20 @@ class StretchReport(Result):
             below.append(comparison.table())
         span = f"{figures.samples} samples, {figures.start:.4g} to {figures.end:.4g} s, {figures.missed} missed"
         return Table(f"{self.run_named}: {span}", [], [], below=[*below, self.identified.table()])
+
+    def plot(self, path: Path | None = None, axis: str | None = None) -> Any:
+        """Draw recording and simulation of the run on an axis; see `Result.plot`.
+
+        Args:
+            path: File to write; None to return the figure.
+            axis: Name from AXES; the most significant one by default, see `StretchReport.axis`.
+
+        Raises:
+            ParameterError: If the axis does not move.
+        """
+        from maglev_mj.analysis.pictures import whole_run
+
+        return save(whole_run(self, self.axis(axis)), path)
 
     def axis(self, name: str | None = None) -> int:
         """Return the index of the axis to draw.

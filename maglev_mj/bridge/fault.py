@@ -21,6 +21,7 @@ from maglev_mj.bridge.wire import Fault, Frame, State, StateReport, fault_names
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import flag, read_json
+from maglev_mj.pictures import save
 from maglev_mj.result import Result, Table, number_text
 from maglev_mj.terminal import printable
 from maglev_mj.versions import versions
@@ -188,11 +189,16 @@ class FaultRecord(Result):
     period: float
     values: Mapping[str, Array]
     units: ClassVar = _UNITS
-    drawn_by: ClassVar = "maglev_mj.bridge.pictures:last_cycles"
 
     def columns(self) -> Mapping[str, Array]:
         """Return the values by name, (N,) each."""
         return self.values
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw the last cycles; see `Result.plot`."""
+        from maglev_mj.bridge.pictures import last_cycles
+
+        return save(last_cycles(self), path)
 
     def table(self, *, whole: bool = False) -> Table:
         """Return the last cycles, with the faults and their meanings below.

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,6 +18,7 @@ from maglev_mj.control.timeline import Segment, Timeline, Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
 from maglev_mj.parameters import numbers
+from maglev_mj.pictures import save
 from maglev_mj.result import Result
 
 
@@ -76,7 +78,6 @@ class Trace(Result):
     pose: Array
     twist: Array
     wrench: Array
-    drawn_by: ClassVar = "maglev_mj.analysis.pictures:trace"
     units: ClassVar = {"time": "s"} | {
         f"{name}.{axis}": unit_of(unit, axis)
         for name, unit in (("pose", "m"), ("twist", "m/s"), ("wrench", "N"))
@@ -94,6 +95,17 @@ class Trace(Result):
         if self.pose.ndim != 2 or self.pose.shape[1] != len(AXES):
             raise ParameterError(f"trace must be of one device on six axes, (K, 6), not {self.pose.shape}")
         return dict(zip(self.units, [self.time, *self.pose.T, *self.twist.T, *self.wrench.T], strict=True))
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw position and force of the moving axes over time; see `Result.plot`.
+
+        Raises:
+            ParameterError: If the trace is not of one device on six axes.
+        """
+        from maglev_mj.plants.pictures import moving_axes
+
+        self.columns()
+        return save(moving_axes(self.time, self.pose, self.wrench), path)
 
     def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
         """Evaluate at given times.

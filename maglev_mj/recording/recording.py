@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.errors import ParameterError, check_instance, file_path
 from maglev_mj.frames import Array
 from maglev_mj.parameters import whole
+from maglev_mj.pictures import save
 from maglev_mj.recording.journal import (
     SUFFIX,
     InvalidRecordingError,
@@ -136,7 +137,6 @@ class Recording(Result):
     attachments: Mapping[str, bytes] = field(default_factory=dict)
     about: Mapping[str, str] = field(default_factory=dict)
     units: ClassVar = units()
-    drawn_by: ClassVar = "maglev_mj.analysis.pictures:recording"
 
     def __post_init__(self) -> None:
         check_instance("stretches", self.stretches, list | tuple, "a list of Stretch, as Recording.load(FILE) reads")
@@ -168,6 +168,10 @@ class Recording(Result):
         ]
         events = f", {len(self.events)} events" if self.events else ""
         return Table(f"recording of {self.ticks} samples{events}", head, rows)
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw position and command of the moving axes over time; see `Result.plot`."""
+        return self.samples().plot(path)
 
     def parts(self) -> Iterator[tuple[str, Any]]:
         """Yield the content in order of time, as a journal has it: a kind and its value.
@@ -331,7 +335,6 @@ class Samples(_Fields, Result):
     arrays: Mapping[str, Array]
     stretch: NDArray[np.int64]
     recording: Recording
-    drawn_by: ClassVar = "maglev_mj.analysis.pictures:samples"
 
     def __len__(self) -> int:
         return len(self.stretch)
@@ -353,6 +356,16 @@ class Samples(_Fields, Result):
                 part = values[:, place] if field.six else values
                 columns[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
         return columns
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw position and command of the moving axes over time; see `Result.plot`.
+
+        Raises:
+            AttributeError: If time, position or command were not loaded.
+        """
+        from maglev_mj.plants.pictures import moving_axes
+
+        return save(moving_axes(self.time, self.position, self.command), path)
 
     def to_pandas(self) -> Any:
         """Return a data frame with one row per sample.

@@ -9,51 +9,17 @@ import numpy as np
 
 from maglev_mj.colours import REFERENCE, STUCK
 from maglev_mj.control import Wall
-from maglev_mj.errors import ParameterError, check_one_of
+from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, unit_of
-from maglev_mj.lazy import loaded
 from maglev_mj.pictures import HEAD, SHADE, TITLE, broken, line_style, name_curves, new_figure, new_grid
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.results import Phases, RunResult, Variants, share_below
+from maglev_mj.scenes.results import RunResult, Variants, share_below
 from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.spec import Spec
 
 _FINE, _POINTS = 1e-4, 2001
 _MOST_PANELS = 4
 _NAMES = {"z": "height"}
-
-
-def draw_run(result: RunResult, picture: str | None = None) -> Any:
-    """Draw one run; see `draw_variants`.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
-        ParameterError: If there is no such picture, or the run is of several phases.
-    """
-    result.times()  # several phases have no grid in common
-    return draw_variants(Variants({result.scene.name: result}), picture)
-
-
-def draw_phases(result: Phases) -> Any:
-    """Draw each figure over the phase; see `spread`."""
-    return spread(Variants({}, {result.scene.name: result}))
-
-
-def draw_variants(variants: Variants, picture: str | None = None) -> Any:
-    """Draw the runs of a scene's variants, or their phases.
-
-    Args:
-        variants: The runs.
-        picture: One of `variants.pictures` by name; the first by default.
-
-    Raises:
-        MissingPackageError: If matplotlib is not installed.
-        ParameterError: If there is no such picture.
-    """
-    names = variants.pictures
-    chosen = next(iter(names)) if picture is None else picture
-    check_one_of("picture", names, chosen)
-    return loaded(names[chosen])(variants)
 
 
 def series(variants: Variants) -> Any:

@@ -6,13 +6,16 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.lazy import loaded
 from maglev_mj.parameters import flag, number
+from maglev_mj.pictures import save
 from maglev_mj.plants.trace import Trace
 from maglev_mj.result import Result, Table, number_text, plain
 from maglev_mj.spec import RANGE, Spec
@@ -166,7 +169,6 @@ class RunResult(Result):
     trace: Trace
     sample_time: Array
     samples: Mapping[str, Array]
-    drawn_by: ClassVar = "maglev_mj.scenes.pictures:draw_run"
     _known: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
@@ -220,6 +222,15 @@ class RunResult(Result):
     def units(self) -> dict[str, str]:
         """Unit of each column the package knows."""
         return {name: unit_of(unit, self.scene.axis) for name, unit in _UNITS.items()}
+
+    def plot(self, path: Path | None = None, picture: str | None = None) -> Any:
+        """Draw the run as its scene does; see `Variants.plot`.
+
+        Raises:
+            ParameterError: If there is no such picture, or the run is of several phases.
+        """
+        self.times()  # several phases have no grid in common
+        return Variants({self.scene.name: self}).plot(path, picture)
 
     def table(self) -> Table:
         """Return the figures and what exceeds the device; those of several phases as `Phases` does."""
@@ -279,7 +290,6 @@ class Phases(Result):
     phases: Array
     figures: Mapping[str, Array]
     furthest: Array
-    drawn_by: ClassVar = "maglev_mj.scenes.pictures:draw_phases"
 
     def columns(self) -> dict[str, Array]:
         """Return phases and figures in SI units, (N,) each.
@@ -299,6 +309,16 @@ class Phases(Result):
         named: Mapping[str, Figure] = self.scene.figures
         units = {name: unit_of(one.si_unit, self.scene.axis, one.along) for name, one in named.items()}
         return {column: units[column.partition(".")[0]] for column in self.columns() if column != "phase"}
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw each figure over the phase; see `Result.plot`.
+
+        Raises:
+            ParameterError: If the scene has no figures.
+        """
+        from maglev_mj.scenes.pictures import spread
+
+        return save(spread(Variants({}, {self.scene.name: self})), path)
 
     def table(self) -> Table:
         """Return median and 5 to 95 % of each figure."""
@@ -348,7 +368,6 @@ class Variants(Result):
     phases: Mapping[str, Phases] = field(default_factory=dict)
     bands: Mapping[str, RunResult] = field(default_factory=dict)
     gap: float | None = None
-    drawn_by: ClassVar = "maglev_mj.scenes.pictures:draw_variants"
 
     @property
     def first(self) -> Any:
@@ -379,6 +398,21 @@ class Variants(Result):
         """Return the run of the scene itself and its phases, ready for JSON."""
         phases = [{"sweep": one.as_json()} for one in self.phases.values()]
         return {**(self.first.as_json() if self.runs else {}), **(phases[0] if phases else {})}
+
+    def plot(self, path: Path | None = None, picture: str | None = None) -> Any:
+        """Draw the runs, or their phases; see `Result.plot`.
+
+        Args:
+            path: File to write; None to return the figure.
+            picture: One of `pictures` by name; the first by default.
+
+        Raises:
+            ParameterError: If there is no such picture.
+        """
+        names = self.pictures
+        chosen = next(iter(names)) if picture is None else picture
+        check_one_of("picture", names, chosen)
+        return save(loaded(names[chosen])(self), path)
 
     def table(self) -> Table:
         """Return the figures of each run, their spread over the phases, and what exceeds the device."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,6 +14,7 @@ from maglev_mj.control import Hold, LinearController
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array
+from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.result import Result, Table
@@ -62,12 +64,17 @@ class DeviceCard(Result):
     masses: Array
     force_bandwidth: float
     force_resolution: float
-    drawn_by: ClassVar = "maglev_mj.studies.pictures:device_card"
     units: ClassVar = {"frequency": "Hz", "wanted": "N s/m", "rendered": "N s/m", "flown": "N s/m"}
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the impedances over frequency."""
         return dict(zip(self.units, self.impedance))
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw stable walls by hand, and impedances over frequency; see `Result.plot`."""
+        from maglev_mj.studies.pictures import device_card
+
+        return save(device_card(self), path)
 
     def table(self) -> Table:
         """Return figures, walls and masses of each hand, and impedances."""

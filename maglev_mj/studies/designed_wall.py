@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from maglev_mj.control.timeline import split_delay
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import Parameters, numbers, param
+from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.result import Result, Table
@@ -96,7 +98,6 @@ class DesignResult(Result):
     masses: Array
     delays: Array
     map: Array
-    drawn_by: ClassVar = "maglev_mj.studies.pictures:design_map"
     derived: ClassVar = ("pulse", "gate")
     units: ClassVar = {"mass": "kg", "delay": "s"}
 
@@ -104,6 +105,12 @@ class DesignResult(Result):
         """Return mass, delay and largest modulus of each cell."""
         mass, delay = np.meshgrid(self.masses, self.delays, indexing="ij")
         return {"mass": mass.ravel(), "delay": delay.ravel(), "modulus": self.map.ravel()}
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw the largest modulus over mass and delay; see `Result.plot`."""
+        from maglev_mj.studies.pictures import design_map
+
+        return save(design_map(self), path)
 
     def table(self) -> Table:
         """Return gains, margins, contact and simulated check of the wall."""

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,6 +17,7 @@ from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import param
+from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.result import Table
@@ -98,7 +100,6 @@ class DropMap(GainMap):
     parameters: DropMapParameters
     swing: Array
     ending: Array
-    drawn_by: ClassVar = "maglev_mj.studies.pictures:drop_map"
     derived: ClassVar = ("endings", "settles_up_to")
     endings: ClassVar = tuple(one.name.lower() for one in Ending)
 
@@ -129,6 +130,12 @@ class DropMap(GainMap):
     def stable_by_theory(self) -> Mask:
         """Cells below theory's boundary, (K, B)."""
         return np.asarray(self.stiffness[:, None] <= self.boundary)
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw the final swing over the gains; see `Result.plot`."""
+        from maglev_mj.studies.pictures import drop_map
+
+        return save(drop_map(self), path)
 
     def table(self) -> Table:
         """Return the stiffest walls, the endings of the drops, and their differences from theory."""

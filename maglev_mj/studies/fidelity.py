@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import Array
 from maglev_mj.parameters import number
+from maglev_mj.pictures import save
 from maglev_mj.result import Result, Table, number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import get_scene
@@ -237,13 +239,18 @@ class FidelityResult(Result):
     cheapest: StepResult | None
     unscreened: str = ""
 
-    drawn_by: ClassVar = "maglev_mj.studies.pictures:fidelity"
     units: ClassVar = {**dict.fromkeys(("changes", "worst", "missing"), "m"), "force": "N", "cost": "s"}
 
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """Return the figures of each level."""
         rows = [row._asdict() for row in self.levels]
         return {name: np.array([row[name] for row in rows]) for name in LevelResult._fields if name != "adds"}
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw each level's distance from those above; see `Result.plot`."""
+        from maglev_mj.studies.pictures import fidelity
+
+        return save(fidelity(self), path)
 
     def table(self) -> Table:
         """Return the levels, their additions, and the integrators and steps on the chosen level."""

@@ -10,6 +10,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
@@ -22,6 +23,7 @@ from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_one_of
 from maglev_mj.frames import Array, Command, Mask, Sample
 from maglev_mj.parameters import Parameters, number, param, param_range
+from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HANDS, Hand, get_hand
 from maglev_mj.result import Result, Table
@@ -361,7 +363,6 @@ class StabilityMap(GainMap):
     modulus: Array
     simulated: Mask | None
     near: Mask
-    drawn_by: ClassVar = "maglev_mj.studies.pictures:stability_map"
 
     def cells(self) -> dict[str, NDArray[Any]]:
         """Return modulus, and `settles` if walls were simulated."""
@@ -379,6 +380,12 @@ class StabilityMap(GainMap):
         Cells within half a percent of the boundary are left out.
         """
         return None if self.simulated is None else (theory.is_stable(self.modulus) != self.simulated) & ~self.near
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw level sets by theory and simulated verdicts; see `Result.plot`."""
+        from maglev_mj.studies.pictures import stability_map
+
+        return save(stability_map(self), path)
 
     def table(self) -> Table:
         """Return the stiffest wall beside published bounds, and the numbers of stable cells."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, ClassVar, SupportsIndex, TypeAlias
+from typing import Any, SupportsIndex, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ import maglev_mj
 from maglev_mj.errors import MaglevError, MissingPackageError, ParameterError, check_instance, check_one_of
 from maglev_mj.frames import Array, unit_of
 from maglev_mj.parameters import parsed_number
+from maglev_mj.pictures import save
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, scene_again, scene_of_text, text_of
 from maglev_mj.scenes.names import installed_scenes
@@ -67,7 +68,6 @@ class Sweep(Result):
     results: Record
     resumed: int = field(repr=False)  # JSON is the same whatever the record had
     record: str | None = field(repr=False)
-    drawn_by: ClassVar = "maglev_mj.studies.pictures:sweep"
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return varied values and figures, a row for each cell.
@@ -118,6 +118,12 @@ class Sweep(Result):
         """Return a quantity's unit on the axes of the cells; see `unit_of`."""
         axes = self.varied.get("axis", [self.cells[0].get("axis", self.scene.shown_axis)])
         return " or ".join(dict.fromkeys(unit_of(unit, axis, along) for axis in axes))
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw each figure over the first varied parameter; see `Result.plot`."""
+        from maglev_mj.studies.pictures import sweep
+
+        return save(sweep(self), path)
 
     def table(self) -> Table:
         """Return the spread of each figure over the cells."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, require
 from maglev_mj.frames import AXES, Array, Mask, Sample, components, unit_of
 from maglev_mj.parameters import axis_indices, numbers
+from maglev_mj.pictures import save
 from maglev_mj.plants.hand import Hand
 from maglev_mj.result import Result, Table
 from maglev_mj.spec import INERTIA
@@ -65,7 +67,6 @@ class Linearised(Result):
     response: Array
     jumps: Mask
     settled: Mask
-    drawn_by: ClassVar = "maglev_mj.theory.pictures:impulse_response"
     units: ClassVar = {"time": "s"} | {
         f"{to}.{come}": f"{unit_of('N', to)}/{unit_of('m', come)}" for to in AXES for come in AXES
     }
@@ -80,6 +81,12 @@ class Linearised(Result):
         for to, come in zip(*np.nonzero(self.response.any(axis=0))):
             columns[f"{AXES[to]}.{AXES[come]}"] = self.response[:, to, come]
         return columns
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw the wrench after a unit displacement at one sample; see `Result.plot`."""
+        from maglev_mj.theory.pictures import impulse_response
+
+        return save(impulse_response(self), path)
 
     def table(self) -> Table:
         """Return stiffness and damping of each axis."""
@@ -168,7 +175,6 @@ class ClosedLoop(Result):
     enters: Array
     seen: Array
     period: float
-    drawn_by: ClassVar = "maglev_mj.theory.pictures:pole_map"
     units: ClassVar = {"frequency": "Hz"}
 
     @property
@@ -187,6 +193,12 @@ class ClosedLoop(Result):
         poles = self.eigenvalues
         frequency = np.abs(np.angle(poles)) / (2.0 * np.pi * self.period)
         return {"real": poles.real, "imaginary": poles.imag, "modulus": np.abs(poles), "frequency": frequency}
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw the eigenvalues in the unit circle; see `Result.plot`."""
+        from maglev_mj.theory.pictures import pole_map
+
+        return save(pole_map(self), path)
 
     def table(self) -> Table:
         """Return the first eigenvalues."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import compress, product
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, TypeAlias
 
 import numpy as np
@@ -19,6 +20,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import ParameterError, check_instance
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import number, numbers
+from maglev_mj.pictures import save
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import load_model
 from maglev_mj.result import Result, Table, plain
@@ -112,13 +114,18 @@ class Verdict(Result):
     unknown: Array = field(default_factory=lambda: np.zeros((0, 6)))
     away: Array = field(default_factory=lambda: np.zeros((0, 6)))
     states: tuple[LoopState, ...] = ()
-    drawn_by: ClassVar = "maglev_mj.theory.pictures:pole_map"
     units: ClassVar = {"pose": "m, rad", "stiffness": "N/m, N m/rad", "damping": "N s/m, N m s/rad"}
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return pose, stiffness and damping of each axis."""
         gains = {"stiffness": np.diag(self.stiffness), "damping": np.diag(self.damping)}
         return {"axis": np.array(AXES), "pose": self.pose, **gains}
+
+    def plot(self, path: Path | None = None) -> Any:
+        """Draw the eigenvalues in the unit circle; see `Result.plot`."""
+        from maglev_mj.theory.pictures import pole_map
+
+        return save(pole_map(self), path)
 
     def table(self) -> Table:
         """Return a row for each state of the laws, or without stated gains the worst pose."""

@@ -1,0 +1,46 @@
+"""Pictures of motion: position and force over time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.colours import SERIES
+from maglev_mj.frames import AXES, Array, unit_of
+from maglev_mj.pictures import name_curves, new_grid
+
+_STILL = 1e-6
+
+
+def moving_axes(time: Array, position: Array, force: Array) -> Any:
+    """Draw position and force of the moving axes, translations and rotations side by side.
+
+    If none moves, draw z.
+
+    Args:
+        time: Times [s], (N,).
+        position: Positions [m, rad], (N, 6).
+        force: Wrench from each time on [N, N m], (N, 6).
+
+    Raises:
+        MissingPackageError: If matplotlib is not installed.
+    """
+    moving = np.flatnonzero(np.ptp(position, axis=0) > _STILL)
+    groups = [axes for axes in (moving[moving < 3], moving[moving > 2]) if axes.size] or [np.array([2])]
+    found, shown, lowest = {}, dict[str, Any](), {}
+    for axes in groups:
+        first = int(axes[0])
+        place, effort = ("position", "force") if first < 3 else ("rotation", "torque")
+        found[place] = 1e3 * position.T[axes], unit_of("mm", first)
+        found[effort] = force.T[axes], unit_of("N", first)
+        shown |= {place: (axes, "default"), effort: (axes, "steps-post")}
+    figure, panels = new_grid(found, "time (s)", high=2, always=next(iter(found)))
+    for name, panel in panels.items():
+        axes, step = shown[name]
+        for axis, curve in zip(axes, found[name][0], strict=True):
+            panel.plot(time, curve, drawstyle=step, color=SERIES[axis % 3], linewidth=1.3, label=AXES[axis])
+        lowest[axes[0]] = panel
+    for panel in lowest.values():
+        name_curves(panel)
+    return figure
