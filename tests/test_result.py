@@ -287,6 +287,14 @@ def test_maps_have_a_row_for_each_wall() -> None:
     assert design.table().rows[0][1] == design.wall.stiffness
 
 
+def test_a_result_without_a_picture_says_so() -> None:
+    class Bare(Result):
+        """Result that nothing draws."""
+
+    with pytest.raises(NotImplementedError, match="Bare has no picture"):
+        Bare().plot()
+
+
 def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
     one = results()["result"]
