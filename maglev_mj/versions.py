@@ -106,10 +106,9 @@ def _versions() -> Versions:
 
 
 def _digest() -> str:
-    code = {path.relative_to(_PACKAGE).as_posix(): path for path in _PACKAGE.rglob("*.py")}
-    code |= {f"model/{path.relative_to(MODELS).as_posix()}": path for path in MODELS.rglob("*.xml")}
-    digest = hashlib.sha256()
-    for name, path in sorted(code.items()):
-        text = path.read_bytes().replace(b"\r\n", b"\n")  # as git checks it out elsewhere
-        digest.update(f"{name} {len(text)}\n".encode() + text)
-    return digest.hexdigest()[:16]
+    texts = [
+        f"{path.relative_to(folder).as_posix()}\n{path.read_text(encoding='utf-8')}"  # the same with CRLF
+        for folder, files in ((_PACKAGE, "*.py"), (MODELS, "*.xml"))
+        for path in sorted(folder.rglob(files), key=Path.as_posix)
+    ]
+    return hash_of("\0".join(texts))
