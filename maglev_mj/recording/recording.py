@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from maglev_mj.errors import ParameterError, check_instance, file_path
 from maglev_mj.frames import Array
-from maglev_mj.parameters import whole
+from maglev_mj.parameters import store, whole
 from maglev_mj.pictures import save
 from maglev_mj.recording.journal import (
     SUFFIX,
@@ -78,7 +78,7 @@ class Stretch(_Fields):
     metadata: RunMetadata = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "metadata", RunMetadata.from_json(value_in(self.setup, "run", dict)))
+        store(self, metadata=RunMetadata.from_json(value_in(self.setup, "run", dict)))
 
     def __len__(self) -> int:
         return len(next(iter(self.arrays.values())))
@@ -140,7 +140,7 @@ class Recording(Result):
 
     def __post_init__(self) -> None:
         check_instance("stretches", self.stretches, list | tuple, "a list of Stretch, as Recording.load(FILE) reads")
-        object.__setattr__(self, "stretches", _joined(self.stretches))
+        store(self, stretches=_joined(self.stretches))
 
     def samples(self, fields: Sequence[str] = _RECORDED) -> Samples:
         """Return fields of all samples as arrays; NaN for totals that were not recorded."""

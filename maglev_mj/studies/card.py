@@ -17,7 +17,7 @@ from maglev_mj.frames import Array
 from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant
 from maglev_mj.plants.hand import HANDS, get_hand
-from maglev_mj.result import Result, Table
+from maglev_mj.result import Result, Table, with_unit
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import Spec
@@ -91,7 +91,7 @@ class DeviceCard(Result):
         few = self.impedance.T[np.linspace(0, self.impedance.shape[1] - 1, 8).astype(int)].tolist()
         tables = (
             Table(title, heads, hands, note),
-            Table("Impedance", [f"{n} [{u}]" for n, u in self.units.items()], few),
+            Table("Impedance", [with_unit(*one) for one in self.units.items()], few),
         )
         return Table(f"Device card: {self.title}", ("", "value", "unit"), figures, below=tables)
 
