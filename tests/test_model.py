@@ -18,7 +18,16 @@ from maglev_mj.plants import Sensor, model
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.plants.model import COILS, Device, load_model, model_path, scenes
-from maglev_mj.plants.shapes import device_report, envelope, position_bandwidth
+from maglev_mj.plants.shapes import (
+    GRIP,
+    KNOB,
+    UNDER_KNOB,
+    device_report,
+    envelope,
+    position_bandwidth,
+    shapes,
+    wall_plate,
+)
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA, Spec
 from maglev_mj.terminal import WIDTH
 
@@ -33,6 +42,35 @@ def device() -> Device:
 def coil_map(device: Device) -> CoilMap:
     assert device.coils is not None
     return device.coils
+
+
+# -- the drawn handle and walls --------------------------------------------------------------------------
+
+
+def test_the_drawn_knob_is_that_of_the_model() -> None:
+    knob = next(shape for shape in shapes("maglev") if (shape.part, shape.kind) == ("handle", "ellipsoid"))
+    ring = max((shape for shape in shapes("maglev") if shape.part == "handle"), key=lambda shape: -shape.half[2])
+    assert knob.position.tolist() == GRIP.tolist() and knob.half.tolist() == [KNOB[0], KNOB[0], KNOB[1]]
+    assert ring.position[2] - ring.half[2] == pytest.approx(UNDER_KNOB, abs=1e-12)
+
+
+@pytest.mark.parametrize("normal", [1.0, -1.0])
+@pytest.mark.parametrize("axis", range(3))
+def test_the_knob_of_a_flotor_on_a_wall_touches_its_plate(axis: int, normal: float) -> None:
+    edge, others = -2e-3 * normal, [index for index in range(3) if index != axis]
+    plate = wall_plate((axis, normal, edge))
+    assert plate is not None
+    centre, half = plate
+    height = KNOB[0] if axis < 2 else KNOB[1] if normal < 0.0 else GRIP[2] - UNDER_KNOB
+    touching = GRIP[axis] + edge - normal * height  # the side of the knob towards the wall
+    assert centre[axis] + normal * half[axis] == pytest.approx(touching, abs=1e-12)
+    assert 0.0 < half[axis] < 1e-3 and (half[others] > np.take([KNOB[0], KNOB[0], KNOB[1]], others)).all()
+    assert np.array_equal(centre[others], GRIP[others])
+
+
+@pytest.mark.parametrize("axis", range(3, 6))
+def test_a_wall_of_a_rotation_has_no_plate(axis: int) -> None:
+    assert wall_plate((axis, 1.0, 0.05)) is None
 
 
 # -- Table 1, row by row ---------------------------------------------------------------------------------

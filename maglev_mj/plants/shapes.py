@@ -127,7 +127,6 @@ def wall_plate(face: tuple[int, float, float]) -> tuple[Array, Array] | None:
     if axis < 2:
         centre[axis] = edge - normal * (radius + _THIN)
     else:
-        size[:2] = _PLATE
         centre[2] = edge + (UNDER_KNOB - _THIN if normal > 0.0 else GRIP[2] + half_height + _THIN)
     return centre, size
 
