@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj.frames import AXES, Array
+from maglev_mj.frames import Array
 from maglev_mj.parameters import number
 from maglev_mj.plants.trace import Trace, actuator_work
 from maglev_mj.scenes.results import Figure, RunResult
@@ -281,28 +281,19 @@ def _last_figures(motion: _Motion, start: float) -> tuple[float, ...]:
     )
 
 
-def _bounce(name: str) -> Callable[[RunResult], Any]:
-    """Return the function of one bounce figure.
-
-    The wall fills the shown axis below 0.
-    """
-
-    def summarise(result: RunResult) -> BounceSummary:
-        rest = getattr(result.scene, "rest", np.nan)
-        return summarise_bounce(result.trace, rest, axis=AXES.index(result.scene.axis))
-
-    return lambda result: getattr(result.once("bounce", summarise), name)
+def _bounce(result: RunResult) -> BounceSummary:
+    """Return the bounce figures; the wall fills the shown axis below 0."""
+    return summarise_bounce(result.trace, getattr(result.scene, "rest", np.nan), axis=result.scene.axis_index)
 
 
-def _press(name: str) -> Callable[[RunResult], Any]:
-    """Return the function of one hit or press figure."""
+def _press(result: RunResult) -> PressSummary:
+    scene: Any = result.scene
+    return summarise_press(result.trace, scene.strokes(result.phase), scene.path(result.phase).end, scene.end)
 
-    def summarise(result: RunResult) -> PressSummary:
-        scene: Any = result.scene
-        settled = scene.path(result.phase).end
-        return summarise_press(result.trace, scene.strokes(result.phase), settled, scene.end)
 
-    return lambda result: getattr(result.once("press", summarise), name)
+def _part(summarise: Callable[[RunResult], Any], name: str) -> Callable[[RunResult], Any]:
+    """Return the function of one figure of a summary, which is made once a run."""
+    return lambda result: getattr(result.once(summarise.__name__, summarise), name)
 
 
 def changes(result: RunResult) -> list[int]:
@@ -339,11 +330,11 @@ def press_name(name: str) -> str:
 STOCK: Mapping[str, Figure] = {
     one.name: replace(one, along=True)
     for one in (
-        Figure("penetration", _bounce("penetration"), "mm", "greatest depth behind the wall", 1e3, late=True),
-        Figure("rebound", _bounce("rebound"), "mm", "greatest height after the first contact", 1e3, late=True),
-        Figure("peak_force", _bounce("peak_force"), "N", "largest force of the actuators", late=True),
-        Figure("settling_time", _bounce("settling_time"), "ms", "time until within 2 % of rest", 1e3, late=True),
-        Figure("final_z", _bounce("final_z"), "mm", "height at the end", 1e3, late=True),
+        Figure("penetration", _part(_bounce, "penetration"), "mm", "greatest depth behind the wall", 1e3, late=True),
+        Figure("rebound", _part(_bounce, "rebound"), "mm", "greatest height after the first contact", 1e3, late=True),
+        Figure("peak_force", _part(_bounce, "peak_force"), "N", "largest force of the actuators", late=True),
+        Figure("settling_time", _part(_bounce, "settling_time"), "ms", "time until within 2 % of rest", 1e3, late=True),
+        Figure("final_z", _part(_bounce, "final_z"), "mm", "height at the end", 1e3, late=True),
         Figure("hardness", _hardness, "kN/m", "fastest rise of the force over 5 ms, by speed of impact", 1e-3),
         Figure("peak_speed", _peak_speed, "mm/s", "greatest speed", 1e3),
         Figure("stick_time", _stick_time, "ms", "when it last stuck", 1e3, batched=False),
@@ -359,7 +350,7 @@ STOCK: Mapping[str, Figure] = {
         Figure("transitions", lambda result: len(changes(result)), "", "changes of state", batched=False),
         Figure("ripple", _ripple, "µm", "position over the last 50 ms, peak to peak", 1e6),
         *(
-            Figure(press_name(name), _press(name), unit, help, scale, batched=False)
+            Figure(press_name(name), _part(_press, name), unit, help, scale, batched=False)
             for name, unit, help, scale in (
                 ("penetration", "mm", "greatest depth of each hit", 1e3),
                 ("approach_speed", "mm/s", "speed at which each hit enters", 1e3),
