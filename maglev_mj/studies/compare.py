@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from inspect import Parameter, signature
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -172,16 +172,21 @@ def _named(law: str | LawMaker) -> tuple[str, LawMaker]:
 
 def _with_law(scene: WallScene, label: str, maker: LawMaker) -> WallScene:
     """Return a scene with another law as its wall, and perceived hardness among its figures."""
-    cls = type(scene)
+    base: Any = type(scene)
 
-    def laws(self: WallScene) -> list[Any]:
-        return [_made(label, maker, self, one) if isinstance(one, Wall) else one for one in cls.laws(self)]
+    class Compared(base):  # type: ignore[misc]
+        __qualname__ = base.__qualname__  # in its text
+        name, title, series = base.name, base.title, Scene.series
+        figures = {name: one for name, one in base.figures.items() if name not in _BESIDE} | {"hardness": "hardness"}
+        plots: ClassVar = {
+            f"compare_{base.name}": f"{_PICTURES}:first_contact",
+            f"compare_{base.name}_phases": f"{_PICTURES}:spread",
+        }
 
-    figures = {name: one for name, one in cls.figures.items() if name not in _BESIDE} | {"hardness": "hardness"}
-    plots = {f"compare_{cls.name}": f"{_PICTURES}:first_contact", f"compare_{cls.name}_phases": f"{_PICTURES}:spread"}
-    kept: Any = {"name": cls.name, "title": cls.title, "series": Scene.series, "figures": figures, "plots": plots}
-    own: type[WallScene] = type(cls.__name__, (cls,), {"laws": laws, **kept})
-    return own(**scene.independent_values() | (_passive(scene) if maker is LAWS["colgate"] else {}))
+        def laws(self) -> list[Any]:
+            return [_made(label, maker, self, one) if isinstance(one, Wall) else one for one in base.laws(self)]
+
+    return Compared(**scene.independent_values() | (_passive(scene) if maker is LAWS["colgate"] else {}))
 
 
 def _passive(scene: WallScene) -> dict[str, float]:
