@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -186,16 +187,15 @@ def run_drop_map(
     """
     damping, stiffness, best = gain_axes(parameters)
     count = stiffness.size * damping.size
-    # derived values are written into the parts, which then need nothing else
-    ranges = {"damping": _ends(damping), "stiffness": _ends(stiffness)}
-    whole = parameters.as_json() | ranges
+    whole = parameters.as_json()
     parts: list[Cell] = [whole | {"first": first, "last": min(first + part, count)} for first in range(0, count, part)]
 
     def progress_of_walls(done: int, total: int) -> None:
         if progress is not None:
             progress(min(done * part, count), count)
 
-    results = run_cells(_judge_parts, parts, record=record, workers=workers, progress=progress_of_walls)
+    judge = partial(_judge_parts, parameters, stiffness, damping)
+    results = run_cells(judge, parts, record=record, workers=workers, progress=progress_of_walls)
     if lost := [result for result in results if "swing" not in result]:
         raise MaglevError(f"a part of the map has no verdicts: {lost[0]!r}")
     shape = stiffness.size, damping.size
@@ -206,13 +206,12 @@ def run_drop_map(
     return DropMap(parameters, damping, stiffness, boundary, best, swing, ending)
 
 
-def _judge_parts(cells: list[Cell]) -> list[dict[str, Any]]:
+def _judge_parts(
+    parameters: DropMapParameters, stiffness: Array, damping: Array, cells: list[Cell]
+) -> list[dict[str, Any]]:
     """Return swing and ending of each part's walls."""
     results = []
     for cell in cells:
-        values = {one.name: cell[one.name] for one in DropMapParameters.parameters()}
-        parameters = DropMapParameters.from_json(values)
-        damping, stiffness, _ = gain_axes(parameters)
         row, column = np.divmod(np.arange(cell["first"], cell["last"]), damping.size)
         swing, ending = judge_drops(stiffness[row], damping[column], parameters)
         results.append({"swing": swing.tolist(), "ending": ending.tolist()})
@@ -279,7 +278,3 @@ class _Quarters:
         settles = (swing <= p.band) | (inside & (swing < _DYING * before))
         gains = self._most[1] > p.height
         return swing, np.where(settles, Ending.SETTLES, np.where(gains, Ending.GAINS, Ending.GOES_ON))
-
-
-def _ends(values: Array) -> tuple[float, float]:
-    return float(values[0]), float(values[-1])
