@@ -515,21 +515,16 @@ def screen_levels(scene: Scene, around: float) -> Array:
 
 
 def _screen(points: Sequence[tuple[Scene, float]]) -> Array:
-    steady: dict[str, Array] = {}
+    # the first level that the exact plant does not tell from each
+    first = [next(index for index, below in enumerate(LEVELS) if _seen_alike(level, below)) for level in LEVELS]
+    motions: dict[int, Array] = {}
     found = []
     for seed in range(_SEEDS):
-        motions: list[Array] = []
-        for place, level in enumerate(LEVELS):
-            below = LEVELS[max(place - 1, 0)]
-            if place and _seen_alike(level, below):
-                motions.append(motions[-1])
-            elif level.jitter:
-                motions.append(run_together(points, level.name, seed))
-            else:
-                if level.name not in steady:
-                    steady[level.name] = run_together(points, level.name, seed)
-                motions.append(steady[level.name])
-        found.append(_distances(motions))
+        motions = {index: motion for index, motion in motions.items() if not LEVELS[index].jitter}
+        for index in first:
+            if index not in motions:
+                motions[index] = run_together(points, LEVELS[index].name, seed)
+        found.append(_distances([motions[index] for index in first]))
     return np.concatenate(found, axis=1)
 
 
