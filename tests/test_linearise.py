@@ -351,6 +351,15 @@ class Echo(AxisLaw):
         return -1000.0 * x - 40.0 * v - sum(map(operator.mul, WEIGHTS, line)), line
 
 
+class Cave(Echo):
+    """Echo at one end of the range only."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        echo, line = super().force(x, v, gains, state)
+        near = x < -3e-3
+        return near * echo + (1.0 - near) * (-1000.0 * x - 40.0 * v), line
+
+
 @pytest.mark.parametrize("longest", [100, pytest.param(512, marks=pytest.mark.study)])
 def test_an_answer_that_does_not_die_away_is_not_known(longest: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", longest)
@@ -358,6 +367,9 @@ def test_an_answer_that_does_not_die_away_is_not_known(longest: int, monkeypatch
     found = verdict(Echo(axes="x"))
     assert found.stable is None and len(found.unknown) > 100 and "512 samples" in found.remarks[0]
     assert str(found).endswith("not known")
+    # nor is a controller known that is stable at all poses but a few
+    few = verdict(Cave(axes="x"))
+    assert few.stable is None and few.modulus < 1.0 and 0 < len(few.unknown) < 10
     # what is unstable for certain is said to be
     assert verdict(Echo(axes="y"), Hold(axes="x", stiffness=20000.0, damping=80.0), axes=2).stable is False
 

@@ -399,13 +399,12 @@ class _Found(NamedTuple):
     """Loops of a controller by linearisation, and poses without any."""
 
     loops: list[_Loop]
-    lost: list[_Loop]
-    """At unstable equilibria, of axes that have no stable one."""
+    """Those at unstable equilibria among them only of axes that have no stable one."""
     away: list[_Loop]
     jumps: list[Array]
     unknown: list[Array]
     complete: bool
-    """True if each axis has a loop."""
+    """True if each axis has a loop, and none is unknown."""
 
 
 def _linearised(controller: Controller, pose: Array, body: Array) -> _Found:
@@ -431,7 +430,7 @@ def _linearised(controller: Controller, pose: Array, body: Array) -> _Found:
     # an axis without a stable equilibrium is judged at the unstable ones
     lost = [loop for loop in away if not judged.issuperset(loop.axes)]
     nowhere = set(range(len(AXES))) - judged - {axis for loop in lost for axis in loop.axes}
-    return _Found(loops, lost, away, jumps, unknown, not nowhere)
+    return _Found(loops + lost, away, jumps, unknown, not (nowhere or unknown))
 
 
 def _numerically(controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
@@ -439,15 +438,14 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
     found = _linearised(controller, pose, body)
     worst: _Loop | None = None
     modulus, eigenvalues = np.nan, np.empty(0, dtype=np.complex128)
-    for loop, roots in _roots(_grouped(found.loops + found.lost), delay, body):
+    for loop, roots in _roots(_grouped(found.loops), delay, body):
         own = _own_modulus(roots, loop.still)
         if worst is None or own > modulus * (1.0 + _ROUNDING):
             worst, modulus, eigenvalues = loop, own, roots
     unstable = modulus >= 1.0 - _ROUNDING
-    known = unstable or (found.complete and not found.unknown)
     stiffness, damping = np.full((2, 6, 6), np.nan) if worst is None else worst.gains(body)
     return Verdict(
-        stable=not unstable if known else None,
+        stable=not unstable if unstable or found.complete else None,
         modulus=modulus,
         axes=() if worst is None else tuple(AXES[axis] for axis in worst.axes),
         pose=pose if worst is None else worst.near.pose,
@@ -566,9 +564,9 @@ def delay_margins(
     gains, period = stated_gains(controller), controller.period
     if gains is None:
         found = _linearised(controller, start, body)
-        if found.unknown or not found.complete:
+        if not found.complete:
             return dict.fromkeys(hands, math.nan)
-        loops = [*_grouped(found.loops + found.lost)]
+        loops = [*_grouped(found.loops)]
 
     def modulus(delay: float, hand: Hand | None) -> float:
         if gains is not None:
