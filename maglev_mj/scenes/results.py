@@ -469,20 +469,19 @@ class Variants(Result):
 
     def _beyond_range(self) -> Iterator[str]:
         """Yield any line on motions beyond the device's range."""
-        texts, limits = [], np.array(RANGE)
-        left = np.zeros(len(RANGE), dtype=bool)
+        texts, limits, left = [], np.array(RANGE), np.zeros(len(RANGE))
         for label in dict.fromkeys([*self.runs, *self.phases]):
-            swept = self.phases[label].furthest if label in self.phases else np.empty((0, len(RANGE)))
             alone = [self.runs[label].trace.furthest()] if label in self.runs else []
-            furthest = np.vstack([*alone, swept]).max(axis=0)
-            if not (outside := furthest > limits * _ROUNDING).any():
-                continue
-            left |= outside
-            phases = int((swept > limits * _ROUNDING).any(axis=1).sum())
-            count = f" ({phases} of {len(swept)} phases)" if phases else ""
-            texts.append(f"{label} {_distances(np.where(outside, furthest, 0.0))}{count}")
+            swept = self.phases[label].furthest if label in self.phases else np.empty((0, len(RANGE)))
+            furthest = np.vstack([*alone, swept])
+            outside = np.where(furthest > limits * _ROUNDING, furthest, 0.0)
+            if outside.any():
+                left = np.where(outside.any(axis=0), limits, left)
+                phases = int(outside[len(alone) :].any(axis=1).sum())
+                count = f" ({phases} of {len(swept)} phases)" if phases else ""
+                texts.append(f"{label} {_distances(outside.max(axis=0))}{count}")
         if texts:
-            yield f"Beyond the range of {_distances(np.where(left, limits, 0.0))}: {', '.join(texts)}"
+            yield f"Beyond the range of {_distances(left)}: {', '.join(texts)}"
 
 
 def _figures_table(
