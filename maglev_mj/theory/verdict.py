@@ -290,22 +290,21 @@ def stated_gains(controller: Controller) -> _Gains | None:
 
 def _by_gains(gains: _Gains, controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
     """Return the verdict from stated gains, in closed form."""
-    loop: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
-    kinds: dict[tuple[Any, ...], list[str]] = {}
+    kinds: dict[tuple[Any, ...], tuple[list[str], NDArray[Any]]] = {}
     for index, axis in enumerate(AXES):
+        loop = SampledLoop(period=controller.period, delay=delay, mass=body[index], velocity=controller.velocity)
         own = {acting: (float(both[0][index]), float(both[1][index])) for acting, both in gains.items()}
         here = [acting[0] for acting in gains if len(acting) == 1 and own[acting] != own[()]]
         for acting in (acting for acting in gains if set(acting) <= set(here)):
             stiffness, damping = own[acting]
             free = 0 if stiffness > 0.0 else 1 if damping > 0.0 else 2
-            roots = np.linalg.eigvals(SampledLoop(mass=body[index], **loop).matrix(stiffness, damping))
+            roots = np.linalg.eigvals(loop.matrix(stiffness, damping))
             others = tuple(name for name in here if name not in acting)
             kind = acting, others, round(_modulus(roots, free), 12), free > 0
-            kinds.setdefault(kind, []).append(axis)
-    states = tuple(LoopState(tuple(axes), *kind) for kind, axes in kinds.items())
-    worst = max(states, key=lambda state: state.modulus)
-    index, (stiff, damp) = AXES.index(worst.axes[0]), gains[worst.acting]
-    around = SampledLoop(mass=body[index], **loop)
+            kinds.setdefault(kind, ([], roots))[0].append(axis)
+    states = tuple(LoopState(tuple(axes), *kind) for kind, (axes, _) in kinds.items())
+    worst, (_, roots) = max(zip(states, kinds.values(), strict=True), key=lambda pair: pair[0].modulus)
+    stiff, damp = gains[worst.acting]
     return Verdict(
         stable=worst.modulus < 1.0 - _ROUNDING,
         modulus=worst.modulus,
@@ -314,7 +313,7 @@ def _by_gains(gains: _Gains, controller: Controller, delay: float, pose: Array, 
         pose=pose,
         stiffness=np.diag(stiff),
         damping=np.diag(damp),
-        eigenvalues=np.linalg.eigvals(around.matrix(stiff[index], damp[index])).astype(np.complex128),
+        eigenvalues=roots.astype(np.complex128),
         stated=True,
         states=states,
     )
