@@ -41,7 +41,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import find_scene
 from maglev_mj.session import Session, Snapshot
 from maglev_mj.spec import RANGE
-from maglev_mj.views.remote import ShowReport
+from maglev_mj.views.viewer_process import ShowReport
 from maglev_mj.views.window import window
 from tests.conftest import COMPILER
 from tests.virtual_screen import VirtualScreen

@@ -19,7 +19,7 @@ from maglev_mj.recording import Recording, RecordingError, journal, open_recordi
 from maglev_mj.recording.journal import CHECKSUM, RECORD, SAMPLE, open_journal
 from maglev_mj.recording.sample import FIELDS, TOTALS
 from maglev_mj.session import Pacer, Session
-from maglev_mj.views.remote import ShowReport
+from maglev_mj.views.viewer_process import ShowReport
 
 PERIOD = 0.001
 TICKS = 1500

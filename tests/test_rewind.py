@@ -28,7 +28,7 @@ from maglev_mj.session.replay import OwnCode, Replay, rebuild, rebuild_for, stic
 from maglev_mj.session.stretch import _MOST_STATES
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import Charts
-from maglev_mj.views.remote import Inbox, RemoteViewer
+from maglev_mj.views.viewer_process import Inbox, RemoteViewer
 from tests.test_session_states import Program
 
 

@@ -28,7 +28,7 @@ from maglev_mj.recording import Recording
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Session, Snapshot, device_actions
-from maglev_mj.views.remote import Inbox, RemoteSession, RemoteViewer, show_remotely
+from maglev_mj.views.viewer_process import Inbox, RemoteSession, RemoteViewer, show_remotely
 from maglev_mj.views.window.keys import keys_of
 from maglev_mj.views.window.window import show
 from tests.processes import PATIENCE, Program, started
@@ -218,7 +218,7 @@ class ViewerHere(RemoteViewer):
         received = lambda: [line.recv() for _ in iter(line.poll, False)]  # noqa: E731
         self.sent, self.window = list[Snapshot](), RemoteSession(far, Snapshot(scene=scene))
         front = SimpleNamespace(received=received, ended=False, ready=True, send=self.sent.append)
-        with patch("maglev_mj.views.remote.SideProcess", return_value=front):
+        with patch("maglev_mj.views.viewer_process.SideProcess", return_value=front):
             super().__init__(Snapshot(scene=scene), show)
         self._inbox = Inbox(0.0)
 

@@ -46,7 +46,7 @@ from maglev_mj.views.page.panel import Choice, Control, Slider, control
 from maglev_mj.views.page.plots import drawn, ticks
 from maglev_mj.views.page.stage import Grab, glb, solid
 from maglev_mj.views.readings import Chart, Line
-from maglev_mj.views.remote import SILENCE, Glide, Inbox, RemoteSession, RemoteViewer
+from maglev_mj.views.viewer_process import SILENCE, Glide, Inbox, RemoteSession, RemoteViewer
 from tests.processes import PATIENCE, started
 
 TOKEN = "a-token-of-some-length"

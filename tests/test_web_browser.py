@@ -19,7 +19,7 @@ from maglev_mj.session.access import listen
 from maglev_mj.session.replay import rebuild
 from maglev_mj.views.page.page import Door, page
 from maglev_mj.views.page.stage import FIELD, placed
-from maglev_mj.views.remote import RemoteViewer
+from maglev_mj.views.viewer_process import RemoteViewer
 
 pytestmark = pytest.mark.needs("browser")
 

@@ -48,7 +48,7 @@ from maglev_mj.recording import RecordingFile, open_recording
 from maglev_mj.scenes import Scene
 from maglev_mj.session import DEVICES_OWN, UNKNOWN, Snapshot, device_actions
 from maglev_mj.terminal import say, wrapped
-from maglev_mj.views.remote import Front, RemoteViewer
+from maglev_mj.views.viewer_process import Front, RemoteViewer
 
 _IDENTIFYING = 10.0
 _IDENTIFICATION = "identification, instead of a scene"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from maglev_mj.interop.hand_devices import AxisMapping, HandDevice
     from maglev_mj.plants.hand import SpringHand
     from maglev_mj.session import SnapshotSource
-    from maglev_mj.views.remote import Front, ShowReport
+    from maglev_mj.views.viewer_process import Front, ShowReport
 
 PORT = 8123
 """Default port of the page."""
@@ -162,7 +162,7 @@ def show_session(
         MaglevError: If the page's process ends early.
     """
     if page is not None:
-        from maglev_mj.views.remote import show_remotely
+        from maglev_mj.views.viewer_process import show_remotely
 
         return show_remotely(source, page, duration)
     # imported here: it loads the library that opens windows

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from maglev_mj.scenes.run import Begin
     from maglev_mj.scenes.scene import Scene
     from maglev_mj.session import Session, SnapshotSource
-    from maglev_mj.views.remote import Front
+    from maglev_mj.views.viewer_process import Front
 
 
 class _Sampling(NamedTuple):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from maglev_mj.plants.hand import HandForce, SpringHand
     from maglev_mj.scenes import Scene
     from maglev_mj.session import Snapshot
-    from maglev_mj.views.remote import RemoteViewer
+    from maglev_mj.views.viewer_process import RemoteViewer
 
 _DEVICE, _HANDS = "device", "faults and hands"
 
@@ -78,7 +78,7 @@ def twin(
     from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
     from maglev_mj.plants import engine_warnings_silenced
     from maglev_mj.scenes import find_scene
-    from maglev_mj.views.remote import RemoteViewer
+    from maglev_mj.views.viewer_process import RemoteViewer
 
     look = find_scene(scene or "joystick")
     parameters = TwinParameters(

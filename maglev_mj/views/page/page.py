@@ -31,7 +31,7 @@ from maglev_mj.session.access import LOOPBACK, Access, is_loopback
 from maglev_mj.views.page.panel import Panel
 from maglev_mj.views.page.plots import Plots
 from maglev_mj.views.page.stage import VIEWS, Grab, Stage, look
-from maglev_mj.views.remote import Front, Inbox
+from maglev_mj.views.viewer_process import Front, Inbox
 
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
 """Pages that may frame this one: notebooks on this machine.

@@ -21,7 +21,7 @@ from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
 from maglev_mj.views.magnifier import magnified, motion_words, true_pose, widening
 from maglev_mj.views.readings import banner
-from maglev_mj.views.remote import SILENCE
+from maglev_mj.views.viewer_process import SILENCE
 
 _LOOKS = {"frame": (0.9, 0.38), "steel": (0.7, 0.4), "base": (0.25, 0.45), "psd": (0.2, 0.08), "grip": (0.0, 0.75)}
 _LOOK = 0.5, 0.35

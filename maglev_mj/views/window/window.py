@@ -29,7 +29,7 @@ from maglev_mj.plants.shapes import GRIP, KNOB
 from maglev_mj.process import interrupts_held
 from maglev_mj.session import Due, Note, Snapshot, SnapshotSource, real_time
 from maglev_mj.views.magnifier import magnified, true_pose
-from maglev_mj.views.remote import ShowReport
+from maglev_mj.views.viewer_process import ShowReport
 from maglev_mj.views.window.backend import DisplayError
 from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT, keys_of
 from maglev_mj.views.window.layout import Area
