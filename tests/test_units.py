@@ -20,7 +20,7 @@ from maglev_mj.session import Snapshot
 from maglev_mj.theory.verdict import stability
 from maglev_mj.views.page import plots as page_plots
 from maglev_mj.views.page.panel import control
-from maglev_mj.views.readings import STABILITY, Charts
+from maglev_mj.views.readings import FORCES, STABILITY, Charts
 from maglev_mj.views.window import screen as window_plots
 from maglev_mj.views.window.screen import status_rows
 
@@ -105,12 +105,13 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
     gui, session = Gui(), Session(scene)
     for one in scene.parameters():
         control(gui, one, scene, lambda *_: None)
+    arrows = "arrows", *FORCES  # along x, y and z in any scene
     said = {
         "run": str(both.table()),
         "sweep": str(swept.table()),
         "stability": f"{scene.describe()}\n{stability(scene).table()}",
         "page": "\n".join(gui.texts),
-        "window": "\n".join(map(" ".join, [row for row in status_rows(session.snapshot()) if row[0] != "arrows"])),
+        "window": "\n".join(map(" ".join, [row for row in status_rows(session.snapshot()) if row[0] not in arrows])),
         "window's plots": window_curves(session.snapshot()),
         "page's plots": page_curves(session.snapshot()),
         "identified": str(identify(record_run(whole, plant="exact").stretches[0]).table()),

@@ -455,7 +455,7 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
         *(Reading("", note) for note in (met_stops(snapshot).words, *snapshot.notes, *notes)),
         Reading("gains", "  ".join(gains)),
         _wall(snapshot),
-        Reading("on", ", ".join(on)),
+        Reading("on", ", ".join(on) or "none" * any(one.kind is bool for one in live)),
         Reading("rate", f"{1.0 / scene.period:.0f} Hz, delay {scene.delay * 1e3:.1f} ms"),
         *(() if early else (time,)),
         Reading("position", ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", place)) + " mm"),

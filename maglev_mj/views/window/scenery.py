@@ -25,7 +25,7 @@ _HIGH, _WIDE = 0.85, 0.95
 Vertically and horizontally.
 """
 
-_NEAR, _INSET, _ROOM = 0.45, 55, 260
+_NEAR, _INSET, _ROOM = 0.45, 70, 220
 """Position of the axes in the picture.
 
 Their distance from the camera as a share of the distance to its target, their distance from the corner, and the width
@@ -131,7 +131,7 @@ _WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), 0.40, (*STOP, 
 _EDGE = 0.6  # of a wall's colour: glass is faint, so that colours behind it stay what they are
 _COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
 _MOST = Spec.peak_current.value
-_GLOW, _GHOST_SIZE, _AXIS = 1.06, 1.08, 30
+_GLOW, _GHOST_SIZE, _AXIS = 1.06, 1.08, 44
 _QUALITY = 40, 16, 2048, 4  # slices and stacks of round shapes, pixels of a shadow, samples of a pixel
 _SIMPLE = 2
 """Group of the device's shapes that a scene's meshes stand in for."""

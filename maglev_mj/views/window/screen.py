@@ -17,12 +17,13 @@ from maglev_mj.plants.shapes import ARROW
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
 from maglev_mj.views.magnifier import MAGNIFICATIONS, motion_words
-from maglev_mj.views.readings import FORCES, Banner, Charts, Line, Range, banner, readings
+from maglev_mj.views.readings import Banner, Charts, Line, Range, banner, pace, readings
 from maglev_mj.views.window.keys import AXIS, HAND, KEYS, MAGNIFY, help_rows, key_of
-from maglev_mj.views.window.layout import Area, Arrangement, Font, Layout, Row
+from maglev_mj.views.window.layout import Area, Font, Layout, Row, arranged
 
 _POINTS = 500
 _NOW = 0.018, 0.045
+_LOW, _ROUND, _WIDE = 130, 12, 10_000
 _STROKES, _MARKS = 8, 80
 
 _Line: TypeAlias = tuple[Colour, ArrayLike, ArrayLike]
@@ -39,22 +40,28 @@ class Plots:
         self._charts = Charts(_POINTS)
         self.figures = [_new_figure() for _ in range(4)]
 
-    def update(self, snapshot: Snapshot, axis: int | None = None, *, low: bool = False) -> list[Any]:
+    def update(
+        self, snapshot: Snapshot, axis: int | None = None, *, areas: Sequence[Area] = (), scale: int = 100
+    ) -> list[Any]:
         """Return the figures: position, force, stability map, phase plane.
 
         Args:
             snapshot: The snapshot.
             axis: Index into AXES; the scene's own by default.
-            low: True if there is no room for text under the plots.
+            areas: Their areas, to which titles and text under them are fitted.
+            scale: Scale of the engine's letters [%].
         """
         charts = self._charts.of(snapshot, snapshot.scene.axis_index if axis is None else axis)
+        width, height = areas[0][2:] if areas else (_WIDE, _WIDE)
+        low = height < _LOW * scale // 100
         for figure, (title, lines, across, up, foot) in zip(self.figures, charts, strict=True):
             (words, colour), *further = title
             shapes = [
                 shape for line in reversed(lines) for shape in _shapes(line, across, up)
             ]  # the first is uppermost
             named = ", ".join(name for name, _ in further)
-            _draw(figure, f"{words}: {named}" if named else words, shapes, across, up)
+            titles = f"{words}: {named}" if named else words, words, words.partition(":")[0]
+            _draw(figure, Font(scale).fitting(titles, width - _ROUND), shapes, across, up)
             figure.textrgb[:] = shown_colour(colour) if colour in (GOOD, BAD) else _TEXT
             figure.flg_ticklabel[0] = not low
             figure.xlabel = "" if low else foot
@@ -175,23 +182,25 @@ def _shapes(line: Line, across: Range, up: Range) -> list[_Line]:
     return shapes
 
 
-_DRAWN = "position", *FORCES  # by plots and arrows
-_DRAG = "mouse", "drag the knob to pull it, elsewhere to turn the view"
+_SHOWN = "hand", "device", "stops", "gains", "on", "rate", "time", "scene", "arrows", "tick", "energy", "wall"
+"""Readings from above, those last whose number of lines varies; plots show the position."""
+_DRAG = "mouse", "drag the knob to pull it"
 _ARROWS = "arrows", f"blue hand, orange device, black stop, {5e3 * ARROW:.0f} mm for 5 N"
+_HINT = "F11", "keys"
 
 
-def status_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
-    """Return the status rows of a session.
+def status_rows(snapshot: Snapshot) -> list[Row]:
+    """Return the readings of a session, forces first."""
+    words = dict([_ARROWS, *(row[:2] for row in readings(snapshot))])
+    words["time"] = words["time"].partition(",")[0]  # a message says the pace
+    if "energy" in words:
+        words["energy"] = words["energy"].replace(", ", ",\n")  # as many lines for any numbers
+    return [(name, words[name]) for name in _SHOWN if name in words]
 
-    Names and values, the most important first.
 
-    Args:
-        snapshot: The present snapshot.
-        notes: Further notes, such as the last screenshot.
-    """
-    rows = [(name, value) for name, value, _ in readings(snapshot, notes) if name not in _DRAWN]
-    place = next((place for place, row in enumerate(rows) if row[0] == "tick"), len(rows))
-    return [*_tour(snapshot), *rows[:place], _ARROWS, *rows[place:]]
+def message_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
+    """Return what is said for a while: metal stops, notes, and the task of the guided tour."""
+    return [row[:2] for row in readings(snapshot, notes) if not row.name] + _tour(snapshot)
 
 
 def moved_by_mouse(snapshot: Snapshot) -> bool:
@@ -211,10 +220,11 @@ _Text: TypeAlias = tuple[int, int, str, str]
 """Font, position in the picture, and two columns."""
 
 _HELPS, _CHARTS = (glfw.KEY_F1, glfw.KEY_F2), (glfw.KEY_F3, glfw.KEY_F4)
+_ENGINE_HELP = (("Toggle Left / Right UI", "Ctrl [Shift] right drag"),)  # the longest of each column
 _RED: Colour = (0.80, 0.05, 0.05)
 _STOPS = "ESC: EMERGENCY STOP", "ESC: STOP", "ESC"
-_LOW, _ROUND = 130, 12
-_DARK: Colour = (0.05, 0.06, 0.08)
+_BLACK: Colour = (0.0, 0.0, 0.0)
+_LINES = 6  # of a banner
 _WAYS = {"centre": "to start again", "pause": "to go on", "slower": "for slow motion", "next": "to go on"}
 
 
@@ -246,13 +256,12 @@ class Screen:
 
     def __init__(self, *, keys: bool = True, factor: int = MAGNIFICATIONS[0]) -> None:
         self._plots, self._with_keys = Plots(), keys
-        self._stop, self._hint, self._back = Label(_RED), Label(_DARK, 0.85), Label(_DARK, 0.80)
-        self._banner, self._bar = Label(BAD), TimeBar()
+        self._stop, self._panel, self._bar = Label(_RED), Label(_BLACK, 0.95), TimeBar()
+        self._banner, self._lines = Label(BAD), [Label(BAD, 0.0) for _ in range(_LINES)]
         self._late = Note()
         self.factor, self.dragged = factor, False
         self._axis: int | None = None
-        self._wanted: bool | None = None
-        self._shown = False
+        self._keys = False
         self._engine: set[int] = set()
 
     def press(self, action: str, scene: Scene) -> None:
@@ -262,7 +271,7 @@ class Screen:
         elif action == MAGNIFY:
             self.factor = MAGNIFICATIONS[(MAGNIFICATIONS.index(self.factor) + 1) % len(MAGNIFICATIONS)]
         elif action == KEYS:
-            self._wanted = not self._shown
+            self._keys = not self._keys
 
     def note_engine_key(self, code: int) -> None:
         """Track the help and charts of the engine's viewer.
@@ -281,56 +290,61 @@ class Screen:
             scale: Scale of the engine's letters, 100 to 300 [%].
             notes: Further text for the user.
         """
+        font, helped = Font(scale), bool(self._engine & {*_HELPS})
+        table = help_rows(snapshot.actions, hand=moved_by_mouse(snapshot)) if self._keys else []
+        wide = sum(font.columns(_ENGINE_HELP if helped else table)) if helped or table else 0
+        layout = arranged(view, scale, help_width=wide, bar=snapshot.duration is not None)
+        areas = [] if self._engine & {*_CHARTS} else layout.plots
+        figures = list(zip(areas, self._plots.update(snapshot, self._axis, areas=areas, scale=scale), strict=False))
+        texts: list[_Text] = []
+        if not helped:
+            figures.append((layout.text, self._panel.update("")))
+            texts = self._texts(table or status_rows(snapshot), self._messages(snapshot, notes), layout.text, font)
+        if snapshot.duration is not None:
+            figures.append((layout.bar, self._bar.update(snapshot)))
+        if self._with_keys and EMERGENCY_STOP in snapshot.actions:
+            figures.append((layout.label, self._stop.update(font.fitting(_STOPS, layout.label.width - font.row))))
+        figures += self._banner_figures(snapshot, layout.banner, font)
+        return Drawn([(mujoco.MjrRect(*area), figure) for area, figure in figures], texts, layout)
+
+    def _messages(self, snapshot: Snapshot, notes: Sequence[str]) -> list[Row]:
+        """Return the rows at the lower left: messages, and what the user may do."""
+        rows, magnified = message_rows(snapshot, notes), motion_words(self.factor)
+        rows += [("speed", pace(snapshot))] if pace(snapshot) else []
+        rows += [("shown", f"{magnified}, of handle and walls")] if magnified else []
+        rows += [_DRAG] if moved_by_mouse(snapshot) and self._with_keys and not self.dragged else []
+        return [*rows, _HINT] if self._with_keys else rows
+
+    def _texts(self, upper: Sequence[Row], lower: Sequence[Row], area: Area, font: Font) -> list[_Text]:
+        """Return two blocks of text, one above the other; the last rows of the upper one go if they do not fit."""
+        grids, room = mujoco.mjtGridPos, area.height // font.row - 1
+        below = font.wrapped(lower, area.width)[:room]
+        some = (font.wrapped(upper[:count], area.width) for count in range(len(upper), -1, -1))
+        above = next(rows for rows in some if len(rows) + len(below) <= room)
+        return [
+            (int(mujoco.mjtFont.mjFONT_NORMAL), int(grid), *("\n".join(column) for column in zip(*rows, strict=True)))
+            for rows, grid in ((above, grids.mjGRID_TOPLEFT), (below, grids.mjGRID_BOTTOMLEFT))
+            if rows
+        ]
+
+    def _banner_figures(self, snapshot: Snapshot, area: Area, font: Font) -> list[tuple[Area, Any]]:
+        """Return the banner's strip and its lines, the first the heading; nothing while running normally."""
         if snapshot.late:
             self._late.say("late")
         said = banner(replace(snapshot, late=bool(self._late.lines)))  # ticks are given up now and then: no flicker
-        mouse, rows = moved_by_mouse(snapshot), status_rows(snapshot, notes)
-        hint = [_DRAG] if mouse and self._with_keys and not self.dragged else []
-        magnified = motion_words(self.factor)
-        label = [("shown", f"{magnified}, of handle and walls")] if magnified else []
-        task = len(_tour(snapshot))
-        layout = Arrangement(
-            view,
-            scale,
-            [*rows[:task], *label, *hint, *rows[task:]],
-            help_rows(snapshot.actions, hand=mouse) if self._with_keys else [],
-            banner=said is not None,
-            label=self._with_keys and EMERGENCY_STOP in snapshot.actions,
-            shown=self._wanted if self._with_keys else False,
-            helped=bool(self._engine & {*_HELPS}),
-            charted=bool(self._engine & {*_CHARTS}),
-        ).layout()
-        self._shown = layout.keys is not None
-        low = bool(layout.plots) and layout.plots[0].height < _LOW * 0.01 * scale
-        figures = list(zip(layout.plots, self._plots.update(snapshot, self._axis, low=low), strict=False))
-        texts: list[_Text] = []
-        grids = mujoco.mjtGridPos
-        for words, grid in ((layout.status, grids.mjGRID_TOPLEFT), (layout.keys, grids.mjGRID_BOTTOMLEFT)):
-            if words is not None:
-                figures.append((words.area, self._back.update("")))
-                fonts = mujoco.mjtFont
-                font = fonts.mjFONT_BIG if words.font.large else fonts.mjFONT_NORMAL
-                first, second = ("\n".join(column) for column in zip(*words.rows, strict=True))
-                texts.append((int(font), int(grid), first, second))
-        if snapshot.duration is not None:
-            layout, bar = _parted(layout, 2 * Font(scale).row)
-            figures.append((bar, self._bar.update(snapshot)))
-        if layout.label is not None:
-            room = layout.label.width - Font(scale).row
-            text = next((text for text in _STOPS if Font(scale).width(text) <= room), "")
-            figures.append((layout.label, self._stop.update(text)))
-        if layout.hint is not None:
-            figures.append((layout.hint, self._hint.update("F11: KEYS")))
-        if said is not None:
-            heads, why = _said(said, snapshot)
-            middle, letters, strip = int(view.centre[0]), Font(scale, large=True), layout.banner
-            half = min(middle - strip.left, strip.right - middle) - _ROUND
-            head = next((head for head in heads if letters.width(head) <= 2 * half), "")
-            self._banner.paint(BAD if said.bad else STOP)
-            figures.append((layout.banner, self._banner.update("" if head else heads[0], why)))
-            if head:
-                texts.append((int(mujoco.mjtFont.mjFONT_BIG), int(grids.mjGRID_TOP), head, ""))
-        return Drawn([(mujoco.MjrRect(*area), figure) for area, figure in figures], texts, layout)
+        if said is None:
+            return []
+        heads, why = _said(said, snapshot)
+        room = area.width - 2 * _ROUND
+        lines = [font.fitting(heads, room), *(line for _, line in font.wrapped([("", why)], room) if line)][:_LINES]
+        self._banner.paint(BAD if said.bad else STOP)
+        height = (len(lines) + 1) * font.row
+        strip = area._replace(bottom=area.top - height, height=height)
+        parts = [
+            (area._replace(bottom=area.top - (index + 2) * font.row, height=2 * font.row), label.update(line))
+            for index, (label, line) in enumerate(zip(self._lines, lines))
+        ]
+        return [(strip, self._banner.update("")), *parts]
 
 
 def _said(said: Banner, snapshot: Snapshot) -> tuple[list[str], str]:
@@ -342,13 +356,3 @@ def _said(said: Banner, snapshot: Snapshot) -> tuple[list[str], str]:
     way = key_of(said.way_on, snapshot.actions) if said.way_on else ""
     heads = [f"{title}: press {way} {_WAYS[said.way_on]}", f"{title}: press {way}"] if way else [title]
     return heads, ". ".join(part for part in (why, said.remedy) if part)
-
-
-def _parted(layout: Layout, high: int) -> tuple[Layout, Area]:
-    """Return a layout with room for a time bar.
-
-    The room is taken from the handle's area; the area of the bar is returned too.
-    """
-    area = layout.handle
-    handle = area._replace(bottom=area.bottom + high, height=max(area.height - high, 1))
-    return replace(layout, handle=handle), area._replace(height=high)

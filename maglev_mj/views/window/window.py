@@ -350,7 +350,12 @@ class _Window:
             self._scenery = Scenery(snapshot.scene)
             self._framing, self._camera_back = Framing(self._scenery.model), True
             # the handle offers no way to change the model; the simulation behind it, which opened it, does
-            handle._get_sim().load(self._scenery.model, self._scenery.data, "")
+            simulation = handle._sim()
+            simulation.loading = True  # before the look whether it runs: a window closed from here on destroys nothing
+            if not handle.is_running():
+                return
+            simulation.load(self._scenery.model, self._scenery.data, "")
+            simulation.loading = False
         scenery, framing, rectangle = self._scenery, self._framing, handle.viewport
         over = None
         if rectangle is not None and min(rectangle.width, rectangle.height) > 0:
@@ -401,43 +406,31 @@ def _launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Callable[[
     from mujoco import viewer  # imported here, because it needs a display
 
     engine: Any = viewer
+    plain = engine._Simulate
 
-    class Simulation(engine._Simulate):  # type: ignore[misc] # it has no types
-        """The engine's simulation, which may be closed while it loads.
+    class Simulation(plain):  # type: ignore[misc] # it has no types
+        """The engine's simulation, which lends us its mouse and may be closed while it loads a model.
 
         A load waits for the drawing thread, which a closed window has ended: to destroy the simulation then would wait
-        for the load, for ever, and hold the interpreter's lock meanwhile.
-
-        Attributes:
-            loading: True during a load; for good if the window was closed during it.
+        for the load indefinitely, and hold the interpreter's lock meanwhile.
         """
+
+        loading = False
 
         def __init__(self, *arguments: Any) -> None:
             super().__init__(*arguments)
-            self.loading, self._one = False, threading.Lock()
-            self.opened()
-
-        def opened(self) -> None:
-            """Take hold of the window; set for each."""
-
-        def load(self, model: mujoco.MjModel, data: mujoco.MjData, path: str) -> None:
-            """Load a model; wait until it is drawn."""
-            with self._one:
-                self.loading = True
-            super().load(model, data, path)
-            self.loading = False
+            grab.attach(glfw.get_current_context())  # made with the window, in the thread that polls its events
 
         def destroy(self) -> None:
             """Destroy the simulation, unless it loads."""
-            with self._one:
-                if not self.loading:
-                    super().destroy()
+            if not self.loading:
+                super().destroy()
 
-    if engine._Simulate.__name__ != Simulation.__name__:  # of an earlier window
-        engine._Simulate = Simulation
-    # it is made with the window, whose context is then that of the thread
-    engine._Simulate.opened = lambda _: grab.attach(glfw.get_current_context())
-    return viewer.launch_passive(model, data, key_callback=key_callback, show_left_ui=False, show_right_ui=False)
+    engine._Simulate = Simulation  # launch_passive takes no callback for its mouse
+    try:
+        return viewer.launch_passive(model, data, key_callback=key_callback, show_left_ui=False, show_right_ui=False)
+    finally:
+        engine._Simulate = plain
 
 
 def _mouse(perturb: Any) -> _Mouse:
