@@ -447,17 +447,18 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
     live = [one for one in scene.parameters() if one.live and one.live.has_keys and one.name not in DEVICES_OWN]
     on = [one.name for one in live if one.kind is bool and getattr(scene, one.name)]
     gains = [_gain(one, getattr(scene, one.name), scene.axis) for one in live if one.kind in (float, int)]
-    time, early = Reading("time", _time(snapshot)), snapshot.duration is not None or snapshot.time_scale != 1.0
+    whole = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
+    digits = 3 if snapshot.time_scale < 1.0 else 1
     place = 1e3 * snapshot.pose[:3].round(5) + 0.0
     rows = [
         Reading("scene", f"{scene.name}: {scene.describe()}"),
-        *((time,) if early else ()),
         *(Reading("", note) for note in (met_stops(snapshot).words, *snapshot.notes, *notes)),
         Reading("gains", "  ".join(gains)),
         _wall(snapshot),
         Reading("on", ", ".join(on) or "none" * any(one.kind is bool for one in live)),
         Reading("rate", f"{1.0 / scene.period:.0f} Hz, delay {scene.delay * 1e3:.1f} ms"),
-        *(() if early else (time,)),
+        Reading("time", f"{snapshot.time:.{digits}f}{whole} s"),
+        Reading("speed", pace(snapshot)),
         Reading("position", ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", place)) + " mm"),
         _force("hand", snapshot.hand, HAND, " (estimated)" * snapshot.hand_estimated),
         _force("device", snapshot.force, DEVICE),
@@ -466,13 +467,6 @@ def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
         Reading("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} missed" if snapshot.cost else ""),
     ]
     return [row for row in rows if row.value]
-
-
-def _time(snapshot: Snapshot) -> str:
-    """Return the time and its pace."""
-    whole = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
-    digits = 3 if snapshot.time_scale < 1.0 else 1
-    return ", ".join(filter(None, (f"{snapshot.time:.{digits}f}{whole} s", pace(snapshot))))
 
 
 def _force(name: str, wrench: Array, colour: Colour, note: str = "") -> Reading:

@@ -98,6 +98,10 @@ class Door:
 def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
     """Put websocket servers that start meanwhile behind a door.
 
+    viser starts its server by `websockets.asyncio.server.serve`. It takes neither a socket that listens nor a check of
+    requests before the handshake, so any web page could steer a device on this machine. Until it takes both, this
+    replaces `serve` while viser starts, here alone.
+
     Args:
         door: The door.
         listener: Socket that listens; in place of any host and port that the server would choose.

@@ -161,7 +161,9 @@ class Grab:
             await asyncio.sleep(SILENCE / 5.0)
 
     async def _ask(self, client: int) -> None:
-        """Wait for a browser's answer.
+        """Wait for a browser's answer to a ping.
+
+        viser reports only closed connections, not a browser that sleeps, and has no public way to its connections.
 
         Raises:
             Exception: If it is gone.

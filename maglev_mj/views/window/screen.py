@@ -17,7 +17,7 @@ from maglev_mj.plants.shapes import ARROW
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, Note, Snapshot
 from maglev_mj.views.magnifier import MAGNIFICATIONS, motion_words
-from maglev_mj.views.readings import Banner, Charts, Line, Range, banner, pace, readings
+from maglev_mj.views.readings import Banner, Charts, Line, Range, banner, readings
 from maglev_mj.views.window.keys import AXIS, HAND, KEYS, MAGNIFY, help_rows, key_of
 from maglev_mj.views.window.layout import Area, Font, Layout, Row, arranged
 
@@ -192,15 +192,14 @@ _HINT = "F11", "keys"
 def status_rows(snapshot: Snapshot) -> list[Row]:
     """Return the readings of a session, forces first."""
     words = dict([_ARROWS, *(row[:2] for row in readings(snapshot))])
-    words["time"] = words["time"].partition(",")[0]  # a message says the pace
     if "energy" in words:
         words["energy"] = words["energy"].replace(", ", ",\n")  # as many lines for any numbers
     return [(name, words[name]) for name in _SHOWN if name in words]
 
 
 def message_rows(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Row]:
-    """Return what is said for a while: metal stops, notes, and the task of the guided tour."""
-    return [row[:2] for row in readings(snapshot, notes) if not row.name] + _tour(snapshot)
+    """Return what is said for a while: metal stops, notes, slow motion, and the task of the guided tour."""
+    return [row[:2] for row in readings(snapshot, notes) if row.name in ("", "speed")] + _tour(snapshot)
 
 
 def moved_by_mouse(snapshot: Snapshot) -> bool:
@@ -310,7 +309,6 @@ class Screen:
     def _messages(self, snapshot: Snapshot, notes: Sequence[str]) -> list[Row]:
         """Return the rows at the lower left: messages, and what the user may do."""
         rows, magnified = message_rows(snapshot, notes), motion_words(self.factor)
-        rows += [("speed", pace(snapshot))] if pace(snapshot) else []
         rows += [("shown", f"{magnified}, of handle and walls")] if magnified else []
         rows += [_DRAG] if moved_by_mouse(snapshot) and self._with_keys and not self.dragged else []
         return [*rows, _HINT] if self._with_keys else rows
