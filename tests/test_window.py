@@ -151,6 +151,18 @@ def test_nothing_moves_when_states_change(shot: Snapshot) -> None:
         assert len(places) == 1 and screen.draw(shot, view, 100).layout.handle in next(iter(places))
 
 
+@pytest.mark.parametrize("size", [(1, 1), (30, 800), (800, 30), (120, 90)])
+def test_a_window_may_be_as_small_as_its_owner_likes(shot: Snapshot, size: tuple[int, int]) -> None:
+    stopped = replace(shot, state="stopped", duration=2.0)
+    framing, camera = Framing(Scenery(Joystick).model), mujoco.MjvCamera()
+    framing.reset(camera)
+    for scale in (100, 300):
+        drawn = Screen().draw(stopped, Area(0, 0, *size), scale)
+        assert all(min(rectangle.width, rectangle.height) > 0 for rectangle, _ in drawn.figures)
+        framing.follow(camera, Area(0, 0, *size), drawn.layout.handle)
+        assert np.isfinite([camera.distance, *camera.lookat]).all()
+
+
 def test_text_is_wrapped_at_words_and_long_words_anywhere() -> None:
     font = Font(100)
     rows = font.wrapped([("a", "some words that need lines"), ("", "x" * 40)], 140)
@@ -430,7 +442,10 @@ def test_the_task_stays_while_its_keys_are_looked_up(shot: Snapshot) -> None:
         screen.press(KEYS, shot.scene)
         drawn = screen.draw(toured, view, 100)
         assert lines(drawn, "TOPLEFT")[0][0] == "drag the knob"
-        assert lines(drawn, "BOTTOMLEFT")[:2] == [("1 of 8", "a text"), ("do", "a deed")]
+        assert lines(drawn, "BOTTOMLEFT")[-3:-1] == [("1 of 8", "a text"), ("do", "a deed")]
+        screen.dragged = True
+        rows = lines(screen.draw(replace(toured, time_scale=0.1), view, 100, ["a note"]), "BOTTOMLEFT")
+        assert rows[-3:-1] == [("1 of 8", "a text"), ("do", "a deed")]  # where it was
 
 
 def test_a_line_says_how_to_pull_until_the_first_drag(shot: Snapshot) -> None:

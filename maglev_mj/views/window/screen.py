@@ -94,13 +94,9 @@ class Label:
         figure.figurergba[:] = (*colour, self._opacity)
         figure.gridrgb[:] = colour
 
-    def update(self, text: str, foot: str = "") -> Any:
-        """Return the figure with its text.
-
-        One line is at the top, one at the foot.
-        """
+    def update(self, text: str) -> Any:
+        """Return the figure with its text, one line at the top."""
         _entitle(self._figure, text)
-        self._figure.xlabel = foot
         return self._figure
 
 
@@ -304,18 +300,19 @@ class Screen:
         if self._with_keys and EMERGENCY_STOP in snapshot.actions:
             figures.append((layout.label, self._stop.update(font.fitting(_STOPS, layout.label.width - font.row))))
         figures += self._banner_figures(snapshot, layout.banner, font)
-        return Drawn([(mujoco.MjrRect(*area), figure) for area, figure in figures], texts, layout)
+        seen = [(mujoco.MjrRect(*area), figure) for area, figure in figures if min(area.width, area.height) > 0]
+        return Drawn(seen, texts, layout)
 
     def _messages(self, snapshot: Snapshot, notes: Sequence[str]) -> list[Row]:
-        """Return the rows at the lower left: messages, and what the user may do."""
-        rows, magnified = message_rows(snapshot, notes), motion_words(self.factor)
+        """Return the rows at the lower left, the task and the key of the help last: rows above them come and go."""
+        magnified = motion_words(self.factor)
+        rows = [_DRAG] if moved_by_mouse(snapshot) and self._with_keys and not self.dragged else []
         rows += [("shown", f"{magnified}, of handle and walls")] if magnified else []
-        rows += [_DRAG] if moved_by_mouse(snapshot) and self._with_keys and not self.dragged else []
-        return [*rows, _HINT] if self._with_keys else rows
+        return [*rows, *message_rows(snapshot, notes), *([_HINT] if self._with_keys else [])]
 
     def _texts(self, upper: Sequence[Row], lower: Sequence[Row], area: Area, font: Font) -> list[_Text]:
         """Return two blocks of text, one above the other; the last rows of the upper one go if they do not fit."""
-        grids, room = mujoco.mjtGridPos, area.height // font.row - 1
+        grids, room = mujoco.mjtGridPos, max(area.height // font.row - 1, 0)
         below = font.wrapped(lower, area.width)[:room]
         some = (font.wrapped(upper[:count], area.width) for count in range(len(upper), -1, -1))
         above = next(rows for rows in some if len(rows) + len(below) <= room)
