@@ -19,6 +19,7 @@ import pytest
 from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
+from maglev_mj.control.timeline import Timeline
 from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, Sample, quaternion
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
@@ -134,6 +135,31 @@ def test_the_least_energy_is_that_of_all_samples_one_by_one_or_many_at_once() ->
         np.testing.assert_array_equal(together.least, np.min([np.zeros(6), *energies[: part[-1] + 1]], axis=0))
     np.testing.assert_array_equal(alone.least, together.least)
     assert (alone.least < alone.energy).any() and (alone.least < 0.0).any()
+
+
+@pytest.mark.parametrize("periods", [0.0, 0.3, 1.0, 2.7])
+@pytest.mark.parametrize("jitter", [0.0, 1e-4])
+@pytest.mark.parametrize("rate", [0.0, 0.4, 1.0])
+def test_an_observer_sees_the_forces_of_a_timeline_to_the_last_bit(periods: float, jitter: float, rate: float) -> None:
+    random, count, period = np.random.default_rng(0), 80, 0.001
+    timing = Timing(period=period, delay=periods * period, jitter=jitter * (periods % 1.0 > 0.0))
+    poses, held, pulses = random.normal(size=(3, count, 6))
+    # those of all kinds: nothing, within rounding, shorter and longer than a period, to the end of it but for rounding
+    most, rounding = period - float(timing.rest), 1e-10 * period
+    widths = random.choice([rounding, 3e-4, 9e-4, 5e-3, most, most + rounding, period - rounding], count)
+    widths *= random.random(count) < rate
+    before, load = random.normal(size=(2, 6))
+    observer = PassivityObserver(timing, INERTIA, load, before)
+    timeline, energies = Timeline(timing, before), [np.zeros(6)]
+    for sample in range(-timing.whole, 0):
+        timeline.answer(sample, before)
+    for tick in range(count - 1):
+        timeline.answer(tick, held[tick], held[tick] + pulses[tick], widths[tick])
+        work = observer._work(poses[tick + 1] - poses[tick], timeline.period(tick))
+        energies.append(energies[-1] - work)
+    parts = np.split(np.arange(count), [1, 2, 3, 40])
+    found = [observer.take(poses[part], held[part], pulses[part], widths[part]) for part in parts]
+    assert np.concatenate(found).tobytes() == np.array(energies).tobytes()
 
 
 def test_what_an_environment_gave_back_beyond_its_tank_counts() -> None:

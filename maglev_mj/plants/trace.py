@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.timeline import Segment, Timeline, Timing
+from maglev_mj.control.timeline import Segment, Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
 from maglev_mj.parameters import numbers
@@ -336,11 +336,11 @@ class PassivityObserver:
     ) -> None:
         self._load = numbers("load", load)
         self._inertia = np.inf if inertia is None else numbers("inertia", inertia, at_least=1e-12)
-        acting = np.zeros(6) + numbers("before", before)
-        self._timeline, self._count = Timeline(timing, acting), 0
-        for sample in range(-timing.whole, 0):  # as the answer to the samples before the first
-            self._timeline.answer(sample, acting.copy())
+        self._timing, self._before = timing, np.zeros(6) + numbers("before", before)
+        # held wrench, wrench with the pulse and width of the commands that can still act
+        self._commands: Sequence[Array] = ()
         self._pose: Array | None = None
+        self._count = 0
         self.energy: Array = np.zeros(6)
         self.least: Array = np.zeros(6)
 
@@ -350,46 +350,66 @@ class PassivityObserver:
         Missing samples do not count.
         """
         pose = sample.pose
-        if self._pose is not None:
-            self.energy = self.energy - self._work(pose - self._pose, self._timeline.period(self._count))
-            self.least = np.minimum(self.least, self.energy)
-            self._count += 1
-        self._pose = pose
-        held, width = command.wrench, 0.0 if command.extra is None else command.pulse_width
-        self._timeline.answer(self._count, held, held + command.pulse, width)
+        wrenches = (np.broadcast_to(wrench, pose.shape)[None] for wrench in (command.wrench, command.pulse))
+        self.take(pose[None], *wrenches, np.array([0.0 if command.extra is None else command.pulse_width]))
 
     def take(self, poses: Array, held: Array, pulses: Array, widths: Array) -> Array:
-        """Process N samples of one device with their commands.
+        """Process N samples with their commands.
 
         The bits are the same as with one sample at a time.
 
         Args:
-            poses: Poses [m, rad], (N, 6).
-            held: Held wrenches of the commands [N, N m], (N, 6).
-            pulses: Wrenches of their pulses [N, N m], (N, 6).
+            poses: Poses [m, rad], (N, ..., 6).
+            held: Held wrenches of the commands [N, N m], (N, ..., 6).
+            pulses: Wrenches of their pulses [N, N m], (N, ..., 6).
             widths: Widths of the pulses [s], (N,); 0 for none.
 
         Returns:
-            Absorbed energy up to each sample [J], (N, 6).
+            Absorbed energy up to each sample [J], (N, ..., 6).
         """
-        groups: dict[int, list[tuple[int, list[Segment]]]] = {}  # by the number of segments in a period
-        for place, (force, pulse, width) in enumerate(zip(held, pulses, widths.tolist())):
-            if place or self._pose is not None:
-                segments = self._timeline.period(self._count)
-                groups.setdefault(len(segments), []).append((place, segments))
-                self._count += 1
-            self._timeline.answer(self._count, force, force + pulse if width else None, width)
-        moved = np.diff(poses, axis=0, prepend=poses[:1] if self._pose is None else self._pose[None])
-        work = np.zeros_like(poses)
-        for group in groups.values():
-            places = [place for place, _ in group]
-            columns = zip(*(segments for _, segments in group), strict=True)
-            stacked = [tuple(map(np.array, zip(*column, strict=True))) for column in columns]
-            work[places] = self._work(moved[places], [(duration[:, None], force) for duration, force in stacked])
-        energy: Array = np.subtract.accumulate(np.concatenate([self.energy[None], work]))[1:]
-        self.energy, self._pose = energy[-1], poses[-1]
+        late = self._timing.whole + 1  # periods after which a command has been replaced
+        widths = widths.reshape(-1, *(1,) * (poses.ndim - 2))
+        begun = self._pose is not None
+        if self._pose is None:
+            self._pose, self.energy = poses[0], np.zeros(poses.shape[1:])
+            before = np.broadcast_to(self._before, (late, *poses.shape[1:]))
+            self._commands = before, before, np.zeros((late, *widths.shape[1:]))
+        given = held, held + pulses, widths
+        commands = [np.concatenate(parts) for parts in zip(self._commands, given)]
+        self._commands = [part[-late - 1 :] for part in commands]
+        count, end = len(poses) - (not begun), len(commands[0]) - late
+        moved = np.diff(poses, axis=0, prepend=self._pose[None])[len(poses) - count :]
+        work = self._work(moved, self._segments(*(part[end - count - 1 : end] for part in commands)))
+        energy: Array = np.subtract.accumulate(np.concatenate([self.energy[None], work]))[int(begun) :]
+        self.energy, self._pose, self._count = energy[-1], poses[-1], self._count + count
         self.least = np.minimum(self.least, energy.min(axis=0))
         return energy
+
+    def _segments(self, held: Array, pulsed: Array, width: Array) -> list[Segment]:
+        """Return the segments of the next K periods.
+
+        They are those of a `Timeline`; one that is missing in a period has the duration 0 there.
+
+        Args:
+            held: Held wrenches of the commands that take effect in these periods, after that of the period before
+                [N, N m], (K + 1, ..., 6).
+            pulsed: Wrenches with their pulses [N, N m], (K + 1, ..., 6).
+            width: Widths of the pulses [s], (K + 1, ...).
+        """
+        timing, ticks = self._timing, range(self._count - 1, self._count + len(held) - 1)
+        rest = np.array([timing.rest_at(max(tick, 0)) for tick in ticks] if timing.jitter else [timing.rest])
+        start, after = rest[-len(held) + 1 :], timing.period - rest
+        if not width.any():
+            return [(start[..., None], held[:-1]), (after[-len(held) + 1 :, ..., None], held[1:])]
+        inside = np.minimum(width, after)
+        left = np.minimum(self._long(width - inside)[:-1], start)
+        durations = self._long(left), self._long(start - left), self._long(inside[1:]), self._long((after - inside)[1:])
+        forces = pulsed[:-1], held[:-1], pulsed[1:], held[1:]
+        return [(duration[..., None], force) for duration, force in zip(durations, forces)]
+
+    def _long(self, duration: Array) -> Array:
+        """Return durations with 0 in place of rounding errors."""
+        return np.where(duration > self._timing.negligible, duration, 0.0)
 
     def _work(self, moved: Array, periods: Sequence[Segment]) -> Array:
         """Return the work of the forces over a period.
@@ -403,7 +423,7 @@ class PassivityObserver:
         for duration, _, gained in segments:
             place, speed = place + duration * (speed + 0.5 * gained), speed + gained
         work: Component = 0.0
-        speed = (moved - place) / self._timeline.timing.period
+        speed = (moved - place) / self._timing.period
         for duration, force, gained in segments:
             work, speed = work + force * duration * (speed + 0.5 * gained), speed + gained
         return np.asarray(work)
