@@ -30,7 +30,7 @@ from maglev_mj.versions import versions_read
 _TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
 """Fields that equal another bitwise unless a limit acts."""
 
-_TOTAL_NAMES = frozenset(field.name for field in TOTALS)
+_TOTAL_NAMES = [field.name for field in TOTALS]
 _BLOCK = 1 << 11  # samples that are checked and stored together
 
 
@@ -55,10 +55,9 @@ class SegmentContent:
         self.began = whole("time", value_in(message, "time"))
         self.gaps: list[tuple[int, int]] = []
         self.sticks: list[tuple[int, Sequence[float] | None]] = []
-        self._metadata = RunMetadata.from_json(value_in(self.setup, "run", dict))
-        self._names = [field.name for field in (*FIELDS, *TOTALS) if names is None or field.name in names]
-        totalled = not _TOTAL_NAMES.isdisjoint(self._names)
-        kept = [field.name for field in FIELDS if field.name in self._names or totalled]
+        metadata = RunMetadata.from_json(value_in(self.setup, "run", dict))
+        kept = [field.name for field in (*FIELDS, *TOTALS) if names is None or field.name in names]
+        self._totals = None if set(_TOTAL_NAMES).isdisjoint(kept) else Totals(metadata)
         self._blocks: dict[str, list[Array]] = {name: [] for name in kept}
         self._last: dict[str, Array] = {}
         self._count = 0
@@ -84,10 +83,18 @@ class SegmentContent:
         check_rows(rows, max(self._count - 1, 0))
         self._count += len(samples)
         self._last = {field.name: values[field.name][-1:].copy() for field in FIELDS}
-        kept = {name: _constant_once(part) for name, part in values.items()}
+        if self._totals is not None:
+            values |= zip(_TOTAL_NAMES, self._totals.take(values).T)
+        kept = {name: _constant_once(values[name]) for name in values}
         kept |= {name: kept[twin] for name, twin in _TWINS.items() if _same(values[name], values[twin])}
         for name, blocks in self._blocks.items():
             blocks.append(kept[name])
+
+    def miss(self, count: int) -> None:
+        """Count samples missed without a gap in the ticks."""
+        self.gaps.append((self._count, count))
+        if self._totals is not None:
+            self._totals.miss(count)
 
     def arrays(self) -> Mapping[str, Array]:
         """Return the fields of all samples, (N,) or (N, 6) each, not to be changed."""
@@ -95,48 +102,7 @@ class SegmentContent:
         twins = {name: twin for name, twin in _TWINS.items() if {name, twin} <= blocks.keys()}
         copies = {name: twin for name, twin in twins.items() if all(map(operator.is_, blocks[name], blocks[twin]))}
         arrays = {name: _joined(blocks.pop(name)) for name in list(blocks) if name not in copies}
-        arrays |= {name: arrays[twin] for name, twin in copies.items()}
-        return Columns(self._names, arrays, Totals(self._metadata), self.gaps)
-
-
-class Columns(Mapping[str, Array]):
-    """Fields of the samples of a segment; the totals are added up when one of them is first asked for.
-
-    Args:
-        names: Names of the fields.
-        arrays: Fields of the file, (N,) or (N, 6) each.
-        totals: What adds up.
-        gaps: Row that follows and number of samples missed without a gap in the ticks.
-    """
-
-    def __init__(
-        self, names: Sequence[str], arrays: Mapping[str, Array], totals: Totals, gaps: Sequence[tuple[int, int]]
-    ) -> None:
-        self._names, self._arrays, self._totals, self._gaps = names, dict(arrays), totals, gaps
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._names:
-            raise KeyError(name)
-        if name not in self._arrays:
-            self._arrays |= self._added_up()
-        return self._arrays[name]
-
-    def _added_up(self) -> Mapping[str, Array]:
-        parts: list[Array] = []
-        count, start = len(self._arrays["tick"]), 0
-        for row, missed in [*self._gaps, (count, 0)]:
-            for first in range(start, row, _BLOCK):
-                rows = slice(first, min(first + _BLOCK, row))
-                parts.append(self._totals.take({name: values[rows] for name, values in self._arrays.items()}))
-            start = row
-            self._totals.miss(missed)
-        return {field.name: column for field, column in zip(TOTALS, np.concatenate(parts).T)}
+        return arrays | {name: arrays[twin] for name, twin in copies.items()}
 
 
 def _same(one: Array, other: Array) -> bool:
@@ -226,7 +192,7 @@ class Content:
             self.events.append(f"{value_in(message, 'event', str)}: {value_in(message, 'text', str)}")
             self.event_samples.append(sum(map(len, self.segments)))
             if (missed := whole("missed", value_in(message, "missed"))) and self.segments:
-                self.segments[-1].gaps.append((len(self.segments[-1]), missed))
+                self.segments[-1].miss(missed)
         elif "stick" in message and self.segments:
             self.segments[-1].sticks.append((len(self.segments[-1]), _stick(message["stick"])))
         elif "attach" in message:

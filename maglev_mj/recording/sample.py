@@ -140,16 +140,11 @@ A further value takes one further line here.
 """
 
 TOTALS: Sequence[Field] = (
-    Field(
-        "taken",
-        "J",
-        "energy that the rendered world has taken in, in the stretch; below 0 it has made some",
-        at_most=1e15,
-    ),
-    Field("hand_work", "J", "work of the hand in the stretch, if known", at_most=1e15, unknown=True),
+    Field("taken", "J", "energy that the rendered world has taken in, in the stretch; below 0 it has made some"),
+    Field("hand_work", "J", "work of the hand in the stretch, if known"),
     Field("missed", "", "samples that did not arrive, or that were not kept up with, in the stretch so far"),
 )
-"""Running totals, stored in MCAP files with each sample."""
+"""Running totals, computed from the samples; exports have them with each sample."""
 
 
 def _layout(fields: Sequence[Field]) -> np.dtype[np.void]:
@@ -500,7 +495,7 @@ def check_setup(value: Any) -> Setup:
 
 
 def check_rows(rows: Mapping[str, Array], first: int = 0) -> None:
-    """Check the samples of a file, and their totals.
+    """Check the samples of a file.
 
     Args:
         rows: Fields by name, (N,) or (N, 6) each.
@@ -523,10 +518,9 @@ def check_rows(rows: Mapping[str, Array], first: int = 0) -> None:
     refused = not all(np.isfinite(rows[name][-1:]).all() for name in commanded)
     if refused and any(rows[field.name][-1:].any() for field in FIELDS if field.array == "applied"):
         raise ParameterError("a command that is not finite must be applied as zero")
-    for field in (*FIELDS, *TOTALS):
-        if field.name in rows:
-            values = rows[field.name]
-            _check_field(field, values[:-1] if refused and field.name in commanded else values, first)
+    for field in FIELDS:
+        values = rows[field.name]
+        _check_field(field, values[:-1] if refused and field.name in commanded else values, first)
     if not (np.diff(rows["time"]) > 0.0).all():
         raise ParameterError("time must go up from sample to sample")
 
