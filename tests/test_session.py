@@ -1,6 +1,7 @@
 """Sessions without a window: pacing, actions, energy, recording."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -199,13 +200,85 @@ def test_gains_rate_and_delay_stay_within_what_can_be(action: str, name: str, mo
         assert getattr(session.snapshot().scene, name) == end
 
 
-def test_every_action_is_known_and_no_other() -> None:
-    session = made()
-    for action in session.actions:
-        if action != "record":
-            session.act(action)
+def of_scene(**values: Any) -> Callable[[Snapshot, Snapshot], bool]:
+    """Return the check that an action gives the joystick these parameters, and changes nothing else."""
+    return lambda before, after: (after.scene, after.time) == (Joystick().replace(**values), before.time)
+
+
+def of_session(**values: Any) -> Callable[[Snapshot, Snapshot], bool]:
+    """Return the check that an action gives a snapshot these values, and no other scene."""
+    return lambda before, after: (
+        after.scene == before.scene and all(getattr(after, name) == value for name, value in values.items())
+    )
+
+
+ACTS: dict[str, Callable[[Snapshot, Snapshot], bool]] = {
+    "rate up": lambda before, after: after.scene.period < before.scene.period,
+    "rate down": lambda before, after: after.scene.period > before.scene.period,
+    "delay up": lambda before, after: after.scene.delay > before.scene.delay,
+    "delay down": lambda before, after: after.scene.delay < before.scene.delay,
+    "wall": of_scene(wall=False),
+    "pulse": of_scene(pulse=False),
+    "friction": of_scene(friction=True),
+    "stiffness up": lambda before, after: after.scene.as_json()["stiffness"] > 6000.0,
+    "stiffness down": lambda before, after: after.scene.as_json()["stiffness"] < 6000.0,
+    "damping": of_scene(damping=0.0),
+    "damping up": lambda before, after: after.scene.as_json()["damping"] > 80.0,
+    "damping down": lambda before, after: after.scene.as_json()["damping"] < 80.0,
+    "next scene": lambda before, after: (after.scene.name, after.time) == ("drop", 0.0),
+    "drop": lambda before, after: after.time == 0.0 and after.pose.tolist() == [0.0, 0.0, 0.004, 0.0, 0.0, 0.0],
+    "centre": lambda before, after: after.time == 0.0 and not after.pose.any(),
+    "pause": of_session(state="paused", tick=400),
+    "step": of_session(state="paused", tick=401),
+    "slower": of_session(time_scale=0.2),
+    "faster": of_session(time_scale=1.0),
+    "record": of_session(notes=["RECORDING"]),
+    "rewind": of_session(state="paused", rewound=1.0),
+    "go on from here": of_session(state="running", rewound=0.0, tick=401),
+    "emergency stop": of_session(state="stopped", reason="emergency stop"),
+    **{
+        f"scene {name}": lambda before, after, name=name: (after.scene.name, after.time) == (name, 0.0)
+        for name in BUILT_IN
+    },
+}
+"""Whether an action did its task by the snapshots before and after it, by name; of a joystick after 2 s."""
+
+
+@pytest.mark.parametrize("action", ACTS)
+def test_every_action_does_its_task(action: str, tmp_path: Path) -> None:
+    session = after(made(folder=tmp_path), 2.0)
+    session.change({"time_scale": 0.5})
+    if action == "go on from here":
+        session.act("pause")
+    before = session.snapshot()
+    session.act(action)
+    if action in ("step", "go on from here"):
+        session.tick(0.01)
+    assert ACTS[action](before, session.snapshot())
+    session.close()
+
+
+def test_the_same_hand_acts_again_after_a_rewind_and_no_action_is_unknown() -> None:
+    session = after(made(), 2.0)
+    assert {*session.actions} == {*ACTS, "same hand again"}
     with pytest.raises(ParameterError, match=r"one of rate up, .* emergency stop, .*, scene press, .*not 'jump'"):
         session.act("jump")
+    session.act("rewind")
+    session.act("same hand again")
+    assert session.snapshot().state == "running" and session.snapshot().time == pytest.approx(1.0)
+
+
+class Stepper(Joystick):
+    """Joystick with a number of the name of a session's action, as a scene of a user's own may have."""
+
+    step: bool = param("steps", default=False, live=True)
+
+
+def test_an_action_of_a_scene_comes_before_one_of_the_session_of_its_name() -> None:
+    session = made(Stepper())
+    assert len({*session.actions}) == len(session.actions)
+    session.act("step")
+    assert session.snapshot().scene.as_json()["step"] and session.snapshot().state == "running"
 
 
 def test_drop_lets_go_with_its_weight_and_centre_undoes_it() -> None:

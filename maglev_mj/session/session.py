@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import tempfile
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene
 from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
-from maglev_mj.session.changes import CHOOSES, EMERGENCY_STOP, REWINDS, actions, changed, settable
+from maglev_mj.session.changes import CHOOSES, EMERGENCY_STOP, actions, changed, settable
 from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
 from maglev_mj.session.snapshot import SHOWN, Publisher, Publishers, Snapshot
 from maglev_mj.session.stretch import KEPT, HandAgain, LiveStretch, Past
@@ -138,26 +139,6 @@ class SessionRecorder:
         return path
 
 
-_LIFTED = 0.004
-
-
-def lifted(scene: Scene) -> tuple[Scene, Sequence[float]]:
-    """Return the scene with gravity, and a raised start pose.
-
-    The pose is [m, rad], at a height of 4 mm.
-    """
-    pose = scene.start().pose
-    falling = scene.replace(weightless=False) if "weightless" in settable(scene) else scene
-    return falling, (*pose[:2], _LIFTED, *pose[3:])
-
-
-def centred(scene: Scene) -> Scene:
-    """Return the scene with its default gravity compensation."""
-    if "weightless" not in settable(scene):
-        return scene
-    return scene.replace(weightless=scene.parameter("weightless").default)
-
-
 def device_controller(scene: Scene) -> Controller:
     """Return a scene's controller for a device, with gravity compensation.
 
@@ -169,8 +150,7 @@ def device_controller(scene: Scene) -> Controller:
     return Controller([*controller.laws, Bias(WEIGHT)], period=scene.period, velocity=scene.velocity_estimator())
 
 
-_OWN = "next scene", "drop", "centre", "pause", "step", "slower", "faster", "record", *REWINDS, EMERGENCY_STOP
-
+_LIFTED = 0.004  # height of a drop [m]
 _MADE = -0.1
 _BACK = 1.0  # by a key [s]
 _RENEWED = 0.1
@@ -276,8 +256,7 @@ class Session:
     @property
     def actions(self) -> Sequence[str]:
         """Names of the actions of the present scene."""
-        names = (f"{CHOOSES}{cls.name}" for cls in self._scenes)
-        return *actions(type(self._scene)), *_OWN, *names
+        return tuple(self._acts())
 
     def act(self, action: str) -> None:
         """Perform one of `actions`.
@@ -285,36 +264,30 @@ class Session:
         Raises:
             ParameterError: If there is no such action.
         """
-        if action in actions(type(self._scene)):
-            self._adopt(action)
-        elif action == EMERGENCY_STOP:
-            self._stop(EMERGENCY_STOP)
-        elif action == "pause":
-            self._paused = not self._paused
-        elif action == "step":
-            self._paused, self._steps = True, self._steps + 1
-        elif action in ("slower", "faster"):
-            self._time_scale = next_scale(self._time_scale, action)
-        elif action == "record":
-            self._record()
-        elif action == "rewind":
-            self._show_past(self._stretch.time - _BACK)
-        elif action == "go on from here":
-            self._paused = False
-        elif action == "same hand again":
-            self._leave_past(again=True)
-        elif action == "next scene":
-            self._choose((self._scenes.index(type(self._scene)) + 1) % len(self._scenes))
-        elif action in (chosen := [f"{CHOOSES}{cls.name}" for cls in self._scenes]):
-            self._choose(chosen.index(action))
-        elif action == "drop":
-            self._scene, pose = lifted(self._scene)
-            self._restart(pose)
-        elif action == "centre":
-            self._scene = centred(self._scene)
-            self._restart(self._scene.start().pose)
-        else:
-            raise ParameterError(not_one_of("action", self.actions, action))
+        acts = self._acts()
+        if action not in acts:
+            raise ParameterError(not_one_of("action", tuple(acts), action))
+        acts[action]()
+
+    def _acts(self) -> dict[str, Callable[[], object]]:
+        """Return what each action does; that of the scene where it shares a name with one of the session's."""
+        of_scene = {name: partial(self._adopt, name) for name in actions(type(self._scene))}
+        of_session: dict[str, Callable[[], object]] = {
+            "next scene": self._choose_next,
+            "drop": self._drop,
+            "centre": self._centre,
+            "pause": lambda: self._pause(not self._paused),
+            "step": self._step,
+            "slower": partial(self._scale, "slower"),
+            "faster": partial(self._scale, "faster"),
+            "record": self._record,
+            "rewind": lambda: self._show_past(self._stretch.time - _BACK),
+            "go on from here": partial(self._pause, False),
+            "same hand again": partial(self._leave_past, again=True),
+            EMERGENCY_STOP: partial(self._stop, EMERGENCY_STOP),
+        }
+        choices = {f"{CHOOSES}{cls.name}": partial(self._choose, cls) for cls in self._scenes}
+        return of_scene | of_session | choices | of_scene
 
     def change(self, parameters: Mapping[str, Any]) -> None:
         """Change live parameters of the scene or the session.
@@ -517,19 +490,47 @@ class Session:
         else:
             self._changed = True
 
-    def _choose(self, place: int) -> None:
+    def _pause(self, paused: bool) -> None:
+        self._paused = paused
+
+    def _step(self) -> None:
+        """Run one tick while paused."""
+        self._paused, self._steps = True, self._steps + 1
+
+    def _scale(self, sense: str) -> None:
+        self._time_scale = next_scale(self._time_scale, sense)
+
+    def _choose(self, cls: type[Scene]) -> None:
         """Start another scene."""
-        self._scene = self._scenes[place]()
-        self._restart(self._scene.start().pose)
+        self._scene = cls()
+        self._restart()
+
+    def _choose_next(self) -> None:
+        self._choose(self._scenes[(self._scenes.index(type(self._scene)) + 1) % len(self._scenes)])
+
+    def _drop(self) -> None:
+        """Let go of the flotor, with its weight, above the centre."""
+        pose = self._scene.start().pose
+        if "weightless" in settable(self._scene):
+            self._scene = self._scene.replace(weightless=False)
+        self._restart((*pose[:2], _LIFTED, *pose[3:]))
+
+    def _centre(self) -> None:
+        """Start again, with the default gravity compensation."""
+        if "weightless" in settable(self._scene):
+            self._scene = self._scene.replace(weightless=self._scene.parameter("weightless").default)
+        self._restart()
 
     def _go_on(self) -> None:
         """Rebuild plant and controller in the present state, or restart."""
         if self._stopped:
-            self._restart(self._scene.start().pose)
+            self._restart()
         elif not self._past.rewound:  # otherwise when it goes on
             self._stretch = self._begin(self._stretch.pose.tolist(), going_on=True)
 
-    def _restart(self, pose: Sequence[float]) -> None:
+    def _restart(self, pose: Sequence[float] | None = None) -> None:
+        """Start the scene anew, at its own pose by default [m, rad]."""
+        pose = self._scene.start().pose if pose is None else pose
         self._past.clear()
         self._acting = self._hand
         self._stretch = self._begin(pose)
