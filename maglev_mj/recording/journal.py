@@ -47,8 +47,8 @@ _MOST_HEADER = 1 << 20
 _RENAMES_OPEN = os.name != "nt"  # where a file that is written can get its name before it is closed
 _HEAD = struct.Struct("<II")
 _COUNT = struct.Struct("<I")
-PACK = struct.Struct(f"<II{ROW.itemsize // 8}d").pack
-"""Packs a record from its kind, its size and the values of a sample."""
+PACK_SAMPLE = struct.Struct(f"<{_HEAD.size}x{ROW.itemsize // 8}d").pack
+"""Packs the record of a sample, whose kind and size are 0, from its values."""
 
 _FORMATS = {
     "kind": "<u4",
@@ -156,7 +156,7 @@ class Journal:
 
     @property
     def append(self) -> Callable[[bytes], None]:
-        """Append a record that PACK has packed: the queue's own method, which is quick and needs no lock."""
+        """Append a record that PACK_SAMPLE has packed: the queue's own method, which is quick and needs no lock."""
         return self._queue.append
 
     def has_room(self) -> bool:

@@ -6,9 +6,8 @@ One table of fields defines all file formats.
 from __future__ import annotations
 
 import json
-import linecache
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, Protocol, Self, TypeAlias
 
@@ -18,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.timeline import Timing
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import AXES, ZERO, Array
+from maglev_mj.frames import AXES, ZERO, Array, Command, Sample
 from maglev_mj.parameters import axis_indices, flag, number, numbers
 from maglev_mj.plants.trace import HandWork, PassivityObserver
 from maglev_mj.spec import GRAVITY, INERTIA
@@ -37,7 +36,7 @@ _KINDS = {dict: "an object", list: "a list", str: "a text", bool: "true or false
 
 
 class RecordedPlant(Protocol):
-    """Plant in the expressions of `Field.value`."""
+    """Plant of `row_of`; its `arrival`, the time of the sample by the host's clock [s], is optional."""
 
     @property
     def hand_wrench(self) -> Sequence[Any]:
@@ -52,7 +51,6 @@ class Field(NamedTuple):
         unit: Unit; two for the six components of a pose or wrench, of translations and of rotations; empty for a
             whole number.
         description: Short description.
-        value: Expression in `sample`, `command`, `applied` and `plant`; empty for a running total.
         array: Array of an .npz file that holds it; empty for an array of its own.
         at_least: Smallest value in a file.
         at_most: Largest absolute value in a file; beyond the range of any device.
@@ -63,7 +61,6 @@ class Field(NamedTuple):
     name: str
     unit: str | tuple[str, str]
     description: str
-    value: str = ""
     array: str = ""
     at_least: float = -np.inf
     at_most: float = _FORCE
@@ -90,53 +87,26 @@ class Field(NamedTuple):
 
 
 FIELDS: Sequence[Field] = (
-    Field("tick", "", "sample number, as the plant counts", "sample.tick"),
-    Field(
-        "time",
-        "s",
-        "of the sample, as the plant counts: a device counts on from stretch to stretch",
-        "sample.time",
-        at_most=1e9,
-    ),
-    Field("position", _POSE, "what the controller saw", "sample.position", at_most=1e3),
-    Field("command", _WRENCH, "what it answered, held", "command.force", "command"),
-    Field("pulse", _WRENCH, "what it answered, for as long as a pulse", "command.extra or ZERO", "command"),
-    Field("applied", _WRENCH, "the command after the plant's limits", "applied.force", "applied"),
-    Field("applied_pulse", _WRENCH, "the pulse after the plant's limits", "applied.extra or ZERO", "applied"),
-    Field(
-        "hand",
-        _WRENCH,
-        "what the hand exerts from the sample on, if known; a device's is estimated",
-        "plant.hand_wrench",
-        unknown=True,
-    ),
-    Field(
-        "pulse_width",
-        "s",
-        "how long the pulse is asked for",
-        "command.pulse_width if command.extra else 0.0",
-        "command",
-        at_least=0.0,
-    ),
-    Field(
-        "applied_pulse_width",
-        "s",
-        "how long the pulse lasts",
-        "applied.pulse_width if applied.extra else 0.0",
-        "applied",
-        at_least=0.0,
-    ),
+    Field("tick", "", "sample number, as the plant counts"),
+    Field("time", "s", "of the sample, as the plant counts: a device counts on from stretch to stretch", at_most=1e9),
+    Field("position", _POSE, "what the controller saw", at_most=1e3),
+    Field("command", _WRENCH, "what it answered, held", "command"),
+    Field("pulse", _WRENCH, "what it answered, for as long as a pulse", "command"),
+    Field("applied", _WRENCH, "the command after the plant's limits", "applied"),
+    Field("applied_pulse", _WRENCH, "the pulse after the plant's limits", "applied"),
+    Field("hand", _WRENCH, "what the hand exerts from the sample on, if known; a device's is estimated", unknown=True),
+    Field("pulse_width", "s", "how long the pulse is asked for", "command", at_least=0.0),
+    Field("applied_pulse_width", "s", "how long the pulse lasts", "applied", at_least=0.0),
     Field(
         "arrival",
         "s",
         "when it arrived, by the clock of the host: only changes count; not known of a simulated plant",
-        "plant.arrival",
         optional=True,
     ),
 )
 """Recorded fields of each sample, in file order.
 
-A further value takes one further line here.
+A further value takes one further line here, and one in `row_of`.
 """
 
 TOTALS: Sequence[Field] = (
@@ -169,40 +139,21 @@ Their shapes are (N,) for one number per sample, or (N, columns).
 """
 
 
-def compiled(arguments: str, template: str, fields: Sequence[Field] = FIELDS, **names: Any) -> Callable[..., Any]:
-    """Return a compiled function of a sample's values.
-
-    Generated as source, because a loop over FIELDS takes four times as long in the control tick.
-
-    Args:
-        arguments: Names of the function's arguments.
-        template: Body of the function, with {values} for the sequence of all values.
-        fields: Fields of the values.
-        names: Further names used in the body.
-    """
-    sources = ((field, _source(field, names.get("plant"))) for field in fields)
-    values = ", ".join(f"*({source})" if field.six else f"({source})" for field, source in sources)
-    known: dict[str, Any] = {"NAN": math.nan, "ZERO": ZERO, **names}
-    body = template.format(values=values).replace("\n", "\n    ")
-    source = f"def values_of({arguments}):\n    {body}\n"
-    name = f"<values of a sample {hash(source):x}>"
-    linecache.cache[name] = len(source), None, source.splitlines(keepends=True), name  # a traceback shows its lines
-    exec(compile(source, name, "exec"), known)
-    function: Callable[..., Any] = known["values_of"]
-    return function
-
-
-def _source(field: Field, plant: RecordedPlant | None) -> str:
-    """Return the expression of a field; NaN if not available.
-
-    An optional field of the plant may be missing; without a plant that is checked later.
-    """
-    of, _, name = field.value.partition(".")
-    if not field.optional or of != "plant":
-        return field.value
-    if plant is None:
-        return f"getattr(plant, {name!r}, NAN)"
-    return field.value if hasattr(plant, name) else "NAN"
+def row_of(sample: Sample, command: Command, applied: Command, plant: RecordedPlant) -> Row:
+    """Return the values of one cycle in the order of FIELDS; written out, for a loop takes four times as long."""
+    return (
+        sample.tick,
+        sample.time,
+        *sample.position,
+        *command.force,
+        *(command.extra or ZERO),
+        *applied.force,
+        *(applied.extra or ZERO),
+        *plant.hand_wrench,
+        command.pulse_width if command.extra else 0.0,
+        applied.pulse_width if applied.extra else 0.0,
+        getattr(plant, "arrival", math.nan),
+    )
 
 
 def as_rows(values: Any, fields: Sequence[Field] = FIELDS) -> Rows:

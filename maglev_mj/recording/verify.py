@@ -24,11 +24,10 @@ from maglev_mj.recording.sample import (
     Setup,
     as_rows,
     as_table,
-    compiled,
     is_recorded,
+    row_of,
 )
 from maglev_mj.recording.setup import refused, scripted
-from maglev_mj.recording.writer import row_of
 from maglev_mj.terminal import wrapped
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
@@ -226,12 +225,12 @@ def _answers(stretch: Stretch, controller: Controller) -> Rows:
     The array is (N,), with the fields of a command.
     """
     samples = zip(stretch.tick.tolist(), stretch.time.tolist(), stretch.position.tolist(), strict=True)
-    answers = [_values(controller.step(Sample(int(tick), time, place))) for tick, time, place in samples]
-    return as_rows(answers, _COMMANDED)
+    commands = [controller.step(Sample(int(tick), time, place)) for tick, time, place in samples]
+    values = [(*one.force, *(one.extra or ZERO), one.pulse_width if one.extra else 0.0) for one in commands]
+    return as_rows(values, _COMMANDED)
 
 
 _COMMANDED = [field for field in FIELDS if field.array == "command"]
-_values = compiled("command", "return ({values},)", _COMMANDED)
 
 
 def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows, bool]:

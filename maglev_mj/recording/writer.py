@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -14,9 +12,9 @@ from maglev_mj.control.loop import Record
 from maglev_mj.errors import ParameterError, file_path
 from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import flag
-from maglev_mj.recording.journal import PACK, SUFFIX, Journal, microseconds
+from maglev_mj.recording.journal import PACK_SAMPLE, SUFFIX, Journal, microseconds
 from maglev_mj.recording.recording import Recording, Stretch, stick_as_json
-from maglev_mj.recording.sample import ROW, RecordedPlant, Row, Setup, as_rows, compiled
+from maglev_mj.recording.sample import ROW, RecordedPlant, Row, Setup, as_rows, row_of
 from maglev_mj.recording.setup import RecordingFile, attach_parts, whole_setup
 from maglev_mj.versions import versions
 
@@ -52,10 +50,17 @@ class JournalFile:
         attach_parts(self, plant, controller)
         self._journal.text({"begin": whole, "time": microseconds()})
         self._controller, self._stuck = controller, repr(None)
-        names: dict[str, Any] = {"plant": plant, "first": self._tell_stick_position, "pack": PACK}
-        names |= {"append": self._journal.append, "has_room": self._journal.has_room}
-        before = "first()\n" if self._waits else ""
-        return compiled("sample, command, applied", f"{before}if has_room(): append(pack(0, 0, {{values}}))", **names)
+        append, has_room, tell = self._journal.append, self._journal.has_room, self._tell_stick_position
+
+        def record(sample: Sample, command: Command, applied: Command) -> None:
+            if has_room():
+                append(PACK_SAMPLE(*row_of(sample, command, applied, plant)))
+
+        def record_all(sample: Sample, command: Command, applied: Command) -> None:
+            tell()
+            record(sample, command, applied)
+
+        return record_all if self._waits else record
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
         """Record an event for the user.
@@ -102,9 +107,6 @@ class JournalFile:
             self._journal.text({"stick": stick_as_json(position)})
 
 
-_RowOf: TypeAlias = Callable[[Sample, Command, Command, RecordedPlant], Row]
-
-
 class Recorder:
     """Recording of a control loop in memory.
 
@@ -137,10 +139,6 @@ class Recorder:
         rows = as_rows(self._rows)
         arrays = {name: np.ascontiguousarray(rows[name]) for name in ROW.names or ()}
         return Stretch(setup=self._setup, arrays=arrays, gaps=tuple(self._gaps), began=self._began)
-
-
-row_of: _RowOf = compiled("sample, command, applied, plant", "return ({values},)")
-"""Return the values of one cycle in FIELDS order."""
 
 
 class MemoryFile:
