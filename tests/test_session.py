@@ -212,6 +212,11 @@ def of_session(**values: Any) -> Callable[[Snapshot, Snapshot], bool]:
     )
 
 
+def starts(name: str) -> Callable[[Snapshot, Snapshot], bool]:
+    """Return the check that an action starts a scene."""
+    return lambda before, after: (after.scene.name, after.time) == (name, 0.0)
+
+
 ACTS: dict[str, Callable[[Snapshot, Snapshot], bool]] = {
     "rate up": lambda before, after: after.scene.period < before.scene.period,
     "rate down": lambda before, after: after.scene.period > before.scene.period,
@@ -225,7 +230,7 @@ ACTS: dict[str, Callable[[Snapshot, Snapshot], bool]] = {
     "damping": of_scene(damping=0.0),
     "damping up": lambda before, after: after.scene.as_json()["damping"] > 80.0,
     "damping down": lambda before, after: after.scene.as_json()["damping"] < 80.0,
-    "next scene": lambda before, after: (after.scene.name, after.time) == ("drop", 0.0),
+    "next scene": starts("drop"),
     "drop": lambda before, after: after.time == 0.0 and after.pose.tolist() == [0.0, 0.0, 0.004, 0.0, 0.0, 0.0],
     "centre": lambda before, after: after.time == 0.0 and not after.pose.any(),
     "pause": of_session(state="paused", tick=400),
@@ -236,10 +241,7 @@ ACTS: dict[str, Callable[[Snapshot, Snapshot], bool]] = {
     "rewind": of_session(state="paused", rewound=1.0),
     "go on from here": of_session(state="running", rewound=0.0, tick=401),
     "emergency stop": of_session(state="stopped", reason="emergency stop"),
-    **{
-        f"scene {name}": lambda before, after, name=name: (after.scene.name, after.time) == (name, 0.0)
-        for name in BUILT_IN
-    },
+    **{f"scene {name}": starts(name) for name in BUILT_IN},
 }
 """Whether an action did its task by the snapshots before and after it, by name; of a joystick after 2 s."""
 

@@ -350,8 +350,8 @@ class PassivityObserver:
         Missing samples do not count.
         """
         pose = sample.pose
-        wrenches = (np.broadcast_to(wrench, pose.shape)[None] for wrench in (command.wrench, command.pulse))
-        self.take(pose[None], *wrenches, np.array([0.0 if command.extra is None else command.pulse_width]))
+        held, pulse = (np.broadcast_to(wrench, pose.shape)[None] for wrench in (command.wrench, command.pulse))
+        self.take(pose[None], held, pulse, np.array([0.0 if command.extra is None else command.pulse_width]))
 
     def take(self, poses: Array, held: Array, pulses: Array, widths: Array) -> Array:
         """Process N samples with their commands.
