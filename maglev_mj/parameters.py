@@ -15,7 +15,18 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar, Union, dataclass_transform, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    ClassVar,
+    Literal,
+    Self,
+    TypeVar,
+    Union,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -445,24 +456,30 @@ class Parameters:
         TypeError: If a declaration itself is wrong, when the class is made.
     """
 
+    _declared: ClassVar[Mapping[str, Parameter]] = {}
+    _derived: ClassVar[frozenset[str]] = frozenset()  # of the class; an object has its own
+
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         _check_names(cls)
         dataclass(frozen=True, kw_only=True)(cls)
-        cls.parameters()
+        hints = get_type_hints(cls)
+        cls._declared = {item.name: _parameter(cls, item, hints[item.name]) for item in fields(cls)}  # type: ignore[arg-type]
 
     def __init__(self, **values: Any) -> None:  # each subclass gets its own
         raise TypeError("Parameters has none: make a subclass")
 
     def __post_init__(self) -> None:
-        derived = []
-        for one in self.parameters():
-            value = getattr(self, one.name)
-            if value is None and one.derive is not None:
-                derived.append(one.name)
-                value = one.derive(self)
-            object.__setattr__(self, one.name, one.checked(value))
-        object.__setattr__(self, "_derived", frozenset(derived))
+        values, derived = vars(self), []
+        checked = values.pop("_checked", ())  # by the object that this is a copy of: see `replace`
+        for name, one in self._declared.items():
+            if name in checked:
+                continue
+            if values[name] is None and one.derive is not None:
+                derived.append(name)
+                values[name] = one.derive(self)
+            values[name] = one.checked(values[name])
+        values["_derived"] = frozenset(derived)
         self.check()
 
     def check(self) -> None:
@@ -471,12 +488,7 @@ class Parameters:
     @classmethod
     def parameters(cls) -> tuple[Parameter, ...]:
         """Return the declared parameters, in order."""
-        known: tuple[Parameter, ...] | None = cls.__dict__.get("_declared")
-        if known is None:
-            hints = get_type_hints(cls)
-            known = tuple(_declared(cls, item, hints[item.name]) for item in fields(cls))  # type: ignore[arg-type]
-            cls._declared = known  # type: ignore[attr-defined]
-        return known
+        return tuple(cls._declared.values())
 
     @classmethod
     def parameter(cls, name: str) -> Parameter:
@@ -485,9 +497,9 @@ class Parameters:
         Raises:
             ParameterError: If there is no such parameter.
         """
-        by_name = {one.name: one for one in cls.parameters()}
-        check_one_of("parameter", by_name, name)
-        return by_name[name]
+        if name not in cls._declared:
+            raise ParameterError(not_one_of("parameter", cls._declared, name))
+        return cls._declared[name]
 
     @classmethod
     def like(cls, name: str, **changes: Any) -> Any:
@@ -503,19 +515,26 @@ class Parameters:
     def replace(self, **changes: Any) -> Self:
         """Return a copy with changes; derived values are derived again.
 
+        The other values are not checked again by themselves.
+
         Raises:
             ParameterError: If there is no parameter of a name, or a value is outside its bounds.
         """
-        return self.from_json({**self.independent_values(), **changes})
+        for name in changes:
+            self.parameter(name)
+        copy = object.__new__(type(self))
+        vars(copy).update(self.as_json() | dict.fromkeys(self._derived) | changes)
+        vars(copy)["_checked"] = self._declared.keys() - self._derived - changes.keys()
+        copy.__post_init__()
+        return copy
 
     def independent_values(self) -> dict[str, Any]:
         """Return the values that are not derived, by name."""
-        derived: frozenset[str] = self._derived  # type: ignore[attr-defined]
-        return {name: value for name, value in self.as_json().items() if name not in derived}
+        return {name: value for name, value in self.as_json().items() if name not in self._derived}
 
     def as_json(self) -> dict[str, Any]:
         """Return the values by name."""
-        return {one.name: getattr(self, one.name) for one in self.parameters()}
+        return {name: getattr(self, name) for name in self._declared}
 
     @classmethod
     def from_json(cls, values: Mapping[str, Any]) -> Self:
@@ -545,7 +564,7 @@ def _check_names(cls: type[Parameters]) -> None:
             raise TypeError(f"{cls.__name__}.{name} cannot be a parameter: it is {what} of {bases[0].__name__}")
 
 
-def _declared(cls: type, item: Any, hint: Any) -> Parameter:
+def _parameter(cls: type, item: Any, hint: Any) -> Parameter:
     """Return the parameter declared by a field's type."""
     if "param" not in item.metadata:
         raise TypeError(f"{cls.__name__}.{item.name} must be declared by param(...), or be a ClassVar")

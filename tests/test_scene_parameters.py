@@ -124,6 +124,38 @@ def test_a_press_lasts_until_a_second_after_its_last_stroke_unless_it_was_told()
     assert Press(duration=4.0).replace(hits=2).duration == 4.0
 
 
+def test_a_copy_checks_what_is_changed_or_derived_and_what_holds_for_several() -> None:
+    parsed = list[float]()
+
+    def parse(value: float) -> float:
+        parsed.append(value)
+        return value
+
+    class Bag(Parameters):
+        content: float = param("content", default=1.0, parse=parse)
+        half: float = param("half of it", default=None, derive=lambda bag: 0.5 * bag.content, at_most=2.0)
+        most: float = param("most", default=5.0)
+
+        def check(self) -> None:
+            if self.content > self.most:
+                raise ParameterError("content must be at most most")
+
+    bag = Bag()
+    fuller = bag.replace(most=6.0).replace(content=3.0)
+    assert parsed == [1.0, 3.0] and fuller == Bag(content=3.0, half=1.5, most=6.0) and bag == Bag()
+    assert hash(fuller) == hash(Bag(content=3.0, half=1.5, most=6.0)) and vars(fuller) == {
+        **vars(bag),
+        **fuller.as_json(),
+    }
+    for changes, words in (
+        ({"content": 5.0}, "half must be"),
+        ({"most": 2.0}, "at most most"),
+        ({"most": "x"}, "number"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            fuller.replace(**changes)
+
+
 def test_a_scene_cannot_be_changed_in_place() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         Drop().stiffness = 1.0  # type: ignore[misc]
