@@ -35,7 +35,7 @@ from maglev_mj.bridge.connection import estop
 from maglev_mj.bridge.links import UdpServer
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
-from maglev_mj.cli import main, parser
+from maglev_mj.cli import main, parse
 from maglev_mj.cli.declare import joined
 from tests.processes import lockstep_twin
 
@@ -214,7 +214,7 @@ def test_the_commands_of_a_page_are_understood(
     monkeypatch.chdir(tmp_path)
     write_files(page, tmp_path)
     try:
-        parser().parse_args(typed(command))
+        parse(typed(command))
     except SystemExit as ended:
         assert ended.code == 0, f"{page}: maglev-mj {command}"  # --help
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
+from types import CodeType, FrameType
 from typing import Annotated, Any, Literal, get_args
 
 import pytest
@@ -21,6 +23,7 @@ from maglev_mj.cli import twin as cli_twin
 from maglev_mj.cli.declare import Parser, declare, option
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.cli.program import COMMANDS
+from maglev_mj.control import Hold, Wall
 from maglev_mj.errors import ParameterError
 from maglev_mj.interop.hand_devices import AUTO
 from maglev_mj.parameters import Parameters, interval, param
@@ -118,6 +121,33 @@ def test_a_value_outside_its_bounds_is_refused_by_the_parameters() -> None:
         given("--kind", "third")
 
 
+MOST_CALLS, MOST_MODULES = 300, 25
+
+
+def test_a_command_line_is_a_short_way_to_the_first_law(capsys: pytest.CaptureFixture[str]) -> None:
+    # Every call of this package counts, with its modules loaded; it took 569 before, and 1 423 once.
+    line, laws = "drop --stiffness 4000 --duration 0.01".split(), {Wall.__call__.__code__, Hold.__call__.__code__}
+    calls: list[CodeType] = []
+
+    def count(frame: FrameType, event: str, _: object) -> None:
+        if frame.f_code in laws:
+            sys.setprofile(None)
+        elif event == "call" and frame.f_globals.get("__name__", "").startswith("maglev_mj."):
+            calls.append(frame.f_code)
+
+    for _ in range(2):
+        calls.clear()
+        sys.setprofile(count)
+        try:
+            assert cli.main(line) == 0
+        finally:
+            sys.setprofile(None)
+    assert 100 < len(calls) <= MOST_CALLS, Counter(code.co_qualname for code in calls).most_common(9)
+    modules = Counter(code.co_filename for code in calls)
+    assert 10 < len(modules) <= MOST_MODULES, modules
+    capsys.readouterr()
+
+
 NEEDED = {
     "render": "--out a.png",
     "run": "drop",
@@ -144,7 +174,7 @@ def test_a_rate_is_understood_where_a_period_is(command: str, capsys: pytest.Cap
     found = []
     for more in ("--period=0.002", "--rate=500"):
         try:
-            options = vars(program.parser().parse_args([*words, more]))
+            options = vars(program.parse([*words, more]))
             found.append({name: value for name, value in options.items() if name == "rate" or "period" in name})
         except SystemExit:
             assert "unrecognized arguments: --" in capsys.readouterr().err
@@ -167,7 +197,7 @@ def test_a_scene_may_have_a_rate_of_its_own(tmp_path: Path) -> None:
         "    def laws(self):\n"
         "        return []\n"
     )
-    options = program.parser().parse_args(["run", str(path), "--rate", "7"])
+    options = program.parse(["run", str(path), "--rate", "7"])
     assert vars(options)["parameter rate"] == 7.0 and "parameter period" not in vars(options)
 
 

@@ -560,7 +560,7 @@ def test_a_hostile_file_executes_nothing_and_is_one_line(
     # Whatever it names, and even where a person lets the program execute what it holds.
     parts = parts_in(kept())
     for command in ("replay", "analyse"):  # the program's own code is loaded
-        program.parser().parse_args([command, "run.maglev"])
+        program.parse([command, "run.maglev"])
     capsys.readouterr()
     HOSTILE[what](begun_in(parts))
     (folder / "run.maglev").write_bytes(journal_of(parts))

@@ -23,7 +23,6 @@ from maglev_mj import cli
 from maglev_mj.bridge.bench.commissioning import CoilCheck
 from maglev_mj.bridge.fault import BlackBox, load_black_box
 from maglev_mj.bridge.wire import Fault
-from maglev_mj.cli.declare import joined
 from maglev_mj.cli.device import _coil_row
 from maglev_mj.cli.output import Progress
 from maglev_mj.cli.program import COMMANDS, GROUPS
@@ -111,7 +110,7 @@ def test_help_fits_80_columns_and_ends_with_an_example(
 
 def test_examples_are_understood() -> None:
     for name, one in COMMANDS.items():
-        assert cli.parser().parse_args(joined([name, *shlex.split(one.example)])).command == name
+        assert cli.parse([name, *shlex.split(one.example)]).command == name
 
 
 @pytest.mark.parametrize("name", ["press", "stick-slip", "run", "stability", "sweep", "info"])
@@ -155,6 +154,17 @@ OFFERED = {
     "maglev-mj bridge udp://127.0.0.1:1 --scene bo": ["box"],
     "maglev-mj bridge udp://127.0.0.1:1 --scene none.py --vi": ["--view"],
 }
+
+
+@pytest.mark.machine
+def test_a_shell_that_shows_descriptions_gets_those_of_commands_and_options(tmp_path: Path) -> None:
+    lines = ["maglev-mj vi", "maglev-mj drop --stif"]
+    environment = {**os.environ, "_ARGCOMPLETE_SHELL": "zsh", "_ARGCOMPLETE_SUPPRESS_SPACE": "1"}
+    subprocess.run(
+        [sys.executable, "-c", ASK], input="\n".join(lines), text=True, cwd=tmp_path, env=environment, check=True
+    )
+    answers = [(tmp_path / f"answer {index}").read_text() for index in range(len(lines))]
+    assert answers == [f"view:{COMMANDS['view'].summary}", "--stiffness:wall stiffness [N/m] (default 6000)"]
 
 
 @pytest.mark.machine

@@ -21,10 +21,9 @@ def outputs() -> list[tuple[str, str, str]]:
     """Return command, option and kind of each output in the help."""
     found = []
     for command in COMMANDS:
-        parser = program.parser()
-        parser.prepare([command, *NEEDED.get(command, "").split()])
-        (commands,) = (one.choices for one in parser._actions if isinstance(one, argparse._SubParsersAction))
-        for action in commands[command]._actions:
+        parser = program.command_parser(command, NEEDED.get(command, "").split())
+        program.add_options(parser, command)
+        for action in parser._actions:
             option = action.option_strings[0] if action.option_strings else ""
             if option and action.metavar in ("FILE", "DIR") and option not in INPUTS:
                 found.append((command, option, str(action.metavar)))
@@ -126,4 +125,4 @@ def test_a_check_leaves_nothing_behind(tmp_path: Path) -> None:
 
 def test_a_session_starts_in_a_folder_that_takes_no_files(closed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(closed)
-    output.check_outputs(program.parser().parse_args(["view"]))  # its recordings have a second place
+    output.check_outputs(program.parse(["view"]))  # its recordings have a second place

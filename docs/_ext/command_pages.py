@@ -15,10 +15,9 @@ from pathlib import Path
 from sphinx.application import Sphinx
 from sphinx.util.osutil import FileAvoidWrite
 
-from maglev_mj.cli import parser
-from maglev_mj.cli.declare import Parser
+from maglev_mj.cli.declare import Parser, help_of
 from maglev_mj.cli.options import add_parameters
-from maglev_mj.cli.program import GROUPS
+from maglev_mj.cli.program import GROUPS, add_options, command_parser
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.names import scene_names
 
@@ -56,10 +55,9 @@ def _index_page() -> Iterator[str]:
 
 
 def _prepared(name: str, arguments: Sequence[str]) -> Parser:
-    """Return the parser of a command with prepared options."""
-    commands = next(one for one in parser()._actions if isinstance(one, argparse._SubParsersAction)).choices
-    made: Parser = commands[name]
-    made.prepare(arguments)
+    """Return the parser of a command with its options."""
+    made = command_parser(name, arguments)
+    add_options(made, name)
     return made
 
 
@@ -111,7 +109,7 @@ def _row(option: argparse.Action) -> tuple[str, str, str, str]:
     """Return an option, its meaning, default and allowed values."""
     value = _value(option)
     words = [f"``{one} {value}``" if value else f"``{one}``" for one in option.option_strings] or [f"``{value}``"]
-    told, _, default = (option.help or "").replace("%%", "%").partition(" (default")
+    told, _, default = help_of(option).partition(" (default")
     default, _, rest = default.strip(": ").rpartition(")")
     declared = getattr(option, "parameter", None)
     allowed = ", ".join(option.choices or getattr(option, "offered", None) or ())

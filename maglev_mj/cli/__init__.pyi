@@ -1,2 +1,2 @@
 from maglev_mj.cli.program import main as main
-from maglev_mj.cli.program import parser as parser
+from maglev_mj.cli.program import parse as parse

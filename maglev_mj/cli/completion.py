@@ -4,29 +4,36 @@ from __future__ import annotations
 
 import argparse
 import os
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import argcomplete
 from argcomplete.completers import FilesCompleter
 from argcomplete.lexers import split_line
 
-from maglev_mj.cli.declare import Parser
+from maglev_mj.cli.declare import Parser, help_of
 from maglev_mj.scenes.names import scene_names
 
 _FILES = "FILE", "DIR", "PATH"
 
 
-def complete(parser: Parser) -> None:
-    """Answer a shell's request for completions, and exit.
+def complete(parser: Parser, command: Callable[[Sequence[str]], Parser | None]) -> None:
+    """Answer a shell's request for completions of commands, or of a command's options and scene, and exit.
 
     Args:
-        parser: Parser of all commands; the options of the typed command and scene are added to it first.
+        parser: Parser of the program; the choices of its last action are the commands.
+        command: Function that returns the parser of a command line, with its options; None without a command.
     """
+    start = int(os.environ["_ARGCOMPLETE"])  # number of words of the program
     _, _, _, words, _ = split_line(os.environ["COMP_LINE"], int(os.environ["COMP_POINT"]))
-    with suppress(SystemExit):  # the scene's name is incomplete
-        parser.prepare(words[1:])
-    parser.before = None
+    commands: Any = parser._actions[-1]
+    commands.completer = lambda **_: {name: one.summary for name, one in commands.choices.items()}
+    if (typed := command(words[start:])) is not None:
+        os.environ["_ARGCOMPLETE"] = str(start + 1)  # the command is the program whose arguments are completed
+        parser = typed
+        for action in parser._actions:
+            if action.help != argparse.SUPPRESS:
+                action.help = help_of(action).replace("%", "%%")  # which some shells show
     completer: Any = _values  # typed as argcomplete's own class; any callable will do
     argcomplete.autocomplete(parser, always_complete_options=False, default_completer=completer)
 

@@ -39,6 +39,9 @@ class _Formatter(argparse.HelpFormatter):
         options = ["[options]"] if len(needed) < len(actions) else []
         super().add_usage(" ".join(["%(prog)s", *options, *words]), actions, *rest, **named)
 
+    def _expand_help(self, action: argparse.Action) -> str:
+        return super()._expand_help(action) if not hasattr(action, "compose") else help_of(action)
+
     def _fill_text(self, text: str, width: int, indent: str) -> str:
         paragraphs = re.split(r"\n(?=[ \n])|(?<=\n)(?=\S)", text)
         fill = super()._fill_text
@@ -50,25 +53,14 @@ class Parser(argparse.ArgumentParser):
 
     Attributes:
         example: Example command line at the end of the help; empty for none.
+        words: Arguments that it will parse, for options that depend on them.
         declared: Flags of the options of a command's function.
     """
 
-    def __init__(self, *, example: str = "", **keywords: Any) -> None:
+    def __init__(self, *, example: str = "", words: Sequence[str] = (), **keywords: Any) -> None:
         # the options of a scene are its own: a shorter word must not become one that is added later
         super().__init__(**{"allow_abbrev": False, "formatter_class": _Formatter, **keywords})
-        self.example, self.declared = example, set[str]()
-
-    before: Callable[[Sequence[str]], None] | None = None
-    """Hook called once with the arguments before parsing.
-
-    For options that depend on another.
-    """
-
-    def prepare(self, arguments: Sequence[str]) -> None:
-        """Add the options that depend on the arguments."""
-        while (before := self.before) is not None:
-            self.before = None  # it may leave another
-            before(arguments)
+        self.example, self.words, self.declared = example, words, set[str]()
 
     def group(self, title: str) -> argparse._ArgumentGroup:
         """Return the option group of a title.
@@ -78,19 +70,19 @@ class Parser(argparse.ArgumentParser):
         found = (group for group in self._action_groups if group.title == title)
         return next(found, None) or self.add_argument_group(title)
 
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse the arguments; an unknown one is an error.
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse the arguments; an unknown one is an error. See `argparse.ArgumentParser`."""
+        options, unknown = self.parse_known_args(args, namespace)
+        self.refuse(unknown)
+        return options
 
-        The error is raised in the command of the argument. See `argparse.ArgumentParser`.
-        """
-        self.prepare(args or ())
-        found, unknown = super().parse_known_args(args, namespace)
+    def refuse(self, unknown: Sequence[str]) -> None:
+        """Exit with an error that names unknown arguments, if there are any."""
         if unknown:
             options = [word.partition("=")[0] for word in unknown if word.startswith("--")]
             near = (text for word in options if (text := meant(word, self._option_string_actions)))
             other = "; parameters are given by --set and --vary" if "--set" in self._option_string_actions else ""
             self.error(f"unrecognized arguments: {' '.join(unknown)}{other}{next(near, '')}")
-        return found, unknown
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
@@ -108,6 +100,12 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> Any:
         """Print one line and exit with status 2."""
         self.exit(2, f"{self.prog}: {message}\n")
+
+
+def help_of(action: argparse.Action) -> str:
+    """Return the help of an option, which may be composed when it is asked for."""
+    compose: Callable[[], str] | None = getattr(action, "compose", None)
+    return (action.help or "").replace("%%", "%") if compose is None else compose()
 
 
 def offer(action: argparse.Action, values: Iterable[str]) -> None:
@@ -204,11 +202,12 @@ class Shared(NamedTuple):
     """Options that depend on others.
 
     Attributes:
-        add: Function that adds them to a parser; None if another option adds them.
+        add: Function that adds them to a parser; None if another option adds them. It may return a function that adds
+            those that depend on the arguments, once all others of the command are there.
         take: Function that returns their value.
     """
 
-    add: Callable[[Parser], object] | None
+    add: Callable[[Parser], Callable[[], object] | None] | None
     take: Take
 
 
@@ -248,13 +247,16 @@ def declare(function: Callable[..., int], parser: Parser) -> None:
     An option that the parser has already is not added again.
     """
     describe(function, parser)
-    arguments = _arguments(function, parser)
+    dependent = list[Callable[[], object]]()
+    arguments = _arguments(function, parser, dependent)
     parser.set_defaults(run=lambda options: function(**arguments(options)))
+    for add in dependent:
+        add()
 
 
 def declared(kind: Callable[..., T], parser: Parser) -> Callable[[argparse.Namespace], T]:
     """Add the options of a dataclass; return a function that takes one from parsed options."""
-    arguments = _arguments(kind, parser)
+    arguments = _arguments(kind, parser, [])
     return lambda options: kind(**arguments(options))
 
 
@@ -263,8 +265,13 @@ def _signature(owner: Callable[..., object]) -> Signature:
     return signature(owner, eval_str=True)
 
 
-def _arguments(owner: Callable[..., object], parser: Parser) -> Callable[[argparse.Namespace], dict[str, Any]]:
-    """Add an option for each argument of a function; return a function that takes their values."""
+def _arguments(
+    owner: Callable[..., object], parser: Parser, dependent: list[Callable[[], object]]
+) -> Callable[[argparse.Namespace], dict[str, Any]]:
+    """Add an option for each argument of a function; return a function that takes their values.
+
+    What adds options that depend on the arguments is added to `dependent`.
+    """
     takes: dict[str, Take] = {}
     for name, one in _signature(owner).parameters.items():
         kind, about = get_args(one.annotation) or (one.annotation, None)
@@ -272,8 +279,8 @@ def _arguments(owner: Callable[..., object], parser: Parser) -> Callable[[argpar
             _add(parser, name, kind, about, one.default)
             takes[name] = about.take or partial(_value, name, about)
         elif isinstance(about, Shared):
-            if about.add is not None:
-                about.add(parser)
+            if about.add is not None and (add := about.add(parser)) is not None:
+                dependent.append(add)
             takes[name] = about.take
         else:
             takes[name] = declared(kind, parser)

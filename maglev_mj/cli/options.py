@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias, TypeVar
 
-from maglev_mj.cli.declare import KINDS, Container, Option, Parser, Shared, beside_inverse, number_option, offer, option
+from maglev_mj.cli.declare import KINDS, Container, Option, Parser, Shared, beside_inverse, number_option, option
 from maglev_mj.cli.output import add_pictures, chosen_pictures
 from maglev_mj.errors import ParameterError
 from maglev_mj.terminal import say
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 P = TypeVar("P", bound="Parameters")
 
 _APART = "parameter "
-_DECLARED = "parameter"
-"""Attribute of an option that holds its declaration."""
 
 
 def add_parameters(
@@ -33,7 +31,8 @@ def add_parameters(
 ) -> None:
     """Add an option for each declared parameter.
 
-    Its help has unit and default.
+    Its help has unit and default, and is composed when it is printed; see `help_of`. Its attribute `parameter` is the
+    declaration.
 
     A value that only a `parse` knows gets none, nor does one with an option of the command itself. Given values
     are kept apart from the command's own options: see `chosen`.
@@ -55,16 +54,15 @@ def add_parameters(
 
 
 def _add_parameter(parser: Container, option: str, one: Parameter, default: Any, prefix: str) -> None:
-    said = described(one, default).replace("%", "%%")
-    kept: dict[str, Any] = {"dest": _APART + prefix + one.name, "default": argparse.SUPPRESS, "help": said}
+    kept: dict[str, Any] = {"dest": _APART + prefix + one.name, "default": argparse.SUPPRESS, "help": one.name}
     if one.kind is bool:
         kept["action"] = argparse.BooleanOptionalAction
     else:
         read, metavar = KINDS[one.kind]
         kept |= {"type": partial(_or_none, read) if one.optional else read, "metavar": metavar or "NAME"}
-    made = parser.add_argument(option, **kept)
-    offer(made, one.choices)
-    setattr(made, _DECLARED, one)
+    action: Any = parser.add_argument(option, **kept)
+    action.offered, action.parameter = one.choices, one
+    action.compose = partial(described, one, default)  # when a help is printed
 
 
 def described(one: Parameter, default: Any) -> str:
@@ -97,11 +95,11 @@ def chosen(options: argparse.Namespace, parameters: P | type[P], prefix: str = "
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    made = parameters() if isinstance(parameters, type) else parameters
-    given = {one.name: f"{_APART}{prefix}{one.name}" for one in made.parameters()}
-    found = {name: getattr(options, place) for name, place in given.items() if hasattr(options, place)}
+    made, values = parameters() if isinstance(parameters, type) else parameters, vars(options)
+    options_of = {one.name: f"{_APART}{prefix}{one.name}" for one in made.parameters()}
+    chosen = {name: values[option] for name, option in options_of.items() if option in values}
     try:
-        return made.replace(**found, **further)
+        return made.replace(**chosen, **further)
     except ParameterError as error:
         raise ParameterError(f"{prefix}{error}") from None
 
@@ -224,10 +222,11 @@ def add_scene(
     instead: Callable[[Parser], object] | None = None,
     find: Find | None = None,
     names: Sequence[str] = (),
-) -> None:
-    """Add the scene argument and options of the scene's parameters.
+) -> Callable[[], None]:
+    """Add the scene argument; return a function that adds the options of the scene's parameters.
 
-    The class is found while the arguments are parsed, and stored in `scene_class`.
+    That finds the scene among the parser's words, and stores it with its default values in `scene_class`: the class
+    alone with `options` False.
 
     Args:
         parser: Parser of the command.
@@ -256,8 +255,8 @@ def add_scene(
     parser.epilog = f"{parser.epilog}\n{_MORE}" if parser.epilog else _MORE
     parser.set_defaults(scene_class=None)
 
-    def before(arguments: Sequence[str]) -> None:
-        text = _given(parser, arguments, option, known) or default
+    def add_chosen() -> None:
+        text = _given(parser, option, known) or default
         if text is None:
             if instead is not None:
                 instead(parser)
@@ -271,6 +270,7 @@ def add_scene(
         cls = found if isinstance(found, type) else type(found)
         try:
             if options:
+                found = found() if isinstance(found, type) else found
                 add_parameters(group, found, without=without)
                 group.title = f"parameters of {cls.name}"
             if more is not None:
@@ -279,23 +279,17 @@ def add_scene(
             parser.error(f"scene {cls.name} cannot be given here: {error}")
         parser.set_defaults(scene_class=found)
 
-    parser.before = before
+    return add_chosen
 
 
-def chosen_scene(options: argparse.Namespace, **defaults: Any) -> Scene:
+def chosen_scene(options: argparse.Namespace) -> Scene:
     """Return the given scene with the chosen parameters.
-
-    Args:
-        options: Parsed options.
-        defaults: Values in place of the scene's own defaults, for parameters of the scene.
 
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    found = options.scene_class
-    made: Scene = found() if isinstance(found, type) else found
-    names = {one.name for one in made.parameters()}
-    return chosen(options, made.replace(**{name: value for name, value in defaults.items() if name in names}))
+    scene: Scene = chosen(options, options.scene_class)
+    return scene
 
 
 def add_phase(parser: Parser, group: str, default: float | None) -> None:
@@ -323,8 +317,9 @@ def warn_of_instability(scene: Scene, inertia: Sequence[float] | None = None, de
         say(f"  warning: {warning}", sys.stderr)
 
 
-def _given(parser: Parser, arguments: Sequence[str], option: str | None, names: Sequence[str]) -> str | None:
+def _given(parser: Parser, option: str | None, names: Sequence[str]) -> str | None:
     """Return the scene among the arguments, after options if any."""
+    arguments = parser.words
     if option is not None:
         for place, word in enumerate(arguments):
             if word == option and place + 1 < len(arguments):

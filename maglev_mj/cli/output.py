@@ -312,7 +312,7 @@ def script_options(
     if quick is not None:
         parser.add_argument("--quick", action="store_true", help=quick)
     more(parser)
-    options = parser.parse_args()
+    options: argparse.Namespace = parser.parse_args()
     try:
         options.pictures = chosen_pictures(options)
     except ParameterError as error:

@@ -12,7 +12,6 @@ import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
 from importlib import import_module
 from typing import NamedTuple, TextIO
 
@@ -106,14 +105,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.reconfigure(errors="replace")  # not every encoding of a system has all signs of units
     try:
         try:
-            made = parser()
             if "_ARGCOMPLETE" in os.environ:  # a shell asks for completions
                 from maglev_mj.cli.completion import complete
 
-                complete(made)
-            options = made.parse_args(joined(sys.argv[1:] if arguments is None else arguments))
+                complete(program_parser(), _typed)
+            options = parse(sys.argv[1:] if arguments is None else arguments)
             if options.command is None:
-                made.print_help()
+                program_parser().print_help()
                 return 0
             return _run(options)
         finally:
@@ -212,42 +210,72 @@ def _drop_unwritten() -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
-def parser() -> Parser:
-    """Return the parser of all commands.
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Return the options of a command line; `command` is None without one.
 
-    A command's module is loaded with its first arguments.
+    Of all commands only that of the line is loaded.
     """
-    made = Parser(prog="maglev-mj", description=f"{str(maglev_mj.__doc__).partition(':')[0]}.")
-    made.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
-    made.epilog = (
+    words = joined(arguments)
+    if words and words[0] in COMMANDS:
+        return _parsed(*words)
+    program = program_parser()  # an option of the program comes first, or a wrong word
+    options, unknown = program.parse_known_args(words)
+    if options.command is not None:
+        options = _parsed(*options.command)
+    program.refuse(unknown)
+    return options
+
+
+def _parsed(name: str, *words: str) -> argparse.Namespace:
+    parser = command_parser(name, words)
+    add_options(parser, name)
+    options: argparse.Namespace = parser.parse_args(words)
+    return options
+
+
+def _typed(words: Sequence[str]) -> Parser | None:
+    """Return the parser of a command line that is not complete; None without a command."""
+    if not words or words[0] not in COMMANDS:
+        return None
+    parser = command_parser(words[0], words[1:])
+    with suppress(SystemExit):  # the scene's name is incomplete
+        add_options(parser, words[0])
+    return parser
+
+
+def program_parser() -> Parser:
+    """Return the parser of the program's own options; its help lists all commands."""
+    parser = Parser(prog="maglev-mj", description=f"{str(maglev_mj.__doc__).partition(':')[0]}.")
+    parser.add_argument("--version", action="version", version=f"maglev-mj {maglev_mj.__version__}")
+    parser.epilog = (
         "maglev-mj COMMAND --help lists its options, with an example; --rate [Hz] does for --period [s]. "
         "In Python, help(maglev_mj) lists all names.\n\n"
         "Exit status: 0; 1 failed run, 2 bad input, 130 Ctrl-C, 141 unread output."
     )
-    made.set_defaults(command=None)
-    commands = made.add_subparsers(dest="command", metavar="COMMAND", prog="maglev-mj", help=argparse.SUPPRESS)
+    command = parser.add_argument(
+        "command", metavar="COMMAND", nargs=argparse.PARSER, choices=COMMANDS, help=argparse.SUPPRESS
+    )
+    command.required = False
     for title, group in GROUPS.items():
-        made.add_argument_group(title, "\n".join(f"  {name:<16}{one.summary}" for name, one in group.items()))
-        for name, one in group.items():
-            own = commands.add_parser(name, example=f"maglev-mj {name} {one.example}")
-            own.before = partial(_add_options, own, name, one)
-    made.before = partial(_prepare, commands.choices)
-    return made
+        parser.add_argument_group(title, "\n".join(f"  {name:<16}{one.summary}" for name, one in group.items()))
+    return parser
 
 
-def _prepare(commands: Mapping[str, Parser], words: Sequence[str]) -> None:
-    if words and words[0] in commands:
-        from maglev_mj.views.window.backend import check_mujoco_gl
-
-        try:
-            check_mujoco_gl()  # before the engine is loaded, which refuses it with a traceback
-        except ParameterError as error:
-            commands[words[0]].error(str(error))
-        commands[words[0]].prepare(words[1:])
+def command_parser(name: str, words: Sequence[str]) -> Parser:
+    """Return the parser of a command for these words, without its options."""
+    parser = Parser(prog=f"maglev-mj {name}", example=f"maglev-mj {name} {COMMANDS[name].example}", words=words)
+    parser.set_defaults(command=name)
+    return parser
 
 
-def _add_options(parser: Parser, name: str, command: Command, _: Sequence[str]) -> None:
+def add_options(parser: Parser, name: str) -> None:
+    """Load a command and add its options; those of a scene if the parser's words name one."""
     from maglev_mj.cli.declare import declare  # which the help of all commands does not need
+    from maglev_mj.views.window.backend import check_mujoco_gl
 
+    try:
+        check_mujoco_gl()  # before the engine is loaded, which refuses it with a traceback
+    except ParameterError as error:
+        parser.error(str(error))
     module = import_module(f"maglev_mj.cli.{MODULES[name]}")  # a command loads its own libraries only
-    declare(getattr(module, command.function or name.replace("-", "_")), parser)
+    declare(getattr(module, COMMANDS[name].function or name.replace("-", "_")), parser)

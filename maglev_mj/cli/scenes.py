@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
@@ -53,21 +53,21 @@ def _add_sampling(parser: Parser, cls: type[Scene]) -> None:
         parser.set_defaults(phase=0.0, phases=None)
 
 
-def _add_scene(parser: Parser) -> None:
+def _add_scene(parser: Parser) -> Callable[[], None] | None:
     """Add the options of any scene, or of the one that the command is named by."""
     name = parser.prog.split()[-1]
     if name == "run":
-        add_scene(parser, more=_add_sampling)
-        return
+        return add_scene(parser, more=_add_sampling)
     from inspect import getdoc
 
     from maglev_mj.scenes.find import find_scene
 
-    cls = find_scene(name)
-    parser.description, _, parser.epilog = str(getdoc(cls)).partition("\n\n")
-    parser.set_defaults(scene_class=cls)
-    add_parameters(parser.group("parameters of the scene"), cls)
-    _add_sampling(parser, cls)
+    scene = find_scene(name)()
+    parser.description, _, parser.epilog = str(getdoc(scene)).partition("\n\n")
+    parser.set_defaults(scene_class=scene)
+    add_parameters(parser.group("parameters of the scene"), scene)
+    _add_sampling(parser, type(scene))
+    return None
 
 
 _RunScene: TypeAlias = Annotated["Scene", Shared(_add_scene, chosen_scene)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -284,15 +284,14 @@ def stability_map(
     return 0
 
 
-def _add_stability_scene(parser: Parser) -> None:
+def _add_stability_scene(parser: Parser) -> Callable[[], None]:
     """Add the scene, or without one the options of a map."""
-    add_scene(parser, instead=partial(declare, stability_map))
+    add_chosen = add_scene(parser, instead=partial(declare, stability_map))
     parser.group(_WALL)
+    return add_chosen
 
 
-_JudgedScene: TypeAlias = Annotated[
-    Scene, Shared(_add_stability_scene, lambda options: chosen(options, options.scene_class))
-]
+_JudgedScene: TypeAlias = Annotated[Scene, Shared(_add_stability_scene, chosen_scene)]
 
 
 def stability(*, scene: _JudgedScene, json: Json = None) -> int:
@@ -464,8 +463,8 @@ def _add_range(parser: Parser, cls: type[Scene]) -> None:
     parser.set_defaults(validity=declared(_Validity, parser))
 
 
-def _add_preset(parser: Parser) -> None:
-    add_scene(
+def _add_preset(parser: Parser) -> Callable[[], None]:
+    add_chosen = add_scene(
         parser,
         more=_add_range,
         find=_preset_scene,
@@ -473,6 +472,7 @@ def _add_preset(parser: Parser) -> None:
         without=("quantize",),  # a model level here: the sensor's steps
     )
     parser.group(_RANGE)
+    return add_chosen
 
 
 class _Question(NamedTuple):
@@ -487,7 +487,7 @@ def _chosen_question(options: argparse.Namespace) -> _Question | None:
     """Return the question; None for all scenes."""
     if options.scene_class is None:
         return None
-    return _Question(chosen(options, options.scene_class), options.validity(options), options.phase or 0.0)
+    return _Question(chosen_scene(options), options.validity(options), options.phase or 0.0)
 
 
 _Asked: TypeAlias = Annotated[_Question | None, Shared(_add_preset, _chosen_question)]
