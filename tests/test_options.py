@@ -121,7 +121,7 @@ def test_a_value_outside_its_bounds_is_refused_by_the_parameters() -> None:
         given("--kind", "third")
 
 
-MOST_CALLS, MOST_MODULES = 300, 25
+MOST_CALLS, MOST_MODULES = 250, 25
 
 
 def test_a_command_line_is_a_short_way_to_the_first_law(capsys: pytest.CaptureFixture[str]) -> None:

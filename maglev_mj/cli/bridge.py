@@ -6,7 +6,7 @@ import argparse
 import itertools
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from pathlib import Path
@@ -75,9 +75,9 @@ by a guard, 2 bad input,
 """
 
 
-def _add_scene(parser: Parser) -> Callable[[], None]:
+def _add_scene(parser: Parser) -> None:
     parser.epilog = _ENDS
-    return add_scene(parser, option="--scene", default="joystick", without=DEVICES_OWN)
+    add_scene(parser, option="--scene", default="joystick", without=DEVICES_OWN)
 
 
 def _add_limits(parser: Parser) -> None:

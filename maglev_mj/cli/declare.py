@@ -55,12 +55,15 @@ class Parser(argparse.ArgumentParser):
         example: Example command line at the end of the help; empty for none.
         words: Arguments that it will parse, for options that depend on them.
         declared: Flags of the options of a command's function.
+        later: Functions that add options which depend on the words: `declare` calls them once the command's own options
+            are there.
     """
 
     def __init__(self, *, example: str = "", words: Sequence[str] = (), **keywords: Any) -> None:
         # the options of a scene are its own: a shorter word must not become one that is added later
         super().__init__(**{"allow_abbrev": False, "formatter_class": _Formatter, **keywords})
         self.example, self.words, self.declared = example, words, set[str]()
+        self.later = list[Callable[[], object]]()
 
     def group(self, title: str) -> argparse._ArgumentGroup:
         """Return the option group of a title.
@@ -106,14 +109,6 @@ def help_of(action: argparse.Action) -> str:
     """Return the help of an option, which may be composed when it is asked for."""
     compose: Callable[[], str] | None = getattr(action, "compose", None)
     return (action.help or "").replace("%%", "%") if compose is None else compose()
-
-
-def offer(action: argparse.Action, values: Iterable[str]) -> None:
-    """Set an option's values for shell completion.
-
-    Others stay allowed.
-    """
-    setattr(action, "offered", list(values))  # noqa: B010
 
 
 def joined(arguments: Sequence[str]) -> list[str]:
@@ -202,12 +197,11 @@ class Shared(NamedTuple):
     """Options that depend on others.
 
     Attributes:
-        add: Function that adds them to a parser; None if another option adds them. It may return a function that adds
-            those that depend on the arguments, once all others of the command are there.
+        add: Function that adds them to a parser; None if another option adds them.
         take: Function that returns their value.
     """
 
-    add: Callable[[Parser], Callable[[], object] | None] | None
+    add: Callable[[Parser], object] | None
     take: Take
 
 
@@ -247,16 +241,15 @@ def declare(function: Callable[..., int], parser: Parser) -> None:
     An option that the parser has already is not added again.
     """
     describe(function, parser)
-    dependent = list[Callable[[], object]]()
-    arguments = _arguments(function, parser, dependent)
+    arguments = _arguments(function, parser)
     parser.set_defaults(run=lambda options: function(**arguments(options)))
-    for add in dependent:
-        add()
+    while parser.later:
+        parser.later.pop()()
 
 
 def declared(kind: Callable[..., T], parser: Parser) -> Callable[[argparse.Namespace], T]:
     """Add the options of a dataclass; return a function that takes one from parsed options."""
-    arguments = _arguments(kind, parser, [])
+    arguments = _arguments(kind, parser)
     return lambda options: kind(**arguments(options))
 
 
@@ -265,13 +258,8 @@ def _signature(owner: Callable[..., object]) -> Signature:
     return signature(owner, eval_str=True)
 
 
-def _arguments(
-    owner: Callable[..., object], parser: Parser, dependent: list[Callable[[], object]]
-) -> Callable[[argparse.Namespace], dict[str, Any]]:
-    """Add an option for each argument of a function; return a function that takes their values.
-
-    What adds options that depend on the arguments is added to `dependent`.
-    """
+def _arguments(owner: Callable[..., object], parser: Parser) -> Callable[[argparse.Namespace], dict[str, Any]]:
+    """Add an option for each argument of a function; return a function that takes their values."""
     takes: dict[str, Take] = {}
     for name, one in _signature(owner).parameters.items():
         kind, about = get_args(one.annotation) or (one.annotation, None)
@@ -279,8 +267,8 @@ def _arguments(
             _add(parser, name, kind, about, one.default)
             takes[name] = about.take or partial(_value, name, about)
         elif isinstance(about, Shared):
-            if about.add is not None and (add := about.add(parser)) is not None:
-                dependent.append(add)
+            if about.add is not None:
+                about.add(parser)
             takes[name] = about.take
         else:
             takes[name] = declared(kind, parser)

@@ -222,11 +222,11 @@ def add_scene(
     instead: Callable[[Parser], object] | None = None,
     find: Find | None = None,
     names: Sequence[str] = (),
-) -> Callable[[], None]:
-    """Add the scene argument; return a function that adds the options of the scene's parameters.
+) -> None:
+    """Add the scene argument, and later the options of the scene's parameters.
 
-    That finds the scene among the parser's words, and stores it with its default values in `scene_class`: the class
-    alone with `options` False.
+    The scene is found among the parser's words, and stored with its default values in `scene_class`: the class alone
+    with `options` False.
 
     Args:
         parser: Parser of the command.
@@ -279,7 +279,7 @@ def add_scene(
             parser.error(f"scene {cls.name} cannot be given here: {error}")
         parser.set_defaults(scene_class=found)
 
-    return add_chosen
+    parser.later.append(add_chosen)
 
 
 def chosen_scene(options: argparse.Namespace) -> Scene:

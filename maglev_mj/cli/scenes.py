@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias
 
-from maglev_mj.cli.declare import Parser, Shared, count, offer, option
+from maglev_mj.cli.declare import Parser, Shared, count, option
 from maglev_mj.cli.options import (
     Folder,
     Pictures,
@@ -45,7 +45,8 @@ class _Sampling(NamedTuple):
 def _add_sampling(parser: Parser, cls: type[Scene]) -> None:
     plants, group = cls.plants, parser.group("run")
     described = f"{', '.join(plants)} (default {plants[0]})"
-    offer(group.add_argument("--plant", default=plants[0], metavar="NAME", help=described), plants)
+    plant: Any = group.add_argument("--plant", default=plants[0], metavar="NAME", help=described)
+    plant.offered = plants  # to a shell
     if cls.takes_phase:
         add_phase(parser, "run", 0.0)
         group.add_argument("--phases", type=count, metavar="N", help="also sweep N phases, evenly spread over a period")
@@ -53,11 +54,12 @@ def _add_sampling(parser: Parser, cls: type[Scene]) -> None:
         parser.set_defaults(phase=0.0, phases=None)
 
 
-def _add_scene(parser: Parser) -> Callable[[], None] | None:
+def _add_scene(parser: Parser) -> None:
     """Add the options of any scene, or of the one that the command is named by."""
     name = parser.prog.split()[-1]
     if name == "run":
-        return add_scene(parser, more=_add_sampling)
+        add_scene(parser, more=_add_sampling)
+        return
     from inspect import getdoc
 
     from maglev_mj.scenes.find import find_scene
@@ -67,7 +69,6 @@ def _add_scene(parser: Parser) -> Callable[[], None] | None:
     parser.set_defaults(scene_class=scene)
     add_parameters(parser.group("parameters of the scene"), scene)
     _add_sampling(parser, type(scene))
-    return None
 
 
 _RunScene: TypeAlias = Annotated["Scene", Shared(_add_scene, chosen_scene)]

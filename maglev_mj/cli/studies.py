@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -284,11 +284,10 @@ def stability_map(
     return 0
 
 
-def _add_stability_scene(parser: Parser) -> Callable[[], None]:
+def _add_stability_scene(parser: Parser) -> None:
     """Add the scene, or without one the options of a map."""
-    add_chosen = add_scene(parser, instead=partial(declare, stability_map))
+    add_scene(parser, instead=partial(declare, stability_map))
     parser.group(_WALL)
-    return add_chosen
 
 
 _JudgedScene: TypeAlias = Annotated[Scene, Shared(_add_stability_scene, chosen_scene)]
@@ -463,8 +462,8 @@ def _add_range(parser: Parser, cls: type[Scene]) -> None:
     parser.set_defaults(validity=declared(_Validity, parser))
 
 
-def _add_preset(parser: Parser) -> Callable[[], None]:
-    add_chosen = add_scene(
+def _add_preset(parser: Parser) -> None:
+    add_scene(
         parser,
         more=_add_range,
         find=_preset_scene,
@@ -472,7 +471,6 @@ def _add_preset(parser: Parser) -> Callable[[], None]:
         without=("quantize",),  # a model level here: the sensor's steps
     )
     parser.group(_RANGE)
-    return add_chosen
 
 
 class _Question(NamedTuple):
