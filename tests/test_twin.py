@@ -15,9 +15,10 @@ import pytest
 
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.fault import DeviceFault
+from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
-from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.simulated_links import Line, VirtualLink
 from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Control, Estop, EstopAck, Fault, Hello, Operation, State
 from maglev_mj.bridge.wire import Command as CommandFrame
@@ -25,6 +26,7 @@ from maglev_mj.cli.twin import _hand
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants import MuJoCoPlant, Timing
+from tests.impaired import ImpairedLine, Impairment
 from tests.sweeps import sweep
 from tests.test_bridge import CENTRE, REACH, ZERO, Rig, hover
 
@@ -368,6 +370,50 @@ def test_a_silent_host_in_lockstep_is_let_go_but_may_compute_before_a_flight(
     monkeypatch.setattr(twin.firmware, "lose_host", let_go)
     TwinServer(twin, queue).run(longest + 1.0, each=lambda: setattr(twin.firmware, "state", state))
     assert gone == [pytest.approx(longest, abs=0.2)]
+
+
+class Counted(Twin):
+    """Twin of at most a hundred samples, where one that waits for no answer would take them without end."""
+
+    def sample(self) -> bytes | None:
+        assert self.tick < 100
+        return super().sample()
+
+
+@pytest.mark.parametrize(
+    "impairment",
+    [
+        Impairment(delay=0.02, jitter=0.01, duplicate=0.3),
+        Impairment(jitter=0.01, duplicate=0.3),
+        Impairment(delay=0.02),
+        Impairment(delay=0.02, jitter=0.01, duplicate=0.3, loss=0.2, seed=4),
+    ],
+)
+def test_in_lockstep_no_line_changes_the_motion(impairment: Impairment) -> None:
+    def positions(line: Line) -> list[Sequence[float]]:
+        twin = Counted(TwinParameters(lockstep=True, pose=CENTRE))
+        control, seen = hover(twin.parameters.period, REACH), []
+        with RemotePlant(VirtualLink(twin, line)) as plant:
+            plant.arm()
+            for _ in range(60):
+                seen.append(plant.read())
+                plant.write(control.step(seen[-1]))
+            assert plant.samples.lost == plant.samples.skipped == 0
+        return [tuple(sample.position) for sample in seen]
+
+    assert positions(ImpairedLine(impairment)) == positions(Line())
+
+
+def test_a_second_session_in_lockstep_begins_with_a_new_sample() -> None:
+    twin = Counted(TwinParameters(lockstep=True))
+    link, digest = VirtualLink(twin, Line(0.001)), twin.parameters.calibration.digest
+    for tick in range(2):
+        host = Connection(link, digest, None, 1.0)
+        frame = host.state(0.1)
+        assert frame is not None and frame.sequence == tick == twin.tick
+        assert host.state(0.1) is None and twin.tick == tick  # not answered: repeated, and the same is none newer
+        assert host.codec.dropped["old"] >= 4
+        assert host.control(Operation.BYE) is not None
 
 
 class Late(Queue):

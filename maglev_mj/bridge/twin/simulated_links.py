@@ -11,6 +11,8 @@ from maglev_mj.parameters import number
 
 _PEER = "host"
 _NEVER = 2**63
+_AGAIN = 20_000_000
+"""Time after which a sample without answer is repeated in lockstep [ns], as by `TwinServer`."""
 TO_HOST, TO_DEVICE = 0, 1
 """Directions of a line."""
 
@@ -54,7 +56,7 @@ class Line:
 class VirtualLink:
     """Link to a twin of this program in simulated time.
 
-    Time advances only while the host waits.
+    Time advances only while the host waits. In lockstep a sample is repeated every 20 ms until its answer.
 
     Args:
         twin: The device, stepped by this link alone.
@@ -68,6 +70,8 @@ class VirtualLink:
         self._twin, self._line = twin, line or Line()
         self._arrived: list[bytes] = []
         self._period, self._lockstep = twin.parameters.profile.period, twin.parameters.lockstep
+        self._frame: bytes | None = None
+        self._is_new, self._again = False, _NEVER  # session without a sample, time of a repetition
         self.time = 0
 
     def send(self, data: bytes) -> None:
@@ -99,20 +103,25 @@ class VirtualLink:
     def close(self) -> None:
         """Do nothing: there is nothing open."""
 
-    def _next_sample(self) -> int:
-        """Return the next sample's time [ns].
+    @property
+    def _is_waiting(self) -> bool:
+        """True if the device waits for its last sample's answer."""
+        return self._lockstep and not self._is_new and not self._twin.answered
 
-        In lockstep it waits for a host and its answer.
-        """
-        twin = self._twin
+    def _next_sample(self) -> int:
+        """Return the time of the next sample or repetition [ns]."""
         if not self._lockstep:
-            return (twin.tick + 1) * self._period
-        ready = twin.firmware.session and (twin.tick < 0 or twin.firmware.answered is None or twin.answered)
-        return self.time if ready and not self._arrived else _NEVER
+            return (self._twin.tick + 1) * self._period
+        if not self._twin.firmware.session:
+            return _NEVER
+        return self._again if self._is_waiting else self.time
 
     def _sample(self) -> None:
-        if (frame := self._twin.sample()) is not None:
-            self._line.send(TO_HOST, frame, self.time)
+        if not self._is_waiting:
+            self._frame = self._twin.sample()
+        self._is_new, self._again = False, self.time + _AGAIN
+        if self._frame is not None:
+            self._line.send(TO_HOST, self._frame, self.time)
 
     def _deliver(self) -> None:
         """Deliver all frames that have arrived."""
@@ -121,5 +130,8 @@ class VirtualLink:
         for direction, data in self._line.arrived(self.time):
             if direction == TO_HOST:
                 self._arrived.append(data)
-            elif answer := self._twin.receive(data, now, _PEER):
+                continue
+            session = self._twin.firmware.session
+            if answer := self._twin.receive(data, now, _PEER):
                 self._line.send(TO_HOST, answer, self.time)
+            self._is_new |= not session and self._twin.firmware.session != 0
