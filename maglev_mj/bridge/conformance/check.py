@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from typing import Any, NamedTuple
 
 from maglev_mj.bridge import wire
@@ -104,6 +104,15 @@ def check(expected: str, name: str = "", **needs: Any) -> Callable[[Callable[[Te
     return add
 
 
+@contextmanager
+def case(name: str) -> Iterator[None]:
+    """Name the case of a check in the message of its failure."""
+    try:
+        yield
+    except (Unexpected, PlantError) as error:
+        raise Unexpected(f"{name}: {error}") from None
+
+
 def stopped(t: Tester, peer: int = 0, faults: int = Fault.ESTOP) -> str:
     """Request emergency stops until no current is measured.
 
@@ -168,11 +177,9 @@ def ignored(
         t.links[peer].send(change(frame))
         t.answering = True
         t.command(t.last.sequence, ZERO)
-        try:
+        with case(f"{type(body).__name__} {said} is taken"):
             t.expect(State.ACTIVE)
             same("answers", t.others, [])
-        except Unexpected as error:
-            fail(f"{type(body).__name__} {said} is taken: {error}")
     return "ignored"
 
 
@@ -196,5 +203,5 @@ def zero(t: Tester) -> str:
     """Check for zero current from the sample after next on."""
     for frame in t.states(4)[1:]:
         if not is_off(frame.body.currents):
-            fail(f"{shown(frame.body.currents)} A after the cut")
+            fail(f"{shown(frame.body.currents)} A after the cut instead of 0 A")
     return "currents zero"

@@ -5,10 +5,12 @@ It keeps the protocol itself unless told otherwise.
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from enum import IntEnum
 from functools import partial
 from typing import Any, NoReturn, TypeAlias
 
@@ -277,10 +279,7 @@ class Tester:
         All received samples but the first must have the given ones.
         """
         for frame in (seen := self.states(samples + 1)[1:]):
-            body = frame.body
-            if (body.state, body.faults) != (state, faults):
-                said = f"{_named(State, body.state)}, faults {fault_names(body.faults)}"
-                fail(f"{said} instead of {state.name}, faults {fault_names(faults)}")
+            same("state, faults", (frame.body.state, frame.body.faults), (state, Fault(faults)))
         return seen[-1]
 
     def leave(self) -> None:
@@ -368,8 +367,8 @@ def fail(seen: str) -> NoReturn:
 def same(what: str, seen: Any, wanted: Any) -> str:
     """Fail a check if values differ; return the observed one."""
     if seen != wanted:
-        fail(f"{what} {shown(seen)} instead of {shown(wanted)}")
-    return f"{what} {shown(seen)}"
+        fail(f"{what} {shown(seen, wanted)} instead of {shown(wanted, wanted)}")
+    return f"{what} {shown(seen, wanted)}"
 
 
 def is_off(currents: Sequence[float]) -> bool:
@@ -377,10 +376,14 @@ def is_off(currents: Sequence[float]) -> bool:
     return max(map(abs, currents)) <= OFF
 
 
-def shown(value: Any) -> str:
-    """Return figures as text."""
+def shown(value: Any, like: Any = None) -> str:
+    """Return figures as text, by name where `like` is a named number; tuples and lists have one for each value."""
     if isinstance(value, (tuple, list)):
-        return f"({', '.join(map(shown, value))})"
+        return f"({', '.join(itertools.starmap(shown, itertools.zip_longest(value, (like or ())[: len(value)])))})"
+    if isinstance(like, Fault):
+        return fault_names(value)
+    if isinstance(like, IntEnum):
+        return _named(type(like), value)
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
