@@ -6,6 +6,7 @@ The same tests check both.
 from __future__ import annotations
 
 import ctypes
+import re
 import shutil
 import subprocess
 import tempfile
@@ -32,16 +33,18 @@ _LARGEST, _REASONS, _NO_FRAME = 256, 12, 7
 _Six = c_double * 6
 
 
+def _profile() -> list[tuple[str, Any]]:
+    """Return the fields of a device's properties, as the header declares them."""
+    header = (FOLDER / "maglev_firmware.h").read_text(encoding="utf-8")
+    kinds = {"uint64_t": c_uint64, "double": c_double, "uint32_t": c_uint32, "uint8_t": c_uint8, "bool": c_bool}
+    counts = {"": 0, "MAGLEV_KEY": 32, "MAGLEV_HASH": 16}
+    (text,) = re.findall(r"struct maglev_profile \{\n(.*?)\};", header, re.DOTALL)
+    declared = re.findall(r"^    (\w+) (\w+)(?:\[(\w+)\])?;", text, re.MULTILINE)
+    return [(name, kinds[kind] * counts[count] if count else kinds[kind]) for kind, name, count in declared]
+
+
 class _Profile(ctypes.Structure):
-    _fields_ = [
-        *[(name, c_uint64) for name in ("period", "delay", "watchdog", "enable", "stale")],
-        *[(name, c_double) for name in ("current", "continuous_current", "hover", "thermal_time")],
-        *[(name, c_double) for name in ("spot", "spot_speed")],
-        *[(name, c_uint32) for name in ("frozen", "number", "key_length")],
-        ("key", c_uint8 * 32),
-        ("calibration", c_uint8 * 16),
-        ("lockstep", c_bool),
-    ]
+    _fields_ = _profile()
 
 
 class _Reading(ctypes.Structure):
@@ -121,13 +124,8 @@ class CoreFirmware:
 
     def __init__(self, profile: Profile, amplifiers: Amplifiers, codec: Codec, draw: Callable[[], int]) -> None:
         self.profile, self._amplifiers, self._codec, self._core = profile, amplifiers, codec, library()
-        limits = profile.limits
-        known = _Profile(
-            *(profile.period, profile.delay, *map(profile.nanoseconds, ("watchdog", "enable", "stale"))),
-            *(limits.current_limit, limits.continuous_current, limits.hover_limit),
-            *(limits.thermal_time, limits.spot_limit, limits.spot_speed, limits.frozen, profile.number),
-            lockstep=profile.lockstep,
-        )
+        own = {"period": profile.period, "delay": profile.delay, "device": profile.number}
+        known = _Profile(**own, **profile.stated, lockstep=profile.lockstep)
         known.calibration[:] = profile.calibration
         if (key := codec._key) is not None:
             known.key_length, known.key[:] = len(key), key[:32].ljust(32, b"\0")

@@ -232,7 +232,7 @@ def test_it_says_what_it_is_and_where_the_flotor_lies(start: Starter) -> None:
     assert host.welcome.hover_limit == pytest.approx(limits.hover_limit, rel=1e-15)
     assert host.welcome == HelloAck(
         *(host.nonce, 0, 1, 3, State.INACTIVE, 1, NOMINAL.digest, PROFILE.period, PROFILE.delay),
-        *(PROFILE.nanoseconds("watchdog"), PROFILE.nanoseconds("enable"), PROFILE.nanoseconds("stale"), 0, 0, 0, 0),
+        *(PROFILE.stated["watchdog"], PROFILE.stated["enable"], PROFILE.stated["stale"], 0, 0, 0, 0),
         *(limits.current_limit, limits.continuous_current, host.welcome.hover_limit),
         *(limits.thermal_time, limits.spot_limit, limits.spot_speed),
     )

@@ -22,6 +22,7 @@ import pytest
 
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.links import cobs_encode
+from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.wire import (
     MAGIC,
     VERSION,
@@ -168,6 +169,17 @@ def test_the_tables_of_the_page_decode_its_bytes(name: str) -> None:
     if "version" not in values:
         assert found.pop("version") == VERSION
     assert found == values
+
+
+def test_a_limit_has_one_name_and_one_unit_in_the_table_of_limits_the_frame_and_the_page() -> None:
+    rows = {row[2]: (row[1], row[3]) for row in tables("### HELLO_ACK,")[1:]}
+    profile = Profile(period=5_000_000, delay=0, calibration=bytes(16))
+    assert profile.answer(**dict.fromkeys(("nonce", "status", "state", "fault_time", "faults", "first"), 0))
+    for limit in Limits.parameters():
+        stated = profile.stated[limit.name]
+        kind, unit = ("f64", limit.unit) if isinstance(stated, float) else ("u64", "ns") if limit.unit else ("u32", "")
+        assert rows[limit.name][0] == kind, limit.name
+        assert f"[{unit}]" in rows[limit.name][1] if unit else "[" not in rows[limit.name][1], limit.name
 
 
 def test_the_page_has_the_words_of_both_ends() -> None:

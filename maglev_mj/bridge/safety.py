@@ -58,6 +58,17 @@ _LIMITS = [one.name for one in Limits.parameters()]
 _NANOSECONDS = "watchdog", "enable", "stale"
 """Limits that the wire has in nanoseconds."""
 
+_AT_MOST = (
+    ("two periods", "watchdog"),
+    ("delay", "two periods"),
+    ("enable", "watchdog"),
+    ("one period", "stale"),
+    ("stale", "watchdog"),
+    ("hover_limit", "continuous_current"),
+    ("continuous_current", "current_limit"),
+)
+"""Pairs of which the first must be at most the second, as HELLO_ACK has them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
@@ -82,25 +93,19 @@ class Profile:
         flag("lockstep", self.lockstep)
         if self.limits.stale is None:
             store(self, limits=self.limits.replace(stale=min(_FRESH * self.period * 1e-9, self.limits.watchdog)))
-        # in whole nanoseconds, so that numbers that are equal on the wire are equal here
-        watchdog, enable, stale = (self.nanoseconds(name) * 1e-9 for name in _NANOSECONDS)
-        period, two, delay = (one * 1e-9 for one in (self.period, 2 * self.period, self.delay))
-        hover, continuous = self.limits.hover_limit, self.limits.continuous_current
-        for name, value, bound, most, unit in (
-            ("two periods", two, "watchdog", watchdog, "s"),
-            ("delay", delay, "two periods", two, "s"),
-            ("enable", enable, "watchdog", watchdog, "s"),
-            ("one period", period, "stale", stale, "s"),
-            ("stale", stale, "watchdog", watchdog, "s"),
-            ("hover_limit", hover, "continuous_current", continuous, "A"),
-            ("continuous_current", continuous, "current_limit", self.limits.current_limit, "A"),
-        ):
-            if value > most:
-                raise ParameterError(f"{name} must be at most {bound}, {most:.9g} {unit}, not {value:.9g} {unit}")
+        # as on the wire: what is equal there is equal here
+        values = {**self.stated, "one period": self.period, "two periods": 2 * self.period, "delay": self.delay}
+        for name, bound in _AT_MOST:
+            if values[name] > values[bound]:
+                scale, unit = (1e-9, "s") if isinstance(values[bound], int) else (1, "A")
+                value, most = (f"{values[one] * scale:.9g} {unit}" for one in (name, bound))
+                raise ParameterError(f"{name} must be at most {bound}, {most}, not {value}")
 
-    def nanoseconds(self, name: str) -> int:
-        """Return a limit that is a time, in whole nanoseconds."""
-        return round(float(getattr(self.limits, name)) * 1e9)
+    @property
+    def stated(self) -> dict[str, Any]:
+        """Limits as HELLO_ACK states them, by name: times in whole nanoseconds."""
+        limits = {name: getattr(self.limits, name) for name in _LIMITS}
+        return limits | {name: round(limits[name] * 1e9) for name in _NANOSECONDS}
 
     @classmethod
     def of(cls, answer: HelloAck) -> Self:
@@ -113,9 +118,7 @@ class Profile:
     def answer(self, **state: Any) -> HelloAck:
         """Return the HELLO_ACK with these properties and the given state."""
         own = {name: getattr(self, name) for name in ("period", "delay", "calibration", "lockstep")}
-        limits = {name: getattr(self.limits, name) for name in _LIMITS}
-        times = {name: self.nanoseconds(name) for name in _NANOSECONDS}
-        return HelloAck(version=VERSION, device=self.number, **own, **{**limits, **times}, **state)
+        return HelloAck(version=VERSION, device=self.number, **own, **self.stated, **state)
 
 
 class HostLimits(Parameters):

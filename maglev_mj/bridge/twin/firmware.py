@@ -74,12 +74,12 @@ class Firmware:
         self._hover: Sequence[float] = ZERO
         self._commanded_at, self._answers, self._holding, self._sampled = 0, NEVER, False, 0
         self._thermal = ThermalModel(profile.limits)
-        self._watchdog = profile.nanoseconds("watchdog")
+        self._watchdog = profile.stated["watchdog"]
         self._first, self._fault_time, self._sampled_at = Fault(0), 0, 0
         self._measured: Sequence[float] = ZERO
         self._reset_guards()
         # how old the answered sample may be [ns]
-        self._stale = 0 if profile.lockstep else profile.nanoseconds("stale")
+        self._stale = 0 if profile.lockstep else profile.stated["stale"]
 
     def _reset_guards(self) -> None:
         """Reset the guards."""

@@ -100,7 +100,7 @@ class AmplifierBoard:
 
     def __init__(self, plant: MuJoCoPlant | ExactCoilPlant, parameters: TwinParameters) -> None:
         self._plant, self._lockstep, self._delay = plant, parameters.lockstep, parameters.delay
-        self._enable = round(parameters.profile.limits.enable * 1e9)
+        self._enable = parameters.profile.stated["enable"]
         self._sampled_at, self.now, self._opens = -1, 0, 0
         self._told: Sequence[float] = ZERO
         self.stuck: dict[int, float] = {}
