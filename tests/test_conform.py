@@ -160,6 +160,12 @@ def keep_checks(monkeypatch: pytest.MonkeyPatch, kept: Container[str]) -> None:
             monkeypatch.delitem(CHECKS, name)
 
 
+@pytest.mark.parametrize("part", range(PARTS))
+def test_a_twin_in_lockstep_passes(part: int) -> None:
+    results = results_of(lockstep=True, only=[name for name in CHECKS if name not in TIMED][part::PARTS])
+    assert results and not names(results, False) and names(results, None) <= TAGS
+
+
 def test_in_lockstep_what_needs_real_time_is_left_out() -> None:
     results = results_of(lockstep=True, only=TIMED)
     assert {one.seen for one in results.values() if not one.passed} == {LEFT_OUT}

@@ -416,6 +416,16 @@ def test_a_second_session_in_lockstep_begins_with_a_new_sample() -> None:
         assert host.control(Operation.BYE) is not None
 
 
+def test_time_passes_in_lockstep_for_a_host_that_answers_at_once() -> None:
+    twin = Counted(TwinParameters(lockstep=True))
+    link = VirtualLink(twin)
+    host = Connection(link, twin.parameters.calibration.digest, None, 1.0)
+    for tick in range(20):
+        frame = host.state(0.1)
+        assert frame is not None and frame.sequence == tick and link.time == tick * PERIOD
+        host.command(CommandFrame(tick, 0, ZERO, ZERO, 0.0))
+
+
 class Late(Queue):
     """Silent server whose clock is virtual and wakes late.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections import Counter
 from copy import deepcopy
 from dataclasses import dataclass
@@ -222,13 +223,8 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return dict(pairs)
 
 
-def _pretty(value: Any, indent: str = "") -> str:
+def _pretty(values: dict[str, Any]) -> str:
     """Return indented JSON with one row of numbers per line."""
-    deeper = indent + "  "
-    if isinstance(value, dict):
-        lines, ends = [f"{json.dumps(name)}: {_pretty(part, deeper)}" for name, part in value.items()], "{}"
-    elif isinstance(value, list) and isinstance(value[0], list):
-        lines, ends = [_pretty(part, deeper) for part in value], "[]"
-    else:
-        return json.dumps(value, allow_nan=False)
-    return ends[0] + ",".join(f"\n{deeper}{line}" for line in lines) + f"\n{indent}{ends[1]}"
+    text = json.dumps(values, indent=2, allow_nan=False)
+    # a text has no newline of its own: JSON escapes it
+    return re.sub(r"\[\n[^][{}]+\]", lambda row: re.sub(r"\n *", "", row[0]).replace(",", ", "), text)

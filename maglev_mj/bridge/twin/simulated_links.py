@@ -56,7 +56,8 @@ class Line:
 class VirtualLink:
     """Link to a twin of this program in simulated time.
 
-    Time advances only while the host waits. In lockstep a sample is repeated every 20 ms until its answer.
+    Time advances only while the host waits. In lockstep a sample is repeated every 20 ms until its answer, and the next
+    one is at least a period later.
 
     Args:
         twin: The device, stepped by this link alone.
@@ -71,7 +72,7 @@ class VirtualLink:
         self._arrived: list[bytes] = []
         self._period, self._lockstep = twin.parameters.profile.period, twin.parameters.lockstep
         self._frame: bytes | None = None
-        self._is_new, self._again = False, _NEVER  # session without a sample, time of a repetition
+        self._is_new, self._sent = False, -self._period  # session without a sample, time of the last frame [ns]
         self.time = 0
 
     def send(self, data: bytes) -> None:
@@ -114,12 +115,12 @@ class VirtualLink:
             return (self._twin.tick + 1) * self._period
         if not self._twin.firmware.session:
             return _NEVER
-        return self._again if self._is_waiting else self.time
+        return self._sent + (_AGAIN if self._is_waiting else self._period)
 
     def _sample(self) -> None:
         if not self._is_waiting:
             self._frame = self._twin.sample()
-        self._is_new, self._again = False, self.time + _AGAIN
+        self._is_new, self._sent = False, self.time
         if self._frame is not None:
             self._line.send(TO_HOST, self._frame, self.time)
 
