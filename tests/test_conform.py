@@ -69,7 +69,10 @@ class Elsewhere:
         self._arrived: list[bytes] = []
 
     def send(self, data: bytes) -> None:
-        answer = self._device.receive(data, self._link.now(), "elsewhere")
+        parameters = self._device.parameters
+        # in lockstep the device's clock stands at its last sample
+        now = max(self._device.tick, 0) * parameters.profile.period if parameters.lockstep else self._link.now()
+        answer = self._device.receive(data, now, "elsewhere")
         self._arrived += [answer] if answer is not None else []
 
     def receive(self, timeout: float) -> bytes | None:
