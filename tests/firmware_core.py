@@ -36,7 +36,13 @@ _Six = c_double * 6
 def _profile() -> list[tuple[str, Any]]:
     """Return the fields of a device's properties, as the header declares them."""
     header = (FOLDER / "maglev_firmware.h").read_text(encoding="utf-8")
-    kinds = {"uint64_t": c_uint64, "double": c_double, "uint32_t": c_uint32, "uint8_t": c_uint8, "bool": c_bool}
+    kinds: dict[str, Any] = {
+        "uint64_t": c_uint64,
+        "double": c_double,
+        "uint32_t": c_uint32,
+        "uint8_t": c_uint8,
+        "bool": c_bool,
+    }
     counts = {"": 0, "MAGLEV_KEY": 32, "MAGLEV_HASH": 16}
     (text,) = re.findall(r"struct maglev_profile \{\n(.*?)\};", header, re.DOTALL)
     declared = re.findall(r"^    (\w+) (\w+)(?:\[(\w+)\])?;", text, re.MULTILINE)
