@@ -291,14 +291,14 @@ def stated_gains(controller: Controller) -> _Gains | None:
 def _by_gains(gains: _Gains, controller: Controller, delay: float, pose: Array, body: Array) -> Verdict:
     """Return the verdict from stated gains, in closed form."""
     kinds: dict[tuple[Any, ...], tuple[list[str], NDArray[Any]]] = {}
-    for index, axis in enumerate(AXES):
-        loop = SampledLoop(period=controller.period, delay=delay, mass=body[index], velocity=controller.velocity)
-        own = {acting: (float(both[0][index]), float(both[1][index])) for acting, both in gains.items()}
-        here = [acting[0] for acting in gains if len(acting) == 1 and own[acting] != own[()]]
+    own = [{acting: (float(k[axis]), float(b[axis])) for acting, (k, b) in gains.items()} for axis in range(len(AXES))]
+    known = _known_roots(own, controller, delay, body)
+    for axis, mass, mine in zip(AXES, body.tolist(), own, strict=True):
+        here = [acting[0] for acting in gains if len(acting) == 1 and mine[acting] != mine[()]]
         for acting in (acting for acting in gains if set(acting) <= set(here)):
-            stiffness, damping = own[acting]
+            stiffness, damping = mine[acting]
             free = 0 if stiffness > 0.0 else 1 if damping > 0.0 else 2
-            roots = np.linalg.eigvals(loop.matrix(stiffness, damping))
+            roots = known[mass, stiffness, damping]
             others = tuple(name for name in here if name not in acting)
             kind = acting, others, round(_modulus(roots, free), 12), free > 0
             kinds.setdefault(kind, ([], roots))[0].append(axis)
@@ -317,6 +317,19 @@ def _by_gains(gains: _Gains, controller: Controller, delay: float, pose: Array, 
         stated=True,
         states=states,
     )
+
+
+def _known_roots(
+    own: Sequence[Mapping[tuple[str, ...], tuple[float, float]]], controller: Controller, delay: float, body: Array
+) -> dict[tuple[float, float, float], NDArray[Any]]:
+    """Return eigenvalues by mass, stiffness and damping; axes with the same share one computation."""
+    known: dict[tuple[float, float, float], NDArray[Any]] = {}
+    for mass in dict.fromkeys(body.tolist()):
+        pairs = [*{pair: None for axis in np.flatnonzero(body == mass) for pair in own[axis].values()}]
+        loop = SampledLoop(period=controller.period, delay=delay, mass=mass, velocity=controller.velocity)
+        roots = np.linalg.eigvals(loop.matrix(*np.array(pairs).T))
+        known |= {(mass, *pair): each for pair, each in zip(pairs, roots, strict=True)}
+    return known
 
 
 def _word(stable: bool | None) -> str:
