@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from maglev_mj.bridge.fault import DeviceFault
+from maglev_mj.bridge.fault import DeviceFault, load_fault
 from maglev_mj.bridge.links import LinkError
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import Fault, State, StateReport
@@ -52,7 +51,7 @@ def fault_of(rig: Rig, act: Callable[[Rig], object]) -> DeviceFault:
     rig.plant.takeoff()
     with pytest.raises(DeviceFault) as caught:
         rig.fly(1.0, observe=at_tick(rig, 240, act))
-    assert caught.value.path is not None and len(json.loads(caught.value.path.read_text())["cycles"]) == 200
+    assert caught.value.path is not None and load_fault(caught.value.path).time.size == 200
     for _ in range(15):
         rig.twin.sample()
     assert rig.currents() == [0.0] * 6
@@ -127,12 +126,12 @@ def test_a_program_that_fails_in_flight_leaves_a_fault_and_a_file_and_one_that_i
     with pytest.raises(kind), rig.plant:
         rig.plant.takeoff()
         rig.fly(1.0, observe=at_tick(rig, 200, stumble))
-    files = list(folder.glob("maglev-fault-*.json"))
+    files = list(folder.glob("fault-*.maglev"))
     if kind is KeyboardInterrupt:
         assert rig.twin.firmware.state == State.INACTIVE and not files
     else:
         assert rig.twin.firmware.faults == Fault.HOST
-        assert json.loads(files[0].read_text())["message"] == "ZeroDivisionError: oh"
+        assert load_fault(files[0]).message == "ZeroDivisionError: oh"
     rig.currents()
     assert rig.currents() == [0.0] * 6
 

@@ -5,7 +5,6 @@ Everything here is one process in virtual time: nothing depends on how fast the 
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
 from collections.abc import Callable
@@ -17,7 +16,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge import safety
-from maglev_mj.bridge.fault import DeviceFault
+from maglev_mj.bridge.fault import DeviceFault, load_fault
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import ThermalModel
 from maglev_mj.bridge.twin import firmware
@@ -64,15 +63,14 @@ def check_file(rig: Rig, error: DeviceFault) -> None:
     Up to the faulty sample.
     """
     assert error.path is not None and str(error.path) in str(error)
-    told = json.loads(error.path.read_text())
-    assert told["faults"] == fault_names(error.faults) and told["message"] in str(error)
-    cycles, columns = told["cycles"], told["columns"]
-    assert 0 < len(cycles) <= 200 and {len(cycle) for cycle in cycles} == {len(columns)}
-    last = dict(zip(columns, cycles[-1], strict=True))
-    assert told["tick"] == rig.plant.samples.tick <= last["sample"] <= rig.twin.tick
+    record = load_fault(error.path)
+    assert record.faults == fault_names(error.faults) and record.message in str(error)
+    samples = record.values["sample"].tolist()
+    assert 0 < len(samples) <= 200
+    last = {name: column[-1] for name, column in record.values.items()}
+    assert record.tick == rig.plant.samples.tick <= last["sample"] <= rig.twin.tick
     if "said by the device" in str(error):
         assert (last["state"], last["faults"]) == (State.FAULT, error.faults)
-    samples = [cycle[0] for cycle in cycles]
     assert samples == sorted(samples) and len(set(samples)) >= len(samples) - 1
 
 
@@ -381,7 +379,7 @@ def test_without_a_folder_of_its_own_the_file_goes_to_the_temporary_one(
         found.append(caught.value.path)
     first, second, third = found
     assert first is not None and second is not None and first.parent == second.parent == folder / "elsewhere"
-    assert first != second and json.loads(first.read_text()) == json.loads(second.read_text())
+    assert first != second and str(load_fault(first).table()) == str(load_fault(second).table())
     assert third is None and "last cycles" not in str(caught.value)
 
 

@@ -21,6 +21,7 @@ import pytest
 from maglev_mj import MuJoCoPlant, Timing, drive
 from maglev_mj.bridge import Calibration, Fault, HostLimits, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
+from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.line import measure_line
 from maglev_mj.bridge.links import UdpLink, UdpServer
 from maglev_mj.bridge.realtime import RealtimeError, realtime
@@ -200,8 +201,8 @@ def test_a_host_that_is_stopped_finds_the_watchdogs_fault_when_it_goes_on(tmp_pa
         host.child.send_signal(signal.SIGCONT)
         status, said = ended(host, None)
         assert status == 1 and "WATCHDOG" in said
-        (last,) = tmp_path.glob("maglev-fault-*.json")
-        assert len(json.loads(last.read_text())["cycles"]) == 200
+        (last,) = tmp_path.glob("fault-*.maglev")
+        assert load_fault(last).time.size == 200
         assert "fault, faults: WATCHDOG" in ended(device)[1]
 
 

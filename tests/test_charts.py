@@ -11,7 +11,7 @@ import pytest
 from matplotlib.text import Text
 
 from maglev_mj.analysis.pictures import staircases, whole_run
-from maglev_mj.bridge.fault import load_black_box
+from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.pictures import last_cycles
 from maglev_mj.cli import main
 from maglev_mj.errors import ParameterError
@@ -248,7 +248,7 @@ def test_rounding_fills_no_panel(force: float, panels: int) -> None:
 def test_the_chart_of_a_fault_can_be_read(tmp_path: Path) -> None:
     _, error = flown(tmp_path)
     assert error.path is not None
-    record = load_black_box(error.path)
+    record = load_fault(error.path)
     long = replace(
         record, message="a word or two " * 20, faults="COIL_NOT_FOLLOWING FLOTOR_OVERSPEED SENSOR_FROZEN " * 2
     )

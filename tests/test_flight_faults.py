@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from maglev_mj import cli
-from maglev_mj.bridge.fault import DeviceFault, load_black_box
+from maglev_mj.bridge.fault import DeviceFault, load_fault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.line import LineReport, LoopTiming, Preflight, measure_line
 from maglev_mj.bridge.remote import RemotePlant
@@ -106,7 +106,7 @@ def test_a_law_that_raises_ends_the_currents_at_once(
     late = flown.flight.timing.delay.p99
     assert (late > 2.5e-3) == (delays == "longer than expected" and at > 0)
     assert (late == late) == (delays != "none measured" and at > 0)
-    assert caught.value.path is not None and load_black_box(caught.value.path).message == "ValueError: no square root"
+    assert caught.value.path is not None and load_fault(caught.value.path).message == "ValueError: no square root"
 
 
 class Broken:
@@ -136,6 +136,7 @@ class Broken:
     def event(self, *_: Any) -> None: ...
     def attach(self, *_: Any) -> None: ...
     def check(self) -> None: ...
+    def append(self, *_: Any) -> None: ...
 
 
 @pytest.mark.parametrize("kind", ["file", "publishers"])
@@ -214,7 +215,7 @@ def test_the_command_says_in_one_line_what_happened_and_how_to_go_on(
     status = cli.main([*asked, "--scene", "mine.py", "--seconds", "1", "--record", str(record)])
     said = capsys.readouterr()
     (fault,) = said.err.splitlines()
-    (box,) = tmp_path.glob("maglev-fault-*.json")
+    (box,) = tmp_path.glob("fault-*.maglev")
     assert status == 1 and twin.firmware.faults == Fault.HOST and record.exists()
     told = f"mine.py, line 8: ValueError: no square root; the last cycles are in {box}"
     again = "maglev-mj bridge udp://127.0.0.1:1 '--key=a key' --reset"

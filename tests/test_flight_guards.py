@@ -15,7 +15,7 @@ import pytest
 
 from maglev_mj import Controller, Hold, Wall, find_scene, judge
 from maglev_mj.bridge.bench.calibration import Calibration
-from maglev_mj.bridge.fault import load_black_box
+from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
 from maglev_mj.bridge.landing import TOLERATED, Leader, Swing
 from maglev_mj.bridge.observer import HandObserver
@@ -243,8 +243,8 @@ def test_laws_whose_margin_is_not_known_are_guarded_too(tmp_path: Path) -> None:
 
 def test_the_reason_is_in_the_file_of_the_last_cycles(tmp_path: Path) -> None:
     flown = fly("joystick", hand="5", delay=delayed("step", 0.005, 1.6), folder=tmp_path)
-    (path,) = tmp_path.glob("*.json")
-    record = load_black_box(path)
+    (path,) = tmp_path.glob("fault-*.maglev")
+    record = load_fault(path)
     assert record.message == flown.outcome and "delays are above" in record.message
     assert 1.6 < record.time[-1] - record.time[0] + 1.6 and record.time.size == 200
 

@@ -216,7 +216,7 @@ def test_what_is_latched_is_said_in_one_line() -> None:
 def test_frames_of_another_session_are_dropped_and_counted() -> None:
     twin = Twin(TwinParameters())
     line = Connection(link := Doctored(twin), twin.parameters.calibration.digest, None, 1.0)
-    assert line.state(1.0) is not None
+    assert line.state() is not None
     own, theirs = twin.firmware.session, twin.firmware.session ^ 1
     spoken = link.codec.encode
 
@@ -224,9 +224,11 @@ def test_frames_of_another_session_are_dropped_and_counted() -> None:
         return spoken(theirs if isinstance(body, StateReport) else session, sequence, time, body)
 
     link.codec.encode = of_another  # type: ignore[method-assign]
-    assert line.state(0.1) is None and line.codec.dropped["session"] >= 20
+    with pytest.raises(PlantError, match="no sample from the device within 1 s"):
+        line.state()
+    assert line.codec.dropped["session"] >= 20
     link.codec.encode = spoken  # type: ignore[method-assign]
-    assert line.state(0.1) is not None and twin.firmware.session == own
+    assert line.state() is not None and twin.firmware.session == own
 
 
 def test_samples_left_out_during_a_request_count_as_skipped() -> None:

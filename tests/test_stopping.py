@@ -3,7 +3,6 @@
 Ctrl-C once and twice, SIGTERM, SIGHUP, a window's key; and the time to zero current.
 """
 
-import json
 import math
 import signal
 import socket
@@ -20,6 +19,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State, Twin, TwinParameters, landing
+from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import StopSwitch
 from maglev_mj.bridge.line import measure_line
@@ -263,8 +263,8 @@ def test_a_second_ctrl_c_cuts_now(at: float, gap: float, timeline: Presser, tmp_
     assert device.ended == (State.FAULT, Fault.ESTOP)
     assert device.cut_after < 0.02
     assert record.exists() == (at > 1.05), said
-    (box,) = tmp_path.glob("maglev-fault-*.json")
-    assert json.loads(box.read_text())["faults"] == "ESTOP"
+    (box,) = tmp_path.glob("fault-*.maglev")
+    assert load_fault(box).faults == "ESTOP"
 
 
 @pytest.mark.parametrize(("times", "faults"), [(1, Fault(0)), (2, Fault.ESTOP)])
@@ -341,8 +341,8 @@ def test_a_second_ctrl_c_cuts_a_real_flight(at: float, tmp_path: Path) -> None:
         print(f"twice, at {at} s: {twin.cut_after(sent) * 1e3:.1f} ms to zero current")
     assert status == 1 and "ESTOP" in said, said
     assert (twin.last.state, twin.last.faults) == (State.FAULT, Fault.ESTOP)
-    (box,) = tmp_path.glob("maglev-fault-*.json")
-    assert json.loads(box.read_text())["faults"] == "ESTOP"
+    (box,) = tmp_path.glob("fault-*.maglev")
+    assert load_fault(box).faults == "ESTOP"
     assert record.exists() or at < 1.6, said
 
 
@@ -525,7 +525,7 @@ def test_estop_stops_whoever_flies_and_the_way_on_is_reset(at: float, tmp_path: 
         assert all(one.state == State.INACTIVE and not one.current for one in twin.moments[since:])
         status, said = said_by("bridge", twin.address, "--reset")
         assert status == 0 and "no fault is latched; the device is inactive" in said
-    (box,) = tmp_path.glob("maglev-fault-*.json")
+    (box,) = tmp_path.glob("fault-*.maglev")
     status, said = said_by("fault", str(box), "--out", str(tmp_path / "pictures"))
     assert status == 0 and "faults ESTOP" in said and "the last 20 of " in said
     assert max(map(len, said.splitlines()[:-1])) <= 100

@@ -21,7 +21,7 @@ import pytest
 import maglev_mj
 from maglev_mj import cli
 from maglev_mj.bridge.bench.commissioning import CoilCheck
-from maglev_mj.bridge.fault import BlackBox, load_black_box
+from maglev_mj.bridge.fault import LastCycles, load_fault
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.cli.device import _coil_row
 from maglev_mj.cli.output import Progress
@@ -54,17 +54,18 @@ def test_every_kept_table_fits_80_columns() -> None:
 
 
 def test_tables_of_devices_and_models_fit_80_columns(tmp_path: Path) -> None:
-    box = BlackBox(tmp_path).write(Fault.SENSOR_OUT_OF_RANGE | Fault.COIL_OVERTEMP, "a text " * 20, BOX)
+    faults, kept = Fault.SENSOR_OUT_OF_RANGE | Fault.COIL_OVERTEMP, LastCycles(tmp_path)
+    box = kept.write(kept.mark(faults, "a text " * 20, BOX))
     assert box is not None
     rows = [LevelResult(one.name, one.adds, 12.345e-3, 0.0, 0.0, 1.0, 0, 0.0, 9.87) for one in LEVELS]
     table = str(levels_table(dict.fromkeys(COMPARED, rows)))
     coil = CoilCheck(5, -10.0, -10.0, 0.01, np.full(6, -123e-6), np.zeros(6), np.full(6, -20.5), "as calibrated")
-    for text in (str(load_black_box(box).table()), table, _coil_row(coil)):
+    for text in (str(load_fault(box).table()), table, _coil_row(coil)):
         assert max(map(len, text.splitlines())) <= 80
     assert len({len(line) for line in table.splitlines() if " to " in line}) == 1  # in columns
 
 
-BOX = {"tick": 1, "lost": 0, "skipped": 0, "period_ns": 5_000_000}
+BOX = {"tick": 1, "lost": 0, "skipped": 0, "period_ns": 5_000_000, "first": "ESTOP", "fault_time_ns": 0}
 
 
 @pytest.mark.parametrize("shift", range(12))

@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.fault import BlackBox
+from maglev_mj.bridge.fault import LastCycles
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording
+from maglev_mj.recording.journal import open_journal
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.session.replay import write_run
 from maglev_mj.versions import differences, versions
@@ -101,9 +102,10 @@ def test_every_recording_names_its_code(tmp_path: Path, capsys: Any) -> None:
     assert told["versions"] == told["stretches"][0]["versions"] == versions()
 
 
-def test_a_black_box_names_its_code(tmp_path: Path) -> None:
-    path = BlackBox(tmp_path).write(Fault.HOST, "a test", {})
-    assert path is not None and json.loads(path.read_text())["versions"] == versions()
+def test_a_file_of_last_cycles_names_its_code(tmp_path: Path) -> None:
+    kept = LastCycles(tmp_path)
+    path = kept.write(kept.mark(Fault.HOST, "a test", {}))
+    assert path is not None and open_journal(path).header["versions"] == versions()
 
 
 def test_every_script_that_writes_json_names_its_code() -> None:

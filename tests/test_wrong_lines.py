@@ -181,9 +181,9 @@ commission DEVICE coils --current -1                | -1
 commission DEVICE spots --write a.json              | write
 conform nosuch                                      | nosuch
 conform DEVICE --calibration nosuch.json            | nosuch.json
-fault nosuch.json                                   | black box 'nosuch.json' cannot be read
+fault nosuch.json                                   | recording 'nosuch.json' cannot be read
 fault empty.json                                    | empty.json
-fault broken.json                                   | is not JSON
+fault broken.json                                   | it is not a journal
 fault run.maglev                                       | run.maglev
 fault empty.json --format png                       | png
 replay nosuch.maglev                                  | nosuch.maglev

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
@@ -13,7 +14,7 @@ from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.links import Link, open_link
 from maglev_mj.bridge.safety import OFF, Profile
 from maglev_mj.bridge.wire import WRAP, Codec, Frame, HelloStatus, Operation, State, StateReport, fault_names
-from maglev_mj.errors import MaglevError, ParameterError
+from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import ZERO
 from maglev_mj.parameters import number
 
@@ -183,6 +184,25 @@ class SampleCounter:
         self._sequence, self.time = sequence, time
 
 
+class AnswerTiming(NamedTuple):
+    """Delays of answers, by a sample.
+
+    Attributes:
+        answered_tick: Number of the sample that the newest answer arrived at the device answers.
+        last_delay: Time from the last but one sample to its answer's effect, by the device's clock [s]; NaN if the
+            command in force at the last sample answers another.
+        newest_delay: The same for the newest answer that has arrived, to any sample; NaN without a new one.
+        lateness: The same, or without a new one the least that the next answer's delay can be.
+        transport: Clock difference between the sample and its arrival [ns], offset unknown.
+    """
+
+    answered_tick: int
+    last_delay: float
+    newest_delay: float
+    lateness: float
+    transport: int
+
+
 class Connection:
     """Session of a host with one device.
 
@@ -198,6 +218,9 @@ class Connection:
         codec: Encoder and decoder of frames; counts dropped frames by reason.
         open: True until closed.
         samples: Counter of received, lost and skipped samples.
+        sequence: The device's number of the last sample.
+        answers: Delays of the answers by the last sample.
+        patience: Longest wait for an answer or a sample [s].
         heard: Arrival of the last sample, by the link's clock [ns].
         latency: Time from that arrival to sending the last command [ns].
         settled: Device time of its last answer to a request [ns]; older samples hold an outdated state.
@@ -211,16 +234,18 @@ class Connection:
     def __init__(self, link: Link, calibration: bytes, key: bytes | None, patience: float) -> None:
         self._link, self._keyed, self.open = link, key is not None, True
         self._session = self._sequence = self._request = self._overtaken = self._greeted = 0
-        self.settled = self.heard = self.latency = 0
+        self.settled = self.heard = self.latency = self.sequence = 0
+        self._answered: int | None = None  # by the newest answer
         self._newest: int | None = None
         self._waiting: Frame | None = None
         self._last: wire.Command | None = None
         try:
-            self._patience = number("patience", patience, above=0.0)
+            self.patience = number("patience", patience, above=0.0)
             self.codec = Codec(key)
             self.welcome = self._join(calibration)
             self.profile = profile_of(self.welcome, self._greeted)
             self.samples = SampleCounter(self.profile.period)
+            self.answers = AnswerTiming(0, math.nan, math.nan, self.profile.delay / 1e9, 0)
         except BaseException as error:
             self.close()
             if isinstance(error, (ValueError, ArithmeticError)) and not isinstance(error, MaglevError):
@@ -243,27 +268,45 @@ class Connection:
         self._link.send(self.codec.encode(self._session, self._sequence, now, command))
         self.latency = now - self.heard
 
-    def state(self, timeout: float) -> Frame | None:
-        """Return the newest sample; None after `timeout` seconds without one."""
+    def state(self) -> Frame:
+        """Return the newest sample.
+
+        Raises:
+            PlantError: If there is none within `patience`.
+        """
         frame, self._waiting = self._waiting, None
         skipped, self._overtaken = self._overtaken, 0
-        link, left = self._link, timeout
+        link, left = self._link, self.patience
         self.heard = link.now()
-        end = self.heard + int(timeout * 1e9)
+        end = self.heard + int(left * 1e9)
         while frame is None:
-            if (data := link.receive(left)) is None:
-                return None
+            data = link.receive(left) if left > 0.0 else None  # of frames that are no samples there is no end
+            if data is None:
+                raise PlantError(f"no sample from the device within {self.patience:g} s")
             frame = self._sample_in(data)
             self.heard = now = link.now()
-            if (left := (end - now) * 1e-9) <= 0.0 and frame is None:  # of frames that are no samples there is no end
-                return None
+            left = (end - now) * 1e-9
         # in lockstep there is no newer one: the device waits for the answer to this
         while not self.profile.lockstep and (data := link.receive(0.0)) is not None:
             if (later := self._sample_in(data)) is not None:
                 frame, self.heard = later, link.now()
                 skipped += 1
         self.samples.count(frame.sequence, frame.time, skipped)
+        self._time(frame)
         return frame
+
+    def _time(self, frame: Frame) -> None:
+        """Update the delays of answers by a sample."""
+        report: StateReport = frame.body  # type: ignore[assignment]
+        period, delay, samples = self.profile.period / 1e9, self.profile.delay / 1e9, self.samples
+        self.sequence, behind = frame.sequence, (frame.sequence - report.answered) & WRAP
+        known = report.age != wire.NEVER and report.answered != self._answered
+        self._answered = report.answered
+        newest = behind * period - report.age * 1e-6 + delay if known else math.nan
+        last = newest if samples.elapsed == behind == 1 else math.nan
+        # the answer after the newest that has arrived is at least so late
+        lateness = newest if known else (behind - 1) * period + delay
+        self.answers = AnswerTiming(samples.tick - behind, last, newest, lateness, self.heard - frame.time)
 
     def control(
         self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO
@@ -276,7 +319,7 @@ class Connection:
             return None
         self._request += 1
         body = wire.Control(self._request, operation, faults, tuple(hover))
-        for data in _requested(self._link, self.codec, self._session, body, AGAIN, self._patience):
+        for data in _requested(self._link, self.codec, self._session, body, AGAIN, self.patience):
             frame = self._trusted(data)
             if frame is not None and isinstance(frame.body, wire.ControlAck) and frame.body.request == self._request:
                 self.settled = frame.time
@@ -290,7 +333,7 @@ class Connection:
 
         Samples that arrive meanwhile are kept for `state`.
         """
-        report = _stop(self._link, self.codec, self._patience, self._keep)
+        report = _stop(self._link, self.codec, self.patience, self._keep)
         self.settled = max(self.settled, report.at)
         return report
 
@@ -309,7 +352,7 @@ class Connection:
     def _join(self, calibration: bytes) -> wire.HelloAck:
         """Send HELLO until the device answers."""
         hello, versions = wire.Hello(draw(), calibration), set[int]()
-        for patience in (self._patience, TAKEOVER):
+        for patience in (self.patience, TAKEOVER):
             busy = False
             for data in _requested(self._link, self.codec, 0, hello, _HELLO_AGAIN, patience):
                 if (answer := self._welcome(data, hello, versions)) is not None:
@@ -327,7 +370,7 @@ class Connection:
         reason = f"; frames dropped: {dropped}" if dropped else ""
         if self.codec.dropped["tag"]:
             reason += "; the key may be another"
-        raise HandshakeError(f"no device answered within {self._patience:g} s{reason}")
+        raise HandshakeError(f"no device answered within {self.patience:g} s{reason}")
 
     def _welcome(self, data: bytes, hello: wire.Hello, versions: set[int]) -> wire.HelloAck | None:
         """Return the answer to a HELLO and store its session.
@@ -341,23 +384,24 @@ class Connection:
             versions.add(version)
             if self._keyed:  # the tag of another version cannot be checked: the sender is unknown
                 return None
-        if frame is not None and isinstance(frame.body, wire.HelloAck):
-            answer = frame.body
-            if answer.status == HelloStatus.VERSION:
-                version = answer.version
-            elif answer.nonce != hello.nonce:
-                return None
-            elif answer.status == HelloStatus.CALIBRATION:
+        answer = frame.body if frame is not None else None
+        if frame is None or not isinstance(answer, wire.HelloAck):
+            if version is not None:
+                raise _other_version(version)
+            return None
+        if answer.status == HelloStatus.VERSION:
+            raise _other_version(answer.version)
+        if answer.nonce != hello.nonce:
+            return None
+        match answer.status:
+            case HelloStatus.CALIBRATION:
                 theirs, ours = answer.calibration.hex(), hello.calibration.hex()
                 raise HandshakeError(f"the device's calibration is {theirs}, this host's {ours}")
-            elif answer.status in (HelloStatus.WELCOME, HelloStatus.BUSY):
-                if answer.status == HelloStatus.WELCOME:
-                    self._session, self._greeted = frame.session, frame.time
+            case HelloStatus.WELCOME:
+                self._session, self._greeted = frame.session, frame.time
                 return answer
-        if version is not None:
-            raise HandshakeError(
-                f"the device speaks version {version} of the protocol, this host version {wire.VERSION}"
-            )
+            case HelloStatus.BUSY:
+                return answer
         return None
 
     def _trusted(self, data: bytes) -> Frame | None:
@@ -389,6 +433,10 @@ class Connection:
         """Return the frame of a newer sample, else None."""
         frame = self._trusted(data)
         return frame if frame is not None and isinstance(frame.body, StateReport) and self._is_newer(frame) else None
+
+
+def _other_version(version: int) -> HandshakeError:
+    return HandshakeError(f"the device speaks version {version} of the protocol, this host version {wire.VERSION}")
 
 
 def profile_of(welcome: wire.HelloAck, time: int) -> Profile:

@@ -1,8 +1,7 @@
-"""Device faults and black box files of their last cycles."""
+"""Device faults, and the last cycles before them."""
 
 from __future__ import annotations
 
-import json
 import math
 import tempfile
 import time
@@ -18,24 +17,39 @@ from typing import Any, ClassVar, TypeAlias
 import numpy as np
 
 from maglev_mj.bridge.wire import Fault, Frame, State, StateReport, fault_names
-from maglev_mj.errors import ParameterError, PlantError
+from maglev_mj.errors import ParameterError, PlantError, file_path
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.parameters import flag, read_json
+from maglev_mj.parameters import flag, whole
 from maglev_mj.pictures import save
+from maglev_mj.recording.journal import (
+    CYCLE,
+    PACK_CYCLE,
+    SUFFIX,
+    TEXT,
+    JournalContent,
+    checksum_record,
+    header,
+    open_journal,
+    text_records,
+)
+from maglev_mj.recording.recording import refused
+from maglev_mj.recording.sample import value_in
 from maglev_mj.result import Result, Table, number_text
 from maglev_mj.terminal import printable
 from maglev_mj.versions import versions
 
 _KEPT = 200
 _SIX = range(6)
-_SPOTS, _HELD, _PULSED, _MEASURED, _WARM = (
-    [f"{kind}{place}" for place in _SIX] for kind in ("spot", "held", "pulsed", "measured", "temperature")
-)
-_COLUMNS = ["sample", "time_ns", "state", "faults", *_SPOTS, *AXES, *_HELD, *_PULSED, "width"]
-_COLUMNS += [*_MEASURED, *_WARM, "delay", "latency"]
+_NAMES: Mapping[str, Sequence[str]] = {
+    "spots": [f"spot{index}" for index in _SIX],
+    "pose": AXES,
+    **{kind: [f"{kind}{index}" for index in _SIX] for kind in ("held", "pulsed", "measured")},
+    "temperatures": [f"temperature{index}" for index in _SIX],
+}
+"""Names of the six columns of each kind."""
 _UNITS = {"time": "s", "width": "s", "delay": "s", "latency": "s"} | {axis: unit_of("m", axis) for axis in AXES}
-_UNITS |= dict.fromkeys(_SPOTS, "m") | dict.fromkeys([*_HELD, *_PULSED, *_MEASURED], "A")
-_FORMAT = "maglev_mj fault 2"
+_UNITS |= dict.fromkeys(_NAMES["spots"], "m")
+_UNITS |= {name: "A" for kind in ("held", "pulsed", "measured") for name in _NAMES[kind]}
 _SHOWN = 20
 """Cycles that a table shows unless all are wanted."""
 _HEAD = ("time [ms]", *(f"{axis} [{unit_of('mm', axis)}]" for axis in AXES), "cmd [A]", "meas [A]", "warm [%]")
@@ -61,19 +75,11 @@ _MEANINGS = {
     Fault.COIL_NOT_OFF: "a current flowed after it was cut: cut the power",
 }
 
-Cycle: TypeAlias = tuple[Frame, Sequence[float], Sequence[float], Sequence[float] | None, float, float, float]
-"""One cycle in the black box.
-
-STATE frame, pose, held and pulsed currents [A], width [s], delay at the device [s], latency of the answer [s].
-"""
+_Answer: TypeAlias = tuple[Sequence[float], Sequence[float] | None, float]
 
 
 class HandshakeError(PlantError):
     """Handshake failed: no answer, or the device refuses this host."""
-
-
-class BlackBoxError(ParameterError):
-    """Error of a black box file: unreadable or invalid."""
 
 
 class DeviceFault(PlantError):
@@ -90,57 +96,79 @@ class DeviceFault(PlantError):
         self.faults, self.path = faults, path
 
 
-class BlackBox:
-    """Ring buffer of the last 200 cycles, written on faults.
+class LastCycles:
+    """Last 200 cycles of a device, written to a journal on faults.
 
     Args:
-        folder: Folder of the files.
+        folder: Folder of the journals.
+
+    Attributes:
+        record: Called with the records of cycles and faults, for a flight that is recorded; None without.
     """
 
     def __init__(self, folder: Path) -> None:
-        self._folder, self._versions = folder, versions()
-        self._rows: deque[Cycle] = deque(maxlen=_KEPT)
-        self.keep = self._rows.append
+        versions()  # here, for a fault may come in real time
+        self._folder = folder
+        self._rows: deque[bytes] = deque(maxlen=_KEPT)
+        self.record: Callable[[bytes], object] | None = None
 
-    @property
-    def cycles(self) -> list[Cycle]:
-        """The kept cycles."""
-        return list(self._rows)
+    def keep(self, frame: Frame, pose: Sequence[float], answer: _Answer, delay: float, latency: float) -> None:
+        """Keep a cycle.
 
-    def write(
-        self, faults: Fault, message: str, about: Mapping[str, Any], cycles: Sequence[Cycle] | None = None
-    ) -> Path | None:
-        """Write the kept cycles to a file.
+        Args:
+            frame: STATE frame.
+            pose: Its pose [m, rad], six.
+            answer: Held and pulsed currents [A], six each, None without pulse, and width of the pulse [s].
+            delay: Delay of the answer before, at the device [s].
+            latency: Latency of the answer [s].
+        """
+        report: StateReport = frame.body  # type: ignore[assignment]
+        held, pulsed, width = answer
+        six = *report.spots, *pose, *held, *(held if pulsed is None else pulsed), *report.currents, *report.temperatures
+        head = CYCLE, frame.sequence, report.state, report.faults, frame.time * 1e-9
+        cycle = PACK_CYCLE(*head, *six, width, delay, latency)
+        self._rows.append(cycle)
+        if self.record is not None:
+            self.record(cycle)
 
-        The temporary folder is used if the own folder cannot be written.
+    def mark(self, faults: Fault, message: str, about: Mapping[str, Any]) -> bytes:
+        """Record a fault, or why a flight ends; return the records of the kept cycles and of that.
 
         Args:
             faults: The faults.
             message: One line of explanation.
             about: Further values, ready for JSON.
-            cycles: Cycles kept before, in place of the last ones.
+        """
+        text = text_records({"fault": fault_names(faults), "text": message, **about})
+        if self.record is not None:
+            self.record(text)
+        return b"".join((*self._rows, text))
+
+    def write(self, records: bytes) -> Path | None:
+        """Write records to a journal of their own.
+
+        The temporary folder is used if the own folder cannot be written.
 
         Returns:
             The file; None if no folder can be written. Nothing is raised, so that the fault itself is reported.
         """
         with suppress(Exception):
-            told = {"format": _FORMAT, "faults": fault_names(faults), "message": message, "versions": self._versions}
-            rows = [_flat(row) for row in cycles or self._rows]
-            text = json.dumps({**told, **about, "columns": _COLUMNS, "cycles": rows})
+            records += text_records({"end": {"lost": 0}})
+            data = header() + records + checksum_record(records)
             for folder in (self._folder, Path(tempfile.gettempdir())):
                 with suppress(OSError):
                     folder.mkdir(parents=True, exist_ok=True)
-                    return _write(folder, text)
+                    return _write(folder, data)
         return None
 
 
-def _write(folder: Path, text: str, now: Callable[[], float] = time.time) -> Path:
-    stem = datetime.fromtimestamp(now()).strftime("maglev-fault-%Y%m%d-%H%M%S")
+def _write(folder: Path, data: bytes, now: Callable[[], float] = time.time) -> Path:
+    stem = datetime.fromtimestamp(now()).strftime("fault-%Y%m%d-%H%M%S")
     for name in chain([stem], (f"{stem}-{number}" for number in count(1))):
-        path = folder / f"{name}.json"
+        path = folder / f"{name}{SUFFIX}"
         try:
-            with path.open("x", encoding="utf-8") as file:
-                file.write(text + "\n")
+            with path.open("xb") as file:
+                file.write(data)
             break
         except FileExistsError:
             continue
@@ -150,20 +178,9 @@ def _write(folder: Path, text: str, now: Callable[[], float] = time.time) -> Pat
     return path
 
 
-def _flat(cycle: Cycle) -> list[float | None]:
-    """Return a cycle as plain numbers, NaN as None."""
-    frame, pose, held, pulsed, width, delay, latency = cycle
-    report: StateReport = frame.body  # type: ignore[assignment]
-    values = (
-        *(frame.sequence, frame.time, report.state, report.faults, *report.spots, *pose, *held, *(pulsed or held)),
-        *(width, *report.currents, *report.temperatures, delay, latency),
-    )
-    return [value if value - value == 0 else None for value in values]
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FaultRecord(Result):
-    """Contents of a black box file.
+    """Last cycles of a device: before its fault, or at the end of a recording.
 
     Attributes:
         faults: Names of the faults.
@@ -171,7 +188,7 @@ class FaultRecord(Result):
         message: One line of explanation.
         fault_time: Device time of the first fault [s]; NaN if unknown.
         tick: Number of the last sample.
-        lost: Samples that did not arrive.
+        lost: Samples that did not arrive. Without a fault: cycles that are missing, lost or skipped.
         skipped: Samples left unanswered for a newer one.
         period: Sample period [s].
         values: Values by name, (N,) each, NaN if missing: sample, time [s], state, faults, spot0 to spot5
@@ -258,35 +275,54 @@ def _state_named(state: float) -> str:
     return State(int(state)).name.lower() if state in tuple(State) else number_text(state, 9, 0)
 
 
-def load_black_box(path: str | Path) -> FaultRecord:
-    """Read a black box.
+def load_fault(path: str | Path) -> FaultRecord:
+    """Read the last cycles of a device from a journal: those before its last fault, or before its end.
 
     Raises:
-        BlackBoxError: If it cannot be read or is not a black box; one line with file and reason.
+        InvalidRecordingError: If it cannot be read, is not a journal, or holds no cycles; one line with file and
+            reason.
     """
-    return read_json("black box", path, _record, BlackBoxError)
+    path = file_path(path)
+    with refused(path):
+        journal = open_journal(path)
+        for _ in journal.blocks():  # checks them
+            pass
+        for index in np.flatnonzero(journal.kinds == TEXT)[::-1].tolist():
+            if "fault" in (message := journal.message(index)):
+                return _record(journal, index, message)
+        return _record(journal, len(journal.records), None)
 
 
-def _record(told: Any) -> FaultRecord:
-    kind = told.get("format") if isinstance(told, dict) else type(told).__name__
-    if kind != _FORMAT:
-        raise BlackBoxError(f"format must be {_FORMAT!r}, not {kind!r:.60}")
-    if told.get("columns") != _COLUMNS:
-        raise BlackBoxError(f"columns must be those of {kind!r}")
-    cycles = told.get("cycles")
-    if not isinstance(cycles, list) or any(not isinstance(row, list) or len(row) != len(_COLUMNS) for row in cycles):
-        raise BlackBoxError(f"cycles must be rows of {len(_COLUMNS)} values")
-    try:
-        table = np.array(cycles, dtype=np.float64).reshape(len(cycles), len(_COLUMNS))
-        counts: dict[str, Any] = {name: int(told[name]) for name in ("tick", "lost", "skipped")}
-        period = int(told["period_ns"]) * 1e-9
-        fault_time = int(told["fault_time_ns"]) * 1e-9 if "fault_time_ns" in told else np.nan
-    except (TypeError, ValueError, OverflowError, KeyError) as error:
-        raise BlackBoxError(f"a value is missing or no number: {error}") from None
-    if not period > 0.0:
-        raise BlackBoxError(f"period_ns must be above 0, not {told['period_ns']!r:.60}")
-    values = dict(zip(_COLUMNS, table.T))
-    values["time"] = values.pop("time_ns") * 1e-9
-    texts: dict[str, Any] = {name: str(told.get(name)) for name in ("faults", "message")}
-    first = str(told.get("first", texts["faults"]))
-    return FaultRecord(**counts, **texts, first=first, period=period, fault_time=fault_time, values=values)
+def _record(journal: JournalContent, last: int, message: Mapping[str, Any] | None) -> FaultRecord:
+    cycles = journal.cycles(last, _KEPT)
+    values = {name: cycles[name].astype(np.float64) for name in cycles.dtype.names or () if name not in _NAMES}
+    values |= {name: column for kind, names in _NAMES.items() for name, column in zip(names, cycles[kind].T)}
+    values = {name: np.where(np.isfinite(column), column, np.nan) for name, column in values.items()}
+    values["sample"] = values.pop("tick")
+    del values["kind"]
+    if message is not None:
+        counts: dict[str, Any] = {name: whole(name, value_in(message, name)) for name in ("tick", "lost", "skipped")}
+        period, fault_time = (
+            whole(name, value_in(message, name), at_least=least) * 1e-9
+            for name, least in (("period_ns", 1), ("fault_time_ns", 0))
+        )
+        texts = {
+            name: value_in(message, key, str)
+            for name, key in (("faults", "fault"), ("first", "first"), ("message", "text"))
+        }
+        return FaultRecord(**counts, **texts, period=period, fault_time=fault_time, values=values)
+    if len(cycles) < 2:
+        raise ParameterError("it holds no cycles of a device, which only flights have")
+    steps = np.diff(cycles["tick"])
+    faults = fault_names(int(cycles["faults"][-1]))
+    return FaultRecord(
+        faults=faults,
+        first=faults,
+        message="no fault is recorded: the last cycles",
+        fault_time=math.nan,
+        tick=int(cycles["tick"][-1]),
+        lost=int((steps - 1).sum()),
+        skipped=0,
+        period=float(np.median(np.diff(cycles["time"]) / steps)),
+        values=values,
+    )

@@ -129,6 +129,7 @@ class Flight:
             PlantError: If the device does not confirm the cut.
         """
         start, plant = time.monotonic(), self._plant
+        plant.cycles.record = None if self._file is None else self._file.append
         try:
             with self.switch.flying(plant):
                 ticks, landing = self._fly(duration)
@@ -137,6 +138,7 @@ class Flight:
                 self._file.event("fault", str(error))
             raise
         finally:
+            plant.cycles.record = None
             if self.timing.answer.count and self._file is not None:
                 self._record_timing(self._file)
         return FlightReport(ticks, *self._missing(), time.monotonic() - start, landing)
@@ -197,7 +199,7 @@ class Flight:
         def observe(sample: Sample, applied: Command) -> None:
             timing.add(plant)
             self._force = applied.force
-            late = max(plant.lateness, plant.delay + timing.newest_age)
+            late = max(plant.answers.lateness, plant.delay + timing.newest_age)
             laws = [one - other for one, other in zip(applied.force, carried)]
             self.reason = slow(late) or bad(sample.position, laws)
             if self._warn is not None and self._file is not None:

@@ -1,11 +1,21 @@
-"""Guards of a flight: late answers, and laws that vibrate or give out energy."""
+"""Guards of a flight.
+
+Those of the device cut its currents. Those of late answers, and of laws that vibrate or give out energy, land it.
+"""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple, TypeAlias
 
+from maglev_mj.bridge.connection import SampleCounter
+from maglev_mj.bridge.safety import WARNING_RISE, CoilGuard, FlotorGuard, HostLimits, Limits, SpotGuard, reading_fault
+from maglev_mj.bridge.wire import Fault, Flag, State, StateReport
+from maglev_mj.errors import SensingError
 from maglev_mj.frames import ZERO
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory.closed_loop import MOST_PERIODS
@@ -51,6 +61,156 @@ _SIZES = tuple(math.sqrt(own / INERTIA[0]) for own in INERTIA)
 
 A torque over it is a force, an angle times it a path.
 """
+
+_ACTIVE, _ENABLED, _HOLDING = State.ACTIVE.value, Flag.ENABLED.value, Flag.HOLDING.value  # quicker than the members
+
+
+class DeviceSample(NamedTuple):
+    """One sample of a device, for its guards.
+
+    Attributes:
+        report: Device's report.
+        before: Report of the sample before; None for the first.
+        samples: Counter of samples, up to this one.
+        active: True if this host has switched the currents on.
+        led: True unless a scene is rendered: the default envelope applies if it is the larger.
+        pose: Measured pose [m, rad], six; NaN for spots that no pose has.
+        error: Why there is no pose; None if there is one.
+        since: Time since the last pose [s].
+        expected: Currents that should flow [A], six; None if not known.
+        modelled: Temperature rises by the currents sent, six; 1 trips.
+    """
+
+    report: StateReport
+    before: StateReport | None
+    samples: SampleCounter
+    active: bool
+    led: bool
+    pose: Sequence[float]
+    error: SensingError | None
+    since: float
+    expected: Sequence[float] | None
+    modelled: Sequence[float]
+
+
+class Alarm(NamedTuple):
+    """Result of a guard: faults, and what is wrong in one line."""
+
+    faults: Fault
+    message: str
+
+
+Guard: TypeAlias = Callable[[DeviceSample], Alarm | None]
+"""Check of a device: it adds a sample, and returns what is wrong or None."""
+
+
+def device_guards(limits: Limits, own: HostLimits, period: float) -> list[Guard]:
+    """Return the guards of a device, in their order: the first that finds a fault names it.
+
+    Args:
+        limits: The smaller of the device's and the host's limits.
+        own: Limits of the host.
+        period: Sample period [s].
+    """
+    return [
+        partial(_spots, SpotGuard(limits, period)),
+        partial(_readings, limits),
+        _pose,
+        partial(_envelope, FlotorGuard(own)),
+        partial(_currents, CoilGuard()),
+        partial(_holding, 2e6 * period),
+        _enabled,
+        _clock,
+        _Temperatures(),
+    ]
+
+
+def _spots(guard: SpotGuard, sample: DeviceSample) -> Alarm | None:
+    report = sample.report
+    if not (fault := guard.check(report.spots, report.valid, report.conversions, sample.samples.elapsed)):
+        return None
+    spots = ", ".join(f"{part * 1e3:.3f}" for part in report.spots)
+    return Alarm(fault, f"spots {spots} mm, valid {report.valid:03b}, conversion {report.conversions}")
+
+
+def _readings(limits: Limits, sample: DeviceSample) -> Alarm | None:
+    six = sample.report.currents, sample.report.temperatures
+    if not (fault := reading_fault(limits, *six)):
+        return None
+    return Alarm(fault, "measured currents {} A, temperatures {}".format(*(_listed(one, ".3g") for one in six)))
+
+
+def _pose(sample: DeviceSample) -> Alarm | None:
+    return None if sample.error is None else Alarm(Fault.SENSOR_OUT_OF_RANGE, str(sample.error))
+
+
+def _envelope(guard: FlotorGuard, sample: DeviceSample) -> Alarm | None:
+    if sample.error is not None or not (fault := guard.check(sample.pose, sample.since, sample.led)):
+        return None
+    return Alarm(fault, f"the flotor is at {shown(sample.pose)}")
+
+
+def _currents(guard: CoilGuard, sample: DeviceSample) -> Alarm | None:
+    measured = sample.report.currents
+    expected = sample.expected if sample.active else measured  # which ends a series of strikes
+    if expected is None or not (fault := guard.check(expected, measured)):
+        return None
+    return Alarm(fault, f"the device measures {_listed(measured, '.2f')} A, and was told {_listed(expected, '.2f')} A")
+
+
+def _holding(recent: float, sample: DeviceSample) -> Alarm | None:
+    """Check that a device whose newest answer is younger than some time [µs] does not hold."""
+    report = sample.report
+    if not (sample.active and report.flags & _HOLDING and report.age < recent):
+        return None
+    return Alarm(Fault.HOST, f"the device is HOLDING for want of answers, the newest {report.age} µs old")
+
+
+def _enabled(sample: DeviceSample) -> Alarm | None:
+    """Check two samples; one from before arming need not be ENABLED."""
+    if not (sample.active and _is_open(sample.report) and sample.before is not None and _is_open(sample.before)):
+        return None
+    return Alarm(Fault.HOST, "the amplifiers are not ENABLED, and the device does not cut the currents")
+
+
+def _clock(sample: DeviceSample) -> Alarm | None:
+    wrong = sample.samples.out_of_step
+    return Alarm(Fault.CLOCK, wrong) if wrong and sample.active else None
+
+
+class _Temperatures:
+    """Check of the temperatures, which warns once."""
+
+    _warned = False
+
+    def __call__(self, sample: DeviceSample) -> Alarm | None:
+        if not sample.active or max(*sample.report.temperatures, *sample.modelled) < WARNING_RISE:
+            return None
+        rises = larger(sample.report.temperatures, sample.modelled)
+        if (warmest := max(rises)) >= 1.0:
+            return Alarm(Fault.COIL_OVERTEMP, f"coil {rises.index(warmest)} bears no more")
+        if not self._warned:
+            self._warned = True
+            warnings.warn(f"a coil is at {warmest:.0%} of what it bears", stacklevel=3)
+        return None
+
+
+def larger(reported: Sequence[float], modelled: Sequence[float]) -> list[float]:
+    """Return the larger of reported and modelled temperature rises, six."""
+    return [max(one, other) for one, other in zip(reported, modelled)]
+
+
+def _is_open(report: StateReport) -> bool:
+    return not report.flags & _ENABLED and report.state == _ACTIVE
+
+
+def shown(position: Sequence[float]) -> str:
+    """Return a pose as text."""
+    return ", ".join(f"{part * 1e3:.2f}" for part in position) + " (mm, mrad)"
+
+
+def _listed(values: Sequence[float], form: str) -> str:
+    return ", ".join(f"{value:{form}}" for value in values)
 
 
 def late_delay(bears: float, period: float) -> float:

@@ -7,15 +7,15 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.guarded import GuardedPlant
 from maglev_mj.bridge.realtime import interrupt, stopping
 from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
-from maglev_mj.control.loop import Plant
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.parameters import number
@@ -43,18 +43,6 @@ At 200 Hz they are 300 times the apparent speed due to noise of half a spot's st
 """
 
 _WATCHED, _BLOCKS = 0.1, 5
-
-
-class CutPlant(Plant, Protocol):
-    """Interface of a device to the switch that cuts its flight; see `RemotePlant`."""
-
-    disarmed: bool
-
-    def estop(self) -> object:
-        """Switch the currents off in any state and latch ESTOP."""
-
-    def abort(self, reason: str) -> None:
-        """Trip a device that this host armed; DeviceFault then."""
 
 
 class Motion:
@@ -208,7 +196,7 @@ class StopSwitch:
 
     def __init__(self) -> None:
         self.landing = False
-        self._plant: CutPlant | None = None  # that flies
+        self._plant: GuardedPlant | None = None  # that flies
 
     def land(self) -> None:
         """Request landing, from any thread."""
@@ -229,7 +217,7 @@ class StopSwitch:
         return stopping(self.land, self.cut, within=LANDING_TIME)
 
     @contextmanager
-    def flying(self, plant: CutPlant) -> Iterator[None]:
+    def flying(self, plant: GuardedPlant) -> Iterator[None]:
         """Guard a flight: any error cuts its currents.
 
         An interrupt is an emergency stop, any other error a fault of the host.
@@ -263,8 +251,3 @@ class StopSwitch:
 
 def _speeds_shown(speed: float, spin: float) -> str:
     return f"{speed * 1e3:.2g} mm/s and {spin:.2g} rad/s"
-
-
-def shown(position: Sequence[float]) -> str:
-    """Return a pose as text."""
-    return ", ".join(f"{part * 1e3:.2f}" for part in position) + " (mm, mrad)"

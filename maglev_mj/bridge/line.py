@@ -59,8 +59,8 @@ class LoopTiming:
 
     def add(self, plant: RemotePlant) -> None:
         """Add the last sample, once it is answered."""
-        answer, way, delay = round(plant.answer_latency * 1e9), plant.transport, plant.newest_delay
-        samples, answered = plant.samples, plant.answered_tick
+        answer, samples = round(plant.answer_latency * 1e9), plant.samples
+        answered, _, delay, _, way = plant.answers
         self.answer.add(answer)
         if delay == delay:
             self.delay.add(round(delay * 1e9))
@@ -190,10 +190,10 @@ def measure_line(plant: RemotePlant, duration: float = 1.0) -> LineReport:
     while samples.tick < first + count:
         with suppress(SensingError):  # it may be open on the bench
             plant.read()
-        clocks.append((samples.time, samples.time + plant.transport))
-        if not math.isnan(plant.newest_delay):
-            delays.append(plant.newest_delay)
-            late += plant.newest_delay - plant.delay > stale
+        clocks.append((samples.time, samples.time + plant.answers.transport))
+        if not math.isnan(delay := plant.answers.newest_delay):
+            delays.append(delay)
+            late += delay - plant.delay > stale
         plant.drive(ZERO)
         answers.append(plant.answer_latency)
     return LineReport(

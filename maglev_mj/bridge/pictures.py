@@ -19,7 +19,7 @@ def last_cycles(record: FaultRecord) -> Any:
     Currents measured are lines, those commanded dots; a vertical line is where the fault came first.
 
     Args:
-        record: The black box.
+        record: The last cycles.
 
     Raises:
         MissingPackageError: If matplotlib is not installed.

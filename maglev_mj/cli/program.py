@@ -61,7 +61,7 @@ GROUPS: Mapping[str, Mapping[str, Command]] = {
         "estop": Command("stop a device, also in the session of another host", "udp://192.168.1.20:5678 --key lab.key"),
         "commission": Command("diodes and coils of a new device, before it hovers", "udp://127.0.0.1:5678 coils"),
         "conform": Command("test a device's side of the protocol", "udp://127.0.0.1:5678 --json report.json"),
-        "fault": Command("what happened before a fault, from its file", "maglev-fault-20260101-120000.json --all"),
+        "fault": Command("what happened before a fault, from its file", "fault-20260101-120000.maglev --all"),
     },
     "recordings": {
         "replay": Command("show a recording, or check it bit for bit", "run.maglev --check"),

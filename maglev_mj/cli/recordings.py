@@ -275,15 +275,15 @@ def export(
 
 
 def fault(
-    file: Annotated[Path, option("maglev-fault-DATE.json, which a flight has left", "", "FILE")],
+    file: Annotated[Path, option("fault-TIME.maglev, which a flight has left, or its recording", "", "FILE")],
     all: Annotated[bool, option("show all 200 cycles, not the last 20", "output")] = False,
     *,
     pictures: Picture,
 ) -> int:
-    """What happened, when, and the last cycles, from a fault's file."""  # noqa: D401
-    from maglev_mj.bridge.fault import load_black_box
+    """What happened, when, and the last cycles, from a flight's journal."""  # noqa: D401
+    from maglev_mj.bridge.fault import load_fault
 
-    record = load_black_box(file)
+    record = load_fault(file)
     print(record.table(whole=all))
     if pictures is not None:
         print(f"  wrote {record.plot(path=pictures.path(file.stem))}")

@@ -35,7 +35,7 @@ FORMAT, VERSION = "maglev_mj journal", 1
 FLUSH = 0.1
 """Interval at which the thread writes [s]: what a killed process loses at most."""
 
-SAMPLE, TEXT, CONTINUED, CHECKSUM = range(4)
+SAMPLE, TEXT, CONTINUED, CHECKSUM, CYCLE = range(5)
 """Kinds of records. Readers skip others."""
 
 _SYNC = 1.0  # interval at which a run in real time asks the system to write to the disk [s]
@@ -57,6 +57,17 @@ _FORMATS = {
 }
 RECORD = np.dtype({"names": list(_FORMATS), "formats": list(_FORMATS.values())})
 """Structured dtype of a record."""
+
+_SIXES = "spots", "pose", "held", "pulsed", "measured", "temperatures"
+_CYCLE_FORMATS = {
+    **dict.fromkeys(("kind", "tick", "state", "faults"), "<u4"),
+    **{"time": "<f8", **dict.fromkeys(_SIXES, "6<f8"), **dict.fromkeys(("width", "delay", "latency"), "<f8")},
+}
+CYCLE_RECORD = np.dtype({"names": list(_CYCLE_FORMATS), "formats": list(_CYCLE_FORMATS.values())})
+"""Structured dtype of a record of kind CYCLE, a cycle of a device; as long as one of a sample."""
+
+PACK_CYCLE = struct.Struct("<4I40d").pack
+"""Packs a cycle from its values in the order of its dtype."""
 
 _PAYLOAD = RECORD.itemsize - _HEAD.size
 
@@ -105,7 +116,8 @@ def header() -> bytes:
     entries = {
         "format": FORMAT,
         "version": VERSION,
-        "dtype": {"names": list(_FORMATS), "formats": list(_FORMATS.values())},
+        "dtype": _dtype_entries(_FORMATS),
+        "cycle": _dtype_entries(_CYCLE_FORMATS),
         "units": units(),
         "versions": versions(),
         "created": datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -113,6 +125,10 @@ def header() -> bytes:
     data = json.dumps(entries).encode()
     size = -(-(len(data) + 24) // _GRANULE) * _GRANULE
     return (b'{"offset": %-8d, ' % size + data[1:]).ljust(size - 1) + b"\n"
+
+
+def _dtype_entries(formats: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
+    return {"names": list(formats), "formats": list(formats.values())}
 
 
 class Journal:
@@ -315,6 +331,17 @@ class JournalContent(NamedTuple):
             raise ParameterError("a message must be an object")
         return message
 
+    def cycles(self, last: int, most: int) -> NDArray[Any]:
+        """Return the newest cycles of a device before a record, at most so many, a structured array (N,).
+
+        Raises:
+            ParameterError: If their dtype is another.
+        """
+        indices = np.flatnonzero(self.kinds[:last] == CYCLE)[-most:]
+        if len(indices) and self.header.get("cycle") != _dtype_entries(_CYCLE_FORMATS):
+            raise ParameterError(f"cycle must be the dtype {CYCLE_RECORD.names}")
+        return np.asarray(self.records[indices]).view(CYCLE_RECORD) if len(indices) else np.empty(0, CYCLE_RECORD)
+
     def blocks(self) -> Iterator[tuple[int, int]]:
         """Check the checksums; yield first and last record of each block, and of the rest without one.
 
@@ -363,6 +390,8 @@ def _what_it_is(start: bytes) -> str:
     """Return why a file is not a journal."""
     if start.startswith((b"\x89MCAP", b"PK")):
         return "it is not a journal, but MCAP or .npz: maglev_mj 0.2 and older read these recordings"
+    if start.startswith(b'{"format": "maglev_mj fault'):
+        return "it is not a journal, but a black box: only the version of maglev_mj that wrote it reads it"
     return "it is not a journal"
 
 

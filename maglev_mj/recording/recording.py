@@ -283,7 +283,7 @@ def stick_as_json(position: Sequence[float] | None) -> list[float | None] | None
 def _read(path: Path | str, names: frozenset[str] | None = None) -> Recording:
     """Read some fields of a journal, or all; see `Recording.load`."""
     path = file_path(path)
-    try:
+    with refused(path):
         content = Content(path, names)
         return Recording(
             [
@@ -296,6 +296,13 @@ def _read(path: Path | str, names: frozenset[str] | None = None) -> Recording:
             attachments=content.attachments,
             about=content.about,
         )
+
+
+@contextmanager
+def refused(path: Path) -> Iterator[None]:
+    """Raise InvalidRecordingError, which names the file, for one that cannot be read or is invalid."""
+    try:
+        yield
     except OSError as error:
         raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
     except ParameterError as error:

@@ -155,6 +155,9 @@ class RecordingFile(Protocol):
             data: Content of the file.
         """
 
+    def append(self, records: bytes) -> None:
+        """Append records of a journal, such as cycles of a device."""
+
     def check(self) -> None:
         """Check that the recording is being written.
 

@@ -76,6 +76,11 @@ class JournalFile:
         self._attached.add(name)
         self._journal.text({"attach": name, "type": media_type, "data": base64.b64encode(data).decode()})
 
+    def append(self, records: bytes) -> None:
+        """See `RecordingFile`."""
+        if self._journal.has_room():
+            self._journal.append(records)
+
     def check(self) -> None:
         """Check that the recording is being written.
 
@@ -178,6 +183,9 @@ class MemoryFile:
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """See `RecordingFile`; the media type is not kept."""
         self._attachments.setdefault(name, data)
+
+    def append(self, records: bytes) -> None:
+        """Do nothing: cycles of a device are not kept."""
 
     def check(self) -> None:
         """Do nothing: memory does not fail."""

@@ -18,8 +18,8 @@ from maglev_mj.bridge import wire
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.connection import AGAIN, TAKEOVER, draw, exchange, profile_of
 from maglev_mj.bridge.fault import HandshakeError
+from maglev_mj.bridge.flight_guards import shown as pose_shown
 from maglev_mj.bridge.landing import Leader, Motion, straight
-from maglev_mj.bridge.landing import shown as pose_shown
 from maglev_mj.bridge.links import Link
 from maglev_mj.bridge.safety import OFF, OutputLimiter
 from maglev_mj.bridge.wire import WRAP, Fault, Flag, HelloStatus, Operation, State, fault_names, newer

@@ -1,0 +1,380 @@
+"""Device behind a connection, watched by guards: spots in, currents out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NoReturn, Self
+
+import numpy as np
+
+from maglev_mj.bridge import safety
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.connection import Connection, EstopReport
+from maglev_mj.bridge.fault import DeviceFault, HandshakeError, LastCycles
+from maglev_mj.bridge.flight_guards import DeviceSample, device_guards, larger
+from maglev_mj.bridge.links import Link, LinkError, open_link
+from maglev_mj.bridge.observer import HandObserver
+from maglev_mj.bridge.safety import HostLimits, Limits
+from maglev_mj.bridge.wire import Command as CommandFrame
+from maglev_mj.bridge.wire import Fault, Frame, Operation, State, StateReport, fault_names
+from maglev_mj.errors import ParameterError, PlantError, SensingError
+from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.plants.sensor import PoseTracker
+
+_INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
+_UNKNOWN = (math.nan,) * 6
+_MOST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
+
+
+class GuardedPlant:
+    """Device behind a connection, watched by guards, without takeoff and landing; see `RemotePlant`.
+
+    Args:
+        link: The wire, or its address; see `open_link`. It is closed with the plant, or if the handshake fails.
+        calibration: Calibration of the device; the device must have its hash.
+        key: Authentication key of the frames; None for none.
+        limits: Limits of the host; the smaller of these and the device's apply.
+        patience: Longest wait for an answer or a sample [s].
+        folder: Folder of the files of last cycles.
+
+    Attributes:
+        period: Sample period [s].
+        delay: Time from a command's arrival to its effect [s].
+        lockstep: True if the device's time waits for each answer.
+        limits: The smaller of the device's and the host's; `stated` are the device's.
+        latched: One line about faults that were latched in the device at the handshake; empty without faults.
+        cycles: Last cycles, written to a file on a fault.
+        guards: Checks of each sample, in their order. A fault that one finds ends a flight.
+        disarmed: True after this host armed the device and switched the currents off.
+        guided: True in takeoff and landing: the default envelope applies if it is the larger.
+        doubt: First fault that a guard has found in the last sample, as text; empty if none has.
+        state: State of the device at the last sample; `faults` are its faults then.
+        first: First faults, at `fault_time` by the device's clock [ns]; 0 without faults.
+        last_currents: Last sent currents [A], six.
+        pose: Last known pose [m, rad].
+        answers: Delays of the answers by the last sample; see `AnswerTiming`. `last_delay` is one of them.
+        answer_latency: Time from the last sample's arrival to its answer [s].
+        samples: Counter of received, lost and skipped samples.
+        hand_wrench: The hand's wrench as estimated, low-passed at 20 Hz [N, N m]; NaN unless the device is active. A
+            touched stop counts as a hand; see `HandObserver`.
+        coils: Estimator of the coils' gains in takeoff.
+        arrival: Arrival of the last sample, by the link's clock [s].
+
+    Raises:
+        HandshakeError: If no device answers, another host flies it, its version or calibration differs, or its
+            numbers are not sane or do not carry the weight.
+        LinkError: If the link has failed.
+        ParameterError: If a value is outside its bounds, or the host's own limits do not carry the weight.
+    """
+
+    hand_wrench = property(lambda self: self._hand.wrench)
+    coils = property(lambda self: self._hand.coils)
+    arrival = property(lambda self: self._line.heard * 1e-9)
+    answers = property(lambda self: self._line.answers)
+    last_delay = property(lambda self: self._line.answers.last_delay)
+    answer_latency = property(lambda self: self._line.latency * 1e-9)
+
+    def __init__(
+        self,
+        link: Link | str,
+        *,
+        calibration: Calibration | None = None,
+        key: bytes | None = None,
+        limits: HostLimits | None = None,
+        patience: float = 1.0,
+        folder: Path | str = Path(),
+    ) -> None:
+        known, own, link = calibration or Calibration.nominal(), limits or HostLimits(), open_link(link, key)
+        self.calibration = known
+        self._hover: list[float] = known.hover.tolist()
+        weight = known.mass * math.hypot(*known.gravity)
+        if problem := safety.weight_fault(weight, self._hover, own, own.narrowed(_MOST)):
+            link.close()
+            raise ParameterError(problem)
+        self._line = Connection(link, known.digest, key, patience)
+        try:
+            welcome, profile = self._line.welcome, self._line.profile
+            self.stated, self.limits = profile.limits, own.narrowed(profile.limits)
+            if problem := safety.weight_fault(weight, self._hover, own, self.limits):
+                raise HandshakeError(f"the device does not carry the flotor: {problem}")
+            self.period, self.delay = profile.period / 1e9, profile.delay / 1e9
+            self.lockstep, self.latched = profile.lockstep, self._line.latched
+            self.state, self.faults = State(welcome.state), Fault(welcome.faults)
+            self.first, self.fault_time = Fault(welcome.first), welcome.fault_time
+            self.samples = self._line.samples
+            self.guards = device_guards(self.limits, own, self.period)
+            self.cycles = LastCycles(Path(folder))
+            self._track = PoseTracker(known.beams)
+            self._offsets: list[float] | None = known.spot_offsets.tolist() if known.spot_offsets.any() else None
+            self._output = safety.OutputLimiter(known.coils, self.limits, own.wrench, self.period)
+            self._hand = HandObserver(known, self.period)
+            self._prepare()
+        except BaseException:
+            self._line.close()
+            raise
+        self.last_currents: Sequence[float] = ZERO
+        # armed by this host, and nothing has ended it that was reported
+        self.disarmed = self._armed = False
+        self.guided = self._owed = False  # an answer is owed to the last sample
+        self._located, self.doubt = 0, ""  # last known pose
+        self._frame: Frame | None = None  # the last sample
+        self._seen: Sequence[float] = _UNKNOWN  # its pose
+        self.pose: Sequence[float] = ZERO
+
+    def _prepare(self) -> None:
+        """Do slow work before anything flies."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        try:
+            if isinstance(error, Exception):
+                with suppress(Exception):
+                    self.abort(f"{type(error).__name__}: {error}")
+        finally:
+            self.close()
+
+    def close(self) -> None:
+        """Switch the currents off and end the session; idempotent."""
+        self._armed = False
+        self._line.close()
+
+    def read(self) -> Sample:
+        """Return the next sample, or the newest of several waiting.
+
+        Raises:
+            DeviceFault: If the device has gone into the fault state, or a guard has found a fault in flight.
+            PlantError: If the plant is closed.
+        """
+        self._check_open()
+        if self._owed and self.lockstep:  # a device that waits for an answer gets the one before, without its pulse
+            self._send(self.last_currents, None, 0.0)
+        before, frame = self._frame, self._next_frame()
+        report: StateReport = frame.body  # type: ignore[assignment]
+        # a sample from before the device's last answer holds an outdated state
+        if (report.state != self.state or report.faults != self.faults) and frame.time > self._line.settled:
+            self._adopt(report.state, report.faults)
+        if self.state is _FAULT and self._armed:
+            self.fail(self.faults, "asked for")
+        active, samples, hand = self.state is _ACTIVE, self.samples, self._hand
+        pose, error, since = self._locate(report.spots)
+        if active and error is None:
+            answers, hand.tries = self._line.answers, self.guided
+            hand.sampled(samples.tick, samples.elapsed, self._seen, answers.answered_tick, answers.newest_delay)
+        last = before.body if before is not None else None
+        led, modelled = self.guided or not active, self._output.thermal.rises
+        sample = DeviceSample(report, last, samples, active, led, pose, error, since, hand.currents, modelled)  # type: ignore[arg-type]
+        self.doubt = ""
+        for guard in self.guards:
+            if (alarm := guard(sample)) is not None:
+                self.doubt = self.doubt or f"{fault_names(alarm.faults)}: {alarm.message}"
+                self._fail_if_active(*alarm)
+        if error is not None:
+            raise error
+        return Sample(samples.tick, samples.tick * self.period, pose)
+
+    def write(self, command: Command) -> Command:
+        """Send the answer to the last sample; return it limited.
+
+        Raises:
+            DeviceFault: If the command is not finite.
+            PlantError: If no sample was read.
+        """
+        frame = self._answered_frame("write")
+        try:
+            command, held, pulsed, width = self._output.currents(command, self.pose)
+        except (PlantError, TypeError) as error:
+            self.fail(Fault.INVALID_COMMAND, str(error))
+        self._answer(frame, held, pulsed, width)
+        self._hand.answered(self.samples.tick, command, held, pulsed, width)
+        return command
+
+    def drive(self, currents: Sequence[float]) -> None:
+        """Send six coil currents [A] in place of a wrench.
+
+        Raises:
+            ParameterError: If one is not finite or above the limit.
+            PlantError: If no sample was read.
+        """
+        frame = self._answered_frame("drive")
+        if safety.command_fault(self.limits, currents, currents, 0.0):
+            raise ParameterError(f"currents must be within {self.limits.current_limit:g} A, not {list(currents)}")
+        self._answer(frame, currents, None, 0.0)
+        wrench = self.calibration.coils.wrench(np.asarray(currents)).tolist()
+        self._hand.answered(self.samples.tick, Command(wrench), currents, None, 0.0)
+
+    def _answered_frame(self, call: str) -> Frame:
+        self._check_open()
+        if self._frame is None:
+            raise PlantError(f"{call}() needs a sample: call read() first")
+        return self._frame
+
+    def _answer(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        self._send(held, pulsed, width)
+        self._owed = False
+        if self.state is _ACTIVE:
+            self._output.passed(held, pulsed, width)
+        else:
+            self._output.stay(1, ZERO)
+        self.cycles.keep(frame, self._seen, (held, pulsed, width), self.last_delay, self.answer_latency)
+
+    @property
+    def report(self) -> StateReport:
+        """Device's report at the last sample; PlantError before the first."""
+        if self._frame is None:
+            raise PlantError("there is no sample: call read() first")
+        return self._frame.body  # type: ignore[return-value]
+
+    @property
+    def temperatures(self) -> list[float]:
+        """Temperature rises of the coils, reported or modelled; 1 trips."""
+        return larger(ZERO if self._frame is None else self.report.temperatures, self._output.thermal.rises)
+
+    def arm(self, hover: Sequence[float] | None = None) -> None:
+        """Switch the currents on; PlantError if the device refuses.
+
+        Args:
+            hover: Held by the device if commands are missing [A], six; by default the currents that carry the flotor.
+        """
+        self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
+        self.state, self._armed, self.guided = _ACTIVE, True, False
+        self._hand.reset()
+
+    def disarm(self) -> None:
+        """Switch the currents off."""
+        self._ask(Operation.DISARM)
+        self._armed, self.disarmed = False, True
+        self._hand.reset()
+        if self.state is _ACTIVE:
+            self.state = _INACTIVE
+
+    def estop(self) -> EstopReport:
+        """Switch the currents off in any state and latch ESTOP.
+
+        PlantError if the device does not confirm it. The next sample is a fault.
+        """
+        self._check_open()
+        report = self._line.estop()
+        self._latch(Fault.ESTOP, report.at)
+        if not report.confirmed:
+            raise PlantError(f"emergency stop {report}")
+        return report
+
+    def reset(self) -> None:
+        """Leave the fault state; PlantError while the coils are warm."""
+        self._ask(Operation.RESET)
+        self.state, self.faults, self.first, self.fault_time, self._armed = _INACTIVE, Fault(0), Fault(0), 0, False
+
+    def trip(self, faults: Fault) -> None:
+        """Put the device into the fault state, answered or not."""
+        self._latch(faults, self.samples.time)
+        with suppress(LinkError):  # the watchdog does it where there is no line
+            self._line.control(Operation.TRIP, faults=faults)
+
+    def abort(self, reason: str) -> None:
+        """Trip a device that this host armed; DeviceFault then."""
+        if self._armed:
+            self._fail_if_active(Fault.HOST, reason)
+
+    def require_inactive(self) -> None:
+        """Refuse a device that is not inactive."""
+        self._check_open()
+        if self.state is not _INACTIVE:
+            raise PlantError(f"no takeoff: the device is {self.state.name}, faults {fault_names(self.faults)}")
+
+    def _ask(self, operation: Operation, *, hover: Sequence[float] = ZERO) -> None:
+        self._check_open()
+        answer = self._line.control(operation, hover=hover)
+        if answer is None:
+            raise PlantError(f"the device did not answer {operation.name} within {self._line.patience:g} s")
+        if answer.result:
+            hint = "; see to it, then reset" if answer.state == _FAULT else ""
+            state = State(answer.state).name if answer.state in tuple(State) else f"in state {answer.state}"
+            names = fault_names(answer.faults)
+            raise PlantError(f"the device refused {operation.name}: it is {state}, faults {names}{hint}")
+
+    def _check_open(self) -> None:
+        if not self._line.open:
+            raise PlantError("the plant is closed")
+
+    def _next_frame(self) -> Frame:
+        """Store the next sample, and update the temperatures up to it."""
+        try:
+            frame = self._line.state()
+        except Exception as error:
+            self._fail_if_active(Fault.HOST, str(error))
+            raise
+        unanswered = self.samples.elapsed - (not self._owed)
+        if unanswered > 0:  # without a command the coils cool, or keep their currents
+            self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
+        self._frame, self._seen, self._owed = frame, _UNKNOWN, False
+        return frame
+
+    def _adopt(self, state: int, faults: int) -> None:
+        if state not in tuple(State):
+            self.fail(Fault.HOST, f"the device says that it is in state {state}, which is none")
+        if (state == _FAULT) != bool(faults):
+            self.fail(Fault.HOST, f"the device says state {State(state).name} with faults {fault_names(faults)}")
+        before = self.state
+        if state == _FAULT:
+            self._latch(Fault(faults), self.samples.time)
+        self.state, self.faults = State(state), Fault(faults)
+        if self.state is _FAULT is not before:
+            self.fail(self.faults, "said by the device")
+        if self.state is _INACTIVE and before == _ACTIVE:
+            self.fail(Fault.HOST, "the device switched its currents off without being asked to")
+
+    def _locate(self, spots: Sequence[float]) -> tuple[list[float], SensingError | None, float]:
+        """Return the pose of spots, or why there is none, and the time since the last [s]; its answer is then due."""
+        if self._offsets is not None:
+            spots = [spot - offset for spot, offset in zip(spots, self._offsets)]
+        try:
+            pose = self._track(spots)
+        except SensingError as error:
+            return list(_UNKNOWN), error, 0.0
+        since = (self.samples.tick - self._located) * self.period
+        self._located, self.pose, self._owed = self.samples.tick, pose, True
+        self._seen = tuple(pose)  # the caller may write into the list
+        return pose, None, since
+
+    def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        self.last_currents = held
+        one = tuple(held)
+        answer = CommandFrame(self._line.sequence, 0, one, one if pulsed is None else tuple(pulsed), width)
+        try:
+            self._line.command(answer)
+        except Exception as error:
+            self._fail_if_active(Fault.HOST, str(error))
+            raise
+
+    def _latch(self, faults: Fault, time: int) -> None:
+        if not self.faults:
+            self.first, self.fault_time = faults, time
+        self.state, self.faults = _FAULT, self.faults | faults
+
+    def _fail_if_active(self, faults: Fault, message: str) -> None:
+        if self.state is _ACTIVE:
+            self.fail(faults, message)
+
+    def fail(self, faults: Fault, message: str) -> NoReturn:
+        """Trip the device, write its last cycles, raise DeviceFault."""
+        self._armed = False
+        if self.state is not _FAULT or not self.faults & faults:
+            with suppress(Exception):  # report and last cycles must not depend on the line
+                self.trip(faults)
+        faults |= self.faults  # such as an e-stop, after which it fell
+        path = None
+        with suppress(Exception):
+            if (frame := self._frame) is not None:
+                answer = self.last_currents, None, 0.0
+                self.cycles.keep(frame, self._seen, answer, self.last_delay, self.answer_latency)
+            path = self.cycles.write(self.cycles.mark(faults, message, self._about()))
+        raise DeviceFault(faults, message, path)
+
+    def _about(self) -> dict[str, Any]:
+        about = {"first": fault_names(self.first), "fault_time_ns": self.fault_time, "period_ns": self.samples.period}
+        return about | {name: getattr(self.samples, name) for name in ("tick", "lost", "skipped")}
