@@ -81,8 +81,8 @@ def waited(so: Callable[[], bool]) -> None:
 def looked_at(address: str) -> StateReport:
     """Return a device's answer to any host."""
     with closing(Connection(open_link(address), Calibration.nominal().digest, None, PATIENCE)) as line:
-        frame = line.state(PATIENCE)
-        assert frame is not None and isinstance(frame.body, StateReport)
+        frame = line.state()
+        assert isinstance(frame.body, StateReport)
         return frame.body
 
 
