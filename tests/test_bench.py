@@ -10,9 +10,12 @@ import pytest
 
 import bench
 import growth
+import loop
+import options
 import others
 import realism
 import speed_tables
+from maglev_mj import ExactPlant
 from maglev_mj.pictures import PictureFolder
 from tests.test_charts import complaints
 
@@ -81,6 +84,31 @@ def test_a_section_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
     (tmp_path / "empty_section.py").write_text("def measure(quick):\n    return {}\n")
     with pytest.raises(bench.SectionFailedError, match="not the package in"):  # what is measured is what was asked for
         bench.run_section("empty_section", tmp_path, quick=True)
+
+
+def test_each_row_of_the_loop_counts_what_it_ran_and_every_drop_ends_alike() -> None:
+    runs = {name: work() for name, work in loop.WORK.items()}
+    many, alone = "exact plant, 1000 at once: closed loop", "six-axis controller"
+    assert {name: run.devices for name, run in runs.items()} == dict.fromkeys(runs, 1) | {many: 1000}
+    assert {name: run.ticks for name, run in runs.items()} == dict.fromkeys(runs, 400) | {alone: 1000}
+    assert runs[many]._replace(seconds=2.0).each == 2.0 / 400 / 1000
+    assert runs[many].pose.shape == (1000, 6)
+    loop.compare_ends(runs)
+    elsewhere = runs[many].pose.copy()
+    elsewhere[-1, 2] += 1e-6  # one device of them
+    with pytest.raises(ValueError, match=f"{many}: its drop ends at"):
+        loop.compare_ends(runs | {many: runs[many]._replace(pose=elsewhere)})
+
+
+def test_options_and_growth_count_what_they_ran(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = options.Loop(ExactPlant, {options.PLAIN: {}, "recording": {"record": True}}, options.many(3, 1e-4), 4, 1)
+    found = options.over_plain(few, quick=False)
+    assert (found["devices"], found["ticks"], list(found["over plain"])) == (3, 4, list(few.options))
+    assert growth.cheapest_run(ExactPlant, 10).devices == 10
+    run = options.run
+    monkeypatch.setattr(options, "run", lambda one, name, ticks: run(one, name, ticks - (name != options.PLAIN)))
+    with pytest.raises(ValueError, match="the same for each option"):
+        options.over_plain(few, quick=False)
 
 
 @pytest.mark.filterwarnings("default")

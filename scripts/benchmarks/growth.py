@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj import Controller, Hold, Timing, Wall, drive
+from maglev_mj import Controller, Hold, Timing, Wall
 from maglev_mj.pictures import Panel, PictureFolder, small_multiples
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant
 from maglev_mj.scenes.drop import Drop
@@ -24,7 +24,7 @@ from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.studies.cells import Workers, dask_workers, local_workers
 from maglev_mj.studies.sweep import sweep
-from timing import timed
+from timing import Run, driven, timed
 
 MANY = 100
 CELLS = 100_000
@@ -55,27 +55,27 @@ def plants() -> dict[str, tuple[Callable[..., SampledPlant], Callable[..., Sampl
     }
 
 
-def tick_cost(make: Callable[..., SampledPlant], devices: int) -> float:
-    """Return the least cost of a tick of the drop, a device [s]."""
+def cheapest_run(make: Callable[..., SampledPlant], devices: int) -> Run:
+    """Return the cheapest of some runs of the drop."""
     pose = np.tile(_POSE, (devices, 1)) if devices > 1 else _POSE
 
-    def run() -> float:
-        plant, controller = make(Timing(), pose=pose), Drop().controller()
-        return timed(lambda: drive(plant, controller, _TICKS)) / _TICKS / devices
+    def run() -> Run:
+        return driven(make(Timing(), pose=pose), Drop().controller(), _TICKS)
 
     first = run()
-    more = min(int(_SPENT / (first * devices * _TICKS)), 4)
-    return min([first, *(run() for _ in range(more))])
+    more = min(int(_SPENT / first.seconds), 4)
+    return min([first, *(run() for _ in range(more))], key=lambda one: one.seconds)
 
 
 def against_devices(quick: bool) -> dict[str, dict[int, float]]:
     """Return the cost of a tick and device [µs], by plant and number of devices."""
     counts = [1, 10, 100, 1000, 5000, 10_000, 20_000, 50_000, 100_000, 1_000_000]
     counts = counts[:3] if quick else counts
-    return {
-        name: {count: 1e6 * tick_cost(one if count == 1 else batch, count) for count in counts if count <= most}
-        for name, (one, batch, most) in plants().items()
-    }
+    found = {}
+    for name, (one, batch, most) in plants().items():
+        runs = [cheapest_run(one if count == 1 else batch, count) for count in counts if count <= most]
+        found[name] = {run.devices: 1e6 * run.each for run in runs}
+    return found
 
 
 def against_rate(quick: bool) -> dict[str, dict[int, float]]:
@@ -102,7 +102,7 @@ def _rate_run(make: Callable[..., SampledPlant], period: float, ticks: int) -> f
         Hold.critically_damped(inertia=INERTIA, period=period, delay=delay),
     )
     plant = make(Timing(period=period, delay=delay), pose=[1e-4, 0.0, 0.0, 0.0, 0.0, 0.0])
-    return timed(lambda: drive(plant, Controller(list(laws), period=period), ticks))
+    return driven(plant, Controller(list(laws), period=period), ticks).seconds
 
 
 def sweep_time(workers: Workers, cells: int) -> float:

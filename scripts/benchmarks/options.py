@@ -12,14 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj import drive
 from maglev_mj.control.timeline import Timing
 from maglev_mj.frames import Array
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledPlant, Sensor
 from maglev_mj.plants.hand import Hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import Spec
-from timing import in_turns, ratio, timed
+from timing import Run, driven, in_turns, ratio, timed
 
 PLAIN = "plain"
 START = np.array([0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0])
@@ -87,26 +86,34 @@ LOOPS = {
 }
 
 
-def run(loop: Loop, name: str, ticks: int) -> float:
-    """Return the time of a drop with an option [s]."""
-    plant, controller = loop.make(**{"timing": Timing(), "pose": loop.pose, **loop.options[name]}), Drop().controller()
-
-    def whole() -> None:
-        drive(plant, controller, ticks)
-        if "trace" in name:
-            plant.trace()
-
-    return timed(whole)
+def run(loop: Loop, name: str, ticks: int) -> Run:
+    """Return a timed drop with an option."""
+    plant = loop.make(**{"timing": Timing(), "pose": loop.pose, **loop.options[name]})
+    ran = driven(plant, Drop().controller(), ticks)
+    return ran._replace(seconds=ran.seconds + timed(plant.trace)) if "trace" in name else ran
 
 
-def over_plain(loop: Loop, quick: bool) -> dict[str, float]:
-    """Return the cost of each option over the plain loop."""
+def over_plain(loop: Loop, quick: bool) -> dict[str, Any]:
+    """Return the cost of each option over the plain loop, and the devices and ticks that all of them ran.
+
+    Raises:
+        ValueError: If an option ran another number of devices or ticks than the plain loop.
+    """
     ticks = min(_SHORT, loop.ticks) if quick else loop.ticks
-    times = in_turns({name: partial(run, loop, name, ticks) for name in loop.options}, 1 if quick else loop.runs)
-    return {name: ratio(values, times[PLAIN]) for name, values in times.items()}
+    runs = in_turns({name: partial(run, loop, name, ticks) for name in loop.options}, 1 if quick else loop.runs)
+    times = {name: [one.seconds for one in some] for name, some in runs.items()}
+    sizes = {name: (one.devices, one.ticks) for name, some in runs.items() for one in some}
+    if len(set(sizes.values())) > 1:
+        raise ValueError(f"devices and ticks must be the same for each option: {sizes}")
+    devices, done = sizes[PLAIN]
+    return {
+        "over plain": {name: ratio(values, times[PLAIN]) for name, values in times.items()},
+        "devices": devices,
+        "ticks": done,
+    }
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return ratios to the plain loop by plant and option; quick on small plants alone."""
+    """Return ratios to the plain loop by plant and option, devices and ticks; quick on small plants alone."""
     some = {name: loop for name, loop in LOOPS.items() if not quick or loop.devices <= 1000}
-    return {name: {"over plain": over_plain(loop, quick)} for name, loop in some.items()}
+    return {name: over_plain(loop, quick) for name, loop in some.items()}
