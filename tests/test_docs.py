@@ -74,7 +74,10 @@ def code_of(page: str) -> list[tuple[int, str]]:
 
 
 def write_files(page: str, folder: Path) -> None:
-    """Write the files of a page, and one for `my_scene.py`."""
+    """Write the files of a page, the examples that it names, and one for `my_scene.py`."""
+    for name in re.findall(r"scripts/examples/\w+\.py", text_of(page)):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text_of(name), encoding="utf-8")
     for name, text in {"my_scene.py": text_of("scripts/examples/detents.py"), **own_files(page)}.items():
         (folder / name).write_text(text, encoding="utf-8")
 

@@ -106,6 +106,11 @@ def test_phases_are_those_of_the_drop(run_example: RunExample) -> None:
     assert depth < depth_without and force > force_without
 
 
+def test_a_robot_follows_and_its_block_carries_what_the_hand_pushes(run_example: RunExample) -> None:
+    limit, ends = run_example("teleoperate")
+    assert limit == [5984.0, 51.5] and ends[2] == 30.0
+
+
 @pytest.fixture(scope="module")
 def python_control() -> None:
     """Load python-control, which takes longer than the example."""

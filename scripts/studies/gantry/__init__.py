@@ -1,1 +1,0 @@
-"""Modules of teleoperation.py: a gantry moved by the joystick."""
