@@ -23,7 +23,7 @@ from maglev_mj.bridge.safety import Limits
 from maglev_mj.frames import Command
 from maglev_mj.session import device_controller
 from maglev_mj.theory.verdict import delay_margins
-from slow_lines import SHAPES, ChangedLaw, fly
+from tests.slow_lines import SHAPES, ChangedLaw, fly
 from tests.sweeps import sweep
 
 FLOWN = ("joystick", "drop", "press", "table", "box", "corner", "stick-slip", "six-axes", "wall")

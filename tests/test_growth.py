@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from failures import random_delay_rate
 from maglev_mj.control import LowPass, VelocityEstimator, Window
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
@@ -24,6 +23,7 @@ from maglev_mj.studies.stability_map import (
 from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
 from maglev_mj.theory.boundary import boundary_of, stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop
+from tests.failures import random_delay_rate
 
 T, M = 0.005, 0.7
 DELAYS = (0.0, 0.0015, 0.003, 0.005)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from impacts import limited_drop
 from maglev_mj import Controller, ExactPlant, Sample, Timing, Wall, drive
 from maglev_mj.control import Law, ObserverWall, PassivityController, PredictiveWall
 from maglev_mj.errors import ParameterError
@@ -19,6 +18,7 @@ from maglev_mj.scenes.figures import perceived_hardness
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory import least_dynamic_stiffness
 from maglev_mj.theory.closed_loop import Design, SampledLoop, rendered_stiffness
+from tests.impacts import limited_drop
 
 T, M = 0.005, 0.7
 PHASES = 40

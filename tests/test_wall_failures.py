@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-from failures import corner, press_at_edge
-from impacts import RATTLE, LimitedDrop, limited_drop, rattle
 from maglev_mj.control import Wall
 from maglev_mj.frames import Array, Mask
 from maglev_mj.plants.hand import Hand
@@ -12,6 +10,8 @@ from maglev_mj.spec import RANGE
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness
 from maglev_mj.theory.boundary import gil
+from tests.failures import corner, press_at_edge
+from tests.impacts import RATTLE, LimitedDrop, limited_drop, rattle
 
 T, Q = 0.005, 5e-6
 

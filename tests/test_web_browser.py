@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from browser import chromium, on_screen
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP
 from maglev_mj.recording import Recording
@@ -20,6 +19,7 @@ from maglev_mj.session.replay import rebuild
 from maglev_mj.views.page.page import Door, page
 from maglev_mj.views.page.stage import FIELD, placed
 from maglev_mj.views.viewer_process import RemoteViewer
+from tests.browser import chromium, on_screen
 
 pytestmark = pytest.mark.needs("browser")
 

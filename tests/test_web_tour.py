@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from browser import chromium
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import Recording
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay
 from maglev_mj.session.tour import Tour
+from tests.browser import chromium
 from tests.test_web_browser import UNSEEN, Run, opened, press, pull
 
 pytestmark = pytest.mark.needs("browser")

@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from browser import MISSING, chromium, on_screen
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes.rooms import Joystick
@@ -29,6 +28,7 @@ from maglev_mj.session.access import listen
 from maglev_mj.views.page.page import Door, page
 from maglev_mj.views.page.stage import FIELD, placed
 from maglev_mj.views.viewer_process import RemoteViewer
+from tests.browser import MISSING, chromium, on_screen
 
 RATES = 200.0, 1000.0
 NAP, BETWEEN = 0.001, 0.33

@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from failures import corner, press_at_edge, random_delay_rate
-from impacts import RATTLE, limited_drop, rattle
 from maglev_mj import Timing, Wall
 from maglev_mj.cli.output import script_options
 from maglev_mj.control import Law, ObserverWall
@@ -24,6 +22,8 @@ from maglev_mj.studies.designed_wall import hum
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import largest_modulus, stiffest_wall
 from maglev_mj.versions import versions
+from tests.failures import corner, press_at_edge, random_delay_rate
+from tests.impacts import RATTLE, limited_drop, rattle
 
 NAMES = "timing", "pulse", "limits", "hands"
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from impacts import watched
 from maglev_mj.control import Hold, Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
@@ -18,6 +17,7 @@ from maglev_mj.plants import ExactPlant, MuJoCoPlant, Sensor, Timing, engine_war
 from maglev_mj.scenes.bench import along, wall_controller
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
+from tests.impacts import watched
 
 _MASS = Spec.moving_mass.value
 _PERIOD = 1.0 / Spec.control_rate.value
