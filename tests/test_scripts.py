@@ -205,6 +205,13 @@ def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Pa
     assert "| attack |" in run("attacks")
 
 
+@STUDY  # in real time: a stall of a second ends the flight before its emergency stop
+def test_an_emergency_stop_is_heard_through_every_flood() -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "studies" / "fault_campaign.py"), "flood", "1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0 and done.stdout.count("| 1 |") == 4, done.stderr
+
+
 @pytest.mark.parametrize("wrong", [("--repeats", "0"), ("--tables", "no.json"), ("--tables", __file__)])
 def test_bench_refuses_what_it_cannot_do(
     wrong: tuple[str, str], run_script: Script, capsys: pytest.CaptureFixture[str]

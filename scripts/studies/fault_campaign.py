@@ -1,17 +1,25 @@
-"""Inject every fault in flight, and time the cut.
+"""Inject every fault in flight, and time the cut; or stop a flight under a flood of frames.
 
     python scripts/studies/fault_campaign.py [udp | serial] [NAME ...]
+    python scripts/studies/fault_campaign.py flood [20]
 
 Each case flies a twin in a process of its own, in real time, over UDP or a serial line. `ms` is for how long currents
 flow at the device after the fault began, in simulated time; a machine that stalls adds to what the host does.
+
+A flood's times are from the first ESTOP leaving its sender to the firmware's cut, and to a sample without current. The
+twin's watchdog then waits for 1 s, its longest, so that currents flow although the flood drowns the host's commands.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
+import random
 import re
+import select
 import signal
+import socket
 import statistics
 import subprocess
 import sys
@@ -26,23 +34,32 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from maglev_mj.bridge.connection import estop
-from maglev_mj.bridge.links import open_link
+from maglev_mj.bridge.links import open_link, parse_url
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
+from maglev_mj.bridge.twin.firmware import Firmware
 from maglev_mj.bridge.twin.twin import TwinServer
+from maglev_mj.bridge.wire import Codec, Fault, Hello, fault_names
 from maglev_mj.bridge.wire import Command as Currents
-from maglev_mj.bridge.wire import Fault, fault_names
 from maglev_mj.cli import main
 from maglev_mj.control import Bias, Hold
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
-from maglev_mj.frames import Command, Sample
+from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.scenes.rooms import INERTIA, WEIGHT
 
 AT, TIMES = 2.0, 5
 """Time of a fault [s] and number of tries."""
+
+FLOODS = {
+    "none": b"",
+    "junk": random.Random(1).randbytes(136),
+    "valid CMDs": Codec().encode(5, 5, 5, Currents(5, 0, ZERO, ZERO, 0.0)),
+    "HELLOs": Codec().encode(0, 0, 0, Hello(5, bytes(16))),
+}
+LAWS = Bias(WEIGHT), Hold.critically_damped(inertia=INERTIA, period=0.005, delay=0.003)
 
 Act = Callable[[RemotePlant, str], float | None]
 
@@ -160,7 +177,6 @@ def flown(case: Case, k: int, line: str) -> tuple[Fault, float]:
     assert child.stdout is not None
     address = re.findall(r"(?:udp|serial)://[^\s,]+", child.stdout.readline())[0]
     began, extra, named = 0, 0.0, Fault(0)
-    hold = Hold.critically_damped(inertia=INERTIA, period=0.005, delay=0.003)
 
     class Hovering(Controller):
         def step(self, sample: Sample) -> Command:
@@ -178,7 +194,7 @@ def flown(case: Case, k: int, line: str) -> tuple[Fault, float]:
             began = time.monotonic_ns() if "@0" in case.options else 0
             plant.takeoff()
             start = plant.samples.tick
-            drive(plant, Hovering([Bias(WEIGHT), hold], period=0.005), round((case.seconds + AT) / 0.005))
+            drive(plant, Hovering(LAWS, period=0.005), round((case.seconds + AT) / 0.005))
         named = plant.faults
     time.sleep(0.1)
     child.send_signal(signal.SIGINT)
@@ -211,9 +227,79 @@ def campaign() -> None:
         print(f"| {name} | {line} | {len(tries)} | {cut} | {named} | {called} | {figures} | {again} |", flush=True)
 
 
+# an emergency stop under a flood
+
+
+def flooded_device() -> None:
+    """Be the twin's process; print when ESTOP is latched first."""
+    trip = Firmware.trip
+
+    def reported(firmware: Firmware, faults: Fault, now: int) -> None:
+        first = not firmware.faults
+        trip(firmware, faults, now)
+        if first:
+            print(f"cut {time.monotonic_ns()} {int(faults)}", flush=True)
+
+    Firmware.trip = reported  # type: ignore[assignment, method-assign]
+    main(["twin", "--listen", "udp://127.0.0.1:0", "--watchdog", "1", "--seconds", "20"])
+
+
+def flood(address: str, data: bytes) -> None:
+    """Send a frame again and again."""
+    # neither its parent's priority nor its processor
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.sched_setaffinity(0, range(os.cpu_count() or 1))
+    url = parse_url(address)
+    to, link = (url.place, url.number), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    end = time.monotonic() + 1.0
+    print("begun", flush=True)
+    while data and time.monotonic() < end:
+        for _ in range(1000):
+            link.sendto(data, to)
+
+
+def stopped(kind: str) -> tuple[float, float]:
+    """Fly, flood and stop once; return times to the cut, and to zero current [ms]."""
+    child: Any = subprocess.Popen([sys.executable, __file__, "--flooded"], stdout=subprocess.PIPE, text=True)
+    address = child.stdout.readline().split(" at ")[1].split(",")[0]
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            plant = RemotePlant(open_link(address), folder=Path(folder))
+            plant.takeoff()
+            command, laws = [sys.executable, __file__, "--flood", address, kind], Controller(LAWS, period=0.005)
+            flooding: Any = subprocess.Popen(command, stdout=subprocess.PIPE)
+            while not select.select([flooding.stdout], [], [], 0.0)[0]:  # the watchdog would end a flight without host
+                drive(plant, laws, 4)
+            time.sleep(0.3)
+            sent = time.monotonic_ns()
+            report = estop(open_link(address))
+            flooding.communicate()
+        _, cut, faults = next(line for line in child.stdout if line.startswith("cut")).split()
+        assert int(faults) == Fault.ESTOP and report.confirmed, (faults, report)
+        return (int(cut) - sent) * 1e-6, report.duration * 1e3
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def floods(count: int) -> None:
+    """Print a table."""
+    print("| flood | tried | to the cut, median and largest [ms] | to a sample without current |\n|---|---|---|---|")
+    for kind in FLOODS:
+        cuts, zeros = (sorted(one) for one in zip(*[stopped(kind) for _ in range(count)]))
+        middle = count // 2
+        figures = f"{cuts[middle]:.2f}, {cuts[-1]:.2f} | {zeros[middle]:.1f}, {zeros[-1]:.1f}"
+        print(f"| {kind} | {count} | {figures} |", flush=True)
+
+
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--device"]:
-        device(sys.argv[2:])
+    part, given = sys.argv[1:2], sys.argv[2:]
+    if part == ["--device"]:
+        device(given)
+    elif part == ["--flooded"]:
+        flooded_device()
+    elif part == ["--flood"]:
+        flood(given[0], FLOODS[given[1]])
     else:
         with realtime("ignore"):
-            campaign()
+            floods(int(given[0]) if given else 20) if part == ["flood"] else campaign()
