@@ -60,11 +60,12 @@ def _itself(simulate: Simulate) -> Simulate:
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return costs, ratios to the first of OURS, errors [m]: costs in µs a simulated ms."""
+    """Return costs, ratios to the first of OURS, errors [m] and ticks: costs in µs a simulated ms."""
     task = Task()
     methods, missing = prepared(task)
     truth = np.array(our_run(ExactPlant, task)())
-    errors = {name: float(apart(np.array(prepare()()), truth)) for name, prepare in methods.items()}
+    poses = {name: np.array(prepare()()) for name, prepare in methods.items()}
+    errors = {name: float(apart(motion, truth)) for name, motion in poses.items()}
     costs: dict[str, list[float]] = {name: [] for name in methods}
     for turn in range(3 if quick else _TURNS):
         for name, prepare in methods.items():
@@ -78,5 +79,6 @@ def measure(quick: bool) -> dict[str, Any]:
         "µs a simulated ms": medians(costs, 1e3),
         "over corrected": {name: ratio(values, first) for name, values in costs.items()},
         "error (m)": errors,
+        "ticks": {name: len(motion) - 1 for name, motion in poses.items()},
         "missing": missing,
     }

@@ -36,14 +36,18 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def walls(count: int) -> dict[str, float]:
-    """Return the cost of a million walls in parts [s], and the memory [MB]."""
+    """Return the number of walls, the cost of a million in parts [s], and the memory [MB]."""
     random = np.random.default_rng(0)
     stiffness, damping = random.uniform(500.0, 12_500.0, count), random.uniform(5.0, 190.0, count)
     start = time.perf_counter()
     for part in range(0, count, PART):
         swings(stiffness[part : part + PART], damping[part : part + PART])
     taken = time.perf_counter() - start
-    return {"million_s": taken / count * 1e6, "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3}
+    return {
+        "walls": count,
+        "million_s": taken / count * 1e6,
+        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+    }
 
 
 def swings(stiffness: Array, damping: Array) -> Array:
