@@ -69,13 +69,13 @@ def figure_3(pictures: PictureFolder, _: bool) -> Path:
             f"{label:>18}: {figures['penetration'] * 1e3:.2f} mm deep, rebound {figures['rebound'] * 1e3:.2f} mm, "
             f"peak {figures['peak_force']:.1f} N, settled after {figures['settling_time'] * 1e3:.0f} ms"
         )
-    return found.plot(pictures.path("fig3_drop"), picture="drop_time")
+    return Path(found.plot(pictures.path("fig3_drop"), picture="drop_time"))
 
 
 def figure_4(pictures: PictureFolder, _: bool) -> Path:
     """Take the phase of median penetration."""
     found = run_variants(Drop().variants(), phase=0.56, bands=Drop.drawn_phases)
-    return found.plot(pictures.path("fig4_phase_plane"), picture="drop_phase_plane")
+    return Path(found.plot(pictures.path("fig4_phase_plane"), picture="drop_phase_plane"))
 
 
 def figure_6(pictures: PictureFolder, _: bool) -> Path:
@@ -88,14 +88,14 @@ def figure_6(pictures: PictureFolder, _: bool) -> Path:
             f"{label:>14}: hits {depths} mm deep, peak {figures['peak_force'].max():.1f} N, "
             f"pressed {figures['final_depth'] * 1e3:.3f} mm deep with {figures['final_force']:.3f} N"
         )
-    return found.plot(pictures.path("fig6_press"))
+    return Path(found.plot(pictures.path("fig6_press")))
 
 
 def figure_8(pictures: PictureFolder, _: bool) -> Path:
     """Take the paper's values: 1000 N/m to 3 mm, 6000 N/m, 80 N s/m, 2 N, 5 mm/s, 200 Hz, 1.5 ms."""
     found = run_variants({"rendered": StickSlip()})
     print(found.table())
-    return found.plot(pictures.path("fig8_stick_slip"))
+    return Path(found.plot(pictures.path("fig8_stick_slip")))
 
 
 def figure_9(pictures: PictureFolder, quick: bool) -> Path:
