@@ -17,6 +17,7 @@ import realism
 import speed_tables
 from maglev_mj import ExactPlant
 from maglev_mj.pictures import PictureFolder
+from peers import Task
 from tests.test_charts import complaints
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -120,7 +121,7 @@ def test_others_are_accurate_beside_every_cost(clock: bool, monkeypatch: pytest.
     errors, costs = found["error (m)"], found["µs a simulated ms"]
     assert len(errors) >= 5 and max(errors.values()) < 1e-9
     assert list(errors) == list(costs) == list(found["over corrected"]) and "this package, exact plant" in errors
-    assert found["ticks"] == dict.fromkeys(errors, others.Task().ticks)
+    assert found["ticks"] == dict.fromkeys(errors, Task().ticks)
 
 
 def test_an_estimate_is_bounded_by_the_workers_and_by_what_hands_out() -> None:
