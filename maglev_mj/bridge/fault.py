@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import chain, count
+from itertools import chain, count, starmap
 from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
@@ -76,6 +76,7 @@ _MEANINGS = {
 }
 
 _Answer: TypeAlias = tuple[Sequence[float], Sequence[float] | None, float]
+_Cycle: TypeAlias = tuple[Frame, Sequence[float], _Answer, float, float]
 
 
 class HandshakeError(PlantError):
@@ -109,7 +110,7 @@ class LastCycles:
     def __init__(self, folder: Path) -> None:
         versions()  # here, for a fault may come in real time
         self._folder = folder
-        self._rows: deque[bytes] = deque(maxlen=_KEPT)
+        self._rows: deque[_Cycle] = deque(maxlen=_KEPT)
         self.record: Callable[[bytes], object] | None = None
 
     def keep(self, frame: Frame, pose: Sequence[float], answer: _Answer, delay: float, latency: float) -> None:
@@ -122,14 +123,10 @@ class LastCycles:
             delay: Delay of the answer before, at the device [s].
             latency: Latency of the answer [s].
         """
-        report: StateReport = frame.body  # type: ignore[assignment]
-        held, pulsed, width = answer
-        six = *report.spots, *pose, *held, *(held if pulsed is None else pulsed), *report.currents, *report.temperatures
-        head = CYCLE, frame.sequence, report.state, report.faults, frame.time * 1e-9
-        cycle = PACK_CYCLE(*head, *six, width, delay, latency)
-        self._rows.append(cycle)
+        row = frame, pose, answer, delay, latency
+        self._rows.append(row)
         if self.record is not None:
-            self.record(cycle)
+            self.record(_packed(*row))
 
     def mark(self, faults: Fault, message: str, about: Mapping[str, Any]) -> bytes:
         """Record a fault, or why a flight ends; return the records of the kept cycles and of that.
@@ -142,7 +139,7 @@ class LastCycles:
         text = text_records({"fault": fault_names(faults), "text": message, **about})
         if self.record is not None:
             self.record(text)
-        return b"".join((*self._rows, text))
+        return b"".join((*starmap(_packed, self._rows), text))
 
     def write(self, records: bytes) -> Path | None:
         """Write records to a journal of their own.
@@ -160,6 +157,15 @@ class LastCycles:
                     folder.mkdir(parents=True, exist_ok=True)
                     return _write(folder, data)
         return None
+
+
+def _packed(frame: Frame, pose: Sequence[float], answer: _Answer, delay: float, latency: float) -> bytes:
+    """Return the record of a cycle, as `LastCycles.keep` has it."""
+    report: StateReport = frame.body  # type: ignore[assignment]
+    held, pulsed, width = answer
+    six = *report.spots, *pose, *held, *(held if pulsed is None else pulsed), *report.currents, *report.temperatures
+    head = CYCLE, frame.sequence, report.state, report.faults, frame.time * 1e-9
+    return PACK_CYCLE(*head, *six, width, delay, latency)
 
 
 def _write(folder: Path, data: bytes, now: Callable[[], float] = time.time) -> Path:
