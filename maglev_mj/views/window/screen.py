@@ -316,11 +316,12 @@ class Screen:
         below = font.wrapped(lower, area.width)[:room]
         some = (font.wrapped(upper[:count], area.width) for count in range(len(upper), -1, -1))
         above = next(rows for rows in some if len(rows) + len(below) <= room)
-        return [
-            (int(mujoco.mjtFont.mjFONT_NORMAL), int(grid), *("\n".join(column) for column in zip(*rows, strict=True)))
-            for rows, grid in ((above, grids.mjGRID_TOPLEFT), (below, grids.mjGRID_BOTTOMLEFT))
-            if rows
-        ]
+        texts: list[_Text] = []
+        for rows, grid in ((above, grids.mjGRID_TOPLEFT), (below, grids.mjGRID_BOTTOMLEFT)):
+            if rows:
+                names, values = ("\n".join(column) for column in zip(*rows, strict=True))
+                texts.append((int(mujoco.mjtFont.mjFONT_NORMAL), int(grid), names, values))
+        return texts
 
     def _banner_figures(self, snapshot: Snapshot, area: Area, font: Font) -> list[tuple[Area, Any]]:
         """Return the banner's strip and its lines, the first the heading; nothing while running normally."""

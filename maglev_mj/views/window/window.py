@@ -408,7 +408,7 @@ def _launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Callable[[
     engine: Any = viewer
     plain = engine._Simulate
 
-    class Simulation(plain):  # type: ignore[misc] # it has no types
+    class Simulation(engine._Simulate):  # type: ignore[misc] # it has no types
         """The engine's simulation, which lends us its mouse and may be closed while it loads a model.
 
         A load waits for the drawing thread, which a closed window has ended: to destroy the simulation then would wait
