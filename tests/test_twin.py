@@ -23,7 +23,7 @@ from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Control, Estop, EstopAck, Fault, Hello, Operation, State
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.cli.twin import _hand
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array
 from maglev_mj.plants import MuJoCoPlant, Timing
 from tests.impaired import ImpairedLine, Impairment
@@ -408,10 +408,11 @@ def test_a_second_session_in_lockstep_begins_with_a_new_sample() -> None:
     twin = Counted(TwinParameters(lockstep=True))
     link, digest = VirtualLink(twin, Line(0.001)), twin.parameters.calibration.digest
     for tick in range(2):
-        host = Connection(link, digest, None, 1.0)
-        frame = host.state(0.1)
-        assert frame is not None and frame.sequence == tick == twin.tick
-        assert host.state(0.1) is None and twin.tick == tick  # not answered: repeated, and the same is none newer
+        host = Connection(link, digest, None, 0.1)
+        assert host.state().sequence == tick == twin.tick
+        with pytest.raises(PlantError, match="no sample"):  # not answered: repeated, and the same is none newer
+            host.state()
+        assert twin.tick == tick
         assert host.codec.dropped["old"] >= 4
         assert host.control(Operation.BYE) is not None
 
@@ -419,10 +420,9 @@ def test_a_second_session_in_lockstep_begins_with_a_new_sample() -> None:
 def test_time_passes_in_lockstep_for_a_host_that_answers_at_once() -> None:
     twin = Counted(TwinParameters(lockstep=True))
     link = VirtualLink(twin)
-    host = Connection(link, twin.parameters.calibration.digest, None, 1.0)
+    host = Connection(link, twin.parameters.calibration.digest, None, 0.1)
     for tick in range(20):
-        frame = host.state(0.1)
-        assert frame is not None and frame.sequence == tick and link.time == tick * PERIOD
+        assert host.state().sequence == tick and link.time == tick * PERIOD
         host.command(CommandFrame(tick, 0, ZERO, ZERO, 0.0))
 
 

@@ -325,7 +325,7 @@ def _known_roots(
     """Return eigenvalues by mass, stiffness and damping; axes with the same share one computation."""
     known: dict[tuple[float, float, float], NDArray[Any]] = {}
     for mass in dict.fromkeys(body.tolist()):
-        pairs = [*{pair: None for axis in np.flatnonzero(body == mass) for pair in own[axis].values()}]
+        pairs = [*{pair: None for axis in np.flatnonzero(body == mass).tolist() for pair in own[axis].values()}]
         loop = SampledLoop(period=controller.period, delay=delay, mass=mass, velocity=controller.velocity)
         roots = np.linalg.eigvals(loop.matrix(*np.array(pairs).T))
         known |= {(mass, *pair): each for pair, each in zip(pairs, roots, strict=True)}
