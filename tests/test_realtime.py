@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge.connection import AnswerTiming
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.line import LoopTiming
 from maglev_mj.bridge.realtime import LatencyHistogram, RealtimeError, realtime
@@ -172,9 +173,9 @@ class Sampled:
     def __init__(
         self, tick: int, taken: int, came: int, answer: int, delay: float = math.nan, lockstep: bool = False
     ) -> None:
-        self.samples, self.transport = SimpleNamespace(tick=tick, time=taken), came - taken
-        self.answered_tick = tick - 1
-        self.answer_latency, self.newest_delay, self.lockstep = answer * 1e-9, delay, lockstep
+        self.samples = SimpleNamespace(tick=tick, time=taken)
+        self.answers = AnswerTiming(tick - 1, math.nan, delay, math.nan, came - taken)
+        self.answer_latency, self.lockstep = answer * 1e-9, lockstep
 
 
 def aged(late: Sequence[int], *, still: int = -1) -> list[float]:
@@ -197,7 +198,7 @@ def test_an_answer_that_is_no_longer_kept_says_nothing_of_the_line() -> None:
     for tick in range(70):
         late = 200_000 * (tick > 0)
         sample = Sampled(tick, 5_000_000 * tick, 5_000_000 * tick + 40_000 + late, 100_000, 0.0015)
-        sample.answered_tick = tick - 65
+        sample.answers = sample.answers._replace(answered_tick=tick - 65)
         timing.add(sample)  # type: ignore[arg-type]
     assert timing.newest_age == pytest.approx(3e-4)
 

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from maglev_mj import AXES, Bias, Hold, Law, Scene, largest_stable_stiffness, param, run
+from maglev_mj.spec import GRAVITY
 
 ROBOT = mujoco.MjModel.from_xml_string("""<mujoco><option timestep="1e-4" integrator="RK4"><flag warmstart="disable"/>
 </option><worldbody><geom type="box" size=".1 .1 .02" pos="0 0 -.04"/><body gravcomp="1"><geom size=".01" mass="1"/>
@@ -46,7 +47,7 @@ class Teleoperate(Scene):
     def laws(self):
         """Return the coupling, the weight, and a hold of the rotations."""
         hold = Hold.critically_damped(AXES[3:], period=self.period, delay=self.delay)
-        return [Coupling(self), Bias([0.0, 0.0, 9.81 * MASS, 0.0, 0.0, 0.0]), hold]
+        return [Coupling(self), Bias([0.0, 0.0, GRAVITY * MASS, 0.0, 0.0, 0.0]), hold]
 
     def scripted_hand(self, phase=0.0):
         """Return a hand that pushes down, by 3 N within half a second."""
