@@ -37,8 +37,8 @@ test-machine: $(READY)  ## run the tests with processes, sockets, clocks, window
 
 # numbers must not hang on the processor: OpenBLAS takes the kernel that it is told
 KERNELS := Prescott Nehalem Sandybridge Haswell SkylakeX
-NUMERIC := $(addprefix tests/test_,$(addsuffix .py,golden boundary stability stability_check bounds design linearise growth \
-  nonlinear_walls identification analysis analysis_identification))
+NUMERIC := tests/theory tests/analysis $(addprefix tests/,$(addsuffix .py,whole/test_golden scenes/test_stability_check \
+  studies/test_design studies/test_nonlinear_walls bridge/test_identification))
 PROBE := import numpy; many = numpy.random.default_rng(0).random((200, 200)); print(numpy.linalg.eigvals(many @ many).size)
 kernels: $(READY)  ## run the numeric tests once under each kernel of OpenBLAS that this processor can run
 	@failed=; for kernel in $(KERNELS); do \
@@ -53,7 +53,8 @@ FLOORS := build/floors
 LOWEST := import re, tomllib; project = tomllib.load(open("pyproject.toml", "rb"))["project"]; \
   lines = sum(project["optional-dependencies"].values(), project["dependencies"]); \
   print(*sorted({f"{found[1]}=={found[2]}" for found in map(re.compile(r"([\w-]+)[^;]*>=([\d.]+)").match, lines) if found}), sep="\n")
-TRIED := $(addprefix tests/test_,$(addsuffix .py,plants laws loop drop scenes recording recording_messages result charts cli web study design))
+TRIED := tests/control $(addprefix tests/,$(addsuffix .py,plants/test_plants scenes/test_drop scenes/test_scenes recording/test_recording \
+  recording/test_recording_messages cli/test_result studies/test_charts cli/test_cli views/test_web studies/test_study studies/test_design))
 # old packages stand on new ones of theirs, which warn of what is deprecated
 floors:  ## install the lowest versions that pyproject.toml allows; run the README's commands and a dozen test files
 	rm -rf $(FLOORS)

@@ -28,7 +28,7 @@ from maglev_mj.session.access import listen
 from maglev_mj.views.page.page import Door, page
 from maglev_mj.views.page.stage import FIELD, placed
 from maglev_mj.views.viewer_process import RemoteViewer
-from tests.browser import MISSING, chromium, on_screen
+from tests.views.browser import MISSING, chromium, on_screen
 
 RATES = 200.0, 1000.0
 NAP, BETWEEN = 0.001, 0.33

@@ -5,7 +5,7 @@
 
 Sliders draw nothing in a file: their outputs are left out. The students' versions are run too before outputs are
 stored, and nothing is if one stops with an error. A check fails where the code prints other text, or draws more or
-fewer pictures; that students' versions need no name of a solution is held by tests/test_lessons.py.
+fewer pictures; that students' versions need no name of a solution is held by tests/cli/test_lessons.py.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller
 from maglev_mj.spec import Spec
 from maglev_mj.versions import versions
-from tests.slow_lines import (
+from tests.bridge.slow_lines import (
     HAND_BEGINS,
     PUSHES,
     SHAPES,

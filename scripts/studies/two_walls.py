@@ -12,7 +12,7 @@ from maglev_mj.frames import Array, Mask
 from maglev_mj.pictures import SECOND, TITLE, name_curves, new_figure, save
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.versions import versions
-from tests.impacts import RATTLE, rattle
+from tests.theory.impacts import RATTLE, rattle
 
 options = script_options(__doc__, quick="one pulse, fewer gaps, delays and starts")
 pictures = options.pictures

@@ -22,8 +22,8 @@ from maglev_mj.studies.designed_wall import hum
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
 from maglev_mj.theory import largest_modulus, stiffest_wall
 from maglev_mj.versions import versions
-from tests.failures import corner, press_at_edge, random_delay_rate
-from tests.impacts import RATTLE, limited_drop, rattle
+from tests.theory.failures import corner, press_at_edge, random_delay_rate
+from tests.theory.impacts import RATTLE, limited_drop, rattle
 
 NAMES = "timing", "pulse", "limits", "hands"
 

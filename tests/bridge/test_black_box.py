@@ -1,0 +1,321 @@
+"""Last cycles of a device: written after faults and by recorded flights, and read back."""
+
+from __future__ import annotations
+
+import errno
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.bridge import fault as fault_module
+from maglev_mj.bridge.fault import DeviceFault, FaultRecord, LastCycles, load_fault
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.links import LinkError
+from maglev_mj.bridge.twin.fault_injection import InjectedFault
+from maglev_mj.bridge.wire import Fault, Operation, State
+from maglev_mj.errors import PlantError
+from maglev_mj.frames import Command
+from maglev_mj.recording import InvalidRecordingError, Recording, open_recording
+from maglev_mj.recording.journal import RECORD, open_journal
+from maglev_mj.scenes import find_scene
+from tests.bridge.test_bridge import CENTRE, Rig
+
+ROOT = Path(__file__).parents[2]
+HOST_DOWN = OSError(errno.EHOSTDOWN, "Host is down")
+
+
+def flown(folder: Path, kind: str = "dead-coil") -> tuple[Rig, DeviceFault]:
+    """Fly until a coil fails; return the fault."""
+    rig = Rig(faults=[InjectedFault(kind=kind, which=2, at=1.2)], host={"folder": folder})
+    rig.plant.takeoff()
+    with pytest.raises(DeviceFault) as caught:
+        rig.fly(2.0)
+    return rig, caught.value
+
+
+def test_a_file_of_last_cycles_holds_what_was_measured_and_when_it_was_answered(tmp_path: Path) -> None:
+    rig, error = flown(tmp_path)
+    assert error.path is not None
+    record = load_fault(error.path)
+    assert record.faults == record.first == "COIL_NOT_FOLLOWING" and record.message == "said by the device"
+    assert record.fault_time == pytest.approx(rig.twin.tick * 0.005) and record.period == 0.005
+    assert (record.tick, record.lost, record.skipped) == (rig.plant.samples.tick, 0, 0)
+    measured, held = record.six("measured"), record.six("held")
+    assert measured.shape == (200, 6) and (measured[-3:, 2] == 0.0).all() and (np.abs(held[-3:, 2]) > 1.0).all()
+    assert measured[1:-4] == pytest.approx(held[:-5], abs=1e-6)  # each sample measures the answer before
+    assert (np.diff(record.six("temperature")[:, 0]) > 0.0).all()
+    assert record.values["delay"][5:-3] == pytest.approx(0.0015) and (record.values["latency"] >= 0.0).all()
+    assert np.isfinite(record.six("pose")[:-1]).all() and np.diff(record.time) == pytest.approx(0.005)
+
+
+def test_the_first_fault_and_its_time_are_kept_when_others_follow(tmp_path: Path) -> None:
+    rig = Rig(pose=CENTRE, host={"folder": tmp_path})
+    rig.plant.arm()
+    rig.fly(0.5)
+    rig.plant.estop()
+    at = rig.plant.fault_time
+    rig.plant.trip(Fault.CLOCK)
+    with pytest.raises(DeviceFault) as caught:
+        rig.plant.read()
+    assert (rig.plant.first, rig.plant.fault_time) == (Fault.ESTOP, at) and at >= 0.5e9
+    assert caught.value.path is not None
+    record = load_fault(caught.value.path)
+    assert (record.first, record.faults) == ("ESTOP", "ESTOP CLOCK") and record.fault_time == pytest.approx(at * 1e-9)
+
+
+def test_latency_is_from_the_samples_arrival_to_its_answer(tmp_path: Path) -> None:
+    rig = Rig(pose=CENTRE, host={"folder": tmp_path})
+    rig.plant.arm()
+    for _ in range(3):
+        rig.plant.read()
+        rig.link.time += 1_250_000  # the program's own time
+        rig.plant.write(Command([0.0] * 6))
+    assert rig.plant.answer_latency == pytest.approx(1.25e-3)
+
+
+ABOUT: dict[str, Any] = {"first": "CLOCK", "tick": 1, "lost": 0, "skipped": 0, "period_ns": 5, "fault_time_ns": 0}
+
+
+def boxed(folder: Path, message: str = "a test", **about: Any) -> Path:
+    """Write a journal of no cycle and a fault."""
+    kept = LastCycles(folder)
+    path = kept.write(kept.mark(Fault.CLOCK, message, ABOUT | about))
+    assert path is not None
+    return path
+
+
+BROKEN: list[tuple[str, Any]] = [
+    ("it is not a journal$", b"\xff\xfe"),
+    (
+        "but a black box: only the version of maglev_mj that wrote it reads it",
+        b'{"format": "maglev_mj fault 2"}',
+    ),
+    ("it ends within its header", b'{"offset": 4096, "format": "maglev_mj journal"'),
+    ("first must be a text, not None", {"first": None}),
+    ("tick must be", {"tick": "x"}),
+    ("lost must be", {"lost": 0.5}),
+    ("period_ns must be a finite number at least 1 and .*, not 0", {"period_ns": 0}),
+    ("fault_time_ns must be", {"fault_time_ns": []}),
+    ("cannot be read: No such file", None),
+]
+
+
+@pytest.mark.parametrize(("says", "wrong"), BROKEN)
+def test_what_holds_no_last_cycles_is_one_line(says: str, wrong: Any, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.maglev"
+    if isinstance(wrong, bytes):
+        path.write_bytes(wrong)
+    elif isinstance(wrong, dict):
+        boxed(tmp_path, **wrong).rename(path)
+    with pytest.raises(InvalidRecordingError, match=says) as caught:
+        load_fault(path)
+    assert "wrong.maglev" in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_recording_without_cycles_and_a_changed_bit_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidRecordingError, match="it holds no cycles of a device, which only flights have"):
+        load_fault(ROOT / "tests/golden/recordings/drop-exact.maglev")
+    path = flown(tmp_path)[1].path
+    assert path is not None
+    data = bytearray(path.read_bytes())
+    data[4096 + 100 * RECORD.itemsize + 50] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(InvalidRecordingError, match="the checksum of records 0 to "):
+        load_fault(path)
+
+
+def test_a_file_without_a_cycle_is_read_and_drawn(tmp_path: Path) -> None:
+    record = load_fault(boxed(tmp_path, "at\x1b[2J once"))
+    assert record.time.shape == (0,) and record.six("pose").shape == (0, 6)
+    said = str(record.table())
+    assert "\x1b" not in said and said.startswith("at\\x1b[2J once\n") and not record.table().rows
+    record.plot(tmp_path / "empty.png")
+
+
+def test_numpy_alone_reads_the_cycles(tmp_path: Path) -> None:
+    path = flown(tmp_path)[1].path
+    assert path is not None
+    with path.open("rb") as file:
+        header = json.loads(file.readline())
+    records = np.fromfile(path, np.dtype(header["dtype"]), offset=header["offset"])
+    cycles = records[records["kind"] == 4].view(np.dtype(header["cycle"]))
+    record = load_fault(path)
+    assert (cycles["measured"] == record.six("measured")).all() and len(cycles) == 200
+    assert (cycles["state"] == record.values["state"]).all() and cycles["time"][-1] == record.values["time"][-1]
+    assert cycles.dtype.itemsize == RECORD.itemsize
+
+
+def recorded(folder: Path, law: Any = None, hurt: bool = False) -> tuple[Path, Path | None]:
+    """Fly with a recording; return it, and the file of a fault."""
+    rig = Rig(faults=[InjectedFault(kind="dead-coil", which=2, at=2.2)] if hurt else [], host={"folder": folder})
+    scene = find_scene("joystick")().replace(period=rig.plant.period, delay=rig.plant.delay)
+    file = open_recording(folder / "run.maglev")
+    flight = Flight(rig.plant, scene, file=file)
+    if law is not None:
+        flight._power = law
+    try:
+        path = flight.run(2.0).landing.path
+    except DeviceFault as error:
+        path = error.path
+    assert rig.plant.cycles.record is None
+    file.close()
+    return folder / "run.maglev", path
+
+
+def test_the_recording_of_a_flight_holds_what_the_file_of_its_fault_does(tmp_path: Path) -> None:
+    run, path = recorded(tmp_path, hurt=True)
+    assert path is not None
+    one, other = load_fault(run), load_fault(path)
+    assert str(one.table(whole=True)) == str(other.table(whole=True)) and len(one.time) == 200
+    assert one.message == "said by the device" and one.faults == "COIL_NOT_FOLLOWING"
+    assert all(np.array_equal(one.values[name], other.values[name], equal_nan=True) for name in other.values)
+    recording = Recording.load(run)  # which skips the cycles
+    assert recording.ticks and not recording.damage
+
+
+def test_a_flight_that_a_guard_lands_keeps_the_cycles_before_its_landing(tmp_path: Path) -> None:
+    class Alarmed:
+        """Guard that ends the flight after a while."""
+
+        ticks = 0
+
+        def check(self, *_: Any) -> str:
+            self.ticks += 1
+            return "for a test" if self.ticks > 250 else ""
+
+    run, path = recorded(tmp_path, Alarmed())
+    assert path is not None
+    one, other = load_fault(run), load_fault(path)
+    assert str(one.table(whole=True)) == str(other.table(whole=True))
+    assert one.message == "for a test" and one.tick == one.values["sample"][-1]
+    journal = open_journal(run)
+    later = journal.cycles(len(journal.records), 1)["tick"][0]
+    assert later > one.tick  # the landing is in the recording too
+
+
+def test_a_flight_without_a_fault_shows_its_last_cycles(tmp_path: Path) -> None:
+    run, path = recorded(tmp_path)
+    record = load_fault(run)
+    assert path is None and record.faults == record.first == "none" and np.isnan(record.fault_time)
+    assert record.message == "no fault is recorded: the last cycles" and record.period == pytest.approx(0.005)
+    assert record.lost == 0 and record.tick == record.values["sample"][-1] and len(record.time) == 200
+    assert not list(tmp_path.glob("fault-*"))
+
+
+def test_the_table_says_what_when_and_the_last_cycles(tmp_path: Path) -> None:
+    rig, error = flown(tmp_path)
+    assert error.path is not None
+    record = load_fault(error.path)
+    table = record.table(whole=True)
+    first = f"first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s of the device's clock"
+    assert f"faults COIL_NOT_FOLLOWING; {first}" in table.note.splitlines()
+    assert table.title == record.message and "COIL_NOT_FOLLOWING: a measured current" in table.note
+    assert f", fault from sample {rig.plant.samples.tick} on" in table.note and "active from sample " in table.note
+    assert [row[0] for row in (table.rows[-2], table.rows[-1])] == ["-5.0", "0.0"] and len(table.rows) == 200
+    assert "the last 20 of 200 cycles" in record.table().note and len(record.table().rows) == 20
+    lines = str(table).splitlines()
+    assert max(map(len, lines)) <= 80 and sum(line.split()[:2] == ["time", "x"] for line in lines) == 1
+    picture = record.plot(tmp_path / "fault.png")
+    assert picture.stat().st_size > 20_000
+
+
+def test_a_pulse_is_commanded_too_while_it_has_a_width(tmp_path: Path) -> None:
+    record = load_fault(flown(tmp_path)[1].path or "")
+    values = {name: column.copy() for name, column in record.values.items()}
+    values["pulsed3"][-3:], values["width"][-3:] = [-7.5, 0.25, -7.5], [0.003, 0.003, 0.0]
+    shown = [row[7] for row in replace(record, values=values).table().rows]
+    held = [f"{value:.2f}" for value in np.abs(record.six("held")).max(axis=-1)[-3:]]
+    assert shown[-3:] == ["7.50", *held[1:]]
+
+
+class Full:
+    """Folder on a full disk: files begin, and end early."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, only: Path | None = None) -> None:
+        real = Path.open
+
+        def opened(path: Path, mode: str = "r", **keywords: Any) -> Any:
+            file = real(path, mode, **keywords)
+            if mode == "xb" and (only is None or path.parent == only):
+
+                def fails(data: bytes) -> int:
+                    raise OSError(errno.ENOSPC, "No space left on device")
+
+                file.write = fails  # type: ignore[method-assign, assignment]
+            return file
+
+        monkeypatch.setattr(Path, "open", opened)
+
+
+def test_a_full_disk_leaves_no_half_file_and_the_fault_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    own, temporary = tmp_path / "own", tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
+    Full(monkeypatch, own)
+    _, error = flown(own)
+    assert error.path is not None and error.path.parent == temporary and not list(own.iterdir())
+    Full(monkeypatch)
+    _, error = flown(own)
+    assert error.path is None and error.faults == Fault.COIL_NOT_FOLLOWING and not list(own.iterdir())
+
+
+@pytest.mark.parametrize("name", ["text_records", "header"])
+def test_whatever_fails_in_writing_the_fault_is_told(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: Any, **__: Any) -> Any:
+        raise ValueError("oh")
+
+    monkeypatch.setattr(fault_module, name, fails)
+    rig, error = flown(tmp_path)
+    assert error.path is None and rig.twin.firmware.state == State.FAULT
+
+
+@pytest.mark.parametrize("kind", [LinkError("the line is gone"), HOST_DOWN, RuntimeError("oh")])
+@pytest.mark.parametrize("where", ["send", "receive"])
+def test_a_line_that_fails_in_any_way_leaves_its_last_cycles_and_is_closed(
+    where: str, kind: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(pose=CENTRE, host={"folder": tmp_path})
+    closed: list[int] = []
+    monkeypatch.setattr(rig.link, "close", lambda: closed.append(1))
+
+    def fails(_: Any) -> Any:
+        raise kind
+
+    with pytest.raises(DeviceFault, match="HOST: "), rig.plant:
+        rig.plant.arm()
+        rig.fly(0.5)
+        monkeypatch.setattr(rig.link, where, fails)
+        rig.fly(0.5)
+    assert closed == [1] and len(list(tmp_path.glob("fault-*.maglev"))) == 1
+    assert isinstance(load_fault(next(tmp_path.iterdir())), FaultRecord)
+    for _ in range(15):
+        rig.twin.sample()
+    assert rig.currents() == [0.0] * 6
+    rig.plant.close()
+    assert closed == [1]
+
+
+@pytest.mark.parametrize("kind", [LinkError("gone"), OSError("gone"), KeyboardInterrupt()])
+def test_an_error_within_close_still_closes_the_line_once(kind: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, closed = Rig(), []
+
+    def fails(operation: Operation) -> Any:
+        raise kind
+
+    monkeypatch.setattr(rig.plant._line, "control", fails)
+    monkeypatch.setattr(rig.link, "close", lambda: closed.append(1))
+    if isinstance(kind, KeyboardInterrupt):
+        with pytest.raises(KeyboardInterrupt):
+            rig.plant.close()
+    else:
+        rig.plant.close()
+    rig.plant.close()
+    assert closed == [1]
+    with pytest.raises(PlantError, match="the plant is closed"):
+        rig.plant.read()

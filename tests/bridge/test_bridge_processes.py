@@ -1,0 +1,320 @@
+"""Host and device as two processes over real sockets.
+
+In lockstep, and after the death of one.
+"""
+
+import json
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+
+from maglev_mj import MuJoCoPlant, Timing, drive
+from maglev_mj.bridge import Calibration, Fault, HostLimits, RemotePlant, State, Twin, TwinParameters, open_link
+from maglev_mj.bridge.connection import Connection
+from maglev_mj.bridge.fault import load_fault
+from maglev_mj.bridge.line import measure_line
+from maglev_mj.bridge.links import UdpLink, UdpServer
+from maglev_mj.bridge.realtime import RealtimeError, realtime
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import TwinServer
+from maglev_mj.bridge.wire import StateReport
+from maglev_mj.cli import bridge
+from maglev_mj.control.loop import Plant
+from maglev_mj.plants import SpotSensor
+from maglev_mj.recording import Recording, RecordingError
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.rooms import Table
+from tests.bridge.impaired import Impairment
+from tests.bridge.udp_proxy import UdpProxy
+from tests.processes import ADDRESS, PATIENCE, Program, ended, running, said_by, started, twin
+from tests.recorded import command_row
+
+NEAR, FAR = "udp://127.0.0.1:0", "udp://127.0.0.1:1"
+
+LOCKSTEP = """
+import sys
+from maglev_mj.bridge import Twin, TwinParameters
+from maglev_mj.bridge.links import UdpServer
+from maglev_mj.bridge.twin.twin import TwinServer
+pose = [float(part) for part in sys.argv[1].split()]
+twin = Twin(TwinParameters(lockstep=True, pose=pose, seed=5))
+server = TwinServer(twin, UdpServer("127.0.0.1", 0))
+print("udp://{}:{}".format(*server.address), flush=True)
+server.run(60.0)
+"""
+
+
+@contextmanager
+def flown(address: str, folder: Path, *options: str) -> Iterator[Program]:
+    """Fly a device; yield once it is in the air, with samples in `run.maglev`."""
+    record = folder / "run.maglev"
+    with started("bridge", address, "--anyway", "--record", str(record), "--out", str(folder), *options) as host:
+
+        def in_flight() -> bool:
+            assert host.child.poll() is None, host.output + host.errors
+            with suppress(OSError, RecordingError):  # not begun yet
+                return Recording.load(record).ticks > 0
+            return False
+
+        waited(in_flight)
+        yield host
+
+
+def waited(so: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not so():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.1)
+
+
+def looked_at(address: str) -> StateReport:
+    """Return a device's answer to any host."""
+    with closing(Connection(open_link(address), Calibration.nominal().digest, None, PATIENCE)) as line:
+        frame = line.state()
+        assert isinstance(frame.body, StateReport)
+        return frame.body
+
+
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch) -> Twin:
+    """Return a twin in virtual time, which the commands of this process open."""
+    twin = Twin(TwinParameters(), draw=lambda: 7)
+    links = [VirtualLink(twin)]
+
+    def opened(_address: str, _key: object, calibration: Calibration, limits: HostLimits, out: Path) -> RemotePlant:
+        before, link = links[-1], VirtualLink(twin)
+        link.time = before.time + 1_000_000_000  # a flotor that was dropped lies
+        while before.time < link.time:
+            before.receive(0.1)
+        links.append(link)
+        return RemotePlant(links[-1], calibration=calibration, limits=limits, folder=out)
+
+    monkeypatch.setattr(bridge, "_opened", opened)
+    monkeypatch.setattr(bridge, "measure_line", lambda plant: measure_line(plant, 0.2))
+    monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
+    return twin
+
+
+def rows(plant: Plant, scene: Scene) -> np.ndarray:
+    seen: list[tuple[float, ...]] = []
+    drive(plant, scene.controller(), 400, observe=lambda s, c: seen.append((*s.position, *command_row(c))))
+    return np.array(seen)
+
+
+DROP = Drop(), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)
+STICK_SLIP = Table(), (0.001, 0.0, 0.0, 0.0, 0.01, 0.0)
+
+
+LINES = [
+    pytest.param(*DROP, 0.03, id="drop-0.03"),
+    pytest.param(*STICK_SLIP, 0.0, id="stick-slip-0.0"),
+    pytest.param(*DROP, 0.0, id="drop-0.0", marks=pytest.mark.study),
+    pytest.param(*STICK_SLIP, 0.03, id="stick-slip-0.03", marks=pytest.mark.study),
+]
+
+
+def local(pose: tuple[float, ...]) -> Plant:
+    """Return the plant of a twin with seed 5."""
+    sensor = SpotSensor(quantum=8e-7, noise=4e-7, seed=5)
+    return MuJoCoPlant(Timing(), pose=pose, current_limit=10.0, sensor=sensor, stops=True, stop_damping=True)
+
+
+@pytest.mark.machine
+@pytest.mark.parametrize(("scene", "pose", "loss"), LINES)
+def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
+    scene: Scene, pose: tuple[float, ...], loss: float
+) -> None:
+    with running(sys.executable, "-c", LOCKSTEP, " ".join(map(str, pose))) as device:
+        address = device.wait_for(ADDRESS)
+        host, port = address.removeprefix("udp://").split(":")
+        with UdpProxy((host, int(port)), Impairment(loss=loss, duplicate=loss, seed=1)) as proxy:
+            place, number = proxy.address
+            with RemotePlant(open_link(f"udp://{place}:{number}"), patience=PATIENCE) as plant:
+                plant.arm()
+                np.testing.assert_array_equal(rows(plant, scene), rows(local(pose), scene))
+
+
+def assert_runs_again(path: Path) -> None:
+    """Assert that the commands of a recording follow from its samples, and that one bit more is found."""
+    status, said = said_by("replay", str(path), "--check")
+    assert status == 0 and re.search(r"(\d+) of \1 the same: command, pulse, pulse_width\n", said), said
+    (stretch,) = Recording.load(path).stretches
+    row = len(stretch) // 2
+    stretch.command[row, 2] = np.nextafter(stretch.command[row, 2], 1e3)
+    other = path.with_name("other.maglev")
+    Recording([stretch]).save(other)
+    status, said = said_by("replay", str(other), "--check")
+    assert status == 1 and "tick" in said
+
+
+def test_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(device: Twin, tmp_path: Path) -> None:
+    record = tmp_path / "run.maglev"
+    status, said = said_by("bridge", FAR, "--seconds", "1", "--friction", "--record", str(record))
+    assert status == 0 and "200 samples, 0 lost, 0 skipped" in said and "at rest" in said, said
+    assert (device.firmware.state, device.firmware.faults) == (State.INACTIVE, Fault(0))
+    assert_runs_again(record)
+
+
+@pytest.mark.machine
+def test_in_real_time_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(tmp_path: Path) -> None:
+    record = tmp_path / "run.maglev"
+    with twin("--watchdog", "1") as (device, address):
+        status, said = said_by("bridge", address, "--anyway", "--seconds", "1", "--friction", "--record", str(record))
+        assert status == 0, said
+        status, said = ended(device)
+    assert status == 0 and "inactive, faults: none" in said
+    assert re.search(r"late by .* median, \S+ ms at 99 %", said)  # by how much is the machine's affair
+    assert_runs_again(record)
+
+
+@pytest.mark.machine
+def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(tmp_path: Path) -> None:
+    with twin("--watchdog", "1") as (device, address):
+        with flown(address, tmp_path) as host:
+            host.child.kill()
+        # it says that the old host is still there until it has been silent for a second
+        waited(lambda: looked_at(address).state == State.FAULT)
+        report = looked_at(address)
+        assert (report.state, report.faults, report.currents) == (State.FAULT, Fault.WATCHDOG, (0.0,) * 6)
+        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5", "--out", str(tmp_path))
+        assert status == 1 and "no takeoff: the device is FAULT, faults WATCHDOG" in said
+        assert "fault, faults: WATCHDOG" in ended(device)[1]
+
+
+@pytest.mark.machine
+@pytest.mark.study
+def test_a_host_that_is_stopped_finds_the_watchdogs_fault_when_it_goes_on(tmp_path: Path) -> None:
+    with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
+        host.child.send_signal(signal.SIGSTOP)
+        time.sleep(2.0)  # longer than the watchdog
+        host.child.send_signal(signal.SIGCONT)
+        status, said = ended(host, None)
+        assert status == 1 and "WATCHDOG" in said
+        (last,) = tmp_path.glob("fault-*.maglev")
+        assert load_fault(last).time.size == 200
+        assert "fault, faults: WATCHDOG" in ended(device)[1]
+
+
+@pytest.mark.machine
+def test_a_device_that_is_gone_is_a_fault_of_the_host_and_the_recording_is_kept(tmp_path: Path) -> None:
+    with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
+        device.child.kill()
+        status, said = ended(host, None)
+        assert status == 1 and "HOST: no sample from the device within 1 s" in said
+        assert Recording.load(tmp_path / "run.maglev").ticks > 0
+
+
+@pytest.mark.machine
+@pytest.mark.study
+def test_a_second_host_is_turned_away_and_the_first_flies_on_until_ctrl_c(tmp_path: Path) -> None:
+    with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
+        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5")
+        assert status == 1 and "another host has the device" in said
+        status, said = ended(host, signal.SIGINT)
+        assert status == 0, said
+        assert Recording.load(tmp_path / "run.maglev").ticks > 0
+        assert "inactive, faults: none" in ended(device)[1]
+
+
+def _key(path: Path, byte: str) -> list[str]:
+    path.write_text(byte * 32 + "\n")
+    path.chmod(0o600)
+    return ["--key", str(path)]
+
+
+@pytest.mark.machine
+def test_a_host_needs_the_devices_key(tmp_path: Path) -> None:
+    key, other = _key(tmp_path / "key", "a7"), _key(tmp_path / "other", "b8")
+    with twin("--watchdog", "1", *key) as (device, address):
+        for wrong, reason in (([], "no device answered"), (other, "no device answered")):
+            status, said = said_by("bridge", address, "--anyway", "--seconds", "0.2", *wrong)
+            assert status == 1 and reason in said
+        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.2", *key)
+        assert status == 0, said
+        assert re.search(r"frames ignored: .*for length.*for tag", ended(device)[1])
+
+
+@pytest.mark.machine
+def test_a_flight_over_a_serial_line(tmp_path: Path) -> None:
+    with twin("--watchdog", "1", listen="pty") as (device, address):
+        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5")
+        assert status == 0, said
+        assert "inactive, faults: none" in ended(device)[1]
+
+
+@pytest.mark.machine
+def test_a_twin_too_slow_for_its_rate_is_late_but_not_deaf() -> None:
+    server = TwinServer(Twin(TwinParameters()), UdpServer("127.0.0.1", 0))
+    thread = threading.Thread(target=server.run, kwargs={"each": lambda: time.sleep(0.01)})  # of a period of 5 ms
+    with closing(server):
+        thread.start()
+        try:
+            with RemotePlant(UdpLink(*server.address), patience=PATIENCE) as plant:
+                plant.arm()
+                plant.estop()
+            assert server.twin.firmware.faults == Fault.ESTOP
+        finally:
+            server.stop()
+            thread.join()
+
+
+@pytest.mark.machine
+def test_real_time_is_enforced_where_the_system_permits_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ("twin", "--listen", NEAR, "--seconds", "0.1", "--realtime", "enforce")
+    try:
+        with realtime("enforce"):
+            permitted = True
+    except RealtimeError:
+        permitted = False
+    assert said_by(*arguments)[0] == (0 if permitted else 1)
+
+    def refuse(*_: Any) -> NoReturn:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    status, said = said_by(*arguments)
+    assert status == 1 and re.search(r"no real time: .*SCHED_FIFO.*not permitted", said)
+    assert said_by(*arguments[:-1], "ignore")[0] == 0
+
+
+def test_the_hosts_limits_hold_in_flight_and_options_go_before_the_profile(device: Twin, tmp_path: Path) -> None:
+    profile = tmp_path / "careful.json"
+    profile.write_text(json.dumps({"max_current": 4.0, "speed_limit": 0.001}))
+    arguments = ("bridge", FAR, "--seconds", "0.3", "--out", str(tmp_path), "--profile", str(profile))
+    status, said = said_by(*arguments)
+    assert status == 1 and "FLOTOR_OVERSPEED" in said
+    status, said = said_by("bridge", FAR, "--reset")
+    assert status == 0, said
+    status, said = said_by(*arguments, "--speed-limit", "0.6")
+    assert status == 0 and "at rest" in said, said
+    assert (device.firmware.state, device.firmware.faults) == (State.INACTIVE, Fault(0))
+
+
+def test_help_says_what_ends_a_flight() -> None:
+    status, said = said_by("bridge", "--help")
+    assert status == 0
+    for words in ("Ctrl-C twice", "SIGTERM, SIGHUP", "2 s later", "Esc in the window", "maglev-mj estop ADDRESS"):
+        assert words in said
+    for option in ("max-current", "force-limit", "torque-limit", "envelope", "speed-limit", "profile", "reset"):
+        assert f"--{option}" in said
+
+
+@pytest.mark.machine
+def test_where_no_device_answers_that_is_said_in_one_line() -> None:
+    for arguments, words in (
+        (("estop", "udp://127.0.0.1:9"), "not confirmed: cut the power (no answer within 1"),
+        (("bridge", "udp://127.0.0.1:9"), "udp://127.0.0.1:9: no device answered within 1 s"),
+    ):
+        status, said = said_by(*arguments)
+        assert status == 1 and words in said and said.count("\n") == 1, said

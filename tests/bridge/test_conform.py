@@ -1,0 +1,612 @@
+"""Conformance checks pass a correct device and find missing guards."""
+
+from __future__ import annotations
+import __future__ as future
+
+import inspect
+import json
+import re
+import sys
+import textwrap
+import threading
+from collections.abc import Callable, Container, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.conformance import CheckResult, checks, conform
+from maglev_mj.bridge.conformance.check import CHECKS
+from maglev_mj.bridge.fault import HandshakeError
+from maglev_mj.bridge.links import PtyServer, SerialLink, Server, UdpLink, UdpServer
+from maglev_mj.bridge.safety import Limits, Profile, ThermalModel, command_fault
+from maglev_mj.bridge.twin import firmware, twin
+from maglev_mj.bridge.twin.firmware import Firmware
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import AmplifierBoard, Twin, TwinParameters, TwinServer
+from maglev_mj.bridge.wire import Codec, Fault, State
+from maglev_mj.cli import main
+from maglev_mj.errors import PlantError
+from tests.bridge.firmware_core import FIRMWARE
+
+KEY = bytes(range(32))
+TAGS = {"no-tag", "tag"}
+PARTS = 5
+"""Parts of a complete test, each a test of its own."""
+
+
+class Mortal(Twin):
+    """Twin that is silent after an error of its program."""
+
+    alive = True
+
+    def receive(self, data: bytes, now: int, peer: Any) -> bytes | None:
+        return self._lived(lambda: super(Mortal, self).receive(data, now, peer))
+
+    def sample(self) -> bytes | None:
+        tick = self.tick
+        frame = self._lived(super().sample)
+        self.tick = tick + 1
+        return frame
+
+    def _lived(self, step: Callable[[], bytes | None]) -> bytes | None:
+        try:
+            return step() if self.alive else None
+        except Exception:
+            self.alive = False
+            return None
+
+
+class Elsewhere:
+    """Second address of the host, in virtual time."""
+
+    def __init__(self, device: Twin, link: VirtualLink) -> None:
+        self._device, self._link = device, link
+        self._arrived: list[bytes] = []
+
+    def send(self, data: bytes) -> None:
+        parameters = self._device.parameters
+        # in lockstep the device's clock stands at its last sample
+        now = max(self._device.tick, 0) * parameters.profile.period if parameters.lockstep else self._link.now()
+        answer = self._device.receive(data, now, "elsewhere")
+        self._arrived += [answer] if answer is not None else []
+
+    def receive(self, timeout: float) -> bytes | None:
+        return self._arrived.pop(0) if self._arrived else None
+
+    def now(self) -> int:
+        return self._link.now()
+
+    def close(self) -> None:
+        pass
+
+
+def results_of(
+    *, key: bytes | None = None, only: Sequence[str] | None = None, **parameters: Any
+) -> dict[str, CheckResult]:
+    """Test a twin in virtual time; return results by name."""
+    device = Mortal(TwinParameters(**parameters), key=key)
+    link = VirtualLink(device)
+    results = conform([link, Elsewhere(device, link)], key=key, only=only)
+    if all(one.passed is not False for one in results):
+        assert (device.firmware.state, device.firmware.session) == (State.INACTIVE, 0)
+    return {one.name: one for one in results}
+
+
+def names(results: dict[str, CheckResult], passed: bool | None) -> set[str]:
+    return {name for name, one in results.items() if one.passed is passed}
+
+
+@pytest.mark.parametrize("part", range(PARTS))
+def test_a_twin_passes(part: int) -> None:
+    results = results_of(only=[*CHECKS][part::PARTS])
+    assert list(results) == [*checks()][part::PARTS]
+    assert not names(results, False) and names(results, None) <= {"lockstep"} | TAGS
+
+
+@pytest.mark.parametrize(
+    ("language", "key"),
+    [
+        pytest.param("c", KEY, id="c-keyed", marks=pytest.mark.needs("compiler")),
+        pytest.param("python", None, id="python-keyless", marks=pytest.mark.study),
+        pytest.param("python", KEY, id="python-keyed", marks=pytest.mark.study),
+        pytest.param("c", None, id="c-keyless", marks=[pytest.mark.study, pytest.mark.needs("compiler")]),
+    ],
+)
+def test_devices_pass(language: str, key: bytes | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(twin, "Firmware", FIRMWARE[language])
+    results = results_of(key=key)
+    assert not [one for one in results.values() if one.passed is False]
+    assert names(results, None) == {"lockstep"} | (set() if key else TAGS)
+    assert list(results) == list(checks())
+
+
+LEFT_OUT = "needs real time, and this device is in lockstep"
+TIMED = [name for name, one in CHECKS.items() if one.real_time] + ["hover", "flight-silence"]
+
+
+@pytest.mark.parametrize(
+    ("only", "rate"),
+    [
+        *(pytest.param(TIMED[part::2], 100, id=f"timed-100-{part}") for part in range(2)),
+        *(pytest.param(TIMED, rate, id=f"timed-{rate}", marks=pytest.mark.study) for rate in (100, 1000)),
+        *(pytest.param(None, rate, id=f"all-{rate}", marks=pytest.mark.study) for rate in (100, 1000)),
+    ],
+)
+def test_it_passes_at_other_rates(only: list[str] | None, rate: int) -> None:
+    results = results_of(period=1.0 / rate, delay=0.0003, only=only)
+    assert not [one for one in results.values() if one.passed is False]
+
+
+@contextmanager
+def served(line: Callable[[], Server] = lambda: UdpServer("127.0.0.1", 0), **parameters: Any) -> Iterator[TwinServer]:
+    """Serve a twin in a thread, over UDP by default."""
+    server = TwinServer(Twin(TwinParameters(**parameters)), line())
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        yield server
+    finally:
+        server.stop()
+        thread.join()
+        server.close()
+
+
+def keep_checks(monkeypatch: pytest.MonkeyPatch, kept: Container[str]) -> None:
+    """Leave the other checks out."""
+    for name in set(CHECKS):
+        if name not in kept:
+            monkeypatch.delitem(CHECKS, name)
+
+
+@pytest.mark.parametrize("part", range(PARTS))
+def test_a_twin_in_lockstep_passes(part: int) -> None:
+    results = results_of(lockstep=True, only=[name for name in CHECKS if name not in TIMED][part::PARTS])
+    assert results and not names(results, False) and names(results, None) <= TAGS
+
+
+def test_in_lockstep_what_needs_real_time_is_left_out() -> None:
+    results = results_of(lockstep=True, only=TIMED)
+    assert {one.seen for one in results.values() if not one.passed} == {LEFT_OUT}
+    assert names(results, True) == {"hover"} and names(results, None) == {*TIMED} - {"hover"}
+
+
+@pytest.mark.machine
+@pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.study)], ids=["some", "all"])
+def test_lockstep_leaves_out_what_needs_real_time(step: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    keep_checks(monkeypatch, [*TIMED, *TAGS, "lockstep", *[*CHECKS][::step]])
+    with served(lockstep=True) as server:
+        links = [UdpLink(*server.address) for _ in range(2)]
+        results = {one.name: one for one in conform(links)}
+        for link in links:
+            link.close()
+    assert not [one for one in results.values() if one.passed is False]
+    skipped = [one for one in results.values() if one.passed is None and one.name not in TAGS]
+    assert {one.seen for one in skipped} == {LEFT_OUT} and len(skipped) == 9
+    assert results["lockstep"].passed
+
+
+@contextmanager
+def virtual() -> Iterator[str]:
+    """Serve a twin in virtual time to commands of this process."""
+    device = Mortal(TwinParameters())
+    link = VirtualLink(device)
+    ends = iter([link, Elsewhere(device, link)])
+    with patch("maglev_mj.bridge.links.open_link", lambda *_: next(ends)):
+        yield "udp://127.0.0.1:1"
+
+
+@contextmanager
+def over_udp() -> Iterator[str]:
+    """Serve a twin in real time."""
+    with served() as server:
+        yield f"udp://127.0.0.1:{server.address[1]}"
+
+
+@pytest.mark.parametrize(
+    ("where", "step"),
+    [
+        pytest.param(virtual, 5, id="virtual time"),
+        pytest.param(over_udp, 5, id="UDP", marks=pytest.mark.machine),
+        pytest.param(over_udp, 1, id="all over UDP", marks=[pytest.mark.machine, pytest.mark.study]),
+    ],
+)
+def test_the_command_says_what_it_has_checked(
+    where: Callable[[], AbstractContextManager[str]],
+    step: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    skipped = [name for name, one in CHECKS.items() if one.flight or one.keyed or one.lockstep]
+    keep_checks(monkeypatch, [*skipped, *[*CHECKS][::step]])
+    path = tmp_path / "report.json"
+    with where() as address:
+        status = main(["conform", address, "--no-flight", "--json", str(path)])
+    report, lines = json.loads(path.read_text()), capsys.readouterr().out.splitlines()
+    # a machine that stalls is no fault of the device
+    failed = [line for line in lines if line.startswith("  FAIL")]
+    late = [one for one in report["checks"] if one["passed"] is False and one["seen"].endswith("STATEs were read late")]
+    assert len(failed) == len(late) and status == bool(failed) and not (failed and where is virtual), failed
+    assert report["format"] == "maglev_mj conformance 1" and report["address"] == address
+    assert [one["name"] for one in report["checks"]] == list(checks())
+    flights = sum(text.startswith("in flight") for text in checks().values())
+    assert report["counts"] == {
+        "pass": len(checks()) - flights - 3 - len(failed),
+        "FAIL": len(failed),
+        "skip": flights + 3,
+    }
+    assert lines[-1] == "  " + ", ".join(f"{count} {word}" for word, count in report["counts"].items())
+    words = {True: "pass", False: "FAIL", None: "skip"}
+    told = [f"{words[one['passed']]} {one['name']}: {one['expected']}; {one['seen']}" for one in report["checks"]]
+    assert " ".join(" ".join(lines[:-1]).split()) == " ".join(" ".join(told).split())
+    assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize("step", [5, pytest.param(1, marks=pytest.mark.study)], ids=["some", "all"])
+def test_the_command_fails_where_a_check_does(
+    step: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    without(monkeypatch, F, "_reset", ("self.state == State.ACTIVE or ", ""))
+    keep_checks(monkeypatch, ["operations", *[*CHECKS][::step]])
+    with virtual() as address:
+        assert main(["conform", address, "--no-flight"]) == 1
+    failed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  FAIL")]
+    assert len(failed) == 1 and failed[0].startswith("  FAIL  operations: "), failed
+
+
+@pytest.mark.machine
+def test_a_serial_line_skips_what_needs_two_peers() -> None:
+    with served(PtyServer, lockstep=True) as server:
+        link = SerialLink(server.address[0], 921_600)
+        results = conform([link], only=["busy", "operations", "hover", "address", "estop-elsewhere"])
+        link.close()
+    assert [one.passed for one in results] == [True, True, True, None, None]
+    assert results[3].seen == "needs a second address; a serial line has one peer"
+
+
+def test_what_is_latched_is_not_tested_away() -> None:
+    device = Twin(TwinParameters())
+    device.firmware.trip(Fault.COIL_OVERTEMP, 0)
+    with pytest.raises(PlantError, match="has latched COIL_OVERTEMP: see to it, then reset"):
+        conform([VirtualLink(device)])
+    assert device.firmware.faults == Fault.COIL_OVERTEMP and device.firmware.session == 0
+
+
+def test_no_device_or_a_busy_one_is_said() -> None:
+    with pytest.raises(HandshakeError, match="CALIBRATION"):
+        conform([VirtualLink(Twin(TwinParameters()))], replace(Calibration.nominal(), mass=0.9))
+    with pytest.raises(HandshakeError, match="no device answered"):
+        conform([VirtualLink(Twin(TwinParameters(), key=KEY))])
+
+
+@pytest.mark.parametrize("check", ["hover", "bad-line", "estop", "not-finite", "far-ahead"])
+@pytest.mark.parametrize("ticks", [5, 60, 150, 260])
+def test_ctrl_c_leaves_the_device_without_currents(check: str, ticks: int) -> None:
+    class Interrupted(VirtualLink):
+        left = ticks
+
+        def receive(self, timeout: float) -> bytes | None:
+            self.left -= device.firmware.state == State.ACTIVE
+            if self.left == 0:
+                self.left = -1
+                raise KeyboardInterrupt
+            return super().receive(timeout)
+
+    device = Twin(TwinParameters())
+    try:
+        conform([Interrupted(device)], only=[check])
+    except KeyboardInterrupt:
+        pass
+    assert device.firmware.state == State.INACTIVE and device.firmware.session == 0
+    assert device.plant.read() and not device.plant.currents.any()
+
+
+def test_ctrl_c_in_flight_lands() -> None:
+    speeds: list[float] = []
+
+    class Watched(Twin):
+        def sample(self) -> bytes | None:
+            frame = super().sample()
+            speeds.append(abs(self.plant.state()[1][2]))
+            return frame
+
+    class Interrupted(VirtualLink):
+        def receive(self, timeout: float) -> bytes | None:
+            if device.tick == 400:
+                device.tick_seen = device.firmware.state  # type: ignore[attr-defined]
+                raise KeyboardInterrupt
+            return super().receive(timeout)
+
+    device = Watched(TwinParameters())
+    link = Interrupted(device)
+    with pytest.raises(KeyboardInterrupt):
+        conform([link], only=["bad-line"])
+    assert max(speeds[30:]) < 0.05  # a flotor that is let go hits its stop at 0.4 m/s
+
+
+# a twin without a guard
+
+F, C = Firmware, Codec
+GUARDS: list[tuple[str, Any, str, str, str]] = [
+    # sessions
+    ("session", F, "receive", "frame.session != self.session", "False"),
+    ("address", F, "receive", " or peer != self.peer", ""),
+    ("sequence", F, "receive", "not newer(frame.sequence, self._sequence)", "False"),
+    ("sequence-numbers", F, "receive", "newer(frame.sequence, self._sequence)", "frame.sequence > self._sequence"),
+    ("direction", F, "receive", "not isinstance(body, (wire.Command, wire.Control))", "False"),
+    ("hello-again", F, "_hello", "hello.nonce == self._nonce and peer == self.peer", "False"),
+    ("hello-again", F, "_hello", "self._heard = now\n", "self._heard, self._sequence = now, 0\n"),
+    ("busy", F, "_hello", "and peer == self.peer", ""),
+    (
+        "busy",
+        F,
+        "_hello",
+        "if self.session and (self.state",
+        "if hello.calibration == self.profile.calibration and self.session and (self.state",
+    ),
+    ("busy", F, "_hello", "self.state == State.ACTIVE or now - self._heard < _SILENCE", "False"),
+    ("takeover", F, "_hello", "now - self._heard < _SILENCE", "False"),
+    ("takeover", F, "_hello", "now - self._heard < _SILENCE", "True"),
+    ("calibration", F, "_hello", "hello.calibration != self.profile.calibration", "False"),
+    ("request-numbers", F, "_hello", "self._sequence, self._acknowledgement = 0, None", "self._sequence = 0"),
+    ("drawn", F, "_hello", "self._draw()", "self.session + 1 or 1"),
+    ("version", F, "receive", "codec.version_met is not None", "False"),
+    ("version", F, "_answer_hello", "nonce=nonce,", "nonce=nonce or 1,"),
+    ("welcome", Profile, "answer", "**self.stated", "**{**self.stated, 'hover_limit': self.limits.current_limit}"),
+    ("welcome", Profile, "answer", "**self.stated", "**{**self.stated, 'watchdog': self.period}"),
+    ("welcome", Profile, "answer", "**self.stated", "**{**self.stated, 'stale': self.period - 1}"),
+    ("welcome", Profile, "answer", "**self.stated", "**{**self.stated, 'enable': 2 * self.period - 1}"),
+    ("welcome", Profile, "answer", "**self.stated", "**{**self.stated, 'hover_limit': 0.1}"),
+    ("frames", F, "_answer_hello", "codec.encode(session, 0,", "codec.encode(self.session, 0,"),
+    ("bye", F, "_control", "last.operation == Operation.BYE", "False"),
+    ("bye", F, "_do", "if self.state == State.ACTIVE:", "if True:"),
+    # frames
+    ("magic", C, "_reason", "data[:2] != _MAGIC", "False"),
+    ("crc", C, "_reason", "zlib.crc32(data) != _CRC_RESIDUE", "False"),
+    ("frame-version", C, "_reason", "data[2] != VERSION", "False"),
+    ("frame-version", F, "receive", " and data[3] == _HELLO", ""),
+    ("type", C, "_reason", "shape is None", "False"),
+    ("too-short", C, "_reason", "len(data) != shape.size + self._overhead", "len(data) > shape.size + self._overhead"),
+    ("too-long", C, "_reason", "len(data) != shape.size + self._overhead", "len(data) < shape.size + self._overhead"),
+    # requests
+    ("requests", F, "_control", "not newer(control.request, last.request)", "False"),
+    ("requests", F, "_control", "control.request != last.request", "True"),
+    (
+        "request-numbers",
+        F,
+        "receive",
+        "isinstance(body, wire.Control)",
+        "isinstance(body, wire.Control) and frame.sequence",
+    ),
+    (
+        "far-ahead",
+        F,
+        "receive",
+        "isinstance(body, wire.Control)",
+        "isinstance(body, wire.Control) and self._sequence < 1 << 31",
+    ),
+    ("operations", F, "_do", "return False", "return True"),
+    ("operations", F, "_arm", "self.state != State.INACTIVE or ", ""),
+    ("operations", F, "_reset", "self.state == State.ACTIVE or ", ""),
+    ("reset-flowing", F, "_reset", " or not off", ""),
+    (
+        "arm",
+        F,
+        "_arm",
+        "not all(abs(one) <= self.profile.limits.hover_limit",
+        "any(abs(one) > self.profile.limits.hover_limit",
+    ),
+    ("arm", F, "_arm", "abs(one) <= self.profile.limits.hover_limit", "one <= self.profile.limits.hover_limit"),
+    ("trip", F, "_do", "control.faults & sum(Fault)", "control.faults"),
+    ("trip", F, "_do", " or Fault.HOST", ""),
+    ("trip", F, "trip", "self.faults | faults", "faults"),
+    ("first-fault", F, "trip", "if not self.faults:", "if True:"),
+    ("first-fault", F, "_reset", ", Fault(0), 0\n", ", self._first, self._fault_time\n"),
+    # commands
+    ("not-active", F, "_apply", "self.state != State.ACTIVE", "False"),
+    ("future", F, "_apply", "((self._sampled - command.answers) & WRAP)", "max(self._sampled - command.answers, 0)"),
+    ("stale", F, "_apply", "age > self._stale", "age > self._watchdog"),
+    ("stale", F, "_apply", "age += max(now - self._sampled_at, 0)", "pass"),
+    ("stale-answers", F, "_apply", 'self.counts["old"] += 1', 'self._sequence -= 1; self.counts["old"] += 1'),
+    ("late-command", F, "_apply", "age > self._stale", "age >= self._stale - self.profile.period"),
+    ("stale-answers", F, "_apply", 'self.counts["old"] += 1', 'self.counts["old"] += 1; self._commanded_at = now'),
+    (
+        "stale-answers",
+        F,
+        "receive",
+        "self._sequence, self._heard = frame.sequence, now",
+        "self._sequence = frame.sequence",
+    ),
+    ("not-finite", firmware, "command_fault", "not all(map(math.isfinite, (*held, *pulsed)))", "False"),
+    ("not-finite", firmware, "command_fault", "(*held, *pulsed)", "pulsed"),
+    ("not-finite", firmware, "command_fault", "(*held, *pulsed)", "held"),
+    ("width", firmware, "command_fault", "not 0.0 <= width <= 1.0", "width < 0.0"),
+    ("width", firmware, "command_fault", "not 0.0 <= width <= 1.0", "width > 1.0"),
+    *(
+        ("over-current", firmware, "command_fault", one, "False")
+        for one in ("max(held) > most", "min(held) < -most", "max(pulsed) > most", "min(pulsed) < -most")
+    ),
+    ("pulse", F, "_apply", "command.pulsed if command.width else None", "None"),
+    ("answered", F, "_apply", "now, command.answers, False", "now, command.answers - 1, False"),
+    ("answered", F, "_arm", "hover, now, NEVER, False", "hover, now, 0, False"),
+    ("answered-inactive", F, "_apply", "self.state == State.INACTIVE", "False"),
+    (
+        "answered-inactive",
+        F,
+        "_apply",
+        "self._commanded_at, self._answers = now, command.answers\n",
+        "self._answers = 0\n",
+    ),
+    # currents
+    ("currents", F, "_do", "self._amplifiers.cut()", "pass"),
+    ("currents", F, "trip", "self._amplifiers.cut()", "pass"),
+    ("over-current", F, "trip", "self._amplifiers.cut()", "pass"),
+    ("temperatures", ThermalModel, "add", "= shares, max", "= self.rises, max"),
+    ("enabled", F, "sample", "self._amplifiers.toggle(now)", "pass"),
+    (
+        "period",
+        F,
+        "sample",
+        "if self.state == State.ACTIVE:\n        self._amplifiers",
+        "if True:\n        self._amplifiers",
+    ),
+    ("enabled", AmplifierBoard, "toggle", "self._enable", "2 * self._enable"),
+    # emergency stop
+    ("estop", F, "receive", "self.trip(Fault.ESTOP, now)", "pass"),
+    ("estop", F, "receive", "self.trip(Fault.ESTOP, now)", "self.trip(Fault.ESTOP, now) if not self.faults else None"),
+    ("estop", F, "receive", "self._sampled_at, tuple", "0, tuple"),
+    (
+        "estop-without-session",
+        F,
+        "receive",
+        "isinstance(body, wire.Estop)",
+        "isinstance(body, wire.Estop) and self.session",
+    ),
+    (
+        "estop-elsewhere",
+        F,
+        "receive",
+        "isinstance(body, wire.Estop)",
+        "isinstance(body, wire.Estop) and peer == self.peer",
+    ),
+    (
+        "far-ahead",
+        F,
+        "receive",
+        "isinstance(body, wire.Estop)",
+        "isinstance(body, wire.Estop) and self._sequence < 1 << 30",
+    ),
+    # silence
+    ("silence-after-arm", F, "_hold_or_trip", "gap > self._watchdog", "False"),
+    ("silence-after-arm", F, "_hold_or_trip", "gap > _GAP * self.profile.period", "False"),
+    ("silence-after-arm", F, "_hold_or_trip", "gap > _GAP * self.profile.period", "gap > 4 * self.profile.period"),
+    ("silence-after-arm", F, "_hold_or_trip", "self._amplifiers.drive(now, self._hover, None, 0.0)", "pass"),
+    ("silence-after-arm", F, "_arm", "self._hover, self._commanded_at", "_, self._commanded_at"),
+    ("silence-after-commands", F, "_hold_or_trip", "gap > self._watchdog", "gap > 2 * self._watchdog"),
+    ("silence-after-commands", F, "_apply", "self._commanded_at, self._answers, self._holding", "_, self._answers, _"),
+    # all frames
+    ("samples", F, "trip", "self.state, self.faults = State.FAULT, self.faults | faults", "self.faults |= faults"),
+    ("cut", F, "trip", "self._amplifiers.cut()", "pass"),
+    ("samples", F, "sample", "conversions &", "7 &"),
+    ("frames", F, "sample", "self._codec.encode(self.session, tick", "self._codec.encode(self.session + 1, tick"),
+    # in flight
+    ("bad-line", C, "_reason", "zlib.crc32(data) != _CRC_RESIDUE", "False"),
+    ("flight-silence", F, "_hold_or_trip", "gap > self._watchdog", "False"),
+    ("flight-over-current", firmware, "command_fault", "Fault.COIL_OVERCURRENT", "_NO_FAULT"),
+    ("flight-estop", F, "receive", "self.trip(Fault.ESTOP, now)", "pass"),
+    ("flight-disarm", F, "_do", "(Operation.DISARM, Operation.BYE)", "(Operation.BYE,)"),
+    ("flight-bye", F, "_do", "(Operation.DISARM, Operation.BYE)", "(Operation.DISARM,)"),
+]
+
+
+def without(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, *changes: tuple[str, str]) -> None:
+    """Replace texts in a function of the twin.
+
+    Each must occur exactly once.
+    """
+    if owner is Codec:  # the host keeps its own
+        owner = type("DeviceCodec", (Codec,), {"__module__": Codec.__module__})
+        monkeypatch.setattr(twin, "Codec", owner)
+    source = textwrap.dedent(inspect.getsource(getattr(owner, name)))
+    for old, new in changes:
+        assert source.count(old) == 1, f"{old!r} is {source.count(old)} times in {name}"
+        source = source.replace(old, new)
+    module = sys.modules[getattr(owner, "__module__", command_fault.__module__)]
+    found: dict[str, Any] = {}
+    code = compile(source, "<mutant>", "exec", flags=future.annotations.compiler_flag)
+    # zero-argument super() is in none of them
+    exec(code, vars(module), found)
+    monkeypatch.setattr(owner, name, found[name])
+
+
+CASES = {
+    "busy": r"HELLO (repeated from another address|of another calibration): status [A-Z]+ instead of BUSY",
+    "calibration": "byte 0 of the calibration changed: status WELCOME instead of CALIBRATION",
+    "version": r"HELLO of version 2 in 48 bytes: (no answer|.* \(1, VERSION, 3\) instead of \(0, VERSION, 3\))",
+    "arm": r"(nan|-1\.44\d+) A in coil 0: result, state \(DONE, ACTIVE\) instead of \(REFUSED, INACTIVE\)",
+    "trip": r"TRIP of (0x80000000|none): faults (0x80000000|none) instead of HOST|"
+    "TRIP of SENSOR_OUT_OF_RANGE, then of CLOCK: faults CLOCK instead of SENSOR_OUT_OF_RANGE CLOCK",
+    "currents": r"after (DISARM|TRIP): \(0\.57\d+, .*\) A after the cut instead of 0 A",
+    "temperatures": "coil 0: 0 instead of 0.00106, from 0",
+    "not-active": r"CMD of \(nan, .*\) A in INACTIVE: state, faults \(FAULT, .*\) instead of \(INACTIVE, none\)",
+    "not-finite": r"nan in place [06] of held, pulsed, width: "
+    r"(1 STATEs instead of 2|state, faults \(ACTIVE, none\) instead of \(FAULT, INVALID_COMMAND\))",
+    "sequence-numbers": r"CMDs from number \d+ on: |the last command obeyed is \d+ samples old",
+    "far-ahead": "(ESTOP|DISARM) after a CMD far ahead: no (answer to ESTOP|device answered within 2 s)",
+    "direction": "StateReport: 0 STATEs instead of 3",
+    "estop": r"in (INACTIVE|FAULT): (state, faults in ESTOP_ACK|sampled at 0 ns)",
+}
+"""Messages of checks with several cases: which one failed, the value seen and the one expected."""
+
+
+@pytest.mark.parametrize(("check", "owner", "name", "old", "new"), GUARDS, ids=[f"{g[0]}: {g[3][:40]}" for g in GUARDS])
+def test_a_twin_without_a_guard_fails(
+    check: str, owner: Any, name: str, old: str, new: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    without(monkeypatch, owner, name, (old, new))
+    # rules of all frames are looked at after others
+    before = ["currents", "silence-after-arm", "busy"] if check in ("frames", "samples", "cut") else []
+    # the amplifier board would open before anyone saw
+    limits = Limits(enable=0.03) if check == "cut" else Limits()
+    results = results_of(only=[*before, check], limits=limits)
+    assert results[check].passed is False and re.match(CASES.get(check, ""), results[check].seen), results[check].seen
+
+
+@pytest.mark.parametrize("check", sorted(TAGS))
+def test_a_keyed_twin_that_looks_at_no_tag_fails(check: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    changes = [("not hmac.compare_digest(data[end : end + TAG], _tag(data[:end], self._key))", "False")]
+    if check == "no-tag":
+        either = "len(data) not in (shape.size + 4, shape.size + self._overhead)"
+        changes = [
+            ("len(data) != shape.size + self._overhead", either),
+            ("self._key is not None", "self._key is not None and len(data) != shape.size + 4"),
+        ]
+    without(monkeypatch, Codec, "_reason", *changes)
+    assert results_of(key=KEY, only=[check])[check].passed is False
+
+
+def test_a_command_that_survives_the_cut_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    drive, cut = AmplifierBoard.drive, AmplifierBoard.cut
+    told: list[Any] = [0]
+
+    def remember(board: AmplifierBoard, *command: Any) -> None:
+        told[:] = [board.now, command]
+        drive(board, *command)
+
+    def cut_but_forget_nothing(board: AmplifierBoard) -> None:
+        cut(board)
+        if told[1:] and board.now - told[0] < 1_000_000:
+            drive(board, *told[1])
+
+    monkeypatch.setattr(AmplifierBoard, "drive", remember)
+    monkeypatch.setattr(AmplifierBoard, "cut", cut_but_forget_nothing)
+    result = results_of(only=["forgotten"])["forgotten"]
+    expected = r"after a CMD of \(0\.57\d+, .*\) A and DISARM: \(0\.57\d+, .*\) A after the cut instead of 0 A"
+    assert result.passed is False and re.match(expected, result.seen), result.seen
+
+
+def test_a_device_with_its_coils_reversed_is_let_go() -> None:
+    known = Calibration.nominal()
+    coils = replace(known.coils, force_constants=-known.coils.force_constants)
+    result = results_of(only=["hover"], truth=replace(known, coils=coils))["hover"]
+    assert result.passed is False and "does not follow" in result.seen
+
+
+@pytest.mark.machine
+def test_a_device_that_does_not_wait_in_lockstep_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TwinServer, "_await_answer", lambda self, frame: self._receive(0.01))
+    with served(lockstep=True) as server:
+        link = UdpLink(*server.address)
+        (result,) = conform([link], only=["lockstep"])
+        link.close()
+    assert result.passed is False
+
+
+def test_every_check_fails_for_some_device() -> None:
+    covered = {guard[0] for guard in GUARDS} | TAGS | {"forgotten", "hover", "lockstep"}
+    assert set(checks()) == covered

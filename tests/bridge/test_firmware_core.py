@@ -1,0 +1,348 @@
+"""Firmware in C: equal to Python's, flying, hardened, small enough.
+
+It fits a Cortex-M4.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import random
+import re
+import subprocess
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.links import cobs_decode, cobs_encode
+from maglev_mj.bridge.safety import Limits, Profile
+from maglev_mj.bridge.twin.firmware import Firmware, Reading
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
+from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State
+from tests.bridge.firmware_core import FOLDER, SANITIZED, STRICT, CoreFirmware, library
+from tests.bridge.test_wire import sealed
+from tests.conftest import COMPILER
+
+PERIOD = 5_000_000
+KEY = bytes(range(32))
+CALIBRATION = bytes(range(16))
+PROFILE = Profile(period=PERIOD, delay=1_500_000, calibration=CALIBRATION, limits=Limits(hover_limit=1.5))
+ZERO = (0.0,) * 6
+HOVER = (1.1, 1.1, 1.1, 0.0, 0.0, 0.0)
+ODD = (math.nan, math.inf, -math.inf, 10.1, -10.1, 1e308, 5e-324)
+BY_DEVICE = Fault(sum(Fault)) & ~(Fault.BOUNDARY | Fault.CLOCK | Fault.NOT_FOLLOWING)
+
+pytestmark = pytest.mark.needs("compiler")
+
+
+class Amplifiers:
+    """Amplifiers that record their commands and currents.
+
+    Attributes:
+        told: Calls with their arguments, in order.
+        currents: Flowing currents [A], six.
+    """
+
+    def __init__(self) -> None:
+        self.told: list[Any] = []
+        self.currents: Sequence[float] = ZERO
+
+    def drive(self, now: int, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+        self.told.append((now, held, pulsed, width))
+        self.currents = held
+
+    def cut(self) -> None:
+        self.told.append("cut")
+        self.currents = ZERO
+
+    def toggle(self, now: int) -> None:
+        self.told.append(now)
+
+
+class Side:
+    """One of two devices that are told the same."""
+
+    def __init__(self, made: Any, profile: Profile, key: bytes | None) -> None:
+        self.amplifiers, self.codec = Amplifiers(), Codec(key)
+        draw = random.Random(1)
+        self.device = made(profile, self.amplifiers, self.codec, lambda: draw.randrange(1, 2**32))
+
+    def outcome(self, answer: bytes | None) -> tuple[Any, ...]:
+        device = self.device
+        told, self.amplifiers.told = self.amplifiers.told, []
+        return (
+            *(answer and answer.hex(), told, device.state, device.faults),
+            *(device.session, device.peer, device.counts, self.codec.dropped, device.answered),
+        )
+
+
+class Exchange:
+    """Random frames and samples for both devices.
+
+    One thing at a time goes wrong.
+
+    Attributes:
+        faults: All faults latched so far.
+        frames: Number of answers to each frame type.
+    """
+
+    WRONGS = ("nothing", "frames", "currents", "silence", "spots", "frozen", "stopped", "measured", "hot", "disabled")
+
+    def __init__(self, profile: Profile, key: bytes | None, seed: int) -> None:
+        self.sides = [Side(made, profile, key) for made in (Firmware, CoreFirmware)]
+        self.draw, self.host = random.Random(seed), Codec(key)
+        self.now = self.sequence = self.request = self.conversions = 0
+        self.tick = 2**32 - 500  # numbers go round
+        self.wrong = "nothing"
+        self.spots = [1e-3] * 6
+        self.faults, self.frames = Fault(0), Counter[int]()
+
+    def run(self, steps: int) -> None:
+        """Run frames and samples; compare after each."""
+        for number in range(steps):
+            if number % 120 == 0:
+                self.wrong = self.WRONGS[number // 120 % len(self.WRONGS)]
+                self.now += self.draw.choice([0, 3_000_000_000])  # coils cool, and a session may be taken over
+            (self.sample if self.draw.random() < 0.5 else self.frame)()
+
+    def bad(self, wrong: str, share: float) -> bool:
+        """Return True if an error is due now."""
+        return self.wrong == wrong and self.draw.random() < share
+
+    def compare(self, outcomes: Sequence[tuple[Any, ...]]) -> None:
+        python, c = outcomes
+        assert c == python
+        self.faults |= self.sides[0].device.faults
+        if python[0]:
+            self.frames[int(python[0][6:8], 16)] += 1
+
+    def frame(self) -> None:
+        peer = "other" if self.bad("frames", 0.1) else "host"
+        body, device = self.body(), self.sides[0].device
+        session = self.draw.randrange(2**32) if self.bad("frames", 0.05) else device.session
+        data = bytearray(self.host.encode(session, self.sequence % 2**32, self.draw.randrange(2**64), body))
+        if self.bad("frames", 0.1):
+            data[self.draw.randrange(len(data))] ^= 1 << self.draw.randrange(8)
+        if self.bad("frames", 0.05):
+            del data[self.draw.randrange(len(data)) :]
+        self.now += self.draw.randrange(PERIOD // 2) if self.bad("frames", 0.5) else 0
+        self.compare([side.outcome(side.device.receive(bytes(data), self.now, peer)) for side in self.sides])
+
+    def body(self) -> Any:
+        draw, kind = self.draw, self.draw.random()
+        if kind < 0.03:
+            return Hello(draw.choice([1, 1, 2]), bytes(16) if self.bad("frames", 0.3) else CALIBRATION)
+        if self.bad("frames", 0.05):
+            return draw.choice([Estop(draw.randrange(2**64)), ControlAck(1, 1, 0, 0, 0)])
+        if kind < 0.3 or self.wrong == "silence":
+            usual = {State.INACTIVE: Operation.ARM, State.FAULT: Operation.RESET}.get(self.sides[0].device.state, 0)
+            operation = draw.choice([*Operation, Operation.TRIP, 0, 3, 255]) if self.bad("frames", 0.4) else usual
+            self.request += draw.choice([1, 1, 1, 1, 0, -1, 5])
+            return Control(self.request % 2**32, operation, draw.choice([0, 1040, 2**31]), self.currents())
+        self.sequence += draw.choice([1] * 8 + [0, -1, 3])
+        answers = self.tick - (draw.choice([1, 3, 4, 5, -1]) if self.bad("frames", 0.2) else 0)
+        width = draw.choice([-1e-9, 1.1, *ODD]) if self.bad("currents", 0.03) else draw.choice([0.0, 0.001])
+        return Command(answers % 2**32, 0, self.currents(), self.currents(), width)
+
+    def currents(self) -> tuple[float, ...]:
+        currents = [one * self.draw.uniform(0.5, 1.5) for one in HOVER]
+        if self.bad("currents", 0.03):
+            currents[self.draw.randrange(6)] = self.draw.choice(ODD)
+        return tuple(currents)
+
+    def sample(self) -> None:
+        draw = self.draw
+        steps = draw.choice([2, 3, 20]) if self.bad("silence", 0.1) else 1
+        self.tick, self.now = (self.tick + steps) % 2**32, self.now + steps * PERIOD
+        self.conversions += not self.bad("stopped", 0.1)
+        if not self.bad("frozen", 0.98):
+            self.spots = [draw.uniform(-2e-3, 2e-3) for _ in self.spots]
+        spots, valid = list(self.spots), 7
+        if self.bad("spots", 0.2):
+            spots[draw.randrange(6)] = draw.choice([0.0121, 0.0119, 0.009, 0.006, math.nan, math.inf, 1e308])
+            valid = draw.choice([7, 7, 7, 3, 255, 0])
+        flowing = self.sides[0].amplifiers.currents
+        measured, heating = list(flowing), flowing
+        if self.bad("measured", 0.8):
+            measured[draw.randrange(6)] = draw.choice([9.0, 2.0, 0.26, 0.24, math.nan])
+        if self.bad("hot", 0.2):
+            heating = draw.choice([(8.0,) * 6, (*ZERO[:5], math.inf), measured])
+        segments = ((draw.choice([0.001, 0.002]), flowing), (draw.choice([0.0, 0.004, 1.0]), heating))
+        enabled = not self.bad("disabled", 0.4)
+        reading = Reading(spots, valid, measured, flowing, segments, self.conversions, enabled)
+        told = self.tick, self.now, reading
+        self.compare([side.outcome(side.device.sample(*told)) for side in self.sides])
+
+
+@pytest.mark.parametrize("seeds", [2, pytest.param(4, marks=pytest.mark.study)])
+@pytest.mark.parametrize("lockstep", [False, True], ids=["real time", "lockstep"])
+@pytest.mark.parametrize("key", [None, KEY], ids=["no key", "key"])
+def test_it_does_what_the_firmware_in_python_does(key: bytes | None, lockstep: bool, seeds: int) -> None:
+    faults, frames, counts = Fault(0), Counter[int](), Counter[str]()
+    for seed in range(seeds):
+        exchange = Exchange(replace(PROFILE, lockstep=lockstep), key and key[: 32 - 5 * seed], seed)
+        exchange.run(5000)
+        faults |= exchange.faults
+        frames += exchange.frames
+        counts += exchange.sides[1].device.counts + exchange.sides[1].codec.dropped
+    assert faults == BY_DEVICE | Fault.BOUNDARY | Fault.CLOCK
+    assert {2, 4, 5, 8} == set(frames)
+    assert {"direction", "session", "old", "inactive", "busy", "crc", "magic", "short"} <= set(counts)
+
+
+def springs(spots: Sequence[float], before: Sequence[float] | None, known: Calibration) -> tuple[float, ...]:
+    """Return currents that pull the flotor to the centre."""
+    slopes = known.beams._spots(np.zeros(6))[1]
+    pose = np.linalg.solve(slopes, spots)
+    speed = (pose - np.linalg.solve(slopes, before)) / (PERIOD * 1e-9) if before else np.zeros(6)
+    pull = np.array([*[known.mass] * 3, *known.inertia]) * (-2500.0 * pose - 90.0 * speed)
+    currents = np.clip(known.hover + known.coils.currents(pull), -9.0, 9.0)
+    return tuple(currents.tolist())
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["no key", "key"])
+def test_it_flies_the_twin_to_the_same_bytes(key: bytes | None) -> None:
+    parameters = TwinParameters(lockstep=True)
+    known, host = parameters.calibration, Codec(key)
+    twins = [Twin(parameters, key=key, draw=lambda: 7) for _ in range(2)]
+    twins[1].firmware = CoreFirmware(parameters.profile, twins[1].board, twins[1].codec, lambda: 7)  # type: ignore[assignment]
+
+    def told(session: int, sequence: int, body: Any) -> None:
+        data = host.encode(session, sequence, 0, body)
+        one, other = (twin.receive(data, 0, "host") for twin in twins)
+        assert one == other
+
+    told(0, 0, Hello(1, known.digest))
+    before: Sequence[float] | None = None
+    for tick in range(300):
+        one, other = (twin.sample() for twin in twins)
+        assert one is not None and one == other
+        frame = host.decode(one)
+        assert frame is not None
+        report: Any = frame.body
+        if tick == 1:
+            told(7, 0, Control(1, Operation.ARM, 0, tuple(known.hover.tolist())))
+        assert report.state == (State.ACTIVE if tick > 1 else State.INACTIVE)
+        told(7, tick + 1, Command(frame.sequence, 0, springs(report.spots, before, known), ZERO, 0.0))
+        before = report.spots
+    assert np.abs(twins[1].pose).max() < 2e-5
+
+
+@pytest.mark.parametrize(
+    ("change", "limits"),
+    [
+        ({"period": 0}, {}),
+        ({}, {"watchdog": 1e-10}),
+        ({}, {"enable": 1e-10}),
+        ({}, {"spot_speed": 0.0}),
+        # which each alone may be
+        ({}, {"watchdog": 1.000000001}),
+        ({}, {"watchdog": 0.049999999}),
+        ({"delay": 50_000_001}, {}),
+        ({}, {"enable": 0.100000001}),
+        ({}, {"stale": 0.024999999}),
+        ({}, {"stale": 0.100000001}),
+        ({}, {"hover_limit": 3.0 + 1e-12}),
+        ({}, {"continuous_current": 10.0 + 1e-12}),
+        ({"period": 2**63}, {"watchdog": 1.0}),
+    ],
+)
+def test_it_does_not_start_as_no_device(change: dict[str, Any], limits: dict[str, float]) -> None:
+    profile = replace(PROFILE, period=25_000_000, delay=50_000_000, limits=Limits(watchdog=0.1, enable=0.1, stale=0.1))
+    CoreFirmware(profile, Amplifiers(), Codec(), lambda: 1)  # at the bounds
+    if "watchdog" in limits:
+        limits = {"enable": 0.025, "stale": 0.025, **limits}
+    for owner, values in ((profile, change), (profile.limits, limits)):
+        for name, value in values.items():
+            object.__setattr__(owner, name, value)  # which they themselves would refuse
+    with pytest.raises(ValueError):
+        CoreFirmware(profile, Amplifiers(), Codec(), lambda: 1)
+
+
+def test_a_board_that_tells_no_heating_has_its_coils_heated_by_what_is_measured() -> None:
+    side = Side(CoreFirmware, PROFILE, None)
+    side.device.heats = False
+    currents = (6.0, 0.0, 0.0, 0.0, 0.0, -10.0)
+    for tick in range(1, 1000):
+        side.device.sample(tick, tick * PERIOD, Reading(ZERO, 7, currents, currents, ((1.0, ZERO),), tick))
+        if side.device.faults & Fault.COIL_OVERTEMP:
+            break
+    expected = -10.0 * math.log(1.0 - 0.3**2)
+    assert tick * PERIOD * 1e-9 == pytest.approx(expected, abs=2.1 * PERIOD * 1e-9)
+
+
+@pytest.mark.parametrize("length", [15, 33])
+def test_it_does_not_start_with_a_key_of_another_length(length: int) -> None:
+    codec = Codec(KEY)
+    codec._key = bytes(length)
+    with pytest.raises(ValueError):
+        CoreFirmware(PROFILE, Amplifiers(), codec, lambda: 1)
+
+
+def test_no_session_has_the_number_0() -> None:
+    device = CoreFirmware(PROFILE, Amplifiers(), Codec(), lambda: 0)
+    assert device.receive(Codec().encode(0, 0, 0, Hello(1, CALIBRATION)), 0, "host") is not None
+    assert device.session == 1
+
+
+def test_a_frame_that_is_too_long_for_a_board_is_none() -> None:
+    side = Side(CoreFirmware, PROFILE, None)
+    for length, reason in ((256, "version"), (257, "length")):
+        data = bytearray(length)
+        data[:4] = b"MJ\x04\x01"
+        answer = side.device.receive(sealed(bytes(data)), 0, "host")
+        assert (answer is not None) == (reason == "version") and side.codec.dropped[reason] == 1
+
+
+@pytest.mark.parametrize("length", [*range(1, 9), 253, 254, 255, 256])
+def test_cobs_is_that_of_the_serial_line(length: int) -> None:
+    core, draw = library(), random.Random(length)
+    line = ctypes.create_string_buffer(512)
+    for zeros in (0.0, 0.01, 0.3, 1.0):
+        data = bytes(0 if draw.random() < zeros else draw.randrange(1, 256) for _ in range(length))
+        out = ctypes.create_string_buffer(length + 4)
+        size = core.maglev_stuff(data, ctypes.c_size_t(length), out)
+        sent = out.raw[:size]
+        assert sent == b"\0" + cobs_encode(data) + b"\0"
+        noise = bytes(draw.randrange(1, 256) for _ in range(draw.randrange(600)))
+        lengths = [core.maglev_unstuff(line, ctypes.c_uint8(byte)) for byte in noise + sent]
+        assert lengths[-1] == length and line.raw[:length] == data
+
+
+def test_bytes_of_a_line_that_are_no_frame_are_skipped() -> None:
+    core, draw = library(), random.Random(3)
+    line = ctypes.create_string_buffer(512)
+    for _ in range(2000):
+        piece = bytes(draw.choice([1, 2, 3, 255, draw.randrange(1, 256)]) for _ in range(draw.choice([3, 8, 300])))
+        lengths = [core.maglev_unstuff(line, ctypes.c_uint8(byte)) for byte in piece + b"\0"]
+        decoded = cobs_decode(piece) or b""
+        decoded = decoded if len(decoded) <= 256 else b""
+        assert not any(lengths[:-1]) and line.raw[: lengths[-1]] == decoded
+
+
+@pytest.mark.needs("sanitizers")
+@pytest.mark.parametrize("count", [5000, pytest.param(50_000, marks=pytest.mark.study)])
+def test_mutated_frames_do_no_harm(count: int, tmp_path: Path) -> None:
+    program, sources = tmp_path / "fuzz", [str(FOLDER / name) for name in ("fuzz_firmware.c", "maglev_firmware.c")]
+    command = [str(COMPILER), *STRICT, *SANITIZED, *sources, "-o", str(program)]
+    subprocess.run(command, capture_output=True, check=True, timeout=120)
+    done = subprocess.run([program, str(count)], capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    counts = dict(re.findall(r"(\w+) (\d+)", done.stdout.splitlines()[1]))
+    assert len(counts) == 12 and all(map(int, counts.values()))  # each reason was met
+    frames, flights, driven, stopped = map(int, re.findall(r"\d+", done.stdout.splitlines()[0]))
+    assert frames == 2 * count and flights > count // 100 and driven > count // 10 and stopped > count * 3 // 500
+
+
+@pytest.mark.needs("cross")
+def test_it_compiles_for_a_cortex_m4_and_asks_for_no_library() -> None:
+    make = subprocess.run(["make", "firmware"], cwd=FOLDER.parent.parent, capture_output=True, text=True, check=False)
+    assert make.returncode == 0, make.stderr
+    code, data, bss = map(int, re.findall(r"^\s*(\d+)\s+(\d+)\s+(\d+)", make.stdout, re.MULTILINE)[0])
+    assert code < 8192 and data == bss == 0

@@ -1,0 +1,341 @@
+"""Settings changed in flight: judged in another process before they are in force."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from functools import partial
+from inspect import CO_OPTIMIZED
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import pytest
+
+from maglev_mj import cli, theory
+from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.flight_guards import late_delay
+from maglev_mj.bridge.landing import StopSwitch
+from maglev_mj.bridge.line import LineReport, judge_change, measure_line
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.cli import bridge
+from maglev_mj.cli.peripherals import PageOptions
+from maglev_mj.errors import MaglevError
+from maglev_mj.process import NICE, SideAnswers
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.rooms import INERTIA, Joystick
+from maglev_mj.session import REPLACED, UNKNOWN, ChangeRequest, Snapshot
+from tests.bridge.impaired import ImpairedLine, Impairment
+
+GOOD, STIFF, SLOW = Joystick(stiffness=4000.0), Joystick(stiffness=60_000.0), Joystick(stiffness=10_000.0)
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a busy machine load the process for long."""
+    monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
+
+
+# the process
+
+
+def _deed(word: str) -> str:
+    if word == "end":
+        os._exit(3)
+    if word == "nice":
+        return str(os.nice(0))
+    if word == "fail":
+        raise MaglevError("no such wall")
+    while word.startswith("wait") and not Path(word.removeprefix("wait")).exists():
+        time.sleep(0.001)
+    return word.upper()
+
+
+def answered(answers: SideAnswers) -> Any:
+    """Return the next answer."""
+    while (found := answers.answer()) is None:
+        time.sleep(0.001)
+    return found
+
+
+@pytest.mark.machine
+@pytest.mark.needs("linux")
+def test_its_process_gives_way_to_the_loop() -> None:
+    with closing(SideAnswers(_deed, "no")) as answers:
+        answers.ask("nice")
+        assert int(answered(answers)) == min(os.nice(0) + NICE, 19)
+
+
+@pytest.mark.machine
+def test_the_newest_question_alone_is_answered(tmp_path: Path) -> None:
+    with closing(SideAnswers(_deed, "no")) as answers:
+        assert answers.answer() is None
+        answers.ask("a")
+        assert answered(answers) == "A" and answers.answer() is None
+        for question in (f"wait{tmp_path / 'end'}", "c", "d"):
+            answers.ask(question)
+            assert answers.answer() is None
+        (tmp_path / "end").touch()
+        assert answered(answers) == "D"
+        answers.ask("fail")
+        with pytest.raises(MaglevError, match="no such wall"):
+            answered(answers)
+        answers.ask("e")
+        assert answered(answers) == "E"
+        answers.ask("end")
+        for _ in range(2):
+            with pytest.raises(MaglevError, match="no: the process that computes it has ended"):
+                answered(answers)
+            answers.ask("f")
+
+
+@pytest.mark.machine
+def test_a_late_answer_is_no_answer_to_the_next_question(monkeypatch: pytest.MonkeyPatch) -> None:
+    with closing(SideAnswers(_deed, "no")) as answers:
+        answers.ask("first")
+        assert answered(answers)
+        monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 0.0)
+        answers.ask("a")
+        with pytest.raises(MaglevError, match="no: it takes over 0 s"):
+            answered(answers)
+        assert answers.line.poll(600.0) and answers.answer() is None
+        answers.ask("a")
+        with pytest.raises(MaglevError, match="no: it takes over 0 s"):
+            answered(answers)
+        monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
+        answers.ask("b")
+        assert answered(answers) == "B"
+
+
+# the flight, in virtual time
+
+
+class Judge:
+    """Judge in this process, with its answer after some looks."""
+
+    def __init__(self, report: LineReport, anyway: bool = False, looks: int = 5) -> None:
+        self._how: dict[str, Any] = {"report": report, "anyway": anyway}
+        self._looks, self.asked = looks, list[Any]()
+
+    def ask(self, *question: Any) -> None:
+        self.asked.append(question)
+        self._left = self._looks
+
+    def answer(self) -> Any:
+        self._left -= 1
+        return judge_change(*self.asked[-1], **self._how) if self._left < 0 else None
+
+
+class Wishes:
+    """Publisher of wishes, each after some looks of the flight; it keeps snapshots and answers."""
+
+    def __init__(self, wishes: Sequence[tuple[int, Scene]]) -> None:
+        self._wishes, self._looks = dict(wishes), 0
+        self.answers: list[int | str] = []
+        self.snapshots: list[Snapshot] = []
+
+    def take(self) -> ChangeRequest | None:
+        if not self.snapshots:  # takeoff
+            return None
+        self._looks += 1
+        scene = self._wishes.get(self._looks)
+        return None if scene is None else ChangeRequest(scene, self.answers.append)
+
+    def show(self, snapshot: Snapshot) -> None:
+        self.snapshots.append(snapshot)
+
+    def close(self) -> None: ...
+
+
+def device(way: float = 0.00025) -> RemotePlant:
+    return RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(delay=way))))
+
+
+Fly = Callable[..., tuple[Flight, Wishes, Any]]
+
+
+@pytest.fixture
+def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
+    """Return a function that flies a second with wishes."""
+    monkeypatch.setattr("maglev_mj.session.snapshot.Due.__call__", lambda _: True)
+
+    def run(*wishes: tuple[int, Scene], make: Callable[[LineReport], Any] = Judge) -> tuple[Flight, Wishes, Any]:
+        asks = Wishes(wishes)
+        with device() as plant:
+            judge = make(measure_line(plant, 0.2))
+            scene = Joystick(period=plant.period, delay=plant.delay)
+            flown = Flight(plant, scene, publishers=[asks], judge=judge, bears=0.0027)
+            assert flown.run(1.0).landing.at_rest and not flown.reason
+        return flown, asks, judge
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("wish", "says"),
+    [
+        (STIFF, "joystick is UNSTABLE without any delay: lower its stiffness, or raise its damping"),
+        (SLOW, "joystick bears 1.40 ms of delay and is UNSTABLE beyond, and one in 20 answers takes more than 2.00 ms"),
+    ],
+)
+def test_what_the_line_does_not_bear_is_refused_as_before_takeoff(wish: Scene, says: str, fly: Fly) -> None:
+    flown, asks, _ = fly((20, wish))
+    assert [says in str(answer) for answer in asks.answers] == [True]
+    assert says in asks.snapshots[-1].notes[0]  # where a person sees it
+    assert {one.scene for one in asks.snapshots} == {Joystick()} and flown._late.bears == late_delay(0.0027, 0.005)
+
+
+def test_a_good_wish_is_in_force_with_the_delay_that_it_bears(fly: Fly) -> None:
+    flown, asks, _ = fly((20, STIFF), (60, GOOD))
+    refused, since = asks.answers
+    assert isinstance(refused, str) and isinstance(since, int)
+    assert asks.snapshots[-1].scene == GOOD and asks.snapshots[-1].since == since
+    assert flown._late.bears == pytest.approx(0.00374901, rel=1e-5) and "UNSTABLE" not in asks.snapshots[-1].notes[0]
+
+
+def test_anyway_flies_it_with_a_warning_and_twice_the_planned_delay(fly: Fly) -> None:
+    flown, asks, _ = fly((20, SLOW), make=lambda report: Judge(report, anyway=True))
+    assert asks.snapshots[-1].scene == SLOW and isinstance(asks.answers[0], int)
+    assert asks.snapshots[-1].notes[0].startswith("warning: joystick bears 1.40 ms")
+    assert flown._late.bears == pytest.approx(2.0 * (0.0015 + 1.5 * 0.0005), rel=1e-3)
+
+
+def test_a_newer_wish_takes_the_place_of_one_that_is_judged(fly: Fly) -> None:
+    # A key that is held asks for the same again and again, which is judged once.
+    _, asks, judge = fly((20, STIFF), (22, GOOD), (24, GOOD), (25, GOOD))
+    assert [scene.stiffness for scene, *_ in judge.asked] == [60_000.0, 4000.0]
+    assert asks.answers[:-1] == [REPLACED] * 3 and isinstance(asks.answers[-1], int)
+    assert {one.scene for one in asks.snapshots} == {Joystick(), GOOD}
+
+
+def test_without_an_answer_nothing_changes(fly: Fly) -> None:
+    said = f"{UNKNOWN}: the process that computes it has ended"
+
+    class Gone(Judge):
+        def answer(self) -> Any:
+            raise MaglevError(said)
+
+    flown, asks, _ = fly((20, GOOD), (40, GOOD), make=Gone)
+    assert asks.answers == [said, said] and said in asks.snapshots[-1].notes
+    assert {one.scene for one in asks.snapshots} == {Joystick()} and flown._late.bears == late_delay(0.0027, 0.005)
+
+
+def test_a_line_that_has_become_slower_counts() -> None:
+    with device() as plant:
+        report = measure_line(plant, 0.2)
+    bears, why = judge_change(GOOD, INERTIA.tolist(), [0.0042] * 9, report=report, anyway=False)
+    assert bears is None and "bears 3.75 ms of delay and is UNSTABLE beyond, and one in 20 answers takes" in why
+    bears, why = judge_change(GOOD, INERTIA.tolist(), [], report=report, anyway=False)
+    assert bears == pytest.approx(0.00374901) and not why
+
+
+# the command, with its process, in virtual time
+
+
+class Ends(Wishes):
+    """Wishes one after the other; the last answer lands."""
+
+    def __init__(self, *wishes: Scene) -> None:
+        super().__init__([])
+        self._left = list(wishes)
+        self._landing = False
+
+    def take(self) -> ChangeRequest | None:
+        if not self.snapshots or self._landing:
+            return None
+        if len(self.answers) < self._looks:
+            time.sleep(0.05)  # virtual time would run on, on a core that the process needs
+            return None
+        if not self._left:
+            self._landing = True
+            signal.raise_signal(signal.SIGINT)
+            return None
+        self._looks += 1
+        return ChangeRequest(self._left.pop(0), self.answers.append)
+
+
+class Here:
+    """Answers of this process, in place of one beside it; each at the second look."""
+
+    ended = False
+
+    def __init__(self, deed: Callable[..., Any], unknown: str) -> None:
+        self._deed, self._found = deed, list[Any]()
+
+    def ask(self, *question: Any) -> None:
+        self._found = [self._deed(*question), None]
+
+    def answer(self) -> Any:
+        return self._found.pop() if self._found else None
+
+    def close(self, patience: float) -> None: ...
+
+
+@pytest.mark.parametrize("anyway", [False, True])
+@pytest.mark.parametrize(
+    "answers",
+    [Here, pytest.param(SideAnswers, marks=pytest.mark.machine)],
+    ids=["in this process", "in another process"],
+)
+def test_bridge_judges_settings_in_flight(
+    answers: Any, anyway: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bridge, "SideAnswers", answers)
+    asks = Ends(SLOW if anyway else STIFF, GOOD)
+
+    # in place of a window
+    monkeypatch.setattr(PageOptions, "front", lambda *_, **__: print)
+    monkeypatch.setattr(bridge, "RemoteViewer", lambda blank, front, watch: asks)
+    monkeypatch.setattr(bridge, "_opened", lambda *_: device())
+    monkeypatch.chdir(tmp_path)
+    options = ["--anyway"] if anyway else []
+    assert cli.main(["bridge", "udp://127.0.0.1:1", *options]) == 0
+    first, second = asks.answers
+    assert isinstance(first, int) if anyway else "UNSTABLE without any delay" in str(first)
+    assert isinstance(second, int)
+
+
+@contextmanager
+def theory_called() -> Iterator[set[str]]:
+    """Yield the called functions of the theory.
+
+    In this thread and in new ones of this process.
+    """
+    called, folder = set[str](), str(Path(theory.__file__).parent)
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        code = frame.f_code
+        if event == "call" and code.co_filename.startswith(folder) and code.co_flags & CO_OPTIMIZED:  # no import
+            called.add(code.co_qualname)
+
+    threading.setprofile(note)
+    sys.setprofile(note)
+    try:
+        yield called
+    finally:
+        sys.setprofile(None)
+        threading.setprofile(None)
+
+
+@pytest.mark.machine
+def test_settings_are_judged_in_another_process() -> None:
+    # No function of the theory is called where the loop runs, whether settings are refused or accepted.
+    switch, asks = StopSwitch(), Ends(STIFF, GOOD)
+    with device() as plant:
+        report = measure_line(plant, 0.2)
+        with theory_called() as called:
+            judge_change(GOOD, INERTIA.tolist(), [], report=report, anyway=False)
+        assert "delay_margins" in called
+        scene = Joystick(period=plant.period, delay=plant.delay)
+        with closing(SideAnswers(partial(judge_change, report=report, anyway=False), UNKNOWN)) as judge:
+            with switch.signals(), theory_called() as called:
+                Flight(plant, scene, publishers=[asks], switch=switch, judge=judge).run()
+    refused, accepted = asks.answers
+    assert "UNSTABLE without any delay" in str(refused) and isinstance(accepted, int)
+    assert not called

@@ -1,0 +1,250 @@
+"""Errors in flight cut the currents before anything else."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maglev_mj import cli
+from maglev_mj.bridge.fault import DeviceFault, load_fault
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.line import LineReport, LoopTiming, Preflight, measure_line
+from maglev_mj.bridge.remote import RemotePlant
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters
+from maglev_mj.bridge.wire import Fault, State
+from maglev_mj.cli import bridge
+from maglev_mj.frames import Sample
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.rooms import Joystick
+from tests.bridge.impaired import ImpairedLine, Impairment
+from tests.sweeps import sweep
+
+ANALYSIS = 80_000_000
+"""Time of an analysis on a slow machine [ns]."""
+
+DELAYS = {"none measured": 0.0, "as expected": 0.0, "longer than expected": 0.0006}
+
+
+class Witnessed:
+    """Flight in virtual time with a record of its currents.
+
+    Args:
+        folder: Folder of the black boxes.
+        way: Delay of the line, each way [s].
+        options: Further arguments of the flight.
+    """
+
+    def __init__(self, folder: Path, way: float = 0.0, **options: Any) -> None:
+        self.twin = Twin(TwinParameters(), draw=lambda: 7)
+        self.link = VirtualLink(self.twin, ImpairedLine(Impairment(delay=way)))
+        self.plant = RemotePlant(self.link, folder=folder)
+        self.flight = Flight(self.plant, Joystick(period=self.plant.period, delay=self.plant.delay), **options)
+        self.segments: list[tuple[float, float]] = []
+        self.state: list[State] = []
+        self._sample, self.twin.sample = self.twin.sample, self._witness  # type: ignore[method-assign]
+
+    def _witness(self) -> bytes | None:
+        frame = self._sample()
+        self.segments += [(span, max(map(abs, currents))) for span, currents in self.twin.plant.segments]
+        self.state.append(self.twin.firmware.state)
+        return frame
+
+    def wait(self, time: int = ANALYSIS) -> None:
+        """Let time [ns] go by while the host is busy."""
+        end = self.link.time + time
+        while self.link.time < end:
+            self.link.receive((end - self.link.time) * 1e-9)
+
+    def break_law(self, at: int, error: BaseException) -> None:
+        """Let the controller raise from a sample on."""
+        step, left = self.flight._controller.step, [at]
+
+        def broken(sample: Sample) -> Any:
+            if left[0] == 0:
+                self.forget()
+                raise error
+            left[0] -= 1
+            return step(sample)
+
+        self.flight._controller.step = broken  # type: ignore[method-assign]
+
+    def forget(self) -> None:
+        """Keep the currents from here on."""
+        self.segments.clear()
+        self.state.clear()
+
+    def check(self, first: Fault) -> None:
+        """Check that a fault ended the currents at once."""
+        self.wait()
+        assert self.twin.firmware._first == first and self.state[1] == State.FAULT
+        carried = [most > 0.0 for _, most in self.segments]
+        zero = carried.index(False)
+        assert not any(carried[zero:])
+        assert sum(span for span, _ in self.segments[:zero]) <= 2 * self.plant.period
+
+
+@pytest.mark.parametrize("delays", DELAYS)
+@pytest.mark.parametrize("at", sweep(range(200), every=20))
+def test_a_law_that_raises_ends_the_currents_at_once(
+    delays: str, at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if delays == "none measured":
+        monkeypatch.setattr(LoopTiming, "add", lambda timing, plant: timing.answer.add(1))
+    flown = Witnessed(tmp_path, DELAYS[delays])
+    flown.break_law(at, ValueError("no square root"))
+    with flown.plant:
+        with pytest.raises(DeviceFault, match="HOST: ValueError: no square root; the last cycles are in") as caught:
+            flown.flight.run(2.0)
+        flown.check(Fault.HOST)
+    late = flown.flight.timing.delay.p99
+    assert (late > 2.5e-3) == (delays == "longer than expected" and at > 0)
+    assert (late == late) == (delays != "none measured" and at > 0)
+    assert caught.value.path is not None and load_fault(caught.value.path).message == "ValueError: no square root"
+
+
+class Broken:
+    """Publisher and recording that fail at one sample."""
+
+    def __init__(self, error: BaseException, at: int = 30) -> None:
+        self.error, self.left = error, at
+        self.flown: Witnessed
+
+    def fail(self, *_: Any, **__: Any) -> None:
+        self.left -= 1
+        if self.left <= 0:
+            self.flown.forget()
+            raise self.error
+
+    def take(self) -> None:
+        if self.flown.flight.timing.answer.count:
+            self.fail()
+
+    def begin(self, *_: Any) -> Any:
+        if self.left == 0:
+            self.fail()
+        return self.fail
+
+    def show(self, snapshot: Any) -> None: ...
+    def close(self) -> None: ...
+    def event(self, *_: Any) -> None: ...
+    def attach(self, *_: Any) -> None: ...
+    def check(self) -> None: ...
+    def append(self, *_: Any) -> None: ...
+
+
+@pytest.mark.parametrize("kind", ["file", "publishers"])
+@pytest.mark.parametrize("at", [0, 1, 30])
+@pytest.mark.parametrize(
+    ("error", "first"),
+    [
+        (OSError(28, "No space left on device"), Fault.HOST),
+        (SystemExit(3), Fault.HOST),
+        (KeyboardInterrupt(), Fault.ESTOP),
+    ],
+)
+def test_so_do_a_recording_a_viewer_and_an_interrupt(
+    error: BaseException, first: Fault, at: int, kind: str, tmp_path: Path
+) -> None:
+    broken = Broken(error, at)
+    options: dict[str, Any] = {"file": broken} if kind == "file" else {"publishers": [broken]}
+    flown = broken.flown = Witnessed(tmp_path, **options)
+    with flown.plant:
+        with pytest.raises(DeviceFault):
+            flown.flight.run(2.0)
+        flown.check(first)
+
+
+@pytest.mark.parametrize("address", ["udp://127.0.0.1:1", "serial:///dev/ttyUSB0?baud=921600"])
+def test_a_silent_serial_line_is_told_what_it_needs(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin, line = Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(blackouts=((2.7, 2.8),)))
+    monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(twin, line), folder=tmp_path))
+    assert cli.main(["bridge", address, "--seconds", "1"]) == 1
+    (fault,) = capsys.readouterr().err.splitlines()
+    assert fault.startswith("maglev-mj bridge: WATCHDOG: said by the device; the last cycles are in ")
+    assert ("a busy machine hands over a serial line's bytes late" in fault) == address.startswith("serial")
+    assert f"the currents are cut; maglev-mj bridge {shlex.quote(address)} --reset clears the fault" in fault
+
+
+SCENE = '''
+from maglev_mj import Hold
+from maglev_mj.scenes.rooms import Joystick
+
+class Rooted(Hold):
+    def __call__(self, *arguments):
+        if Rooted.left == 0:
+            raise ValueError("no square root")
+        Rooted.left -= 1
+        return super().__call__(*arguments)
+
+Rooted.left = {left}
+
+class Mine(Joystick):
+    """Joystick with a law that fails."""
+
+    def laws(self):
+        return [*super().laws(), Rooted(stiffness=[1.0] * 6, damping=[0.01] * 6)]
+'''
+
+
+def unchecked(plant: RemotePlant, scene: Scene, **_: Any) -> Preflight:
+    scene = scene.replace(period=plant.period, delay=plant.delay)
+    return Preflight(scene, measure_line(plant, 0.1), math.inf, "", "")
+
+
+def test_the_command_says_in_one_line_what_happened_and_how_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    twin, line = Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(delay=0.0006))
+    monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(twin, line), folder=tmp_path))
+    monkeypatch.setattr(bridge, "preflight", unchecked)  # the law fails there too
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(SCENE.format(left=50))
+    record = tmp_path / "run.maglev"
+    asked = ["bridge", "udp://127.0.0.1:1", "--key", "a key"]
+    Path("a key").write_text("a7" * 16)
+    Path("a key").chmod(0o600)
+    status = cli.main([*asked, "--scene", "mine.py", "--seconds", "1", "--record", str(record)])
+    said = capsys.readouterr()
+    (fault,) = said.err.splitlines()
+    (box,) = tmp_path.glob("fault-*.maglev")
+    assert status == 1 and twin.firmware.faults == Fault.HOST and record.exists()
+    told = f"mine.py, line 8: ValueError: no square root; the last cycles are in {box}"
+    again = "maglev-mj bridge udp://127.0.0.1:1 '--key=a key' --reset"
+    assert fault == f"maglev-mj bridge: HOST: {told}; the currents are cut; {again} clears the fault"
+    assert "answer, from the sample's arrival" in said.out
+    twin.sample()  # without currents
+    assert cli.main(shlex.split(again)[1:]) == 0 and twin.firmware.state == State.INACTIVE
+
+
+@pytest.mark.parametrize("mode", [("--seconds", "0.2"), ("--check",)])
+def test_the_line_is_measured_as_it_is_flown_in_real_time(
+    mode: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy machine other scheduling made the line look twice as slow."""
+    inside: list[str] = []
+    measured: list[list[str]] = []
+
+    @contextmanager
+    def scheduled(policy: str) -> Iterator[list[str]]:
+        inside.append(policy)
+        yield []
+        inside.pop()
+
+    def measure(plant: RemotePlant, *_: float) -> LineReport:
+        measured.append([*inside])
+        return measure_line(plant, 0.1)
+
+    monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(Twin(TwinParameters())), folder=tmp_path))
+    monkeypatch.setattr(bridge, "scheduled", scheduled)
+    monkeypatch.setattr(bridge, "measure_line", measure)
+    assert cli.main(["bridge", "udp://127.0.0.1:1", *mode]) == 0
+    assert measured == [["ignore"]] and not inside

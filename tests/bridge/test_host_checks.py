@@ -1,0 +1,293 @@
+"""Checks by the host of unreported device errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maglev_mj.bridge.fault import DeviceFault
+from maglev_mj.bridge.safety import HostLimits, Limits
+from maglev_mj.bridge.wire import Fault, Flag, State, StateReport
+from maglev_mj.control import Bias
+from maglev_mj.control.controller import Controller
+from maglev_mj.errors import PlantError, SensingError
+from maglev_mj.frames import Command
+from maglev_mj.scenes.rooms import WEIGHT
+from tests.bridge.impaired import Impairment
+from tests.bridge.test_bridge import CENTRE, Rig
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write black boxes to a temporary folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def doctored(rig: Rig, change: Callable[[StateReport], StateReport]) -> None:
+    """Change the device's report at each sample from now on.
+
+    The device itself believes it sound.
+    """
+    encode = rig.twin.firmware._codec.encode
+
+    def changed(session: int, sequence: int, time: int, body: Any) -> bytes:
+        return encode(session, sequence, time, change(body) if isinstance(body, StateReport) else body)
+
+    rig.twin.firmware._codec.encode = changed  # type: ignore[method-assign]
+
+
+def put(name: str, place: int, value: float) -> Callable[[StateReport], StateReport]:
+    """Return a function that replaces one of six values."""
+
+    def change(report: StateReport) -> StateReport:
+        values = list(getattr(report, name))
+        values[place] = value
+        return report._replace(**{name: tuple(values)})  # type: ignore[arg-type]
+
+    return change
+
+
+def repeated(*names: str) -> Callable[[StateReport], StateReport]:
+    """Return a function that repeats values of the first report."""
+    first: list[StateReport] = []
+
+    def change(report: StateReport) -> StateReport:
+        first.append(report)
+        return report._replace(**{name: getattr(first[0], name) for name in names})
+
+    return change
+
+
+def one_diode(report: StateReport, first: list[StateReport] = []) -> StateReport:  # noqa: B006 - the first one, kept
+    """Repeat the first reading of the second diode."""
+    first.append(report)
+    return report._replace(spots=(*report.spots[:2], *first[0].spots[2:4], *report.spots[4:]))
+
+
+NAN, INF = math.nan, math.inf
+DISBELIEVED: list[tuple[str, Callable[[StateReport], StateReport], Fault, int]] = [
+    *(
+        (f"valid {valid:03b}", lambda report, valid=valid: report._replace(valid=valid), Fault.SENSOR_OUT_OF_RANGE, 1)
+        for valid in (6, 5, 3, 0)
+    ),
+    *((f"spot {value}", put("spots", 3, value), Fault.SENSOR_OUT_OF_RANGE, 1) for value in (NAN, INF, -0.0121, 1e300)),
+    *((f"current {value}", put("currents", 4, value), Fault.COIL_OVERCURRENT, 1) for value in (NAN, -INF, 15.1, -15.1)),
+    *(
+        (f"temperature {value}", put("temperatures", 1, value), Fault.COIL_OVERTEMP, 1)
+        for value in (NAN, INF, 2.1, -0.02)
+    ),
+    ("all diodes frozen", repeated("spots"), Fault.SENSOR_FROZEN, Limits().frozen + 1),
+    ("one diode frozen", one_diode, Fault.SENSOR_FROZEN, Limits().frozen + 1),
+    ("counter stuck", repeated("conversions"), Fault.SENSOR_STOPPED, 2),
+    ("measured, not commanded", put("currents", 3, 0.9), Fault.COIL_NOT_FOLLOWING, 4),
+    ("amplifiers open", lambda report: report._replace(flags=0), Fault.HOST, 2),
+]
+CONTRADICTED: list[tuple[str, Callable[[StateReport], StateReport], Fault, int]] = [
+    ("fault bits without FAULT", lambda report: report._replace(faults=Fault.CLOCK), Fault.HOST, 1),
+    ("FAULT without fault bits", lambda report: report._replace(state=State.FAULT), Fault.HOST, 1),
+]
+
+
+@pytest.mark.parametrize(
+    ("change", "fault", "within"),
+    [case[1:] for case in DISBELIEVED + CONTRADICTED],
+    ids=[case[0] for case in DISBELIEVED + CONTRADICTED],
+)
+def test_what_cannot_be_is_a_fault_by_name(
+    change: Callable[[StateReport], StateReport], fault: Fault, within: int
+) -> None:
+    rig = Rig(pose=CENTRE)
+    rig.plant.arm()
+    rig.fly(0.2)
+    tick = rig.twin.tick
+    doctored(rig, change)
+    with pytest.raises(DeviceFault) as caught:
+        rig.fly(1.0)
+    assert caught.value.faults == fault and "\n" not in str(caught.value)
+    assert rig.plant.samples.tick - tick <= within
+    assert rig.twin.firmware.faults == fault and rig.twin.firmware.state == State.FAULT
+    rig.currents()
+    assert rig.currents() == [0.0] * 6
+
+
+def far(rig: Rig) -> None:
+    """Put the flotor out of its envelope, by the host's pose alone."""
+    track = rig.plant._track
+    rig.plant._track = lambda spots: [0.006, *track(spots)[1:]]  # type: ignore[assignment]
+
+
+def no_pose(rig: Rig) -> None:
+    """Find no pose from now on."""
+
+    def none(spots: Any) -> Any:
+        raise SensingError("no pose was found")
+
+    rig.plant._track = none  # type: ignore[assignment]
+
+
+def out_of_step(rig: Rig) -> None:
+    """Put the device's clock forward by two samples."""
+    rig.plant.samples._sequence -= 2
+
+
+def warm(rig: Rig) -> None:
+    """Let the host's model have a coil at its limit."""
+    rig.plant._output.thermal.rises[3] = 1.01
+
+
+def reported(change: Callable[[StateReport], StateReport]) -> Callable[[Rig], None]:
+    """Return what changes the device's reports."""
+    return lambda rig: doctored(rig, change)
+
+
+GUARDED: list[tuple[Callable[[Rig], None], str]] = [
+    (reported(put("spots", 3, -0.0121)), "SENSOR_OUT_OF_RANGE: spots "),
+    (reported(put("currents", 4, 15.1)), "COIL_OVERCURRENT: measured currents "),
+    (no_pose, "SENSOR_OUT_OF_RANGE: no pose was found"),
+    (far, "FLOTOR_OVERSPEED BOUNDARY: the flotor is at 6.00, "),
+    (reported(put("currents", 3, 0.9)), "COIL_NOT_FOLLOWING: the device measures "),
+    (
+        reported(lambda report: report._replace(flags=Flag.HOLDING | Flag.ENABLED)),
+        "HOST: the device is HOLDING for want of answers",
+    ),
+    (reported(lambda report: report._replace(flags=0)), "HOST: the amplifiers are not ENABLED"),
+    (out_of_step, "CLOCK: "),
+    (warm, "COIL_OVERTEMP: coil 3 bears no more"),
+]
+"""For each guard, in their order: what it finds, and its message."""
+
+
+@pytest.mark.parametrize("index", range(len(Rig().plant.guards)))
+def test_each_guard_finds_its_fault_and_without_it_nothing_does(index: int) -> None:
+    assert len(GUARDED) == len(Rig().plant.guards)
+    prepare, message = GUARDED[index]
+    for guarded in (True, False):
+        rig = Rig(pose=CENTRE)
+        rig.plant.arm()
+        rig.fly(0.1)
+        prepare(rig)
+        if not guarded:
+            del rig.plant.guards[index]
+        error = ""
+        try:
+            rig.fly(0.02)
+        except (DeviceFault, SensingError) as caught:
+            error = str(caught)
+        assert error.startswith(message) == guarded, error
+
+
+def test_a_device_of_smaller_current_is_held_to_the_hosts() -> None:
+    rig = Rig(pose=CENTRE, host={"limits": HostLimits(max_current=2.0)})
+    rig.plant.arm()
+    rig.fly(0.1)
+    doctored(rig, put("currents", 0, 3.1))
+    with pytest.raises(DeviceFault, match=r"COIL_OVERCURRENT: measured currents 3\.1, "):
+        rig.fly(0.1)
+
+
+@pytest.mark.parametrize("change", [case[1] for case in DISBELIEVED if "spot" not in case[0]])
+def test_a_device_that_is_not_flown_may_say_what_it_likes(change: Callable[[StateReport], StateReport]) -> None:
+    rig = Rig()
+    doctored(rig, change)
+    for _ in range(40):
+        rig.plant.read()
+    assert rig.plant.state == State.INACTIVE and not rig.plant.faults
+
+
+@pytest.mark.parametrize("missed", [1, 3])
+def test_lost_samples_are_no_speed(missed: int) -> None:
+    # Pushed to more than half of what trips; a gap makes the step look larger, not the speed.
+    start = 0.25
+    hand = lambda tick, at, state: [8.0 * (start < at < start + 0.033), *[0.0] * 5]  # noqa: E731
+    gap = Impairment(blackouts=((start + 0.0315, start + 0.0315 + 0.005 * missed),))
+    rig = Rig(gap, pose=(-0.004, 0.0, 0.0, 0.0, 0.0, 0.0), hand=hand, limits=Limits(spot_speed=0.4))
+    rig.plant.arm()
+    controller = Controller([Bias(WEIGHT)], period=0.005)
+    rig.fly(start + 0.031 + 0.005 * missed + 0.007, controller)
+    speeds = [math.hypot(*twist[:3]) for twist in rig.witness.twists]
+    assert rig.plant.samples.lost == missed and max(speeds) > 0.33
+    assert not rig.plant.faults
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ([{"flags": 0}] * 2, "^HOST: the amplifiers are not ENABLED, and the device does not cut the currents"),
+        ([{"flags": 0}, {}, {"flags": 0}], ""),
+        ([{"flags": 0, "state": State.INACTIVE}] * 2, ""),  # late ones, from before arming
+        ([{"faults": 1024}], "^HOST: the device says state ACTIVE with faults CLOCK"),
+        ([{"state": State.FAULT}], "^HOST: the device says state FAULT with faults none"),
+        ([{}, {"flags": Flag.HOLDING | Flag.ENABLED}], "^HOST: the device is HOLDING for want of answers, the newest"),
+        ([{"currents": (2.0,) * 6}] * 2, ""),  # the third in a row counts
+    ],
+)
+def test_a_device_that_contradicts_itself_is_not_flown(changes: list[dict[str, Any]], says: str) -> None:
+    rig = Rig(pose=CENTRE)
+    rig.plant.arm()
+    rig.fly(0.05)
+    left = [*changes]
+    doctored(rig, lambda report: report._replace(**left.pop(0)) if left else report)
+    if not says:
+        rig.plant._line.settled = rig.link.time + 50_000_000
+        rig.fly(0.05)
+        return
+    with pytest.raises(DeviceFault, match=says):
+        rig.fly(0.05)
+
+
+def test_answers_that_no_coil_gets_warm_none() -> None:
+    rig = Rig()
+    for _ in range(100):
+        rig.plant.read()
+        rig.plant.write(Command(WEIGHT))
+    assert max(rig.plant.temperatures) == 0.0
+
+
+def test_samples_that_come_during_a_stop_are_read_after_it() -> None:
+    rig = Rig()
+    rig.plant.read()
+    rig.plant.estop()
+    for _ in range(3):
+        rig.plant.read()
+    assert rig.plant.samples.lost == 0 and rig.plant.samples.tick == rig.twin.tick
+
+
+def test_a_sample_from_before_a_stop_does_not_undo_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(pose=CENTRE)
+    rig.plant.arm()
+    rig.plant.read()
+    receive = rig.link.receive
+    stale = receive(1.0)
+    assert stale is not None and stale[3] == 5
+
+    def no_samples(timeout: float) -> bytes | None:
+        end = rig.link.time + round(timeout * 1e9)
+        while (data := receive((end - rig.link.time) * 1e-9)) is not None and data[3] == 5:
+            pass
+        return data
+
+    monkeypatch.setattr(rig.link, "receive", no_samples)
+    rig.plant.estop()
+    monkeypatch.undo()
+    rig.plant._armed = False  # nobody flies: no fault is due
+    rig.link._arrived[:] = [stale]
+    for _ in range(3):
+        rig.plant.read()
+        assert (rig.plant.state, rig.plant.faults) == (State.FAULT, Fault.ESTOP)
+
+
+def test_rubbish_without_end_is_no_sample() -> None:
+    rig = Rig()
+    rig.plant.read()
+
+    def rubbish(timeout: float) -> bytes:
+        rig.link.time += 1_000_000
+        return b"rubbish"
+
+    rig.link.receive = rubbish  # type: ignore[method-assign]
+    with pytest.raises(PlantError, match="no sample from the device within 1 s"):
+        rig.plant.read()

@@ -1,0 +1,286 @@
+"""Check before takeoff: the measured line, what a scene bears, and what is refused."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import cli, find_scene
+from maglev_mj.bridge import HostLimits, RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge.line import MARGIN, LineReport, measure_line, preflight, stiffest_walls
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.cli import bridge
+from maglev_mj.errors import PlantError
+from maglev_mj.plants.hand import HANDS
+from maglev_mj.session import device_controller
+from maglev_mj.theory import largest_modulus
+from maglev_mj.theory.verdict import delay_margins
+from tests.bridge.impaired import ImpairedLine, Impairment
+from tests.processes import started, twin
+
+SIGN_ERROR = """\
+from maglev_mj import AxisLaw, Scene, gain
+
+
+class Repelling(AxisLaw):
+    stiffness: float = gain()
+
+    def force(self, x, v, gains, state):
+        return gains.stiffness * x
+
+
+class Own(Scene):
+    def laws(self):
+        return [Repelling(axes="x", stiffness=800.0)]
+"""
+
+
+class Clock(VirtualLink):
+    """Link whose clock goes faster than the device's."""
+
+    rate = 1.0
+
+    def now(self) -> int:
+        return round(super().now() * self.rate)
+
+
+def device(folder: Path, way: float = 0.0, jitter: float = 0.0, clock: float = 1.0, **options: Any) -> RemotePlant:
+    limits = options.pop("limits", None)
+    link = Clock(Twin(TwinParameters(**options), draw=lambda: 7), ImpairedLine(Impairment(delay=way, jitter=jitter)))
+    link.rate = clock
+    return RemotePlant(link, folder=folder, limits=limits)
+
+
+@pytest.mark.parametrize("rate", [200, 1000])
+@pytest.mark.parametrize("way", [0.0, 0.0002, 0.001])
+def test_a_line_is_measured_without_current(way: float, rate: int, tmp_path: Path) -> None:
+    with device(tmp_path, way, period=1.0 / rate) as plant:
+        report = measure_line(plant, 0.5)
+        assert not np.any(plant.report.currents) and not plant.disarmed
+    assert report.samples == rate // 2 and report.lost == report.skipped == report.late == 0
+    assert report.delay == pytest.approx(plant.delay + 2.0 * way, abs=2e-6)
+    assert report.usual == pytest.approx(plant.delay + 2.0 * way, abs=2e-6)
+    assert report.planned == pytest.approx(plant.delay + MARGIN * 2.0 * way, abs=4e-6)
+    assert report.clock == pytest.approx(1.0) and report.success >= 0.98
+    assert report.as_json()["delay"] == pytest.approx(report.delay.tolist())
+    assert "samples answered in time; 0 lost, 0 skipped, 0 answers late;" in str(report.table())
+
+
+def test_in_lockstep_the_device_alone_takes_time(tmp_path: Path) -> None:
+    with device(tmp_path, lockstep=True) as plant:
+        report = measure_line(plant, 0.2)
+    assert report.usual == report.planned == plant.delay and report.clock == 1.0
+
+
+def test_answers_too_late_to_be_obeyed_are_counted(tmp_path: Path) -> None:
+    with device(tmp_path, 0.012) as plant:
+        report = measure_line(plant, 0.3)
+    assert report.success < 0.2
+
+
+def test_a_device_that_is_not_inactive_is_not_measured(tmp_path: Path) -> None:
+    with device(tmp_path) as plant:
+        plant.read()
+        plant.arm()
+        with pytest.raises(PlantError, match="no takeoff: the device is ACTIVE, faults none"):
+            measure_line(plant)
+
+
+SOME = [("joystick", 0.0), ("joystick", 0.0006), ("drop", 0.0)]
+REST = product(["joystick", "drop", "table", "box", "corner", "stick-slip"], [0.0, 0.0006, 0.0012])
+
+
+@pytest.mark.parametrize(
+    ("name", "way"), [*SOME, *(pytest.param(*case, marks=pytest.mark.study) for case in REST if case not in SOME)]
+)
+def test_walls_are_softened_to_what_the_line_bears(name: str, way: float, tmp_path: Path) -> None:
+    scene = find_scene(name)()
+    with device(tmp_path, way) as plant:
+        found = preflight(plant, scene, report=measure_line(plant, 0.2))
+    margins = delay_margins(device_controller(found.scene), list(HANDS), pose=scene.start().pose)
+    assert found.bears == pytest.approx(min(margins.values()))
+    if found.softened:
+        assert way and found.problem == "" and found.bears >= found.report.planned
+        stiffness, written = found.scene.stiffness, scene.stiffness  # type: ignore[attr-defined]
+        assert stiffness < written and f"walls are {stiffness:.0f} N/m instead of {written:.0f}" in found.softened
+        # and not much softer than they need to be
+        stiffer = found.scene.replace(stiffness=1.3 * stiffness)
+        assert min(delay_margins(device_controller(stiffer), list(HANDS)).values()) < 1.1 * found.report.planned
+    else:
+        assert found.bears >= found.report.planned or name == "drop"
+        assert found.scene == scene.replace(period=plant.period, delay=plant.delay)
+
+
+PROBLEMS: list[tuple[str, dict[str, Any], str]] = [
+    ("joystick", {"way": 0.001, "as_written": True}, "joystick bears 2.77 ms of delay and is UNSTABLE beyond, and one"),
+    ("joystick", {"clock": 1.03}, "the device's clock goes 0.971 times as fast as this host's, and 2 % is allowed"),
+    ("joystick", {"clock": 0.5}, "the device's clock goes 2.000 times as fast"),
+    ("joystick", {"clock": 0.96}, "the device's clock goes 1.042 times as fast"),
+    ("joystick", {"clock": 1.01}, ""),
+    ("joystick", {"clock": 0.99, "jitter": 0.0005}, ""),
+    ("stiff", {}, "joystick is UNSTABLE without any delay: lower its stiffness, or raise its damping"),
+    ("mine", {}, "own is UNSTABLE without any delay"),
+    ("six-axes", {"way": 0.006, "as_written": True}, "six-axes bears 10.57 ms of delay and is UNSTABLE beyond"),
+    ("twist", {"way": 0.006}, ""),
+    ("twist", {"way": 0.012}, "only 0 % of 100 samples were answered in time, and 50 % are needed"),
+]
+
+
+@pytest.mark.parametrize(("name", "line", "says"), PROBLEMS)
+def test_what_should_not_fly_is_said_in_one_line(
+    name: str, line: dict[str, Any], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_written = line.get("as_written", name == "stiff")
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(SIGN_ERROR)
+    scene = find_scene("mine.py" if name == "mine" else "joystick" if name == "stiff" else name)()
+    if name == "stiff":
+        scene = scene.replace(stiffness=60_000.0)
+    options = {key: value for key, value in line.items() if key != "as_written"}
+    with device(tmp_path, **options) as plant:
+        found = preflight(plant, scene, as_written=as_written, report=measure_line(plant, 0.5))
+    assert says in found.problem and bool(says) == bool(found.problem) and "\n" not in found.problem
+
+
+def test_what_is_not_known_is_not_flown(tmp_path: Path) -> None:
+    found = problem_of(bears=math.nan)
+    assert "it is not known what delay joystick bears" in found
+
+
+def problem_of(bears: float) -> str:
+    from maglev_mj.bridge.line import _problem
+
+    report = LineReport(
+        device_delay=0.0015,
+        delay=np.full(9, 0.002),
+        answer=np.full(9, 1e-4),
+        samples=9,
+        lost=0,
+        skipped=0,
+        late=0,
+        clock=1.0,
+        lockstep=False,
+    )
+    return _problem(find_scene("joystick")(), report, bears)
+
+
+def test_the_stiffest_walls_are_on_the_edge_at_the_planned_delay(tmp_path: Path) -> None:
+    with device(tmp_path, 0.0005) as plant:
+        report = measure_line(plant, 0.2)
+        walls = stiffest_walls(report, plant)
+    for hand, (stiffness, damping) in walls.items():
+        loop: dict[str, Any] = {"period": 0.005, "delay": report.planned, "mass": 0.7, "hand": hand}
+        moduli = [float(largest_modulus(share * stiffness, damping, **loop)) for share in (0.99, 1.01)]
+        assert moduli[0] < 1.0 < moduli[1] + 2e-3
+
+
+# the command
+
+
+Flown = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def flown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Flown:
+    """Return a function that runs `bridge` on a device, and returns status, output and errors."""
+    flights: list[Any] = []
+
+    def run(plant: RemotePlant, *options: str, address: str = "udp://127.0.0.1:1") -> tuple[int, str, str]:
+        monkeypatch.setattr(bridge, "_opened", lambda *_: plant)
+        monkeypatch.setattr(bridge, "measure_line", lambda plant, *_: measure_line(plant, 0.2))
+
+        def fly(plant: RemotePlant, flight: Any, *_: Any) -> int:
+            flights.append(flight)
+            return 0
+
+        monkeypatch.setattr(bridge, "_fly", fly)
+        capsys.readouterr()
+        flights.clear()
+        status = cli.main(["bridge", address, *options])
+        said = capsys.readouterr()
+        flies = f"takes off{', settings too' * flights[0].anyway}" if flights else ""
+        return status, f"{said.out}{flies}", said.err
+
+    return run
+
+
+SLOW = {"way": 0.002}
+
+
+@pytest.mark.parametrize(
+    ("address", "current", "options", "says"),
+    [
+        ("udp://127.0.0.1:1", None, [], "no takeoff: table bears 3.11 ms"),
+        ("udp://127.0.0.1:1", None, ["--anyway"], "warning: table bears 3.11 ms"),
+        ("serial:///dev/x?baud=921600", None, ["--anyway"], "--anyway needs --max-current of at most 5 A on a device"),
+        ("serial:///dev/x?baud=921600", 5.0, ["--anyway"], "warning: table bears 3.11 ms"),
+        ("serial:///dev/x?baud=921600", 5.0, [], "no takeoff: table bears 3.11 ms"),
+    ],
+)
+def test_anyway_flies_a_twin_and_a_device_at_half_power(
+    address: str, current: float | None, options: list[str], says: str, flown: Flown, tmp_path: Path
+) -> None:
+    plant = device(tmp_path, **SLOW, limits=HostLimits(max_current=current))
+    status, output, errors = flown(plant, "--scene", "table", "--as-written", *options, address=address)
+    assert says in errors and errors.count("\n") == 1
+    assert ("takes off" in output) == says.startswith("warning") and status == (0 if "takes off" in output else 1)
+
+
+@pytest.mark.parametrize(("address", "current"), [("udp://[::1]:1", None), ("udp://10.0.0.1:1", 5.0)])
+def test_anyway_holds_for_settings_in_flight_where_it_holds_before(
+    address: str, current: float | None, flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)
+    limits = HostLimits(max_current=current)
+    for where, options, holds in (
+        (address, ["--anyway"], True),
+        ("udp://10.0.0.1:1", ["--anyway"], current is not None),
+        (address, [], False),
+    ):
+        _, output, _ = flown(device(tmp_path, limits=limits), *options, address=where)
+        assert output.endswith("takes off, settings too" if holds else "takes off")
+
+
+def test_a_softened_scene_is_said(flown: Flown, tmp_path: Path) -> None:
+    status, output, _ = flown(device(tmp_path, 0.0006))
+    assert status == 0 and re.search(r"joystick's walls are \d+ N/m instead of 6000", output) and "takes off" in output
+
+
+def test_as_written_a_scene_is_not_softened(flown: Flown, tmp_path: Path) -> None:
+    status, output, _ = flown(device(tmp_path, 0.0006), "--as-written")
+    assert status == 0 and "instead of" not in output and "takes off" in output
+
+
+@pytest.mark.parametrize(("scene", "way", "status"), [("joystick", 0.0003, 0), ("table", 0.02, 1)])
+def test_check_says_what_the_line_bears_and_ends(
+    scene: str, way: float, status: int, flown: Flown, tmp_path: Path
+) -> None:
+    plant = device(tmp_path, way)
+    got, output, _ = flown(plant, "--check", "--scene", scene)
+    said = " ".join(output.split())
+    assert got == status and "takes off" not in said and not plant.disarmed
+    assert re.search(
+        r"stiffest wall at \d\.\d\d ms \(1\.5 times the line\), by hand: none \d+ N/m with \d+ N s/m, arm", said
+    )
+    assert all(f"{hand} " in said for hand in HANDS)
+
+
+@pytest.mark.parametrize("other", ["--seconds=1", "--record=x.maglev", "--reset", "--identify=a.json"])
+def test_check_does_that_alone(other: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bridge", "udp://127.0.0.1:1", "--check", other]) == 2
+    assert "check" in capsys.readouterr().err
+
+
+@pytest.mark.machine
+def test_check_of_a_twin_over_udp_is_ended_by_ctrl_c() -> None:
+    with twin() as (_, address), started("bridge", address, "--check") as host:
+        host.wait_for("measuring the line")
+        outcome = host.end()
+    assert outcome.status == 130 and "Traceback" not in outcome.errors

@@ -1,0 +1,616 @@
+"""Links over UDP and serial lines, good and impaired.
+
+Permitted hosts too.
+"""
+
+import errno
+import math
+import os
+import random
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from typing import Any, cast
+
+import pytest
+
+from maglev_mj.bridge.links import (
+    LONGEST,
+    Deframer,
+    Link,
+    LinkError,
+    PtyServer,
+    SerialLink,
+    Server,
+    UdpLink,
+    UdpServer,
+    cobs_decode,
+    cobs_encode,
+    open_link,
+    parse_url,
+)
+from maglev_mj.bridge.twin.simulated_links import TO_DEVICE, Line
+from maglev_mj.errors import MissingPackageError, ParameterError
+from maglev_mj.session.access import check_host, is_loopback
+from tests.bridge.impaired import Impairer, Impairment
+from tests.bridge.udp_proxy import UdpProxy
+
+PATIENCE = 60.0
+HOME = "127.0.0.1"
+Pair = tuple[Link, Server]
+
+
+def datagrams() -> Pair:
+    server = UdpServer(HOME, 0)
+    return UdpLink(*server.address), server
+
+
+def serial_line() -> Pair:
+    server = PtyServer()
+    return SerialLink(server.path, 921600), server
+
+
+class Port:
+    """Serial port with what pyserial has on every system: no descriptor, which Windows' ports lack."""
+
+    def __init__(self, port: Any) -> None:
+        self._port, self.close = port, port.close
+
+    @property
+    def in_waiting(self) -> int:
+        """Number of bytes that have come."""
+        return int(self._port.in_waiting)
+
+    def read(self, size: int) -> bytes:
+        """Return up to `size` bytes."""
+        return bytes(self._port.read(size))
+
+    def write(self, data: bytes) -> int:
+        """Send bytes."""
+        return int(self._port.write(data))
+
+
+def line_without_descriptor() -> Pair:
+    server = PtyServer()
+    link = SerialLink(server.path, 921600)
+    link._port = Port(link._port)
+    return link, server
+
+
+PTY = pytest.mark.needs("pty")
+
+
+ON_PTY = [pytest.param(one, marks=[PTY, pytest.mark.machine]) for one in (serial_line, line_without_descriptor)]
+
+
+@pytest.fixture(params=[datagrams, *ON_PTY])
+def pair(request: pytest.FixtureRequest) -> Iterator[Pair]:
+    make: Callable[[], Pair] = request.param
+    link, server = make()
+    yield link, server
+    link.close()
+    server.close()
+    link.close()
+    server.close()
+
+
+def frames(count: int, seed: int = 3) -> list[bytes]:
+    """Return seeded frames of 1 to 300 bytes, many zero."""
+    luck = random.Random(seed)
+    return [
+        bytes(luck.choice((0, 0, 255, luck.randrange(256))) for _ in range(luck.randint(1, 300))) for _ in range(count)
+    ]
+
+
+def test_frames_go_both_ways(pair: Pair) -> None:
+    link, server = pair
+    for frame in frames(100):
+        link.send(frame)
+        heard = server.receive(PATIENCE)
+        assert heard is not None and heard[0] == frame
+        server.send(frame[::-1], heard[1])
+        assert link.receive(PATIENCE) == frame[::-1]
+
+
+def test_several_frames_wait_in_their_order(pair: Pair) -> None:
+    link, server = pair
+    link.send(b"first")
+    heard = server.receive(PATIENCE)
+    assert heard is not None
+    for number in range(5):
+        server.send(b"%d" % number, heard[1])
+    assert [link.receive(PATIENCE) for _ in range(5)] == [b"%d" % number for number in range(5)]
+    assert link.receive(0.0) is None
+
+
+@pytest.mark.machine
+def test_silence_is_none_after_the_timeout(pair: Pair) -> None:
+    link, server = pair
+    for timeout in (0.03, 0.0, -1.0):
+        before = link.now()
+        assert link.receive(timeout) is None and server.receive(timeout) is None
+        assert link.now() - before >= 2e9 * timeout
+
+
+@pytest.mark.machine
+def test_where_nobody_listens_there_is_silence_and_a_server_come_later_is_heard() -> None:
+    server = UdpServer(HOME, 0)
+    port = server.address[1]
+    server.close()
+    with closing(UdpLink(HOME, port)) as link:
+        for _ in range(5):
+            before = time.monotonic()
+            link.send(b"anyone?")
+            assert link.receive(0.02) is None
+            assert time.monotonic() - before >= 0.02  # or who tries again would spin
+        link.send(b"the command_fault of this one is still to come")
+        with closing(UdpServer(HOME, port)) as late:
+            link.send(b"there you are")
+            heard = late.receive(PATIENCE)
+            assert heard is not None and heard[0] == b"there you are"
+
+
+class Down:
+    """A socket of a host that is down."""
+
+    def __init__(self, real: Any) -> None:
+        self.fileno, self.close = real.fileno, real.close
+
+    def send(self, *_: Any) -> Any:
+        """Fail."""
+        raise OSError(errno.EHOSTDOWN, "Host is down")
+
+    sendto = recv = recvfrom = send
+
+
+def test_a_datagram_longer_than_any_frame_is_dropped() -> None:
+    # Linux cuts it short, which no seal fits; on Windows it is an error of the socket.
+    with closing(UdpServer(HOME, 0)) as server, closing(UdpLink(*server.address)) as link:
+        link.send(bytes(3000))
+        link.send(b"next")
+        longer = server.receive(PATIENCE)
+        assert longer is not None and len(longer[0]) < 3000
+        refused = iter([OSError(errno.EMSGSIZE, "Message too long"), BlockingIOError(errno.EAGAIN, "none")])
+
+        def receive(*_: Any) -> Any:
+            raise next(refused)
+
+        link._receive = receive
+        assert link.receive(0.0) is None
+        assert server.receive(PATIENCE) is not None
+
+
+def test_every_error_of_a_socket_is_a_link_error() -> None:
+    with closing(UdpServer(HOME, 0)) as server, closing(UdpLink(*server.address)) as link:
+        link._socket = down = Down(link._socket)  # type: ignore[assignment]
+        link._send, link._receive = down.send, down.recv
+        server._socket = Down(server._socket)  # type: ignore[assignment]
+        ways: list[Callable[[], object]] = [
+            lambda: link.send(b"x"),
+            lambda: link.receive(0.0),
+            lambda: server.send(b"x", (HOME, 1)),
+            lambda: server.receive(0.0),
+        ]
+        for way in ways:
+            with pytest.raises(LinkError, match="Host is down") as caught:
+                way()
+            assert "\n" not in str(caught.value)
+
+
+def test_a_closed_end_is_a_link_error_and_closes_again(pair: Pair) -> None:
+    link, server = pair
+    for end in (link, server):
+        end.close()
+        for timeout in (0.0, 0.01):
+            with pytest.raises(LinkError):
+                end.receive(timeout)
+        end.close()
+    with pytest.raises(LinkError):
+        link.send(b"x")
+
+
+@PTY
+@pytest.mark.machine
+def test_an_adapter_that_was_pulled_out_is_closed_without_a_word() -> None:
+    with closing(PtyServer()) as server:
+        link = SerialLink(server.path, 921600)
+        close: Any = link._port.close
+        descriptor, tried = link._port.fileno(), []
+
+        def pulled() -> None:
+            tried.append(descriptor)
+            raise OSError(errno.EIO, "Input/output error")
+
+        link._port.close = pulled
+        link.close()
+        assert tried == [descriptor]
+        uses: list[Callable[[], object]] = [lambda: link.send(b"x"), lambda: link.receive(0.0)]
+        for use in uses:  # not the number that may be another file's
+            with pytest.raises(LinkError):
+                use()
+        assert server.receive(0.01) is None
+        close()
+
+
+def test_a_forged_sender_does_not_stop_a_server() -> None:
+    with closing(UdpServer(HOME, 0)) as server, closing(UdpLink(*server.address)) as link:
+        for address in ((HOME, 0), ("255.255.255.255", 9)):
+            server.send(b"answer", address)
+            link.send(b"question")
+            heard = server.receive(PATIENCE)
+            assert heard is not None and heard[0] == b"question"
+            server.send(b"answer", heard[1])
+            assert link.receive(PATIENCE) == b"answer" and link.receive(0.0) is None
+
+
+def test_a_port_in_use_is_one_line() -> None:
+    with closing(UdpServer(HOME, 0)) as server, pytest.raises(LinkError, match=r"cannot listen at udp://127\.0\.0\.1:"):
+        UdpServer(HOME, server.address[1])
+
+
+@pytest.mark.parametrize("port", [0, -1, 65536])
+def test_a_link_needs_a_port(port: int) -> None:
+    with pytest.raises(ParameterError, match=f"port must be 1 to 65535, not {port}"):
+        UdpLink(HOME, port)
+
+
+def test_only_this_machine_is_loopback() -> None:
+    assert is_loopback(HOME) and is_loopback("127.8.9.10") and is_loopback("localhost")
+    assert not is_loopback("0.0.0.0") and not is_loopback("192.0.2.1") and not is_loopback("0")
+    assert check_host(HOME, None) == HOME
+    assert check_host("192.0.2.1", b"0123456789abcdef") == "192.0.2.1"
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.1", "", "a..b", "::1", "x" * 300, "a\0b"])
+def test_without_a_key_nobody_else_is_spoken_to(host: str) -> None:
+    with pytest.raises(ParameterError, match="host must be"):
+        check_host(host, None)
+
+
+def test_addresses() -> None:
+    assert parse_url("udp://127.0.0.1:5678") == ("udp", HOME, 5678)
+    assert parse_url("udp://localhost:0", server=True) == ("udp", "localhost", 0)
+    assert parse_url("serial:///dev/ttyUSB0?baud=460800") == ("serial", "/dev/ttyUSB0", 460800)
+    assert parse_url("serial:///dev/ttyUSB0") == ("serial", "/dev/ttyUSB0", 921600)
+    assert parse_url("serial://COM3?baud=115200") == ("serial", "COM3", 115200)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "127.0.0.1:5678",
+        "tcp://127.0.0.1:5678",
+        "udp://127.0.0.1",
+        "udp://127.0.0.1:0",
+        "udp://127.0.0.1:65536",
+        "udp://127.0.0.1:-1",
+        "udp://127.0.0.1:5678/",
+        "udp://127.0.0.1:5678\n",
+        "udp://me@127.0.0.1:5678",
+        "udp://[::1]:5678",
+        "udp://:5678",
+        "serial://ttyUSB0",
+        "serial://COM",
+        "serial://COM3/x",
+        "serial:///",
+        "serial:///dev/ttyUSB0?baud=0",
+        "serial:///dev/ttyUSB0?baud=fast",
+        "serial:///dev/ttyUSB0?parity=even",
+    ],
+)
+def test_what_is_no_address_is_named(text: str) -> None:
+    with pytest.raises(ParameterError, match="must be udp://HOST:PORT with a port of 1 to 65535, or serial") as error:
+        open_link(text)
+    assert repr(text) in str(error.value) and "\n" not in str(error.value)
+
+
+@PTY
+@pytest.mark.machine
+def test_links_are_opened_by_address() -> None:
+    with closing(UdpServer(HOME, 0)) as server, closing(open_link(f"udp://localhost:{server.address[1]}")) as link:
+        link.send(b"over UDP")
+        heard = server.receive(PATIENCE)
+        assert heard is not None and heard[0] == b"over UDP"
+    with closing(PtyServer()) as line, closing(open_link(f"serial://{line.path}?baud=115200")) as link:
+        link.send(b"over a line")
+        assert line.receive(PATIENCE) == (b"over a line", line.address)
+    with pytest.raises(ParameterError, match="loopback"):
+        open_link("udp://192.0.2.1:5678")
+
+
+def test_cobs_has_no_zero_and_comes_back() -> None:
+    luck = random.Random(1)
+    lengths = [*range(3), *range(250, 262), *range(505, 512), *(luck.randrange(3000) for _ in range(50))]
+    for length in lengths:
+        for data in (
+            bytes(length),
+            b"\xff" * length,
+            luck.randbytes(length),
+            bytes(luck.choices((0, 1, 255), (1, 300, 300), k=length)),
+        ):
+            encoded = cobs_encode(data)
+            assert b"\0" not in encoded
+            assert len(encoded) <= len(data) + 1 + len(data) // 254
+            assert cobs_decode(encoded) == data
+
+
+@pytest.mark.parametrize(
+    ("data", "encoded"),
+    [
+        (b"", b"\x01"),
+        (b"\0", b"\x01\x01"),
+        (b"\x11\x22\0\x33", b"\x03\x11\x22\x02\x33"),
+        (bytes(range(1, 255)), b"\xff" + bytes(range(1, 255))),
+        (bytes(range(255)), b"\x01\xff" + bytes(range(1, 255))),
+        (bytes(range(1, 256)), b"\xff" + bytes(range(1, 255)) + b"\x02\xff"),
+        (bytes(range(2, 256)) + b"\0", b"\xff" + bytes(range(2, 256)) + b"\x01\x01"),
+    ],
+)
+def test_cobs_is_the_published_one(data: bytes, encoded: bytes) -> None:
+    assert cobs_encode(data) == encoded
+    assert cobs_decode(encoded) == data
+
+
+def test_cobs_of_garbage_never_raises() -> None:
+    luck = random.Random(2)
+    assert cobs_decode(b"") is None and cobs_decode(b"\x03\x01") is None and cobs_decode(b"\x02\0") is None
+    for _ in range(20_000):
+        decoded = cobs_decode(luck.randbytes(luck.randrange(40)))
+        assert decoded is None or len(decoded) < 40
+
+
+def test_a_stream_is_cut_alike_however_it_arrives() -> None:
+    sent = frames(50)
+    stream = b"".join(b"\0" + cobs_encode(frame) + b"\0" for frame in sent)
+    luck = random.Random(4)
+    for most in (1, 7, 5000):
+        deframer, start = Deframer(), 0
+        while start < len(stream):
+            stop = start + luck.randint(1, most)
+            deframer.feed(stream[start:stop])
+            start = stop
+        assert list(deframer.frames) == sent and deframer.dropped == 0
+
+
+def test_what_is_too_long_is_dropped_and_the_next_frame_is_found() -> None:
+    for size in (100, LONGEST, 3 * LONGEST):
+        deframer = Deframer()
+        garbage = b"\x01" * (3 * LONGEST)
+        for start in range(0, len(garbage), size):
+            deframer.feed(garbage[start : start + size])
+        deframer.feed(b"\x01\0" + cobs_encode(b"next") + b"\0")
+        assert list(deframer.frames) == [b"next"] and deframer.dropped == 1
+
+
+@PTY
+@pytest.mark.machine
+def test_a_serial_line_recovers_from_garbage_both_ways() -> None:
+    server = PtyServer()
+    link = SerialLink(server.path, 921600)
+    other_end = os.open(server.path, os.O_WRONLY | os.O_NOCTTY)
+    with closing(server), closing(link):
+        for garbage in (b"\xff noise", b"\x05\x01\0\x09\x01\0\0\0", b"\x01" * 3000):
+            os.write(other_end, garbage)
+            link.send(b"to the device")
+            server._write(b"\xee" * 300)
+            os.write(server._descriptor, garbage)
+            server.send(b"to the host", server.address)
+            heard = server.receive(PATIENCE)
+            while heard is not None and heard[0] != b"to the device":
+                heard = server.receive(PATIENCE)
+            answer = link.receive(PATIENCE)
+            while answer is not None and answer != b"to the host":
+                answer = link.receive(PATIENCE)
+            assert heard and answer
+        assert server._deframer.dropped > 0 and link._deframer.dropped > 0
+    os.close(other_end)
+
+
+@PTY
+@pytest.mark.machine
+def test_a_serial_line_that_is_asked_for_what_has_come_does_not_wait() -> None:
+    link, server = line_without_descriptor()
+    with closing(server), closing(link):
+        cast(Any, link)._port.read = None
+        assert link.receive(0.0) is None
+
+
+@PTY
+@pytest.mark.machine
+def test_noise_without_end_does_not_keep_a_caller() -> None:
+    link, server = serial_line()
+    with closing(server), closing(link):
+        cast(Any, link)._read = lambda timeout: b"\xff" * 50
+        assert link.receive(0.01) is None
+
+
+@PTY
+@pytest.mark.machine
+def test_a_full_serial_line_loses_frames_and_goes_on() -> None:
+    server = PtyServer()
+    with closing(server), closing(SerialLink(server.path, 921600)) as link:
+        for _ in range(1000):
+            link.send(bytes(200))
+            link.send(b"x" * 200)
+        heard: list[bytes] = []
+        while (frame := server.receive(0.1)) is not None:
+            heard.append(frame[0])
+        whole = sum(one in (bytes(200), b"x" * 200) for one in heard)
+        # each time that the line gets full one frame is cut short; its seal would tell
+        assert 0 < whole < 2000 and len(heard) - whole < 0.1 * whole
+        link.send(b"after")
+        # the frame that was cut short may come first, shorter than it was: its seal would tell
+        assert any(server.receive(PATIENCE) == (b"after", server.address) for _ in range(2))
+
+
+@PTY
+@pytest.mark.machine
+def test_a_line_that_is_gone_is_an_error() -> None:
+    server = PtyServer()
+    with closing(SerialLink(server.path, 921600)) as link:
+        with pytest.raises(LinkError, match="cannot open"):
+            SerialLink(server.path, 921600)  # one program at a time
+        server.close()
+        with pytest.raises(LinkError, match="is gone"):
+            link.receive(PATIENCE)
+        with pytest.raises(LinkError, match="is gone"):
+            link.send(b"hello?")
+    with pytest.raises(LinkError, match="cannot open"):
+        SerialLink("/dev/no such line", 921600)
+    with closing(PtyServer()) as another, pytest.raises(ParameterError, match=r"baud must be .* not -1"):
+        SerialLink(another.path, -1)
+
+
+def test_without_pyserial_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "serial", None)
+    with pytest.raises(MissingPackageError, match=r"-m pip install 'pyserial>="):
+        open_link("serial:///dev/ttyUSB0")
+
+
+BAD = Impairment(loss=0.05, duplicate=0.02, corrupt=0.01, delay=2e-3, jitter=2e-3, seed=7)
+
+
+def near(count: int, trials: int, probability: float) -> bool:
+    """Return True if a count is within four standard deviations."""
+    return abs(count - trials * probability) <= 4.0 * math.sqrt(trials * probability * (1.0 - probability))
+
+
+def test_the_same_seed_is_the_same_bad_line_and_each_way_has_its_own() -> None:
+    def fates(impairment: Impairment, stream: int) -> list[list[tuple[int, bytes]]]:
+        impairer = Impairer(impairment, stream)
+        return [impairer.fates(b"frame %d" % number, number * 1000) for number in range(500)]
+
+    assert fates(BAD, 0) == fates(BAD, 0)
+    assert fates(BAD, 0) != fates(BAD, 1)
+    assert fates(BAD, 0) != fates(Impairment(loss=0.05, seed=8), 0)
+
+
+def test_a_bad_line_is_as_bad_as_asked() -> None:
+    impairer, trials, period = Impairer(BAD), 20_000, 5_000_000
+    data = bytes(range(100))
+    fates = [(number * period, impairer.fates(data, number * period)) for number in range(trials)]
+    arrived = [copies for _, copies in fates if copies]
+    copies = [copy for each in arrived for _, copy in each]
+    assert near(trials - len(arrived), trials, BAD.loss)
+    assert near(sum(len(each) == 2 for each in arrived), len(arrived), BAD.duplicate)
+    wrong = [copy for copy in copies if copy != data]
+    assert near(len(wrong), len(copies), BAD.corrupt)
+    assert all(sum(a != b for a, b in zip(copy, data, strict=True)) == 1 for copy in wrong)
+    late = [(due - sent) * 1e-9 for sent, each in fates for due, _ in each]
+    assert min(late) >= 0.0 and max(late) <= 4e-3
+    assert abs(sum(late) / len(late) - 2e-3) <= 4.0 * 2e-3 / (3.0 * len(late)) ** 0.5
+    counts = impairer.counts
+    assert (counts["frames"], counts["lost"]) == (trials, trials - len(arrived))
+    assert (counts["duplicated"], counts["corrupted"]) == (len(copies) - len(arrived), len(wrong))
+
+
+def test_more_loss_leaves_the_luck_of_the_others_as_it_was() -> None:
+    few, many = (Impairer(Impairment(loss=loss, jitter=1e-3, corrupt=0.1)) for loss in (0.1, 0.5))
+    for number in range(1000):
+        first, second = few.fates(b"frame", number), many.fates(b"frame", number)
+        assert not second or second == first
+
+
+def test_jitter_reorders_and_a_good_line_does_nothing() -> None:
+    shaken, good = Impairer(Impairment(delay=1e-3, jitter=2e-3)), Impairer(Impairment())
+    dues = [shaken.fates(b"frame", number * 500_000)[0][0] for number in range(1000)]
+    assert dues != sorted(dues) and shaken.counts["reordered"] > 0
+    assert all(due >= number * 500_000 for number, due in enumerate(dues))  # never before it was sent
+    assert good.fates(b"", 5) == [(5, b"")] and Impairer(Impairment(corrupt=1.0)).fates(b"", 5) == [(5, b"")]
+
+
+def test_in_a_blackout_nothing_arrives() -> None:
+    impairer = Impairer(Impairment(blackouts=((0.1, 0.3), (0.5, 0.6))), start=1_000_000_000)
+    arrived = [number for number in range(10) if impairer.fates(b"frame", 1_000_000_000 + number * 100_000_000)]
+    assert arrived == [0, 3, 4, 6, 7, 8, 9]
+    assert impairer.counts["blackout"] == 3
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"loss": -0.1},
+        {"duplicate": 1.1},
+        {"corrupt": float("nan")},
+        {"delay": -1e-3},
+        {"jitter": float("inf")},
+        {"blackouts": ((0.2, 0.1),)},
+        {"blackouts": ((-1.0, 0.1),)},
+    ],
+)
+def test_an_impairment_that_cannot_be_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(ParameterError, match="must"):
+        Impairment(**wrong)  # type: ignore[arg-type]
+
+
+def echo(link: Link, server: UdpServer, proxy: UdpProxy, count: int) -> list[bytes]:
+    """Send numbered frames; return the answers received."""
+    answers = []
+    for number in range(count):
+        link.send(b"%d" % number)
+        while (heard := server.receive(0.0)) is not None:
+            server.send(*heard)
+        while (answer := link.receive(0.0)) is not None:
+            answers.append(answer)
+        while proxy.to_device.counts["frames"] <= number:  # or a system's queue may run over
+            time.sleep(2e-4)
+    return answers
+
+
+@pytest.mark.machine
+def test_a_proxy_that_is_a_good_line_carries_everything_both_ways() -> None:
+    with closing(UdpServer(HOME, 0)) as server, UdpProxy(server.address, Impairment()) as proxy:
+        with closing(UdpLink(*proxy.address)) as link:
+            for frame in frames(200):
+                link.send(frame)
+                heard = server.receive(PATIENCE)
+                assert heard is not None and heard[0] == frame
+                server.send(frame[::-1], heard[1])
+                assert link.receive(PATIENCE) == frame[::-1]
+        assert proxy.to_device.counts["frames"] == proxy.to_host.counts["frames"] == 200
+        proxy.close()
+
+
+@pytest.mark.machine
+def test_a_proxy_that_is_a_bad_line_loses_repeats_damages_and_delays() -> None:
+    bad = Impairment(loss=0.2, duplicate=0.2, corrupt=0.2, delay=2e-3, jitter=2e-3)
+    with closing(UdpServer(HOME, 0)) as server, UdpProxy(server.address, bad) as proxy:
+        with closing(UdpLink(*proxy.address)) as link:
+            answers = echo(link, server, proxy, 1000)
+            while server.receive(0.05) or link.receive(0.05):  # what is still under way
+                pass
+    assert proxy.to_device.counts["frames"] == 1000
+    for way in (proxy.to_device, proxy.to_host):
+        assert near(way.counts["lost"], way.counts["frames"], 0.2)
+        assert all(way.counts[what] > 0 for what in ("duplicated", "corrupted", "reordered"))
+    sent = {b"%d" % number for number in range(1000)}
+    assert 0 < len(sent & set(answers)) < 1000 and set(answers) - sent
+
+
+@pytest.mark.machine
+def test_a_proxy_holds_frames_back_for_the_delay() -> None:
+    for delay, arrives in ((0.03, True), (3600.0, False)):
+        with closing(UdpServer(HOME, 0)) as server, UdpProxy(server.address, Impairment(delay=delay)) as proxy:
+            with closing(UdpLink(*proxy.address)) as link:
+                link.send(b"there and back")
+                if arrives:
+                    heard = server.receive(PATIENCE)
+                    assert heard is not None
+                    server.send(*heard)
+                    assert link.receive(PATIENCE) == b"there and back"
+                else:
+                    while not proxy.to_device.counts["frames"]:
+                        time.sleep(1e-3)
+                    assert server.receive(0.1) is None
+
+
+def test_a_line_delays_each_frame_and_keeps_their_order() -> None:
+    line = Line(delay=0.002)
+    for data in (b"first", b"second"):
+        line.send(TO_DEVICE, data, 5)
+    assert line.due == 2_000_005 and list(line.arrived(2_000_004)) == []
+    assert list(line.arrived(2_000_005)) == [(TO_DEVICE, b"first"), (TO_DEVICE, b"second")]
+    with pytest.raises(ParameterError, match="delay must be a finite number at least 0, not -1"):
+        Line(delay=-1.0)

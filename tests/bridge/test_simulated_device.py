@@ -1,0 +1,392 @@
+"""Firmware in C on simulated hardware over UDP: conformance, its plant, faults of its hardware."""
+
+from __future__ import annotations
+
+import math
+import random
+import re
+import subprocess
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.conformance import conform
+from maglev_mj.bridge.conformance.check import CHECKS
+from maglev_mj.bridge.conformance.tester import Tester as Host
+from maglev_mj.bridge.links import UdpLink
+from maglev_mj.bridge.twin.twin import REST, TwinParameters
+from maglev_mj.bridge.wire import (
+    Command,
+    Control,
+    Estop,
+    Fault,
+    Flag,
+    Hello,
+    HelloAck,
+    HelloStatus,
+    Operation,
+    Result,
+    State,
+    StateReport,
+)
+from tests.bridge.firmware_core import FOLDER, SANITIZED, STRICT
+from tests.bridge.test_firmware import HOVER, ONES, ZERO
+from tests.bridge.test_wire import KEY, golden_bytes, sealed
+from tests.conftest import COMPILER
+from tests.processes import Program
+
+PROFILE = TwinParameters().profile
+NOMINAL = Calibration.nominal()
+SLOPES = NOMINAL.beams._spots(np.zeros(6))[1]
+PERIOD = 5_000_000
+
+pytestmark = pytest.mark.needs("compiler")
+
+
+def built(folder: Path, flags: Sequence[str]) -> Path | None:
+    """Return the compiled program; None for unknown flags."""
+    program = folder / "simulated_device"
+    sources = [str(FOLDER / name) for name in ("simulated_device.c", "simulated_flotor.c", "maglev_firmware.c")]
+    command = [str(COMPILER), *STRICT, *flags, *sources, "-o", str(program), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+    if done.returncode and flags == ["-O2"]:
+        pytest.fail(f"{' '.join(command)}:\n{done.stderr}")
+    return None if done.returncode else program
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the program, with sanitizers if available."""
+    folder = tmp_path_factory.mktemp("device")
+    found = built(folder, SANITIZED) or built(folder, ["-O2"])
+    assert found is not None
+    return found
+
+
+@pytest.fixture(scope="module")
+def key_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a file with the page's key."""
+    path = tmp_path_factory.mktemp("key") / "key"
+    path.write_text(KEY.hex() + "\n", encoding="ascii")
+    return path
+
+
+@pytest.fixture(scope="module")
+def plant_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_plant(tmp_path_factory.mktemp("plant") / "plant.txt")
+
+
+def write_plant(path: Path) -> Path:
+    """Write the program's plant: the nominal device, linearised about its centre."""
+    rows: dict[str, ArrayLike] = {
+        "wrench_per_current": NOMINAL.coils.wrench_per_current,
+        "inertia": [*[NOMINAL.mass] * 3, *NOMINAL.inertia],
+        "gravity": [*NOMINAL.gravity, 0.0, 0.0, 0.0],
+        "spots_per_pose": SLOPES,
+        "rest": REST,
+    }
+    lines = [f"{name} {' '.join(repr(float(one)) for one in np.ravel(values))}" for name, values in rows.items()]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return path
+
+
+@dataclass
+class Device:
+    """The program, running, and links to it.
+
+    Attributes:
+        key: Key of its frames.
+        links: Links that were opened, to be closed with it.
+        counts: Number of frames it ignored by reason, once it has ended.
+    """
+
+    program: Program
+    port: int
+    key: bytes | None
+    links: list[UdpLink]
+    counts: dict[str, int]
+
+    def link(self) -> UdpLink:
+        """Open a link from one more address."""
+        self.links.append(UdpLink("127.0.0.1", self.port))
+        return self.links[-1]
+
+    def host(self) -> Host:
+        """Return a host in session that has seen the first sample, and answers none by itself."""
+        host = Host([self.link()], NOMINAL, self.key)
+        host.answering = False
+        host.join()
+        host.states(1)
+        return host
+
+    def end(self) -> dict[str, int]:
+        """End the program normally; return the number of frames it ignored by reason."""
+        for link in self.links:
+            link.close()
+        if not self.counts:
+            status, output, errors = self.program.end(15)
+            assert status == 0 and not errors, errors
+            self.counts = {name: int(count) for name, count in re.findall(r"(\w+) (\d+)", output)}
+        return self.counts
+
+
+Starter = Callable[..., Device]
+
+
+@pytest.fixture
+def start(program: Path, plant_file: Path) -> Iterator[Starter]:
+    """Start devices that are ended with the test."""
+    devices: list[Device] = []
+
+    def new(*arguments: str) -> Device:
+        known = ["--plant", str(plant_file), "--calibration-hash", NOMINAL.digest.hex(), "--seconds", "60"]
+        child = Program(str(program), *known, "--hover-limit", str(PROFILE.limits.hover_limit), *arguments)
+        port = int(child.wait_for(r"^listening udp://127\.0\.0\.1:(\d+)$"))
+        devices.append(Device(child, port, KEY if "--key" in arguments else None, [], {}))
+        return devices[-1]
+
+    yield new
+    try:
+        for device in devices:
+            device.end()
+    finally:
+        for device in devices:
+            device.program.close()
+
+
+def answered(host: Host, held: ArrayLike = ZERO, pulsed: ArrayLike = ZERO, width: float = 0.0) -> StateReport:
+    """Answer the last sample; return the next."""
+    first, second = (tuple(np.asarray(values, dtype=float).tolist()) for values in (held, pulsed))
+    host.command(host.last.sequence, first, second, width)
+    report: StateReport = host.states(1)[0].body
+    return report
+
+
+@pytest.mark.parametrize("keyed", [False, True], ids=["no key", "key"])
+def test_golden_bytes(program: Path, key_file: Path, keyed: bool) -> None:
+    frames = [data for name, data in golden_bytes().items() if name.endswith("keyed") == keyed]
+    command = [str(program), "--golden", *(["--key", str(key_file)] if keyed else [])]
+    lines = "\n".join(data.hex() for data in frames)
+    done = subprocess.run(command, input=lines, capture_output=True, text=True, check=True, timeout=30)
+    assert done.stdout.split() == lines.split() and len(frames) == 8
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--rate", "0"],
+        ["--rate", "200x"],
+        ["--rate"],
+        ["--speed", "1"],
+        ["--calibration-hash", "00"],
+        ["--calibration-hash", "g" * 32],
+        ["--plant", "/nowhere"],
+        ["--plant", str(FOLDER / "README.md")],
+        ["--key", "/nowhere"],
+        ["--key", str(FOLDER / "README.md")],
+        ["--fault", "stuck-diode:3@0"],
+        ["--fault", "dead-coil:1"],
+        ["--fault", "hot-coil:1@2"],
+        ["--hand", "0,0,-5@1:2"],
+        ["--hand", "0,0,-5,0,0,0@2:1"],
+        [],
+    ],
+)
+def test_arguments_that_cannot_be_are_refused(program: Path, arguments: list[str]) -> None:
+    done = subprocess.run([str(program), *arguments], capture_output=True, text=True, check=False, timeout=30)
+    assert done.returncode == 2 and done.stderr.startswith("simulated_device: ") and done.stderr.count("\n") == 1
+
+
+IN_REAL_TIME = [name for name, one in CHECKS.items() if one.real_time and not one.flight and name != "takeover"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "only"),
+    [
+        pytest.param(["--lockstep"], None, id="lockstep"),
+        pytest.param(["--lockstep", "--key"], None, id="lockstep-keyed"),
+        # slow, so that a machine that stalls for 30 ms makes no difference
+        pytest.param(["--rate", "50", "--watchdog", "0.4"], IN_REAL_TIME, id="real-time"),
+    ],
+)
+def test_it_passes_the_checks(start: Starter, key_file: Path, arguments: list[str], only: list[str] | None) -> None:
+    device = start(*arguments, *([str(key_file)] if "--key" in arguments else []))
+    results = conform([device.link(), device.link()], key=device.key, only=only)
+    # a machine that stalls is no fault of the device
+    assert not [one for one in results if one.passed is False and not one.seen.endswith("STATEs were read late")]
+    skipped = {one.name for one in results if one.passed is None}
+    lacking = {name for name, one in CHECKS.items() if one.real_time or (one.keyed and not device.key)}
+    assert skipped == (set() if only else lacking)
+    assert only or min(device.end()[name] for name in ("magic", "crc", "version", "type", "length", "old", "busy")) > 0
+
+
+def test_it_says_what_it_is_and_where_the_flotor_lies(start: Starter) -> None:
+    host, limits = start("--lockstep").host(), PROFILE.limits
+    assert host.welcome.hover_limit == pytest.approx(limits.hover_limit, rel=1e-15)
+    assert host.welcome == HelloAck(
+        *(host.nonce, 0, 1, 3, State.INACTIVE, 1, NOMINAL.digest, PROFILE.period, PROFILE.delay),
+        *(PROFILE.stated["watchdog"], PROFILE.stated["enable"], PROFILE.stated["stale"], 0, 0, 0, 0),
+        *(limits.current_limit, limits.continuous_current, host.welcome.hover_limit),
+        *(limits.thermal_time, limits.spot_limit, limits.spot_speed),
+    )
+    report = host.last.body
+    assert report.spots == pytest.approx(SLOPES @ REST, abs=1e-15)
+    assert report[1:] == (ZERO, ZERO, State.INACTIVE, 7, 0, 0, 0xFFFFFFFF, 0xFFFFFFFF, 1)
+
+
+def test_motion_is_exact_between_switches(start: Starter) -> None:
+    host = start("--lockstep", "--delay", "0.0015").host()
+    assert host.ask(Operation.ARM).state == State.ACTIVE
+    held, pulsed, width = np.array(NOMINAL.hover) * 1.5, np.array(NOMINAL.hover) * 1.2 + 0.3, 0.002
+    report = answered(host, held, pulsed, width)
+    inertia = np.array([*[NOMINAL.mass] * 3, *NOMINAL.inertia])
+    gravity = np.array([*NOMINAL.gravity, 0.0, 0.0, 0.0])
+    pose, speed = np.array(REST), np.zeros(6)
+    temperatures = np.zeros(6)
+    for currents, duration in ((ZERO, 0.0015), (pulsed, width), (held, 0.0015)):
+        share = -math.expm1(-duration / 10.0)
+        temperatures += share * ((np.array(currents) / 3.0) ** 2 - temperatures)
+        pull = NOMINAL.coils.wrench(np.array(currents)) / inertia + gravity
+        if not any(currents):
+            continue  # it lies until something lifts it
+        pose += duration * speed + 0.5 * duration**2 * pull
+        speed += duration * pull
+    assert np.linalg.solve(SLOPES, report.spots) == pytest.approx(pose, abs=1e-15)
+    assert report.temperatures == pytest.approx(temperatures, rel=1e-6)
+    assert report.currents == pytest.approx(held, rel=1e-6) and report.age == 5000
+
+
+def test_a_new_command_ends_a_pulse(start: Starter) -> None:
+    host = start("--lockstep", "--delay", "0.0015").host()
+    host.ask(Operation.ARM)
+    assert answered(host, ZERO, ONES, 0.1).currents == ONES
+    assert answered(host, ZERO, ONES, 0.1).currents == ONES
+    assert answered(host, HOVER).currents == pytest.approx(HOVER)
+    # one that lasts longer than a period, and is let end
+    answered(host, ZERO, ONES, 0.0049)
+    host.command(host.last.sequence - 1, HOVER)  # old: in lockstep it is no answer
+    report = answered(host, ZERO)
+    assert report.currents == ZERO and report.state == State.ACTIVE
+
+
+def test_lockstep_sends_again_and_then_lets_go(start: Starter) -> None:
+    device = start("--lockstep")
+    begun = time.monotonic()
+    host = device.host()
+    first, link = host.last, host.links[0]
+    host.ask(Operation.ARM)
+    again: list[Any] = []
+    while len(again) < 5:
+        data = link.receive(60.0)
+        assert data is not None
+        again.append(host.codec.decode(data))
+    assert again == [first] * 5  # the same bytes, every 20 ms
+    assert time.monotonic() - begun >= 0.1
+    report = answered(host)
+    assert report.state == State.ACTIVE and host.last.sequence == first.sequence + 1  # its time stood still
+    other = Host([device.link()], NOMINAL, None)
+    end = time.monotonic() + 60.0
+    while (answer := other.greet(2).body).status == HelloStatus.BUSY:
+        assert time.monotonic() < end
+        time.sleep(0.1)
+    assert time.monotonic() - begun > 2.0
+    assert answer.status == HelloStatus.WELCOME and (answer.state, answer.faults) == (State.FAULT, Fault.WATCHDOG)
+
+
+def test_real_time_samples_at_whole_periods(start: Starter) -> None:
+    host = start("--rate", "1000").host()
+    first = host.last
+    for frame in host.states(200):  # some may be left out, none comes twice
+        assert frame.time - first.time == 1_000_000 * (frame.sequence - first.sequence)
+
+
+@pytest.mark.parametrize(("current", "seconds"), [(10.0, 0.943), (6.0, 2.877)])
+def test_warmth_trips_as_the_page_says(start: Starter, current: float, seconds: float) -> None:
+    host = start("--lockstep", "--delay", "0").host()
+    host.ask(Operation.ARM)
+    begun = host.last.time
+    push = (0.0, 0.0, 0.0, current, current, current)  # they turn it, and it lies; its spots stay
+    while (report := answered(host, push)).state == State.ACTIVE:
+        pass
+    assert report.faults == Fault.COIL_OVERTEMP
+    assert (host.last.time - begun) * 1e-9 == pytest.approx(seconds, abs=0.006)
+    assert host.ask(Operation.RESET).result == Result.REFUSED
+    for _ in range(460):  # 2.3 s: from 1 to 0.8 takes 2.23 s
+        answered(host)
+    assert host.ask(Operation.RESET).result == Result.DONE
+
+
+@pytest.mark.parametrize(
+    ("fault", "named", "samples"),
+    [
+        ("dead-coil:1", Fault.COIL_NOT_FOLLOWING, 4),  # the sample that measures it, and two more
+        ("stuck-diode:2", Fault.SENSOR_FROZEN, 32),
+        ("stuck-diodes:0", Fault.SENSOR_FROZEN, 32),
+        ("invalid-diode:0", Fault.SENSOR_OUT_OF_RANGE, 2),
+        ("stuck-counter:0", Fault.SENSOR_STOPPED, 2),
+    ],
+)
+def test_a_fault_of_the_hardware_is_named_and_cut(start: Starter, fault: str, named: Fault, samples: int) -> None:
+    host = start("--lockstep", "--noise", "5e-7", "--fault", f"{fault}@0.5").host()
+    assert host.welcome.frozen == 30
+    assert host.ask(Operation.ARM).state == State.ACTIVE
+    for _ in range(200):
+        report = answered(host, HOVER)
+        if report.state == State.FAULT:
+            break
+    assert report.faults == named
+    assert 0.5 <= host.last.time * 1e-9 <= 0.5 + samples * PERIOD * 1e-9
+    report = answered(host, HOVER)
+    assert report.currents == ZERO and report.flags == Flag.ENABLED
+    for _ in range(4):
+        report = answered(host, HOVER)
+    assert report.flags == 0  # nobody toggles the enable line
+
+
+def test_a_current_that_does_not_stop_is_a_fault_of_its_own(start: Starter) -> None:
+    host = start("--lockstep", "--fault", "stuck-amplifier:1@0.02").host()
+    host.ask(Operation.ARM)
+    for _ in range(6):
+        answered(host, HOVER)
+    assert host.ask(Operation.DISARM).state == State.INACTIVE
+    seen = [answered(host) for _ in range(3)]
+    assert [report.faults for report in seen] == [0, 0, Fault.COIL_NOT_OFF]
+    assert [report.currents[1] for report in seen] == pytest.approx([HOVER[1]] * 3)
+    assert host.ask(Operation.RESET).result == Result.REFUSED
+    assert host.exchange(Estop(1)).body.currents[1] == pytest.approx(HOVER[1])
+
+
+def test_rubbish_does_no_harm(start: Starter) -> None:
+    device = start("--lockstep")
+    host = device.host()
+    host.ask(Operation.ARM)
+    draw, link, stranger = random.Random(9), host.links[0], Host([device.link()], NOMINAL, None)
+    genuine = [data for name, data in golden_bytes().items()]
+    bodies: list[Any] = [Command(host.last.sequence, 0, ONES, ONES, 0.01), Control(60, Operation.ARM, 0, HOVER)]
+    genuine += [host.encode(body, sequence=50) for body in bodies]
+    for number in range(20_000):
+        data = bytearray(draw.choice(genuine))
+        kind = draw.randrange(5)
+        if kind == 0:
+            data = bytearray(draw.randbytes(draw.randrange(600)))
+        elif kind == 1:
+            del data[draw.randrange(len(data)) :]
+        else:
+            for _ in range(draw.randrange(1, 6)):
+                data[draw.randrange(len(data))] = draw.randrange(256)
+            data[2:4] = bytes([3, draw.randrange(10)]) if kind == 2 else data[2:4]
+        link.send(sealed(bytes(data)) if kind > 2 and len(data) > 4 else bytes(data))
+        if number % 50 == 49:  # no more than its socket holds; and it still answers a stranger
+            while link.receive(0.0) is not None:
+                pass
+            answer = stranger.exchange(Hello(number, NOMINAL.digest))
+            assert answer is not None and answer.body.status in (HelloStatus.BUSY, HelloStatus.WELCOME)
+    counts = device.end()
+    assert min(counts[name] for name in ("short", "magic", "crc", "version", "type", "length", "session")) > 0

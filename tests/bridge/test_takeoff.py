@@ -1,0 +1,331 @@
+"""Takeoff from rest, checked landing, prompt currents."""
+
+from __future__ import annotations
+
+import math
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from maglev_mj.bridge.fault import DeviceFault
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.landing import Motion
+from maglev_mj.bridge.safety import HostLimits
+from maglev_mj.bridge.twin.fault_injection import InjectedFault
+from maglev_mj.bridge.twin.twin import REST
+from maglev_mj.bridge.wire import Fault, Operation, State
+from maglev_mj.errors import PlantError
+from maglev_mj.frames import Sample
+from maglev_mj.scenes import find_scene
+from maglev_mj.scenes.rooms import WEIGHT
+from tests.bridge.impaired import Impairment
+from tests.bridge.test_bridge import BAD, BAD_REACH, CENTRE, Rig, hover
+from tests.sweeps import sweep
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write black boxes to a temporary folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+RATES = [0.005, 0.001, 0.00025]
+
+
+def still(rig: Rig) -> Motion:
+    """Return the result of a watch before takeoff."""
+    return rig.plant._observed(0.0)
+
+
+@pytest.mark.parametrize("period", RATES)
+@pytest.mark.parametrize(("noise", "margin"), [(4e-7, 100.0), (5e-6, 20.0), (5e-5, 2.0)])
+def test_a_flotor_at_rest_is_seen_to_rest_whatever_the_noise(noise: float, margin: float, period: float) -> None:
+    if noise > 1e-5 and period < 0.001:
+        return  # so much noise so fast is overspeed to the guards: no device flies with it
+    worst = [0.0, 0.0]
+    for seed in range(20 if period > 0.001 else 3):
+        motion = still(Rig(period=period, delay=min(0.0015, period), seed=seed, quantum=8e-7, noise=noise))
+        worst = [max(one, other) for one, other in zip(worst, motion.speeds)]
+        assert motion.at_rest and motion.full
+    print(f"{1 / period:g} Hz: at rest up to {worst[0] * 1e3:.3f} mm/s and {worst[1]:.4f} rad/s seen")
+    assert worst[0] < 5e-3 / margin and worst[1] < 0.1 / margin
+
+
+def watched(period: float, pose: Any) -> Motion:
+    """Return the motion of a pose given over time."""
+    motion = Motion(period)
+    for tick in range(5000):
+        if motion.full:
+            break
+        motion.add(Sample(tick, tick * period, pose(tick * period)))
+    return motion
+
+
+@pytest.mark.parametrize("period", RATES)
+@pytest.mark.parametrize("axis", range(6))
+def test_motion_along_every_axis_and_to_and_fro_is_no_rest(axis: int, period: float) -> None:
+    least, amplitude = (5e-3, 3.5e-4) if axis < 3 else (0.1, 7e-3)
+    along = [float(place == axis) for place in range(6)]
+    for share in (0.95, 1.05):
+        steady = watched(period, lambda at, speed=share * least: [part * speed * at for part in along])
+        assert steady.at_rest is (share < 1.0)
+        assert max(steady.speeds) == pytest.approx(share * least)
+    swinging = watched(period, lambda at: [part * amplitude * math.sin(2.0 * math.pi * 15.0 * at) for part in along])
+    assert not swinging.at_rest
+
+
+def pushed(axis: int, amount: float) -> Any:
+    """Return a hand that pushes one axis until 0.3 s."""
+    return lambda tick, at, state: [amount * (place == axis and at < 0.3) for place in range(6)]
+
+
+@pytest.mark.parametrize(
+    ("hand", "says"),
+    [
+        (pushed(0, 0.5), r"no takeoff: the flotor moves at .* mm/s and .* rad/s, and must rest"),
+        (pushed(5, 0.012), r"no takeoff: the flotor moves at .* mm/s and .* rad/s, and must rest"),
+    ],
+    ids=["slides", "spins"],
+)
+def test_a_flotor_that_moves_is_not_taken_off(hand: Any, says: str) -> None:
+    rig = Rig(hand=hand)
+    with pytest.raises(PlantError, match=says) as caught:
+        rig.plant.takeoff()
+    print(caught.value)
+    assert not isinstance(caught.value, DeviceFault)
+    assert rig.plant.state == rig.twin.firmware.state == State.INACTIVE and rig.currents() == [0.0] * 6
+
+
+@pytest.mark.parametrize("depth", [0.0, -0.0026])
+def test_a_flotor_that_does_not_lie_on_its_stop_is_not_taken_off(depth: float) -> None:
+    rig = Rig(pose=(0.0, 0.0, depth, 0.0, 0.0, 0.0), hand=lambda *_: WEIGHT)
+    with pytest.raises(PlantError, match=r"no takeoff: the flotor is at .* and must lie on its lower stop"):
+        rig.plant.takeoff()
+    assert rig.twin.firmware.state == State.INACTIVE
+    rig = Rig(pose=(0.0, 0.0, -0.0028, 0.0, 0.0, 0.0), hand=lambda tick, at, state: WEIGHT if at < 0.11 else [0.0] * 6)
+    rig.plant.takeoff()  # a stop that is higher than the model's
+
+
+@pytest.mark.parametrize(
+    ("kind", "says"),
+    [("invalid-diode", "SENSOR_OUT_OF_RANGE: spots .* mm, valid 101"), ("stuck-diode", "SENSOR_FROZEN: spots")],
+)
+def test_a_sensor_in_doubt_is_not_taken_off_with(kind: str, says: str) -> None:
+    rig = Rig(faults=[InjectedFault(kind=kind, which=1, at=0.0)])
+    for _ in range(30):
+        rig.plant.read()
+    with pytest.raises(PlantError, match=f"no takeoff: {says}") as caught:
+        rig.plant.takeoff()
+    assert "\n" not in str(caught.value) and rig.twin.firmware.state == State.INACTIVE
+
+
+def test_a_sensor_in_doubt_at_the_last_sample_counts() -> None:
+    rig = Rig(faults=[InjectedFault(kind="invalid-diode", which=1, at=0.1)])
+    with pytest.raises(PlantError, match="no takeoff: SENSOR_OUT_OF_RANGE"):
+        rig.plant.takeoff()
+    assert rig.twin.tick == 20
+
+
+def test_where_no_pose_is_found_there_is_no_takeoff() -> None:
+    rig = Rig()
+    rig.plant.read()
+    from maglev_mj.errors import SensingError
+
+    def none(spots: Any) -> Any:
+        raise SensingError("no pose was found")
+
+    rig.plant._track = none  # type: ignore[assignment]
+    with pytest.raises(PlantError, match="no takeoff: no pose was found"):
+        rig.plant.takeoff()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_over_a_bad_line_it_takes_off_and_lands_by_the_samples_numbers(seed: int) -> None:
+    rig = Rig(replace(BAD, loss=0.15, seed=seed))
+    start = rig.twin.tick
+    rig.plant.takeoff()
+    assert rig.twin.tick - start == pytest.approx(0.7 / 0.005, abs=25)  # not a third longer
+    rig.fly(0.3, hover(0.005, BAD_REACH))
+    report = rig.plant.land()
+    print(report)
+    assert report.at_rest and report.error < 2e-4
+
+
+@pytest.mark.parametrize("period", [RATES[0], pytest.param(RATES[1], marks=pytest.mark.study)])
+def test_a_landing_says_how_the_flotor_lies(period: float) -> None:
+    rig = Rig(period=period)
+    rig.plant.takeoff()
+    rig.fly(0.2)
+    report = rig.plant.land()
+    print(report)
+    assert report.at_rest and report.error < 1e-4 and report.speed < 1e-3 and report.spin < 0.02
+    assert str(report).startswith("landed 0.0") and str(report).endswith("mm from where it lay, at rest")
+    assert rig.twin.firmware.state == State.INACTIVE
+
+
+def late_hand(wrench: Sequence[float], since: float) -> Any:
+    """Return a hand that pushes from an instant on."""
+    return lambda tick, at, state: wrench if at > since else [0.0] * 6
+
+
+def test_a_landing_into_a_hand_says_so_and_disarms_all_the_same() -> None:
+    rig = Rig(hand=late_hand([0.0, 0.0, 8.0, 0.0, 0.0, 0.0], 0.8))
+    rig.plant.takeoff()
+    rig.fly(0.2)
+    report = rig.plant.land()
+    print(report)
+    assert report.error > 5e-3 and "landed 9.0" in str(report)  # against the upper stop
+    assert rig.twin.firmware.state == State.INACTIVE and rig.currents() == [0.0] * 6
+    rig = Rig(hand=late_hand([0.0, 0.0, 0.0, 0.0, 0.0, 0.012], 1.4))
+    rig.plant.takeoff()
+    rig.fly(0.2)
+    report = rig.plant.land()
+    print(report)
+    assert not report.at_rest and "NOT at rest" in str(report) and report.spin > 0.1
+
+
+def test_a_landing_waits_for_rest_before_it_disarms() -> None:
+    # A torque to and fro that ends 0.1 s after the path's end.
+    rig = Rig(hand=lambda tick, at, state: [1.5 * math.sin(60.0 * at) * (0.9 < at < 1.6), *[0.0] * 5])
+    rig.plant.takeoff()
+    rig.fly(0.2)
+    before, control, at = rig.twin.tick, rig.plant._line.control, []
+
+    def noted(operation: Operation, **keywords: Any) -> Any:
+        at.append((operation, rig.twin.tick - before))
+        return control(operation, **keywords)
+
+    rig.plant._line.control = noted  # type: ignore[method-assign]
+    rig.plant.land()
+    (operation, ticks), *_ = at
+    assert operation == Operation.DISARM and 0.65 / 0.005 < ticks <= 0.9 / 0.005 + 3
+
+
+@pytest.mark.parametrize("current", [1.45, 2.0])
+def test_at_reduced_power_it_takes_off_and_lands(current: float) -> None:
+    rig = Rig(host={"limits": HostLimits(max_current=current)})
+    rig.plant.takeoff()
+    rig.fly(0.5)
+    most = max(abs(one) for row in rig.rows for one in row[6:9])
+    assert rig.plant.land().at_rest and most < 50.0
+    assert max(abs(current) for _, one in rig.twin.plant.segments for current in one) <= 1.45 + 1e-9
+
+
+FIRST_HOVER = HostLimits(max_current=2.0, envelope=0.003, speed_limit=0.1, force_limit=9.0)
+
+
+def test_the_first_hovers_limits_are_those_of_the_guide() -> None:
+    guide = (Path(__file__).parents[2] / "docs" / "howto" / "commission.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"^ +maglev-mj bridge .* --envelope .*$", guide, re.MULTILINE)
+    told = {name.replace("-", "_"): float(value) for name, value in re.findall(r"--([a-z-]+) ([\d.]+)", command)}
+    assert told.pop("seconds") == 5.0 and HostLimits(**told) == FIRST_HOVER and "--scene joystick" in command
+
+
+@pytest.mark.parametrize("seed", sweep(range(3), every=3))
+@pytest.mark.parametrize(
+    ("period", "seconds"),
+    [pytest.param(0.005, 5.0, id="200 Hz"), pytest.param(0.001, 0.3, id="1 kHz", marks=pytest.mark.study)],
+)
+def test_within_the_first_hovers_limits_it_takes_off_from_a_stop_beyond_them_and_lands(
+    period: float, seconds: float, seed: int
+) -> None:
+    rig = Rig(period=period, seed=seed, quantum=8e-7, noise=4e-7, host={"limits": FIRST_HOVER})
+    assert rig.twin.pose[2] < -FIRST_HOVER.envelope
+    scene = find_scene("joystick")().replace(period=period, delay=rig.plant.delay)
+    report = Flight(rig.plant, scene).run(seconds)
+    assert report.landing.at_rest and report.ticks == round(seconds / period) and not rig.plant.faults
+    speeds = [math.hypot(*twist[:3]) for twist in rig.witness.twists]
+    assert 0.014 < max(speeds) < 0.02  # of takeoff and landing
+
+
+def test_beyond_its_own_envelope_in_flight_it_is_a_fault() -> None:
+    hand = lambda tick, at, state: [8.0 * max(at - 1.0, 0.0), *[0.0] * 5]  # noqa: E731
+    rig = Rig(hand=hand, host={"limits": FIRST_HOVER})
+    rig.plant.takeoff()
+    with pytest.raises(DeviceFault) as caught:
+        rig.fly(2.0)
+    assert caught.value.faults == rig.twin.firmware.faults == Fault.BOUNDARY
+    assert 0.003 <= rig.poses[-1, 0] < 0.0035
+    rig = Rig(pose=(0.0, 0.0, -0.0035, 0.0, 0.0, 0.0), host={"limits": FIRST_HOVER})
+    rig.plant.read()
+    rig.plant.arm()  # that is flight too
+    with pytest.raises(DeviceFault, match="BOUNDARY"):
+        rig.plant.read()
+
+
+@pytest.mark.parametrize("until", [0.0, 0.1, 0.3])
+def test_a_takeoff_that_ends_early_may_land_but_not_fly_on(until: float) -> None:
+    rig = Rig(host={"limits": FIRST_HOVER})
+    for flies in (False, True):
+        armed: list[int] = []
+        rig.plant.takeoff(watch=lambda armed=armed: armed.append(1) or len(armed) * 0.005 > until)  # type: ignore[misc]
+        if flies and until < 0.3:
+            with pytest.raises(DeviceFault, match="BOUNDARY"):
+                rig.fly(0.1)
+        else:
+            assert rig.plant.land().at_rest
+
+
+def test_takeoff_and_landing_have_the_default_envelope_and_the_own_speed() -> None:
+    rig = Rig(hand=late_hand([0.0, 0.0, 12.0, 0.0, 0.0, 0.0], 0.8), host={"limits": HostLimits(envelope=0.003)})
+    rig.plant.takeoff()
+    rig.plant.land()  # against the upper stop
+    assert rig.poses[-1, 2] > 0.0044 and not rig.plant.faults
+    with pytest.raises(DeviceFault, match="FLOTOR_OVERSPEED"):
+        Rig(host={"limits": HostLimits(speed_limit=0.01)}).plant.takeoff()
+    wide = Rig(host={"limits": HostLimits(envelope=0.02)})
+    wide.plant.takeoff()
+    assert wide.plant.land().at_rest
+
+
+def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    # The first command leaves at the first sample after ARM, and costs no more than the later ones.
+    from maglev_mj.bridge import landing, remote
+
+    rig = Rig()
+    line, armed, sent = rig.plant._line, [], []
+    control, command = line.control, line.command
+
+    def forbidden(*_: Any, **__: Any) -> Any:
+        raise AssertionError("made after ARM")
+
+    def asked(operation: Operation, **keywords: Any) -> Any:
+        answer = control(operation, **keywords)
+        armed.append((rig.twin.tick, time.perf_counter()))
+        for module, name in (
+            (landing, "Controller"),
+            (landing, "Hold"),
+            (remote, "Trajectory"),
+            (remote, "ControlLoop"),
+        ):
+            monkeypatch.setattr(module, name, forbidden)
+        monkeypatch.setattr("gc.collect", forbidden)
+        return answer
+
+    line.control = asked  # type: ignore[method-assign]
+    line.command = lambda one: (command(one), sent.append((rig.twin.tick, time.perf_counter())))[0]  # type: ignore
+    rig.plant.takeoff()
+    after = [one for one in sent if one[1] > armed[0][1]]
+    took = [(one[1] - other[1]) * 1e3 for one, other in zip(after, [armed[0], *after])]
+    print(f"ARM to first CMD {after[0][0] - armed[0][0]} sample, {took[0]:.2f} ms of work; next {took[1]:.2f} ms")
+    assert after[0][0] - armed[0][0] <= 1
+    assert rig.twin.firmware.counts["inactive"] >= 2  # dry cycles went before
+
+
+def test_a_takeoff_that_does_not_follow_is_a_fault() -> None:
+    rig = Rig(pose=REST, hand=late_hand([0.0, 0.0, -20.0, 0.0, 0.0, 0.0], 0.15))
+    with pytest.raises(DeviceFault) as caught:
+        rig.plant.takeoff()
+    assert caught.value.faults == Fault.NOT_FOLLOWING
+
+
+def test_an_armed_device_is_not_watched() -> None:
+    rig = Rig(Impairment(), pose=CENTRE)
+    rig.plant.arm()
+    with pytest.raises(PlantError, match="no takeoff: the device is ACTIVE, faults none"):
+        rig.plant.takeoff()

@@ -1,0 +1,392 @@
+"""Frames: bytes and tables of docs/reference/protocol.md, damage, round trips, tags.
+
+`test_wire_fuzz.py` damages whole sessions.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.links import cobs_encode
+from maglev_mj.bridge.safety import Limits, Profile
+from maglev_mj.bridge.wire import (
+    MAGIC,
+    VERSION,
+    Codec,
+    Command,
+    Control,
+    ControlAck,
+    Estop,
+    EstopAck,
+    Fault,
+    Flag,
+    Frame,
+    Hello,
+    HelloAck,
+    HelloStatus,
+    Operation,
+    Result,
+    State,
+    StateReport,
+    newer,
+)
+from maglev_mj.errors import ParameterError
+from maglev_mj.plants.model import COILS
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = (ROOT / "docs" / "reference" / "protocol.md").read_text(encoding="utf-8")
+KEY = bytes(range(32))
+BODIES: dict[str, Any] = {
+    "HELLO": Hello,
+    "HELLO_ACK": HelloAck,
+    "CTRL": Control,
+    "CTRL_ACK": ControlAck,
+    "STATE": StateReport,
+    "CMD": Command,
+    "ESTOP": Estop,
+    "ESTOP_ACK": EstopAck,
+}
+SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
+FLOATS = (0.0, -0.5, 2.0**100, math.inf, -math.inf, 2.0**-149)
+FORMATS = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "f64": "d", "bytes": "s", "zeros": "x"}
+
+
+def golden_bytes() -> dict[str, bytes]:
+    """Return the frames of the page by name.
+
+    Those with the key end in " keyed".
+    """
+    (block,) = re.findall(r"```golden\n(.*?)```", PAGE, re.DOTALL)
+    frames: dict[str, str] = {}
+    name = ""
+    for line in block.splitlines():
+        if line.startswith(" "):
+            frames[name] += line.replace(" ", "")
+        else:
+            name = line
+            frames[name] = ""
+    return {name: bytes.fromhex(digits) for name, digits in frames.items()}
+
+
+def golden_values() -> dict[str, dict[str, Any]]:
+    """Return the frames' values, field by field."""
+    (block,) = re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL)
+    return {
+        name: {field: _value(field, value) for field, value in fields.items()}
+        for name, fields in json.loads(block).items()
+    }
+
+
+def golden_frames() -> dict[str, Frame]:
+    """Return them as frames."""
+    frames = {}
+    for name, fields in golden_values().items():
+        session, sequence, time = (fields.pop(field) for field in ("session", "sequence", "time"))
+        frames[name] = Frame(session, sequence, time, BODIES[name](**fields))
+    return frames
+
+
+def tables(heading: str) -> list[list[str]]:
+    """Return the rows of a table of the page.
+
+    The first table with that beginning, its head included.
+    """
+    lines = PAGE[PAGE.index(heading) :].splitlines()
+    rows = []
+    for line in lines[lines.index(next(one for one in lines if one.startswith("|"))) :]:
+        if not line.startswith("|"):
+            break
+        if not line.startswith("|---"):
+            rows.append([cell.strip() for cell in line.strip("|").split("|")])
+    return rows
+
+
+def _floats(cell: str) -> list[float]:
+    return [float(part) for part in cell.split()]
+
+
+def _value(field: str, value: Any) -> Any:
+    if field == "calibration":
+        return bytes.fromhex(value)
+    if isinstance(value, str):
+        return int(value, 16)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def sealed(data: bytes) -> bytes:
+    """Return data with a CRC that is right."""
+    return data[:-4] + struct.pack("<I", zlib.crc32(data[:-4]))
+
+
+@pytest.mark.parametrize("name", golden_bytes())
+def test_golden_bytes(name: str) -> None:
+    data = golden_bytes()[name]
+    plain, _, keyed = name.partition(" ")
+    frame = golden_frames()[plain]
+    codec = Codec(KEY if keyed else None)
+    assert codec.encode(*frame) == data
+    assert codec.decode(data) == frame
+    assert not codec.dropped
+    sizes = {row[0]: int(row[3 if keyed else 2]) for row in tables("| frame | from |")[1:]}
+    assert len(data) == sizes[plain]
+
+
+def test_golden_bytes_are_of_every_type() -> None:
+    assert list(golden_bytes()) == [*BODIES, *(f"{name} keyed" for name in BODIES)]
+    assert list(golden_values()) == list(BODIES)
+
+
+@pytest.mark.parametrize("name", BODIES)
+def test_the_tables_of_the_page_decode_its_bytes(name: str) -> None:
+    data, values = golden_bytes()[name], golden_values()[name]
+    rows = tables("| offset | type | header |")[1:] + tables(f"### {name},")[1:]
+    end, found = 0, {}
+    for offset, kind, field, *_ in rows:
+        count, _, unit = kind.rpartition(" ")
+        layout = f"<{count}{FORMATS[unit]}"
+        assert int(offset) == end, f"{field} of {name}"
+        end += struct.calcsize(layout)
+        parts = struct.unpack_from(layout, data, int(offset))
+        if parts:
+            found[field] = parts if len(parts) > 1 else parts[0]
+    assert end == len(data) - 4
+    # the page calls two fields of a HELLO_ACK version, the header's and the body's
+    assert found.pop("magic") == MAGIC and found.pop("type") == list(BODIES).index(name) + 1
+    if "version" not in values:
+        assert found.pop("version") == VERSION
+    assert found == values
+
+
+def test_a_limit_has_one_name_and_one_unit_in_the_table_of_limits_the_frame_and_the_page() -> None:
+    rows = {row[2]: (row[1], row[3]) for row in tables("### HELLO_ACK,")[1:]}
+    profile = Profile(period=5_000_000, delay=0, calibration=bytes(16))
+    assert profile.answer(**dict.fromkeys(("nonce", "status", "state", "fault_time", "faults", "first"), 0))
+    for limit in Limits.parameters():
+        stated = profile.stated[limit.name]
+        kind, unit = ("f64", limit.unit) if isinstance(stated, float) else ("u64", "ns") if limit.unit else ("u32", "")
+        assert rows[limit.name][0] == kind, limit.name
+        assert f"[{unit}]" in rows[limit.name][1] if unit else "[" not in rows[limit.name][1], limit.name
+
+
+def test_the_page_has_the_words_of_both_ends() -> None:
+    assert {row[1]: int(row[0]) for row in tables("| bit | fault |")[1:]} == {one.name: one.value for one in Fault}
+    for words in (State, Operation, HelloStatus):
+        assert ", ".join(f"{one.value} {one.name}" for one in words) in PAGE
+    assert ", ".join(f"{one.value} {one.name}" for one in Result) in PAGE
+    (flags,) = [row[3] for row in tables("### STATE,") if row[2] == "flags"]
+    assert re.findall(r"(\d) ([A-Z]+)", flags) == [(str(one.value), one.name) for one in Flag]
+
+
+def test_the_page_says_where_coils_and_diodes_are_and_which_way_they_point() -> None:
+    known = Calibration.nominal()
+    coils, beams = known.coils, known.beams
+    rows = [[_floats(cell) for cell in row[2:]] for row in tables("| coil | name |")[1:]]
+    assert [row[1] for row in tables("| coil | name |")[1:]] == list(COILS)
+    for found, expected in ((0, 1e3 * coils.points), (1, coils.directions), (2, coils.force_constants[:, None])):
+        assert np.allclose([row[found] for row in rows], expected, atol=6e-4)
+    rows = [[_floats(cell) for cell in row[1:]] for row in tables("| diode | LED")[1:]]
+    places = (1e3 * beams.leds, 1e3 * beams.diodes, beams.across[:, 0], beams.across[:, 1])
+    for place, expected in enumerate(places):
+        assert np.allclose([row[place] for row in rows], expected, atol=6e-4)
+    moved = [[float(cell) for cell in row[1:]] for row in tables("| spot | +x |")[1:]]
+    small = np.diag([1e-6] * 3 + [1e-6] * 3)  # m and rad, of which the page has a thousand and ten thousand
+    slopes = (beams.spots(small) - beams.spots(-small)).T / 2e-6 * ([1.0] * 3 + [10.0] * 3)
+    assert np.allclose(moved, slopes, atol=6e-4)
+    assert np.round(known.hover, 4).tolist() == [1.1445] * 3 + [0.0] * 3 and "1.1445 A carry 0.7 kg" in PAGE
+    inertia, (_, _, gravity) = known.inertia, known.gravity
+    moments = "moments of inertia of {:g}, {:g} and {:g} kg m²".format(*inertia)
+    assert f"a mass of {known.mass:g} kg and {moments}" in PAGE and f"gravity is {-gravity:g} m/s²\nalong -z" in PAGE
+    assert not known.gravity[:2].any()
+    assert round(float(coils.wrench(np.array([0, 0, 0, 1, 1, 1.0]))[5]), 3) == 0.252 and "0.252 N m about +z" in PAGE
+
+
+def test_the_page_says_what_a_calibration_file_is() -> None:
+    values = Calibration.nominal().as_json()
+    (form, name, units), rows = (tables("| entry | unit |")[1:4], tables("| entry | unit |")[4:])
+    assert [form[0], name[0], units[0]] == ["format", "name", "units"] and values["format"] in form[3]
+    entries, found = {"format": 0, "name": 0, "units": 0}, {}
+    for path, unit, shape, _ in rows:
+        part, _, entry = path.partition(".")
+        value, named = (
+            (values[part][entry], values["units"][part][entry]) if entry else (values[part], values["units"][part])
+        )
+        assert np.shape(value) == tuple(int(one) for one in shape.split()) and named == unit, path
+        entries[part] = 0
+        found[path] = value
+    assert set(entries) == set(values) and len(found) == 11
+    # the digest, by what the page says of it and nothing else
+    del values["name"]
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"))
+    assert hashlib.blake2s(text.encode("ascii"), digest_size=16).hexdigest() in PAGE
+    assert Calibration.nominal().digest.hex() in PAGE
+
+
+def test_check_values_of_the_page() -> None:
+    assert "`11 22 00 33` is sent as `03 11 22 02 33 00`" in PAGE
+    assert cobs_encode(bytes.fromhex("11220033")).hex(" ") == "03 11 22 02 33"
+    for name, size, slow, fast, once in tables("| | bytes on the line |")[1:]:
+        frame, keyed = name.split()[0], " keyed" * name.endswith("key")
+        assert len(cobs_encode(golden_bytes()[frame + keyed])) + 2 == int(size)
+        figures = (f"{int(size) * 2} kbaud", f"{int(size) * 1e-2:.2f} Mbaud", f"{int(size) * 1e4 / 921_600:.2f} ms")
+        assert (slow, fast, once) == figures
+    assert f"`{zlib.crc32(b'123456789'):08x}`" in PAGE
+    assert f"`{hashlib.blake2s(b'123456789', digest_size=16, key=KEY).hexdigest()}`" in PAGE
+
+
+@pytest.mark.parametrize("key", [None, KEY, b"sixteen bytes ok"])
+@pytest.mark.parametrize(
+    "body",
+    [
+        Hello(2**64 - 1, b"\xff" * 16),
+        HelloAck(
+            *(1, 2, 1, 255, 2, 2**32 - 1, bytes(16), 2**64 - 1, 0, 1, 2**64 - 2, 7, 3, 2**32 - 1, 5, 2**31),
+            *(math.inf, -0.0, 1e-310, 1e308, math.pi, -math.inf),
+        ),
+        Control(2**32 - 1, 255, 2**32 - 1, SIX),
+        ControlAck(0, 0, 255, 255, 2**32 - 1),
+        StateReport(SIX, FLOATS, (1.0,) * 6, 2, 7, 65535, 1, 2, 3, 2**32 - 1),
+        Command(2**32 - 1, 2**32 - 1, SIX, SIX[::-1], 5e-324),
+        Estop(2**64 - 1),
+        EstopAck(2**64 - 1, 255, 2**32 - 1, 2**64 - 1, FLOATS),
+    ],
+    ids=lambda body: type(body).__name__,
+)
+def test_round_trip(body: Any, key: bytes | None) -> None:
+    codec = Codec(key)
+    frame = Frame(2**32 - 1, 0, 2**64 - 1, body)
+    assert codec.decode(codec.encode(*frame)) == frame
+
+
+def test_nan_keeps_its_payload() -> None:
+    codec = Codec()
+    (strange,) = struct.unpack("<d", bytes.fromhex("efbeadde0000f8ff"))
+    six = (strange, math.nan, -math.nan, 0.0, math.inf, -math.inf)
+    for body in (
+        Command(1, 0, six, six, strange),
+        StateReport(six, six, six, 1, 7, 0, 0, 1, 2, 3),
+        Control(1, 1, 0, six),
+    ):
+        data = codec.encode(1, 2, 3, body)
+        frame = codec.decode(data)
+        assert frame is not None and codec.encode(*frame) == data
+    assert struct.pack("<d", strange) in data
+
+
+def test_sequence_numbers_are_taken_modulo_their_size() -> None:
+    codec = Codec()
+    frame = codec.decode(codec.encode(1, 2**32 + 5, 3, ControlAck(1, 1, 0, 0, 0)))
+    assert frame is not None and frame.sequence == 5
+
+
+@pytest.mark.parametrize("name", golden_bytes())
+def test_every_flipped_bit_is_noticed(name: str) -> None:
+    data = golden_bytes()[name]
+    codec = Codec(KEY if name.endswith("keyed") else None)
+    for bit in range(8 * len(data)):
+        changed = bytearray(data)
+        changed[bit // 8] ^= 1 << bit % 8
+        assert codec.decode(bytes(changed)) is None, bit
+    assert codec.dropped == {"magic": 16, "crc": 8 * len(data) - 16}
+    assert codec.version_met is None  # a CRC that is wrong vouches for no version
+
+
+@pytest.mark.parametrize("name", golden_bytes())
+def test_every_other_length_is_noticed(name: str) -> None:
+    data = golden_bytes()[name]
+    codec = Codec(KEY if name.endswith("keyed") else None)
+    wrong = [data[:end] for end in range(len(data))] + [data[start:] for start in range(1, len(data))]
+    for more in range(1, 40):
+        wrong += [data + bytes(more), data + b"\xff" * more, bytes(more) + data, data + data[:more]]
+    for one in wrong:
+        assert codec.decode(one) is None, one.hex()
+        if len(one) > 8:  # and with a CRC that fits
+            assert codec.decode(sealed(one)) is None, one.hex()
+    assert not codec.dropped["version"] and not codec.dropped["type"]
+
+
+@pytest.mark.parametrize("bit", range(0, 8 * (152 - 4), 7))
+def test_with_a_key_a_right_crc_is_not_enough(bit: int) -> None:
+    data = bytearray(golden_bytes()["CMD keyed"])
+    data[bit // 8] ^= 1 << bit % 8
+    codec = Codec(KEY)
+    assert codec.decode(sealed(bytes(data))) is None
+    reasons = ("magic", "magic", "version", "type")
+    expected = reasons[bit // 8] if bit < 32 else "tag"
+    if expected == "type" and 1 <= data[3] <= len(BODIES):
+        expected = "length"
+    assert codec.dropped == {expected: 1}
+
+
+def test_frames_without_the_right_key_are_dropped() -> None:
+    frames = golden_bytes()
+    plain, keyed = frames["STATE"], frames["STATE keyed"]
+    cases: list[tuple[bytes | None, bytes, str]] = [
+        (None, keyed, "length"),
+        (KEY, plain, "length"),
+        (bytes(32), keyed, "tag"),
+        (KEY[:-1], keyed, "tag"),
+        (KEY, sealed(keyed[:-20] + bytes(20)), "tag"),
+    ]
+    for key, data, reason in cases:
+        codec = Codec(key)
+        assert codec.decode(data) is None
+        assert codec.dropped == {reason: 1}
+
+
+@pytest.mark.parametrize("size", [0, 1, 15, 33, 64])
+def test_a_key_has_16_to_32_bytes(size: int) -> None:
+    with pytest.raises(ParameterError, match=f"not {size}"):
+        Codec(bytes(size))
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "short"),
+        (b"MJ\x03", "short"),
+        (b"MJ\x03\x06", "crc"),
+        (b"JM\x03\x06" + bytes(132), "magic"),
+        (sealed(b"MJ\x01\x01" + bytes(4)), "version"),
+        (sealed(b"MJ\x04\x07" + bytes(28)), "version"),
+        (sealed(b"MJ\x00\x06" + bytes(132)), "version"),
+        (sealed(b"MJ\x03\x00" + bytes(132)), "type"),
+        (sealed(b"MJ\x03\x09" + bytes(132)), "type"),
+        (sealed(b"MJ\x03\x06" + bytes(4)), "length"),
+        (sealed(b"MJ\x03\x06" + bytes(133)), "length"),
+        (b"MJ\x04\x06" + bytes(132), "crc"),
+    ],
+)
+def test_what_is_no_frame_is_counted_by_reason(data: bytes, reason: str) -> None:
+    codec = Codec()
+    assert codec.decode(data) is None
+    assert codec.dropped == {reason: 1}
+    assert codec.version_met == (data[2] if reason == "version" else None)
+
+
+@pytest.mark.parametrize("start", [0, 1, 2**31 - 1, 2**31, 2**32 - 2, 2**32 - 1])
+def test_newer_goes_round(start: int) -> None:
+    for step in (1, 2, 1000, 2**31 - 1):
+        after = (start + step) % 2**32
+        assert newer(after, start) and not newer(start, after)
+    assert not newer(start, start)
+    opposite = (start + 2**31) % 2**32  # half way round neither is the newer
+    assert not newer(opposite, start) and not newer(start, opposite)
+
+
+def test_what_arrives_makes_nothing_raise() -> None:
+    makers: list[Callable[[], bytes]] = [lambda: bytes(1_000_000), lambda: b"MJ\x02\x05" * 50_000]
+    for make in makers:
+        assert Codec().decode(make()) is None
+        assert Codec(KEY).decode(make()) is None

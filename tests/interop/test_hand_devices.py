@@ -1,0 +1,483 @@
+"""Gamepads and 3D mice as hands.
+
+Real sockets, real GLFW with a made-up gamepad, and the session behind.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import socket
+import struct
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Self
+
+import numpy as np
+import pytest
+
+from joystick_to_3d_mouse import SpacenavServer
+from maglev_mj import cli
+from maglev_mj.errors import MaglevError
+from maglev_mj.frames import AXES
+from maglev_mj.interop import hand_devices
+from maglev_mj.interop.hand_devices import (
+    AxisMapping,
+    Gamepad,
+    HandDevice,
+    Reading,
+    SpacenavMouse,
+    described_devices,
+    gamepad_shares,
+    open_device,
+    searched_paths,
+)
+from maglev_mj.plants.hand import SpringHand
+from maglev_mj.scenes import find_scene
+from maglev_mj.session import Session, Snapshot
+from maglev_mj.spec import RANGE
+from maglev_mj.views.viewer_process import ShowReport
+from maglev_mj.views.window import window
+from tests.conftest import COMPILER
+from tests.views.virtual_screen import VirtualScreen
+
+REST = Reading((0.0,) * 6)
+PERIOD = 0.005
+PATIENCE = 60.0
+SNAPSHOT = Snapshot(scene=find_scene("joystick")())
+
+
+class Stick:
+    """An input device whose state a test sets."""
+
+    name = "stick"
+
+    def __init__(self) -> None:
+        self.reading, self.closed = REST, False
+
+    def read(self) -> Reading:
+        return self.reading
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def pushed(shares: Sequence[float], **settings: Any) -> Any:
+    """Return the hand's target for a stick deflection."""
+    stick, hand = Stick(), SpringHand()
+    stick.reading = Reading(shares)
+    HandDevice(stick, hand, AxisMapping(**settings) if settings else None).show(SNAPSHOT)
+    return hand.device_target
+
+
+def one(axis: int, share: float = 1.0) -> list[float]:
+    """Return a deflection along one axis."""
+    return [share * (index == axis) for index in range(6)]
+
+
+def waited(ask: Callable[[], Any]) -> Any:
+    """Return the first answer that is not empty."""
+    end = time.monotonic() + PATIENCE
+    while not (answer := ask()):
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.005)
+    return answer
+
+
+# -- deflections to a target -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [1.0, -1.0])
+@pytest.mark.parametrize("axis", range(6))
+def test_a_full_deflection_pulls_to_three_times_the_range(axis: int, share: float) -> None:
+    assert pushed(one(axis, share)) == pytest.approx(one(axis, 3.0 * share * RANGE[axis]))
+
+
+def test_a_stick_within_its_dead_zone_on_every_axis_lets_go() -> None:
+    assert pushed([0.149, -0.149] * 3) is None
+    assert pushed([0.151, *[0.0] * 5])[0] == pytest.approx(3.0 * RANGE[0] * 0.001 / 0.85)
+
+
+def test_no_gain_turns_a_target_round_to_the_other_side() -> None:
+    # Past half a turn a spring would pull the other way.
+    assert math.hypot(*pushed([1.0] * 6, turning_gain=100.0)[3:]) < math.pi
+
+
+def test_while_the_mouse_pulls_its_target_counts() -> None:
+    hand = SpringHand(device_target=[0.001, *[0.0] * 5])
+
+    def pull() -> Sequence[Any]:
+        return hand(0, 0.0, lambda: (np.zeros(6), np.zeros(6)))
+
+    assert pull()[0] == pytest.approx(0.2)
+    hand.target = [0.0, -0.002, *[0.0] * 4]
+    assert pull()[:3] == pytest.approx([0.0, -0.4, 0.0])
+    hand.target = None
+    assert pull()[0] == pytest.approx(0.2)
+
+
+# -- in a session ----------------------------------------------------------------------------------------
+
+
+class Played:
+    """A session whose hand is a stick."""
+
+    def __init__(self, **parameters: Any) -> None:
+        self.stick, hand = Stick(), SpringHand()
+        self.device = HandDevice(self.stick, hand)
+        self.session = Session(find_scene("joystick")(**parameters), hand=hand, publishers=[self.device])
+        self.device.act = self.session.act
+
+    def after(self, reading: Reading, seconds: float = 1.5) -> Snapshot:
+        """Return the state after a stick was held."""
+        self.stick.reading = reading
+        self.device.show(self.session.snapshot())  # the session does it by the clock on the wall
+        for _ in range(round(seconds / PERIOD)):
+            self.session.tick(PERIOD)
+        return self.session.snapshot()
+
+
+@pytest.mark.parametrize(("axis", "edge"), [(0, 0.0035), (2, 0.0035), (3, math.radians(4.5))])
+def test_a_full_deflection_presses_the_wall_and_letting_go_returns(axis: int, edge: float) -> None:
+    played = Played()
+    assert edge < played.after(Reading(one(axis))).pose[axis] < RANGE[axis]
+    last = played.after(REST)
+    assert last.pose == pytest.approx(np.zeros(6), abs=1e-6)
+    assert not last.hand.any()
+
+
+def test_a_session_reads_the_device_by_itself_and_closes_it() -> None:
+    played = Played()
+    played.stick.reading = Reading(one(1))
+    waited(lambda: played.session.tick(PERIOD) and played.session.hand.device_target)
+    played.session.close()
+    assert played.stick.closed
+    assert played.session.hand.device_target is None
+
+
+def test_a_device_that_goes_lets_go_and_says_so_until_it_is_back() -> None:
+    played = Played()
+    gone = played.after(Reading(None), 0.0)
+    assert gone.target is None
+    assert gone.notes == ["stick is gone: the hand is released"]
+    back = played.after(Reading(one(0)), 0.0)
+    assert back.notes == []
+    assert back.target == pytest.approx(one(0, 3.0 * RANGE[0]))
+
+
+def test_the_first_buttons_are_actions_and_further_ones_are_none() -> None:
+    played = Played()
+    assert played.after(Reading(one(0))).pose[0] > 0.003
+    assert played.after(Reading((0.0,) * 6, [0]), 0.0).pose[0] == 0.0
+    assert played.after(Reading((0.0,) * 6, [2, 1, 7]), 0.0).state == "paused"
+
+
+# -- the 3D mouse ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def path(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Return the only path searched for a 3D mouse."""
+    with tempfile.TemporaryDirectory() as folder:
+        monkeypatch.setattr(hand_devices, "_SETTINGS", Path(folder) / "spnavrc")
+        monkeypatch.setattr(hand_devices, "_DAEMONS", Path(folder) / "daemon.sock")
+        monkeypatch.setenv("SPNAV_SOCKET", f"{folder}/spnav.sock")
+        yield Path(folder) / "spnav.sock"
+
+
+def seen(pose: Sequence[float]) -> Snapshot:
+    """Return a snapshot of a pose."""
+    return Snapshot(scene=SNAPSHOT.scene, pose=np.array(pose))
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_a_mouse_is_deflected_as_the_joystick_behind_the_socket_is(path: Path, axis: int) -> None:
+    # The example server is the other end: along the same axis, to the same side, by the same share.
+    server = SpacenavServer(path)
+    mouse = SpacenavMouse(path)
+    try:
+        for share in (1.0, -0.5, 0.0):
+            server.show(seen(one(axis, share * RANGE[axis])))
+            assert mouse.read().shares == pytest.approx(one(axis, share))
+        assert mouse.read().shares == pytest.approx([0.0] * 6)  # it stays so while nothing is said
+    finally:
+        mouse.close()
+        server.close()
+
+
+class Daemon:
+    """Driver's end of a mouse, byte by byte.
+
+    It lasts as long as the context.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._open = path, ExitStack()
+
+    def __enter__(self) -> Self:
+        self._listener = self._open.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_STREAM))
+        self._open.callback(self._path.unlink)
+        self._listener.bind(os.fspath(self._path))
+        self._listener.listen()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._open.close()
+
+    def accept(self) -> socket.socket:
+        """Return the connection of the caller."""
+        return self._open.enter_context(self._listener.accept()[0])
+
+
+class Clock:
+    """Real time that a test sets."""
+
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def motion_event(axes: Sequence[int], period: int) -> bytes:
+    return struct.pack("=8i", 0, *axes, period)
+
+
+def button_event(number: int, down: bool) -> bytes:
+    return struct.pack("=8i", 1 if down else 2, number, down, *[0] * 5)
+
+
+FULL_X = motion_event([500, 0, 0, 0, 0, 0], 16)
+
+
+def test_events_in_pieces_and_many_at_once_are_read_whole(path: Path) -> None:
+    up, press, unknown = motion_event([0, 250, 0, 0, 0, 0], 16), button_event(3, True), struct.pack("=8i", 3, *[9] * 7)
+    with Daemon(path) as daemon, closing(SpacenavMouse(path)) as mouse:
+        line = daemon.accept()
+        line.send(FULL_X[:13])
+        assert mouse.read().shares == REST.shares
+        line.send(FULL_X[13:] + up + press[:7])
+        assert mouse.read() == Reading((0.0, 0.0, 0.5, 0.0, 0.0, 0.0), [])
+        line.send(press[7:] + button_event(3, False) + unknown)
+        assert mouse.read() == Reading((0.0, 0.0, 0.5, 0.0, 0.0, 0.0), [3])
+
+
+def test_a_line_that_ends_in_motion_lets_go_at_once_and_is_called_again(path: Path) -> None:
+    clock = Clock()
+    with Daemon(path) as daemon:
+        mouse = SpacenavMouse(path, clock)
+        daemon.accept().send(FULL_X + FULL_X[:20])
+        assert mouse.read().shares == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert mouse.read() == Reading(None)
+    clock.now = 1.1
+    assert mouse.read() == Reading(None)  # nobody is there
+    with Daemon(path) as daemon, closing(mouse):
+        assert mouse.read() == Reading(None)  # it does not call every time
+        clock.now = 2.2
+        assert mouse.read() == REST  # neither the motion nor the half event from before
+        daemon.accept().send(FULL_X)
+        assert mouse.read().shares == (1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_where_nobody_answers_there_is_no_mouse(path: Path) -> None:
+    with pytest.raises(MaglevError, match=r"^no 3D mouse at .*spnav\.sock$"):
+        SpacenavMouse(path)
+
+
+def test_a_mouse_is_looked_for_where_libspnav_looks(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert searched_paths() == [path, hand_devices._DAEMONS]
+    monkeypatch.delenv("SPNAV_SOCKET")
+    hand_devices._SETTINGS.write_text(
+        "# socket = /no\nled = 1\n  socket =\n socket = /tmp/a b.sock \nsocket = /tmp/late\n"
+    )
+    assert searched_paths() == [Path("/tmp/a b.sock"), hand_devices._DAEMONS]
+
+
+# -- gamepads --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("control", "axis", "share"),
+    [
+        (0, "x", 1.0),  # left stick to the right
+        (1, "y", -1.0),  # left stick towards the person
+        (2, "ry", 1.0),  # right stick to the right: so leans the handle
+        (3, "rx", 1.0),  # right stick towards the person: so leans the handle
+        (4, "z", -1.0),  # left trigger
+        (5, "z", 1.0),  # right trigger
+        (6, "rz", 1.0),  # left bumper: counter-clockwise from above
+        (7, "rz", -1.0),
+    ],
+)
+def test_each_control_of_a_gamepad_moves_its_axis(control: int, axis: str, share: float) -> None:
+    controls = [0.0, 0.0, 0.0, 0.0, -1.0, -1.0, 0.0, 0.0]
+    assert gamepad_shares(controls[:6], 0.0) == (0.0,) * 6
+    controls[control] = 1.0
+    shares = gamepad_shares(controls[:6], float(controls[6]) - float(controls[7]))
+    assert shares == pytest.approx(one(AXES.index(axis), share))
+
+
+KEY, ABSOLUTE = 1, 3
+BUTTON_A, BUTTON_B, LEFT_BUMPER = 0x130, 0x131, 0x136
+
+
+class Pads:
+    """Made-up gamepads and joysticks, as GLFW finds them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.lines: dict[str, int] = {}
+
+    def plug(self, name: str = "event3") -> None:
+        os.mkfifo(self.folder / name)
+        self.lines[name] = os.open(self.folder / name, os.O_RDWR | os.O_NONBLOCK)
+
+    def unplug(self, name: str = "event3") -> None:
+        (self.folder / name).unlink()
+        os.close(self.lines.pop(name))
+
+    def say(self, *events: tuple[int, int, int], name: str = "event3") -> None:
+        for event in events:
+            os.write(self.lines[name], struct.pack("@llHHi", 0, 0, *event))
+
+
+@pytest.fixture
+def pads(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Pads]:
+    library, folder = tmp_path / "fake_gamepad.so", tmp_path / "input"
+    folder.mkdir()
+    source = Path(__file__).with_name("fake_gamepad.c")
+    subprocess.run([str(COMPILER), "-shared", "-fPIC", str(source), "-o", str(library), "-ldl"], check=True)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with VirtualScreen(320, 240) as screen:
+        monkeypatch.setenv("DISPLAY", screen.display)
+        monkeypatch.setenv("LD_PRELOAD", str(library))
+        monkeypatch.setenv("FAKE_INPUT", str(folder))
+        found = Pads(folder)
+        yield found
+        for line in found.lines.values():
+            os.close(line)
+
+
+def test_a_button_that_is_held_while_a_gamepad_comes_back_is_not_pressed() -> None:
+    pad, shares = Gamepad.__new__(Gamepad), (0.0,) * 6
+    states: list[Any] = [
+        (shares, (True, False)),
+        None,
+        (shares, (True, True)),
+        (shares, (False, True)),
+        (shares, (True, True)),
+    ]
+    pad._state = shares, (False, False)
+    pressed = []
+    for state in states:
+        pad._process = SimpleNamespace(received=lambda state=state: [state], ended=False)  # type: ignore[assignment]
+        pressed.append([*pad.read().pressed])
+    assert pressed == [[0], [], [], [], [0]]
+
+
+@pytest.mark.needs("screen", "compiler")
+def test_a_gamepad_is_read_unplugged_and_plugged_in_again(pads: Pads) -> None:
+    # GLFW itself, with its own table of gamepads, beside a folder of made-up devices.
+    pads.plug("event1")
+    pads.plug()
+    assert described_devices() == ["gamepad X360 Controller", "gamepad Test Stick"]  # gamepads first
+    with closing(Gamepad("x360")) as pad:
+        assert pad.name == "X360 Controller"
+        assert pad.read().shares == pytest.approx([0.0] * 6, abs=1e-4)
+        pads.say((ABSOLUTE, 0, 32767), (ABSOLUTE, 5, 255), (KEY, LEFT_BUMPER, 1))
+        waited(lambda: pad.read().shares == pytest.approx([1.0, 0.0, 1.0, 0.0, 0.0, 1.0], abs=1e-4))
+        pads.say((KEY, BUTTON_B, 1))
+        assert waited(lambda: pad.read().pressed) == [1]
+        pads.say((KEY, BUTTON_B, 0), (KEY, BUTTON_A, 1))
+        assert waited(lambda: pad.read().pressed) == [0]
+        pads.say((KEY, BUTTON_B, 1))
+        assert waited(lambda: pad.read().pressed) == [1]  # the other one is held, not pressed again
+        pads.unplug()
+        waited(lambda: pad.read() == Reading(None))
+        pads.plug()
+        waited(lambda: pad.read().shares == pytest.approx([0.0] * 6, abs=1e-4))
+    assert pad.read() == Reading(None)
+
+
+@pytest.mark.needs("screen", "compiler")
+def test_another_joystick_does_not_take_the_place_of_the_first(pads: Pads) -> None:
+    # Not even where the first one that there was is the hand.
+    pads.plug("event1")
+    pads.plug()
+    with closing(open_device("auto")) as pad:
+        assert pad.name == "X360 Controller"
+        pads.say((ABSOLUTE, 0, 32767))
+        held = waited(lambda: (now := pad.read().shares) and now[0] > 0.9 and now)
+        pads.unplug()
+        assert waited(lambda: (now := pad.read()).shares != held and now) == Reading(None)
+
+
+@pytest.mark.needs("screen", "compiler")
+def test_an_unknown_joystick_has_its_axes_in_order_from_where_they_rest(pads: Pads) -> None:
+    pads.plug("event1")
+    with closing(open_device("auto")) as stick:
+        assert (stick.name, stick.read().shares) == ("Test Stick", REST.shares)
+        pads.say((ABSOLUTE, 1, 32767), (ABSOLUTE, 2, 0), name="event1")
+        waited(lambda: stick.read().shares == pytest.approx([0.0, -1.0, -1.0, 0.0, 0.0, 0.0], abs=1e-4))
+        pads.unplug("event1")
+        waited(lambda: stick.read() == Reading(None))
+        pads.plug("event2")  # another one, which rests elsewhere
+        assert waited(lambda: stick.read().shares) == REST.shares
+
+
+# -- the command -----------------------------------------------------------------------------------------
+
+
+class Shown:
+    """Replacement of `view`'s window: a session until the target moves.
+
+    Attributes:
+        begin: Function called first.
+        targets: Target of each session.
+        states: State of each session.
+    """
+
+    def __init__(self) -> None:
+        self.begin: Callable[[], object] = lambda: None
+        self.targets: list[Any] = []
+        self.states: list[str] = []
+
+    def show(self, session: Session, **_: Any) -> ShowReport:
+        self.begin()
+        waited(lambda: [session.tick(PERIOD), session.hand.device_target][1])
+        self.targets.append(session.hand.device_target)
+        self.states.append(session.snapshot().state)
+        session.close()
+        return ShowReport(0, 0.0, 1.0, 1.0, 200, 0)
+
+
+@pytest.fixture
+def shown(monkeypatch: pytest.MonkeyPatch) -> Shown:
+    """Run `view` without window or display."""
+    made = Shown()
+    monkeypatch.setattr(window, "show", made.show)
+    monkeypatch.setattr(window, "require_display", lambda: None)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    return made
+
+
+def test_view_has_its_hand_from_a_3d_mouse(path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]) -> None:
+    with Daemon(path) as daemon:
+        shown.begin = lambda: daemon.accept().send(FULL_X + button_event(1, True))
+        assert cli.main(["view", "--hand-device", "auto", "--hand-gain", "2", "--hand-invert", "x"]) == 0
+    assert shown.targets == [pytest.approx([-2.0 * RANGE[0], *[0.0] * 5])]
+    assert shown.states == ["paused"]  # by the button
+    assert f"the hand: 3D mouse at {path}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("there", [False, True])
+def test_list_prints_what_is_there(there: bool, path: Path, shown: Shown, capsys: pytest.CaptureFixture[str]) -> None:
+    with Daemon(path) if there else nullcontext(), pytest.raises(SystemExit) as ended:
+        cli.main(["view", "--hand-device", "list"])
+    assert (ended.value.code, shown.targets) == (0, [])
+    assert capsys.readouterr().out == (f"  3D mouse at {path}\n" if there else "  no 3D mouse and no gamepad\n")

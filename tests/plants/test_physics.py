@@ -1,0 +1,172 @@
+"""Closed forms: restitution, momentum, energy, eigenvalues, analog wall."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
+from maglev_mj.errors import ParameterError
+from maglev_mj.plants.trace import Trace, actuator_work
+from maglev_mj.spec import INERTIA
+from maglev_mj.theory.ideal import analog_wall
+from tests.theory.closed_loop import largest_modulus, pd_matrix
+
+M, G, T = 0.7, 9.81, 0.005
+
+
+def restitution(ratio: float) -> float:
+    """Return the energy restitution of an ideal wall by damping ratio (section 3 of the paper)."""
+    return math.exp(-2.0 * math.pi * ratio / math.sqrt(1.0 - ratio**2))
+
+
+def test_restitution_formula_not_the_remark() -> None:
+    # The paper's remark "r < 0.2 for rho > 0.1" does not follow from its formula; the formula holds.
+    assert restitution(0.1) == pytest.approx(0.532, abs=5e-4)
+    assert restitution(0.248) == pytest.approx(0.2, abs=1e-3)
+    assert restitution(0.0) == 1.0
+
+
+def test_the_analog_wall_refuses_times_that_do_not_ascend() -> None:
+    with pytest.raises(ParameterError, match=r"time must be .* ascending"):
+        drop_analog(np.array([0.4, 0.1]))
+
+
+@pytest.mark.parametrize("ratio", [0.1, 0.248, 0.4])
+def test_sampled_wall_approaches_restitution_at_first_order(ratio: float) -> None:
+    # Energy kept in one bounce on the sampled wall, mean over phases, against the formula as T falls.
+    k = 6000.0
+    b = 2.0 * ratio * math.sqrt(k * M)
+    periods = np.array([1e-4, 5e-5, 2.5e-5])
+    errors = []
+    for period in periods:
+        phases = np.arange(16) / 16
+        pose, twist = np.zeros((16, 6)), np.zeros((16, 6))
+        pose[:, 2], twist[:, 2] = 1e-3, -0.2
+        plant = ExactPlant(Timing(period=period, delay=0.0, phase=phases), pose=pose, twist=twist, gravity=0.0)
+        wall = Wall(axes="z", lower=0.0, stiffness=k, damping=b)
+        swing = math.pi / math.sqrt(k / M * (1.0 - ratio**2))
+        ticks = int((1e-3 / 0.2 + 1.1 * swing) / period)
+        last = drive(plant, Controller([wall], period=period), ticks)
+        assert (np.asarray(last.position[2]) > 0.0).all()
+        kept = (np.asarray(plant._velocity[2]) / 0.2) ** 2
+        errors.append(abs(kept.mean() / restitution(ratio) - 1.0))
+    slopes = np.diff(np.log(errors)) / np.diff(np.log(periods))
+    assert errors[-1] < 0.01
+    assert slopes == pytest.approx([1.0, 1.0], abs=0.1)
+
+
+@pytest.mark.parametrize("plant_type", [ExactPlant, MuJoCoPlant])
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("axis", AXES)
+def test_pulse_with_the_stopping_gain_stops_the_flotor(plant_type: Any, axis: str, side: int) -> None:
+    # Eq. (8): without gravity and with no PD wall behind it, exactly m v goes in one pulse.
+    index, width = AXES.index(axis), 0.003
+    inertia = INERTIA[index]
+    edge = {"lower": 0.0} if side > 0 else {"upper": 0.0}
+    gain = inertia / width
+    damping = 0.3 * gain  # the pulse takes damping + pulse; the PD damping after it sees the old speed: none here
+    pose, twist = np.zeros(6), np.zeros(6)
+    pose[index], twist[index] = side * 1e-3, -side * 0.15
+    plant = plant_type(Timing(period=T, phase=0.5), pose=pose, twist=twist, gravity=0.0, record=True)
+    wall = Wall(axes=axis, stiffness=0.0, damping=damping, pulse=gain - damping, pulse_width=width, **edge)
+    drive(plant, Controller([wall], period=T), 3)
+    trace = plant.trace()
+    force = trace.wrench[:, index]
+    start = int(np.argmax(np.abs(force)))
+    speed = trace.twist[start + 1, index]
+    # the coils turn with the flotor after their map was taken: about a millionth of the torque here
+    tolerance = 1e-15 if index < 3 or plant_type is ExactPlant else 5e-7
+    assert trace.time[start + 1] - trace.time[start] == pytest.approx(width)
+    assert abs(speed) < tolerance
+    impulse = force[start] * width
+    assert impulse == pytest.approx(side * inertia * 0.15, rel=1e-6)
+
+
+@pytest.mark.parametrize("plant_type", [ExactPlant, MuJoCoPlant])
+@pytest.mark.parametrize("pulse", [0.0, 220.0])
+def test_energy_books_balance(plant_type: Any, pulse: float) -> None:
+    # Kinetic energy gained = work of the actuators + work of gravity, over every stretch of a drop.
+    plant = plant_type(Timing(phase=0.3), pose=[0, 0, 4e-3, 0, 0, 0], record=True)
+    wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=pulse, pulse_width=0.003)
+    drive(plant, Controller([wall], period=T), 80)
+    trace = plant.trace()
+    for end in range(2, len(trace.time), 7):
+        part = Trace(trace.time[:end], trace.pose[:end], trace.twist[:end], trace.wrench[:end])
+        fallen, speeds = part.pose[0, 2] - part.pose[-1, 2], part.twist[[0, -1], 2]
+        kinetic = 0.5 * M * (speeds[1] ** 2 - speeds[0] ** 2)
+        assert kinetic == pytest.approx(actuator_work(part)[:, 2].sum() + M * G * fallen, abs=1e-15)
+    assert actuator_work(trace)[:, 2].sum() < -0.02  # the wall takes what the fall gave
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "delay", "modulus"),
+    [(6000.0, 80.0, 0.005, 1.082), (6000.0, 80.0, 0.0015, 0.877), (4045.0, 59.4, 0.005, 1.0)],
+)
+def test_growth_of_the_simulated_wall_is_its_largest_eigenvalue(
+    stiffness: float, damping: float, delay: float, modulus: float
+) -> None:
+    # A two-sided PD on the exact plant follows the matrix power step by step, stable or not.
+    assert largest_modulus(stiffness, damping, period=T, delay=delay, mass=M) == pytest.approx(modulus, abs=5e-4)
+    plant = ExactPlant(Timing(period=T, delay=delay), pose=[0, 0, 1e-6, 0, 0, 0], gravity=0.0)
+    hold = Hold(axes="z", stiffness=stiffness, damping=damping)
+    controller = Controller([hold], period=T)
+    matrix = pd_matrix(stiffness, damping, period=T, delay=delay, mass=M)
+    # at the first sample x[-1] = x[0] and nothing is on its way
+    state = np.zeros(len(matrix))
+    state[0] = state[2] = 1e-6
+    for _ in range(100):
+        sample = plant.read()
+        assert sample.position[2] == pytest.approx(state[0], rel=1e-9, abs=1e-18)
+        plant.write(controller.step(sample))
+        state = matrix @ state
+
+
+def test_the_paper_s_characteristic_polynomial_is_the_case_of_one_sample_delay() -> None:
+    for stiffness, damping in ((3900.0, 60.0), (1000.0, 20.0), (6000.0, 80.0)):
+        cp, cv = T**2 * stiffness / (2 * M), T * damping / (2 * M)
+        roots = np.abs(np.roots([1.0, -2.0, 1.0 + cp + cv, cp, -cv])).max()
+        assert largest_modulus(stiffness, damping, period=T, delay=T, mass=M) == pytest.approx(roots, rel=1e-9)
+
+
+def drop_analog(time: np.ndarray[Any, np.dtype[np.float64]], **changes: float) -> Any:
+    options = {"height": 3e-3, "stiffness": 6000.0, "damping": 80.0, "mass": M} | changes
+    return analog_wall(time, **options)
+
+
+def test_analog_wall_satisfies_its_differential_equations() -> None:
+    # Z' = v and m v' = f - m g by central differences of second order; f' = rate (wall(z, v) - f).
+    step = 1e-7
+    time = np.linspace(0.0, 0.4, 4001)[1:-1]
+    before, now, after = (drop_analog(np.sort(time + shift)) for shift in (-step, 0.0, step))
+    z, v, f = now
+    rate = 2.0 * math.pi * 10e3
+    wall = np.where(z <= 0.0, -6000.0 * z - 80.0 * v, 0.0)
+    away = np.abs(z) > 1e-6  # off the edge, where the wall's force jumps
+    np.testing.assert_allclose(((after[0] - before[0]) / (2 * step))[away], v[away], atol=1e-8)
+    np.testing.assert_allclose((M * (after[1] - before[1]) / (2 * step))[away], (f - M * G)[away], atol=1e-5)
+    np.testing.assert_allclose(
+        ((after[2] - before[2]) / (2 * step))[away], rate * (wall - f)[away], rtol=1e-3, atol=0.1
+    )
+
+
+def test_fast_sampled_wall_converges_to_the_analog_one_at_first_order() -> None:
+    # At 1 MHz of filter bandwidth and no delay, the sampled drop approaches eq. (1) as T falls.
+    time = np.arange(0.0, 0.2, 1e-3)
+    ideal = drop_analog(time, bandwidth=1e7)[0]
+    periods = np.array([4e-4, 2e-4, 1e-4])
+    errors = []
+    for period in periods:
+        pose = np.zeros((64, 6))
+        pose[:, 2] = 3e-3
+        timing = Timing(period=period, delay=0.0, phase=np.arange(64) / 64)
+        plant = ExactPlant(timing, pose=pose, record=True)
+        wall = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
+        drive(plant, Controller([wall], period=period), int(0.2 / period))
+        gap = plant.trace().at(time)[0][..., 2].mean(axis=1) - ideal
+        errors.append(np.sqrt(np.mean(gap**2)))
+    slopes = np.diff(np.log(errors)) / np.diff(np.log(periods))
+    assert slopes == pytest.approx([1.0, 1.0], abs=0.15)

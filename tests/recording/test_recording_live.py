@@ -1,0 +1,588 @@
+"""Recordings written during a run: content, survival, other readers."""
+
+import base64
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+import tracemalloc
+from contextlib import suppress
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj.analysis import analyse
+from maglev_mj.cli import main
+from maglev_mj.control.controller import Controller
+from maglev_mj.control.loop import drive
+from maglev_mj.errors import MissingPackageError, ParameterError, PlantError
+from maglev_mj.frames import ZERO, Command, Sample
+from maglev_mj.plants import ExactPlant, Timing
+from maglev_mj.recording import EXPORTS, Recording, RecordingError, load_samples, open_recording, setup_of
+from maglev_mj.recording.export import export
+from maglev_mj.recording.sample import ROW, TOTALS
+from maglev_mj.recording.verify import verify
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.run import run as run_scene
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.session import Pacer, Session
+from maglev_mj.session.replay import Replay, rebuild, record_run, write_run
+from maglev_mj.spec import INERTIA
+from maglev_mj.studies.stability_map import RestingWall
+from maglev_mj.versions import versions
+from tests.elsewhere import START
+from tests.processes import PATIENCE
+from tests.recorded import KINDS, exported, load, made, messages_in
+from tests.sweeps import sweep
+
+ROOT = Path(__file__).parents[2]
+TOTAL_NAMES = [field.name for field in TOTALS]
+
+
+def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
+    """Return the run's messages in its export as MCAP, by a plain reader."""
+    return messages_in(exported(path.read_bytes(), "mcap"))
+
+
+def same(one: Recording, other: Recording) -> bool:
+    """Whether two recordings hold the same, to the last bit."""
+    return len(one.stretches) == len(other.stretches) and all(
+        a.setup == b.setup and all(b.arrays[name].tobytes() == a.arrays[name].tobytes() for name in ROW.names or ())
+        for a, b in zip(one.stretches, other.stretches, strict=True)
+    )
+
+
+@pytest.fixture(scope="module")
+def drop_run(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Return the file of a drop."""
+    path = tmp_path_factory.mktemp("drop") / "run.maglev"
+    write_run(path, Drop(), plant="exact")
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("scene", "plant", "phase"),
+    [
+        (StickSlip(), "exact", 0.0),
+        pytest.param(Drop(), "mujoco", 0.3, marks=pytest.mark.study),
+        pytest.param(RestingWall(), "mujoco", 0.0, marks=pytest.mark.study),
+    ],
+)
+def test_a_file_holds_what_memory_does_to_the_last_bit(scene: Scene, plant: str, phase: float, tmp_path: Path) -> None:
+    path = tmp_path / "run.maglev"
+    write_run(path, scene, plant=plant, phase=phase)
+    written, kept = Recording.load(path), record_run(scene, plant=plant, phase=phase)
+    assert not written.damage and same(written, kept)
+    assert verify(written, rebuild).same
+
+
+def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(drop_run: bytes, tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+
+    path, other = tmp_path / "run.maglev", tmp_path / "run.mcap"
+    path.write_bytes(drop_run)
+    assert main(["export", str(path), "--to", "mcap"]) == 0
+    with other.open("rb") as file:
+        reader = make_reader(file)
+        summary, about = reader.get_summary(), {one.name: one.metadata for one in reader.iter_metadata()}
+    assert summary is not None and summary.statistics is not None
+    topics = {"/maglev/stretch", "/maglev/sample", "/tf", "/maglev/shapes", "/maglev/arrows", "/log"}
+    assert {channel.topic for channel in summary.channels.values()} == topics
+    units = json.loads(about["maglev_mj"]["units"])
+    assert [units[f"{name}.{axis}"] for name in ("position", "hand") for axis in ("z", "rx")] == [
+        "m",
+        "rad",
+        "N",
+        "N m",
+    ]
+    assert units["taken"] == "J" and about["maglev_mj"]["sources"] == versions()["sources"]
+    (_, begun), *samples = messages(path)
+    assert begun["setup"]["parameters"]["stiffness"] == 6000.0 and begun["setup"]["versions"]["mujoco"]
+    assert (begun["period"], begun["delay"]) == (0.005, 0.0015)
+    (stretch,) = Recording.load(path).stretches
+    assert len(samples) == len(stretch) == 81
+    for row, (topic, message) in enumerate(samples):
+        assert topic == "/maglev/sample" and message["stretch"] == 0
+        assert {"stretch", *stretch.arrays} == {*message, "arrival"}
+        for name, value in message.items():
+            if name != "stretch":
+                kept = stretch.arrays[name][row]
+                assert (list(value.values()) == kept).all() if isinstance(value, dict) else value == kept
+
+
+@pytest.mark.parametrize(("phase", "delay"), sweep([0.0, 0.3, 0.7], [0.0015, 0.007], every=3))
+def test_energy_taken_is_what_the_actuators_took_from_a_fall(phase: float, delay: float, tmp_path: Path) -> None:
+    # Against the work of the exact motion up to the last sample.
+    path = tmp_path / "run.maglev"
+    drop = Drop(delay=delay, stiffness=2000.0)
+    write_run(path, drop, plant="exact", phase=phase)
+    (stretch,) = Recording.load(path).stretches
+    result, end = run_scene(drop, plant="exact", phase=phase), stretch.time[-1]
+    z, speed = (float(part[0, 2]) for part in result.trace.at(np.array([end]))[:2])
+    fallen = 0.7 * 9.81 * (drop.height - z) - 0.5 * 0.7 * speed**2
+    assert messages(path)[-1][1]["taken"] == pytest.approx(fallen, rel=1e-9)
+    assert fallen > 0.01
+
+
+def test_energy_of_a_session_goes_on_with_what_acted_before(tmp_path: Path) -> None:
+    path = tmp_path / "run.maglev"
+    session = Session(Drop(), record=path, pacer=Pacer(budget=60.0, patience=3600.0))
+    for frame in range(24):
+        session.tick(1.0 / 60.0)
+        if frame in (3, 11, 19):
+            session.act("damping up")
+    session.close()
+    recording = Recording.load(path)
+    assert len(recording.stretches) == 4
+    for place, stretch in enumerate(recording.stretches):
+        last = [m for topic, m in messages(path) if topic == "/maglev/sample" and m["stretch"] == place][-1]
+        found = analyse(stretch, rebuild, simulated=False).recorded.figures.energy
+        assert last["taken"] == pytest.approx(sum(found.taken), rel=1e-6, abs=1e-9)
+
+
+class Still:
+    """Plant without a hand."""
+
+    hand_wrench: Any = ZERO
+    delay = 0.0
+
+
+def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
+    # A device counts on from stretch to stretch: where one begins, nothing is missing yet.
+    from mcap.reader import make_reader
+
+    path = tmp_path / "run.maglev"
+
+    file, none = open_recording(path), Command(list(ZERO))
+    for ticks in ((0, 1, 4), (2, 3)):
+        record = file.begin(Still(), Controller([], period=0.001), {"kind": "test"})
+        for tick in ticks:
+            record(Sample(tick, tick * 0.001, list(ZERO)), none, none)
+    file.event("missed", "too slow", 5)
+    file.event("fault", "it fell")
+    for tick in (4, 5):
+        record(Sample(tick, tick * 0.001, list(ZERO)), none, none)
+    assert file.close() == path
+    assert [(m["stretch"], m["missed"]) for topic, m in messages(path) if topic == "/maglev/sample"] == [
+        *[(0, 0), (0, 0), (0, 2)],
+        *[(1, 0), (1, 0), (1, 5), (1, 5)],
+    ]
+    recording = Recording.load(path)
+    read = make_reader(BytesIO(exported(path.read_bytes(), "mcap"))).iter_messages(topics=["/maglev/sample"])
+    logged = [message.log_time for _, _, message in read][-4:]
+    assert [round((after - logged[0]) * 1e-6) for after in logged] == [0, 1, 2, 3]  # its ticks are 2 to 5
+    assert list(recording.events) == ["missed: too slow", "fault: it fell"]
+    assert [len(stretch.tick) for stretch in recording.stretches] == [3, 4]
+
+
+RUN = """
+import sys, time
+from pathlib import Path
+from maglev_mj.session import Session, Pacer
+from maglev_mj.plants.hand import SpringHand
+session = Session(hand=SpringHand(), folder=Path(sys.argv[1]))
+session.act("friction"); session.act("record")
+session.hand.target = [0.012, 0.003, 0.0, 0.0, 0.1, 0.0]
+last = time.perf_counter()
+while True:
+    time.sleep(0.004)
+    now = time.perf_counter(); session.tick(now - last); last = now
+    print(session._ticks, flush=True)
+"""
+
+
+@pytest.mark.machine
+@pytest.mark.needs("linux")
+def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(tmp_path: Path) -> None:
+    # SIGKILL to the program; what was in the file stays.
+    killed(400, tmp_path)
+
+
+@pytest.mark.study
+@pytest.mark.machine
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("after", range(300, 1300, 50))
+def test_a_recording_that_is_killed_at_any_time_opens(after: int, tmp_path: Path) -> None:
+    print("lost:", killed(after, tmp_path), "samples")
+
+
+def readable(folder: Path) -> int:
+    """Return the samples that can be read of a recording that is written."""
+    with suppress(RecordingError, ValueError):
+        (path,) = folder.glob("*.maglev")
+        return Recording.load(path).ticks
+    return 0
+
+
+def killed(after: int, tmp_path: Path) -> int:
+    """Return the samples lost by a program that is killed after recording some."""
+    program = subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    assert program.stdout is not None
+    made = 0
+    while made < after:
+        made = int(program.stdout.readline())
+    wanted, deadline = made, time.monotonic() + PATIENCE
+    while readable(tmp_path) < wanted:  # all until now
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    program.kill()
+    rest = program.communicate()[0].splitlines()
+    made = int(rest[-1]) if rest else made
+    (path,) = tmp_path.glob("*.maglev")
+    recording = Recording.load(path)
+    assert recording.damage.startswith("not closed: read to ") and recording.ticks >= wanted
+    assert verify(recording, rebuild).first is None
+    assert main(["replay", str(path), "--check"]) == 1
+    return made - recording.ticks
+
+
+def test_an_open_file_is_read_without_the_package_in_three_lines(tmp_path: Path) -> None:
+    path = tmp_path / "run.maglev"
+    write_run(path, Drop(), plant="exact")
+    with path.open("rb") as file:
+        header = json.loads(file.readline())
+    records = np.fromfile(path, np.dtype(header["dtype"]), offset=header["offset"])
+    samples = records[records["kind"] == 0]
+    (stretch,) = Recording.load(path).stretches
+    for name in ROW.names or ():
+        assert samples[name].tobytes() == stretch.arrays[name].tobytes()
+
+
+def test_a_file_that_is_written_can_be_read_after_the_interval(tmp_path: Path) -> None:
+    path = tmp_path / "run.maglev"
+    file, plant, controller = open_recording(path), ExactPlant(Timing(), gravity=0.0), Controller([], period=0.005)
+    drive(plant, controller, 30, record=file.begin(plant, controller))
+    deadline = time.monotonic() + PATIENCE
+    while readable(tmp_path) < 30:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    assert Recording.load(path).damage == "not closed: read to 0.1 s"
+    file.close()
+    assert not Recording.load(path).damage
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_recording_that_is_saved_holds_the_same(kind: str, tmp_path: Path) -> None:
+    # A scene has several stretches, an event and missed samples, stick-slip has stick positions.
+    whole = load(made(kind), tmp_path)
+    whole.save(tmp_path / "other.maglev")
+    again = Recording.load(tmp_path / "other.maglev")
+    assert same(whole, again) and again.events == whole.events and again.event_samples == whole.event_samples
+    assert [(one.gaps, one.began, repr(one.sticks)) for one in again.stretches] == [
+        (one.gaps, one.began, repr(one.sticks)) for one in whole.stretches
+    ]
+    assert any(one.gaps for one in whole.stretches) == (kind == "scene")
+    assert any(one.sticks for one in whole.stretches) == (kind == "stick-slip")
+    assert again.attachments == whole.attachments and again.attachments
+    with pytest.raises(ParameterError, match=r"path must end in \.maglev, not 'run\.npz'"):
+        whole.save(tmp_path / "run.npz")
+
+
+def test_where_no_open_file_is_renamed_it_gets_its_name_at_the_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As on Windows. A name that is taken at the end loses nothing.
+    from maglev_mj.recording import journal
+
+    monkeypatch.setattr(journal, "_RENAMES_OPEN", False)
+    path = tmp_path / "run.maglev"
+    path.write_bytes(b"that of before")
+    file, plant, controller = (
+        open_recording(path, wait=True),
+        ExactPlant(Timing(), gravity=0.0),
+        Controller([], period=0.005),
+    )
+    drive(plant, controller, 30, record=file.begin(plant, controller))
+    assert path.read_bytes() == b"that of before"
+    assert file.close() == path and Recording.load(path).ticks == 30 and list(tmp_path.iterdir()) == [path]
+    os.utime(path, (1e9, 1e9))
+    file, plant, controller = (
+        open_recording(path, wait=True),
+        ExactPlant(Timing(), gravity=0.0),
+        Controller([], period=0.005),
+    )
+    drive(plant, controller, 20, record=file.begin(plant, controller))
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(RecordingError, match=r"is not whole: Is a directory; it is in .*\.partial") as told:
+        file.close()
+    assert Recording.load(Path(str(told.value).partition("it is in ")[2])).ticks == 20
+
+
+WRITE = """
+import sys
+from pathlib import Path
+from maglev_mj.recording import Recording
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.session.replay import write_run
+for _ in range(2):
+    write_run(Path(sys.argv[1]), Drop(), plant="exact", phase=0.3)
+    Recording.load(Path(sys.argv[1]))
+"""
+
+
+@pytest.mark.needs("linux")
+def test_a_file_is_whole_where_none_in_use_is_renamed_or_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(ROOT)
+    path = tmp_path / "run.maglev"
+    done = subprocess.run([sys.executable, "-c", START + WRITE, str(path)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert Recording.load(path).ticks == 80 and list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("name", ["run.foo", "run"])
+def test_a_kind_of_file_that_is_not_known_is_refused(name: str, tmp_path: Path, capsys: Any) -> None:
+    with pytest.raises(ParameterError, match=r"record must be a file that ends in \.maglev"):
+        open_recording(tmp_path / name)
+    assert main(["drop", "--plant", "exact", "--record", str(tmp_path / name)]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_a_name_of_an_export_is_refused_with_the_command_that_writes_it(kind: str, tmp_path: Path, capsys: Any) -> None:
+    assert main(["drop", "--plant", "exact", "--record", str(tmp_path / f"run.{kind}")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    journal = tmp_path / "run.maglev"
+    assert line.endswith(f"record to {journal}, then run `maglev-mj export {journal} --to {kind}`")
+    assert main(["drop", "--plant", "exact", "--record", str(journal)]) == 0
+    assert main(["export", str(journal), "--to", kind]) == 0 and (tmp_path / f"run.{kind}").stat().st_size
+
+
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("kind", EXPORTS)
+def test_an_export_on_a_full_disk_is_one_line_and_an_older_file_stays(
+    kind: str, drop_run: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    import resource
+
+    path, other = tmp_path / "run.maglev", tmp_path / f"run.{kind}"
+    path.write_bytes(drop_run)
+    other.write_bytes(b"that of before")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for room in (100, 5_000):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
+        try:
+            status = main(["export", str(path), "--to", kind])
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert status == 1
+        (line,) = capfd.readouterr().err.splitlines()
+        assert "File too large" in line and other.read_bytes() == b"that of before"
+    assert {one.name for one in tmp_path.iterdir()} == {path.name, other.name}
+
+
+def test_a_recording_is_exported_with_every_field_unit_event_and_attachment(tmp_path: Path, capsys: Any) -> None:
+    # Of two stretches, as pandas and numpy read it without an option.
+    import pandas
+    from pyarrow import parquet
+
+    path = tmp_path / "run.maglev"
+    file = open_recording(path, wait=True)
+    file.attach("own.py", "text/x-python", b"# mine\xff")
+    for scene in (Drop(), StickSlip()):
+        plant, controller = scene.plant("exact"), scene.controller()
+        with plant:
+            drive(plant, controller, 40, record=file.begin(plant, controller, {"kind": "test"}))
+        file.event("missed", "too slow", 5)
+    file.close()
+    recording, samples = Recording.load(path), load_samples(path)
+    for kind in ("csv", "parquet"):
+        assert main(["export", str(path), "--to", kind]) == 0
+        assert capsys.readouterr().out == f"  wrote {tmp_path / f'run.{kind}'}: 80 samples\n"
+    wanted = {name: column for name, column in samples.columns().items() if name != "arrival"}  # it is not known
+    units = {name: unit for name, unit in samples.units.items() if name in wanted}
+    table, frame = parquet.read_table(tmp_path / "run.parquet"), pandas.read_csv(tmp_path / "run.csv")
+    assert list(frame.columns) == table.column_names == list(samples.to_pandas()[[*wanted]].columns) == list(wanted)
+    for name, column in wanted.items():
+        np.testing.assert_allclose(frame[name].to_numpy(), column, rtol=1e-15)
+        np.testing.assert_array_equal(table[name].to_numpy(), column)
+        assert (table.schema.field(name).metadata or {}) == ({b"unit": units[name].encode()} if units.get(name) else {})
+    beside = json.loads((tmp_path / "run.csv.json").read_text())
+    inside = {name: json.loads(table.schema.metadata[f"maglev_mj.{name}".encode()]) for name in beside}
+    assert beside == inside and beside["events"] == ["missed: too slow"] * 2
+    assert beside["setups"] == json.loads(json.dumps([stretch.setup for stretch in recording.stretches]))
+    assert base64.b64decode(beside["attachments"]["own.py"]) == b"# mine\xff" and beside["about"] == recording.about
+    for told in (beside["units"], samples.to_pandas().attrs["units"]):
+        assert {name: told[name] for name in units} == units
+    assert main(["export", str(path), "--to", "npz"]) == 0
+    with np.load(tmp_path / "run.npz") as arrays:
+        for index, stretch in enumerate(recording.stretches):
+            assert arrays[f"{index}/position"].tobytes() == stretch.position.tobytes()
+            assert arrays[f"{index}/command"][:, :6].tolist() == stretch.command.tolist()
+        header = json.loads(str(arrays["header"]))
+        assert header["events"] == beside["events"] and arrays["attachment/0"].tobytes() == b"# mine\xff"
+    assert [len(stretch.gaps) for stretch in recording.stretches] == [1, 1]
+
+
+def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(
+    drop_run: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.maglev"
+    path.write_bytes(drop_run)
+    samples, (stretch,) = load_samples(path), Recording.load(path).stretches
+    assert len(samples) == 81 and samples.position.shape == (81, 6) and not samples.recording.damage
+    for name in (*(ROW.names or ()), *TOTAL_NAMES):
+        np.testing.assert_array_equal(samples.arrays[name], stretch.arrays[name])
+    assert samples.recording.stretches[0].metadata.faces and samples.recording.stretches[0].setup["kind"]
+    some = load_samples(path, fields=("time", "hand"))
+    assert list(some.arrays) == ["time", "hand"] and (some.time == samples.time).all()
+    with pytest.raises(AttributeError, match="these samples have no 'position'"):
+        _ = some.position
+    frame = samples.to_pandas()
+    assert (frame["position.z"] == stretch.position[:, 2]).all() and frame["tick"].dtype == np.int64
+    assert frame.attrs["units"]["hand.rx"] == "N m"
+    with pytest.raises(ParameterError, match=r"fields must be of tick, time, position, .* not 'positions'"):
+        load_samples(path, fields=["positions"])
+    monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
+    with pytest.raises(MissingPackageError, match=r"-m pip install 'pandas>="):
+        samples.to_pandas()
+    with pytest.raises(MissingPackageError, match=r"MCAP needs foxglove-sdk and protobuf"):
+        export(samples.recording, "mcap", tmp_path / "run.mcap")
+    with pytest.raises(RecordingError, match="cannot be read: No such file"):
+        load_samples(tmp_path / "none.maglev")
+
+
+def test_a_recording_is_not_exported_over_itself(tmp_path: Path, capsys: Any) -> None:
+    path = tmp_path / "run.maglev"
+    write_run(path, Drop(), plant="exact")
+    assert main(["export", str(path), "--to", "npz", "--out", str(path)]) == 2
+    assert "out must be another file than the recording" in capsys.readouterr().err
+    assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path)]) == 2
+    with pytest.raises(SystemExit, match="2"):
+        main(["export", str(path), "--to", "xlsx"])
+    assert len(capsys.readouterr().err.splitlines()) == 2
+    assert main(["export", str(tmp_path / "none.maglev"), "--to", "csv"]) == 2
+
+
+@pytest.mark.parametrize("odd", [np.inf, np.nan])
+def test_an_answer_that_the_plant_refuses_is_the_last_row(odd: float, tmp_path: Path) -> None:
+    class Mad(Controller):
+        def step(self, sample: Sample) -> Command:
+            command = super().step(sample)
+            return command if sample.tick < 7 else Command([odd, *ZERO[1:]])
+
+    path = tmp_path / "run.maglev"
+    file, plant, controller = open_recording(path), ExactPlant(Timing()), Mad([], period=0.005)
+    record = file.begin(plant, controller, {"kind": "test"})
+    with pytest.raises(PlantError):
+        drive(plant, controller, 20, record=record)
+    assert file.close() == path
+    recording = Recording.load(path)
+    (stretch,) = recording.stretches
+    assert stretch.tick.tolist() == list(range(8))
+    assert not np.isfinite(stretch.command[-1, 0]) and not stretch.applied[-1].any()
+    assert np.isfinite(stretch.command[:-1]).all() and not recording.damage
+    verdict = verify(recording, lambda setup, hand: (ExactPlant(Timing(), hand_force=hand), Mad([], period=0.005)))
+    assert verdict.same
+
+
+def test_what_was_there_stays_without_a_sample(tmp_path: Path) -> None:
+    path, before = tmp_path / "run.maglev", b"that of before"
+    path.write_bytes(before)
+    file = open_recording(path)
+    file.begin(Still(), Controller([], period=0.005), {"kind": "test"})
+    assert file.close() is None and file.close() is None
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
+
+
+def test_what_was_there_is_replaced_by_samples(tmp_path: Path) -> None:
+    path = tmp_path / "run.maglev"
+    path.write_bytes(b"that of before")
+    write_run(path, Drop(duration=0.2), plant="exact")
+    assert Recording.load(path).ticks == 41 and list(tmp_path.iterdir()) == [path]
+
+
+def test_many_samples_take_little_memory_to_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.maglev"
+    write_run(path, Drop(period=0.0001, duration=0.5), plant="exact")
+    tracemalloc.start()
+    ticks = Recording.load(path).ticks
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert ticks == 5001
+    assert peak < 1500 * ticks
+
+
+OWN = """
+from maglev_mj.plants.hand import Hand
+from maglev_mj.control import Bias, Wall
+from maglev_mj.parameters import param
+from maglev_mj.scenes.scene import Scene, Start
+
+class Tap(Scene):
+    "A wall of one's own."
+    stiffness: float = param("stiffness", "N/m", default=4000.0, at_least=0.0)
+    duration: float = param("how long", "s", default=0.1, above=0.0)
+
+    def laws(self):
+        return [Wall(axes="z", upper=0.001, stiffness=self.stiffness, damping=40.0)]
+
+    def start(self):
+        return Start(pose=(0.0, 0.0, 0.0, 0.01, 0.0, 0.0), twist=(0.0, 0.0, 0.1, 0.0, 0.0, 0.0), gravity=1.0)
+"""
+
+
+def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_checked_with_it(
+    tmp_path: Path, capsys: Any
+) -> None:
+    from maglev_mj.scenes.find import find_scene, reference_of, source_of
+
+    script, path = tmp_path / "own.py", tmp_path / "run.maglev"
+    script.write_text(OWN)
+    cls = find_scene(str(script))
+    scene = cls(stiffness=3000.0)  # type: ignore[call-arg]
+    plant, controller = scene.plant("mujoco", phase=0.3), scene.controller()
+    file = open_recording(path, wait=True)
+    setup = setup_of(
+        plant, controller, scene=reference_of(cls), source=source_of(cls), parameters=scene.as_json(), name="tap"
+    )
+    drive(plant, controller, 20, record=file.begin(plant, controller, setup))
+    file.close()
+    script.rename(tmp_path / "elsewhere.py")  # what a recording names is never executed
+    (stretch,) = Recording.load(path).stretches
+    known = stretch.metadata
+    assert known is not None and known.faces == [(2, -1.0, 0.001)]
+    assert (known.name, known.axis, known.delay, known.hand_recorded) == ("tap", "z", scene.delay, False)
+    assert known.inertia.tolist() == list(INERTIA) and known.load.tolist() == [0.0, 0.0, -0.7, 0.0, 0.0, 0.0]
+    assert stretch.setup["kind"] == "run" and stretch.setup["plant"]["pose"][3] == 0.01
+    replay = Replay(Recording([stretch]))
+    assert replay.tick(0.05) == 10 and (replay.snapshot().pose == stretch.position[10]).all()
+    assert replay.snapshot().faces == ((2, -1.0, 0.001),)
+    assert main(["analyse", str(path), "--json", str(tmp_path / "own.json")]) == 0
+    (found,) = json.loads((tmp_path / "own.json").read_text())["stretches"]
+    (face,) = found["recorded"]["faces"]
+    assert face["edge"] == 0.001 and face["penetration"] > 1e-4 and found["comparison"]["same"]
+    assert abs(found["recorded"]["unexplained_force"]["z"]) < 1e-9  # gravity and mass are those of the run
+    assert main(["export", str(path), "--to", "csv"]) == 0
+    capsys.readouterr()
+    assert main(["replay", str(path), "--check"]) == 0  # its laws are this package's
+    again = ["--scene", str(tmp_path / "elsewhere.py")]
+    assert main(["replay", str(path), "--check", *again]) == 0
+    assert not capsys.readouterr().err
+    assert main(["analyse", str(path), *again]) == 0
+    assert "the same to the last bit" in capsys.readouterr().out
+    (tmp_path / "elsewhere.py").write_text(OWN.replace("damping=40.0", "damping=41.0"))
+    assert main(["replay", str(path), "--check", *again]) == 1
+    assert "has changed since, or is another" in capsys.readouterr().err
+
+
+def test_a_plant_that_does_not_tell_its_delay_is_refused_without_it() -> None:
+    class Bare:
+        hand_wrench = ZERO
+
+    controller = Controller([], period=0.001)
+    with pytest.raises(ParameterError, match="delay must be given for a plant that has neither timing nor delay"):
+        setup_of(Bare(), controller)
+    with pytest.raises(ParameterError, match=r"setup parameters\.gain must be a finite number, not nan"):
+        setup_of(Bare(), controller, delay=0.001, parameters={"gain": math.nan})
+    run_metadata = setup_of(Bare(), controller, delay=0.001, name="bare", axis="x")["run"]
+    assert (run_metadata["delay"], run_metadata["axis"], run_metadata["name"]) == (0.001, "x", "bare")
+    assert run_metadata["inertia"]["z"] == INERTIA[2]

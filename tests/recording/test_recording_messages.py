@@ -1,0 +1,311 @@
+"""Contents of recordings for other programs: topics by their schemas, frames, scene, log."""
+
+import json
+from collections import Counter
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from maglev_mj.cli.output import LAYOUT
+from maglev_mj.frames import AXES, ZERO, quaternion
+from maglev_mj.plants.shapes import ARROW, GRIP, shapes
+from maglev_mj.recording import Recording, mcap, open_recording
+from maglev_mj.recording.mcap import SAMPLE
+from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, RunMetadata, Totals, as_rows, units
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.scene import Scene
+from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.session.replay import write_run
+from tests.recorded import decoder, exported, load, messages_in
+
+TOPICS = ("/maglev/stretch", "/maglev/sample", "/maglev/event", "/tf", "/maglev/shapes", "/maglev/arrows", "/log")
+
+
+RUNS: dict[str, Scene] = {
+    "drop": Drop(),
+    "press": Press(hits=1),
+    "stick-slip": StickSlip(),
+    "stick-slip turned": StickSlip(axis="ry"),
+}
+together = pytest.mark.xdist_group("recorded messages")
+
+
+@cache
+def run_of(name: str) -> bytes:
+    """Return the recording of a run."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "run.maglev"
+        write_run(path, RUNS[name], plant="exact")
+        return path.read_bytes()
+
+
+@cache
+def file_of(name: str) -> bytes:
+    """Return the recording of a run as MCAP."""
+    return exported(run_of(name), "mcap")
+
+
+def found_in(path: Path) -> dict[str, list[dict[str, Any]]]:
+    """Return all messages by topic, decoded by their schemas."""
+    found: dict[str, list[dict[str, Any]]] = {topic: [] for topic in TOPICS}
+    for topic, message in messages_in(path.read_bytes(), TOPICS):
+        found[topic].append(message)
+    return found
+
+
+def numbers(message: dict[str, float]) -> list[float]:
+    return list(message.values())
+
+
+def test_the_schema_is_that_of_the_package_of_protobuf() -> None:
+    # Built once more by its own means, and compared as a whole.
+    from google.protobuf import descriptor_pb2
+
+    found = descriptor_pb2.FileDescriptorSet.FromString(mcap.descriptor())
+    (file,) = found.file
+    assert (file.package, file.syntax) == ("maglev_mj", "proto3")
+    six, sample = file.message_type
+    built = descriptor_pb2.DescriptorProto(name="SixAxes")
+    for number, axis in enumerate(("x", "y", "z", "rx", "ry", "rz"), 1):
+        built.field.add(name=axis, number=number, type="TYPE_DOUBLE", label="LABEL_OPTIONAL")
+    assert six == built
+    named = {field.name: field for field in sample.field}
+    assert list(named)[:4] == ["stretch", "tick", "time", "position"]
+    assert set(named) == {"stretch", *(field.name for field in (*FIELDS, *TOTALS))}
+    assert [field.number for field in sample.field] == list(range(1, len(named) + 1))
+    for field in (*FIELDS, *TOTALS):
+        kind = ("TYPE_MESSAGE" if field.six else "TYPE_DOUBLE") if field.unit else "TYPE_FIXED64"
+        assert named[field.name].type == descriptor_pb2.FieldDescriptorProto.Type.Value(kind)
+    notes = {one.path[-1]: (list(one.path)[:-1], one.leading_comments) for one in file.source_code_info.location}
+    for index, field in enumerate(sample.field):
+        path, note = notes[index]
+        units = {unit for one in (*FIELDS, *TOTALS) if one.name == field.name for _, unit in one.units if unit}
+        assert path == [4, 1, 2] and all(unit in note.rpartition("[")[2] for unit in units)
+    assert notes[3][1] == " what the controller saw [m, rad]\n"
+    assert found.SerializeToString(deterministic=True) == mcap.descriptor()
+
+
+def test_a_sample_is_packed_by_its_schema() -> None:
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        row: list[float] = []
+        for field in (*FIELDS, *TOTALS):
+            row += (
+                random.integers(0, 2**50, 1).tolist()
+                if not field.unit
+                else random.normal(size=len(field.units)).tolist()
+            )
+        count = sum(len(field.units) for field in FIELDS)
+        (data,) = mcap.packed(7, as_rows(row[:count]), np.array([row[count:]]))
+        message, place = mcap.sample_type().FromString(data), 0
+        assert message.stretch == 7
+        for field in (*FIELDS, *TOTALS):
+            value = getattr(message, field.name)
+            values = [getattr(value, axis) for axis in AXES] if field.six else [value]
+            assert values == row[place : place + len(field.units)]
+            place += len(field.units)
+
+
+@together
+@pytest.mark.parametrize(
+    "name", ["drop", "press", pytest.param("stick-slip", marks=pytest.mark.study), "stick-slip turned"]
+)
+def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(name: str, tmp_path: Path) -> None:
+    from maglev_mj.session.replay import rebuild, stick_positions_of
+
+    path = tmp_path / "run.mcap"
+    path.write_bytes(file_of(name))
+    (stretch,) = load(run_of(name), tmp_path).stretches
+    sticks, found = stick_positions_of(stretch, rebuild), found_in(path)
+    turns = np.floor((stretch.time - stretch.time[0]) * 60.0 + 1e-6)
+    shown = [row for row in range(len(stretch)) if row == 0 or turns[row] > turns[row - 1]]
+    assert len(found["/tf"]) == len(shown) > 10
+    for message, row in zip(found["/tf"], shown, strict=True):
+        frames = {frame["child_frame_id"]: frame for frame in message["transforms"]}
+        wanted = {"flotor": stretch.position[row]}
+        if sticks is not None:
+            wanted["stick position"] = np.where(np.isnan(sticks[row]), stretch.position[row], sticks[row])
+        assert set(frames) == {*wanted, "hand"}
+        for frame, pose in wanted.items():
+            assert frames[frame]["parent_frame_id"] == "stator"
+            assert numbers(frames[frame]["translation"]) == pose[:3].tolist()
+            assert [frames[frame]["rotation"][part] for part in "wxyz"] == list(quaternion(pose[3:]))
+        assert frames["hand"]["parent_frame_id"] == "flotor"
+        assert numbers(frames["hand"]["translation"]) == GRIP.tolist()
+
+
+@together
+def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(file_of("press"))
+    (stretch,) = load(run_of("press"), tmp_path).stretches
+    found = found_in(path)
+    (first,), updates = found["/maglev/shapes"], found["/maglev/arrows"]
+    entities = {entity["id"]: entity for entity in first["entities"]}
+    drawn, counts = shapes("maglev"), {"box": "cubes", "cylinder": "cylinders", "ellipsoid": "spheres"}
+    for frame, moves in (("stator", False), ("flotor", True)):
+        assert entities[frame]["frame_id"] == frame
+        for kind, name in counts.items():
+            of_it = [shape for shape in drawn if (shape.moves, shape.kind) == (moves, kind)]
+            assert len(entities[frame][name]) == len(of_it)
+            for shape, made in zip(of_it, entities[frame][name], strict=True):
+                assert numbers(made["size"]) == (2.0 * shape.half).tolist()
+                assert numbers(made["pose"]["position"]) == shape.position.tolist()
+    assert len(entities["flotor"]["cubes"]) > 20 and len(entities["stator"]["cubes"]) > 50
+    (wall,) = entities["walls"]["cubes"]
+    assert wall["size"]["z"] < 1e-3 < wall["size"]["x"] and 0.0 < wall["color"]["a"] < 0.5
+    most = 0
+    for update in updates:
+        for entity in update["entities"]:
+            assert entity["frame_id"] == "stator" and entity["id"] in ("force of the hand", "force of the device")
+            for arrow in entity["arrows"]:
+                turn = arrow["pose"]["orientation"]
+                x, y, z, w = (turn[name] for name in "xyzw")
+                along = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
+                force = np.array(along) * (arrow["shaft_length"] + arrow["head_length"]) / ARROW
+                name = "hand" if "hand" in entity["id"] else "applied"
+                near = np.abs(getattr(stretch, name)[:, :3] - force).max(axis=1).min()
+                assert near < 1e-9
+                most += 1
+    assert most > 20
+
+
+@together
+def test_a_seek_shows_device_walls_and_arrows(tmp_path: Path) -> None:
+    # A viewer that seeks shows the last message of each topic.
+    from mcap.reader import make_reader
+
+    path = tmp_path / "run.mcap"
+    path.write_bytes(file_of("press"))
+    with path.open("rb") as file:
+        times = [(message.log_time, channel.topic) for _, channel, message in make_reader(file).iter_messages()]
+    for seek in np.linspace(times[0][0], times[-1][0], 20):
+        before = Counter(topic for time, topic in times if time <= seek)
+        assert before["/maglev/shapes"] == 1 and before["/tf"] == before["/maglev/arrows"] >= 1
+
+
+def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
+    from maglev_mj.control.controller import Controller
+    from maglev_mj.control.loop import drive
+    from maglev_mj.plants import ExactPlant, Timing
+    from maglev_mj.recording.messages import _EVENT_FIELDS
+
+    path, kinds = tmp_path / "run.maglev", {"fault": 4, "lost": 4, "missed": 3, "timing": 2, "landing": 2}
+    file, plant = open_recording(path, wait=True), ExactPlant(Timing())
+    controller = Controller([], period=plant.timing.period)
+    drive(plant, controller, 3, record=file.begin(plant, controller))
+    for kind in kinds:
+        file.event(kind, "for a test")
+    file.close()
+    path.write_bytes(exported(path.read_bytes(), "mcap"))
+    begun, *told = found_in(path)["/log"]
+    assert begun["level"] == 2 and begun["message"] == "stretch 1: own run"
+    assert [(one["level"], one["message"]) for one in told] == [
+        (level, f"{kind}: for a test") for kind, level in kinds.items()
+    ]
+    assert [event["kind"] for event in found_in(path)["/maglev/event"]] == list(kinds)
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "recording.md").read_text(encoding="utf-8")
+    (row,) = (line for line in page.splitlines() if line.startswith("| `/maglev/event`"))
+    for kind in kinds:
+        assert kind in _EVENT_FIELDS["kind"]["description"] and kind in row
+
+
+FORCES = [(0.0, 0.0, 1.0), (-2.0, 0.0, 0.0), (3.0, 0.0, 0.0), (-1.0, 1e-12, 0.0), (1.0, -2.0, 3.0)]
+
+
+@pytest.mark.parametrize("force", FORCES)
+def test_an_arrow_points_along_its_force_whatever_that_is(force: tuple[float, float, float]) -> None:
+    from foxglove.messages import SceneEntity
+
+    from maglev_mj.recording.messages import _arrow
+
+    entity = SceneEntity(arrows=_arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)))
+    (arrow,) = decoder(entity.get_schema())(entity.encode())["arrows"]
+    x, y, z, w = (arrow["pose"]["orientation"][name] for name in "xyzw")
+    along = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+    assert np.abs(along - np.array(force) / np.linalg.norm(force)).max() < 1e-9
+
+
+@pytest.mark.parametrize("force", [ZERO[:3], (0.01, 0.0, 0.0), (np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0)])
+def test_a_force_too_small_to_see_or_that_is_no_number_has_no_arrow(force: tuple[float, float, float]) -> None:
+    from maglev_mj.recording.messages import _arrow
+
+    assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
+
+
+@together
+def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording(tmp_path: Path) -> None:
+    layout, path = json.loads(LAYOUT.read_text()), tmp_path / "run.mcap"
+    path.write_bytes(file_of("drop"))
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        assert summary is not None
+        schemas = {one.topic: summary.schemas[one.schema_id].name for one in summary.channels.values()}
+    panels = layout["configById"]
+    scene = panels["3D!device"]
+    assert all(schemas[topic] == "foxglove.SceneUpdate" and of["visible"] for topic, of in scene["topics"].items())
+    assert sorted(scene["topics"]) == sorted(topic for topic, name in schemas.items() if "Scene" in name)
+    assert schemas[panels["RosOut!log"]["topicToRender"]] == "foxglove.Log"
+    assert schemas["/tf"] == "foxglove.FrameTransforms" and scene["followTf"] == "stator"
+    plotted = [one["value"] for name in ("Plot!position", "Plot!force") for one in panels[name]["paths"]]
+    fields = {f"{SAMPLE}.{name}" for field in FIELDS for name, _ in field.units}
+    assert len(plotted) == 6 and set(plotted) <= fields
+    assert f"[{units()['position.z']}]" in panels["Plot!position"]["foxglovePanelTitle"]
+    # the device is in front of the camera, whole, and not cut off
+    camera, reach = (
+        scene["cameraState"],
+        max(np.linalg.norm(np.abs(one.position) + one.half) for one in shapes("maglev")),
+    )
+    across = camera["distance"] * np.tan(np.radians(camera["fovy"]) / 2)
+    assert camera["near"] < camera["distance"] - reach and reach < across < 3.0 * reach
+    named = json.dumps(layout["layout"])
+    assert all(f'"{name}"' in named for name in panels)
+
+
+@pytest.mark.needs("rerun")
+def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) -> None:
+    # Where its package is installed; it is none that this project needs.
+    import subprocess
+    import sys
+
+    run, path, script = (
+        tmp_path / "run.maglev",
+        tmp_path / "run.mcap",
+        Path(__file__).parents[2] / "scripts" / "examples" / "rerun_recording.py",
+    )
+    write_run(run, Drop(), plant="exact")
+    path.write_bytes(exported(run.read_bytes(), "mcap"))
+    (stretch,) = Recording.load(run).stretches
+    for field, values in (("position.z", stretch.position[:, 2]), ("applied.z", stretch.applied[:, 2])):
+        done = subprocess.run([sys.executable, str(script), str(path), field], capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert "Transform3D of the flotor: 25 rows" in done.stdout
+        assert f"Scalars of {field}: 81 rows, least {float(values.min())!r}" in done.stdout
+
+
+@pytest.mark.parametrize(("period", "delay"), [(1e-3, 0.0), (1e-3, 1.5e-3), (5e-5, 1e-4), (5e-3, 1.3e-3)])
+def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit(period: float, delay: float) -> None:
+    random, count = np.random.default_rng(0), 400
+    rows = np.zeros(count, ROW)
+    rows["tick"] = np.cumsum(1 + random.integers(0, 20, count) // 19)  # some are missing
+    rows["time"] = rows["tick"] * period
+    for name in ("position", "applied", "hand"):
+        rows[name] = random.normal(size=(count, 6))
+    pulsed = random.random(count) < 0.2
+    rows["applied_pulse"] = random.normal(size=(count, 6))
+    rows["applied_pulse_width"] = np.where(pulsed, period * random.choice([0.2, 0.7, 1.0, 2.5], count), 0.0)
+    carried: dict[str, Any] = dict.fromkeys(("load", "before", "carried"), np.array([0.1, 0.0, -6.9, 0.0, 0.0, 0.01]))
+    metadata = RunMetadata(period=period, delay=delay, inertia=np.array([0.7, 0.7, 0.7, 9e-4, 9e-4, 8e-4]), **carried)
+    alone, together = Totals(metadata), Totals(metadata)
+    alone.miss(3)
+    together.miss(3)
+    expected = np.concatenate([alone.take(rows[row : row + 1]) for row in range(count)])
+    blocks = np.split(rows, [1, 2, 150, 153, 390])
+    assert np.concatenate([together.take(block) for block in blocks]).tobytes() == expected.tobytes()
+    assert expected[-1, 2] > 3 and (expected[-1, :2] != 0.0).all()

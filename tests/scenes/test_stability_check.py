@@ -1,0 +1,320 @@
+"""Settings by other programs: own walls, and their stability check."""
+
+import json
+import random
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from maglev_mj import AXES
+from maglev_mj.control import Hold, Law
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import Sample
+from maglev_mj.parameters import param
+from maglev_mj.plants.model import model_path
+from maglev_mj.scenes import BUILT_IN, Scene, find_scene
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.rooms import INERTIA, MASS, Box, Corner, InteractiveScene, Joystick, Table
+from maglev_mj.scenes.stability_check import stability_warning
+from maglev_mj.session import STEP_FORCE, Pacer, Session, Snapshot, check_step, unstable_loop
+from maglev_mj.spec import RANGE
+from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
+from maglev_mj.views.readings import STABILITY
+from maglev_mj.views.window.screen import Plots
+from tests.theory.test_linearise import WEIGHTS, Detent, Echo
+
+ANGLES = dict.fromkeys(("rx", "ry", "rz"), float(np.radians(6.0)))
+
+
+@pytest.mark.parametrize(
+    ("walls", "says"),
+    [
+        (5, "walls must be a list"),
+        ({}, "walls must be a list"),
+        (["z"], "a wall must be an axis, a normal and an edge, not 'z'"),
+        ([["q", 1, 0.0]], "a wall's axis must be one of x, y, z, rx, ry, rz, not 'q'"),
+        ([["z", 2, 0.0]], "a wall's normal must be 1 or -1, not 2"),
+        ([["z", 1, "low"]], "a wall's edge on z must be a finite number"),
+        ([["z", 1, 0.0], ["z", 1, 0.001]], "not two of normal 1 on z"),
+        ([["z", 1, 0.002], ["z", -1, 0.001]], "walls must leave room between them, not 0.002 to 0.001 on z"),
+    ],
+)
+def test_walls_that_are_none_are_refused(walls: Any, says: str) -> None:
+    with pytest.raises(ParameterError, match=says):
+        Joystick.from_json({"walls": walls})
+
+
+@pytest.mark.parametrize("name", ["joystick", "table", "box", "corner"])
+@pytest.mark.parametrize(("axis", "reach"), [*dict.fromkeys("xyz", 0.0045).items(), *ANGLES.items()])
+def test_an_edge_is_within_the_workspace(name: str, axis: str, reach: float) -> None:
+    cls = find_scene(name)
+    for normal in (1, -1):
+        for edge in (-reach, reach):
+            assert cls.from_json({"walls": [[axis, normal, edge]]}).as_json()["walls"] == ((axis, normal, edge),)
+        for edge in (-np.nextafter(reach, 1.0), np.nextafter(reach, 1.0), 1.0, -1.0):
+            with pytest.raises(ParameterError) as error:
+                cls().replace(walls=[[axis, normal, float(edge)]])
+            allowed = f"at least -{reach:g} and at most {reach:g}"
+            assert str(error.value) == f"a wall's edge on {axis} must be a finite number {allowed}, not {float(edge)!r}"
+
+
+class Pushing(Scene):
+    """A constant push, held or in pulses."""
+
+    axis_pushed: str = param("where", default="x", live=True)
+    held: float = param("held force", "N", default=0.0, live=True)
+    pulsed: float = param("force of a pulse", "N", default=0.0, live=True)
+
+    def laws(self) -> list[Law]:
+        return [Push(AXES.index(self.axis_pushed), self.held, self.pulsed)]
+
+
+class Push(Law):
+    """Law that pushes on one axis, a thousand times as hard with a velocity."""
+
+    pulse_width = 0.001
+
+    def __init__(self, axis: int, held: float, pulsed: float) -> None:
+        self._axis, self._held, self._pulsed = axis, held, pulsed
+
+    def __call__(self, position: Any, velocity: Any, state: Any, wrench: list[Any]) -> Any:
+        wrench[self._axis] += self._held + 1000.0 * velocity[self._axis] + position[self._axis]
+        pulse = [0.0] * 6
+        pulse[self._axis] = self._pulsed
+        return state, pulse if self._pulsed else None
+
+
+@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("limit", [STEP_FORCE, 0.5])
+def test_a_step_of_force_is_at_most_the_limit(axis: str, sign: float, limit: float) -> None:
+    # On every axis, held or in a pulse, from whatever acts now; the pose counts, the speed does not.
+    most, unit = (limit, "N") if axis in "xyz" else (0.05 * limit, "N m")
+    scene = Pushing(axis_pushed=axis, held=sign * 3.0)
+    present, place = scene.controller(), [1e-3] * 6
+    for tick in range(3):  # it moves
+        present.step(Sample(tick, tick * 0.005, [1e-3 * tick] * 6))
+    for part in ("held", "pulsed"):
+        before = scene.as_json()[part]
+        for step in (sign, -sign):
+            check_step(present, scene.replace(**{part: before + 0.99 * step * most}).controller(), place, limit)
+            far = scene.replace(**{part: before + 1.01 * step * most}).controller()
+            with pytest.raises(ParameterError) as error:
+                check_step(present, far, place, limit)
+            assert str(error.value) == (
+                f"settings must change the force on {axis}, where the flotor is, by at most {most:g} {unit}, "
+                f"not {1.01 * step * most:+.3g} {unit}"
+            )
+    assert present.step(Sample(3, 0.015, [3e-3] * 6)).force[AXES.index(axis)] != 0.0  # it goes on as it was
+
+
+def test_a_step_is_that_of_what_acts_now() -> None:
+    # Friction that holds 1.9 N would let go; a wall takes the place of one that pushes as much.
+    table = Table(breakaway=3.0)
+    stuck = table.controller()
+    for tick, x in enumerate((0.0, 0.0, 0.0, 0.35e-3, 0.35e-3)):
+        stuck.step(Sample(tick, 0.005 * tick, [x, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    inside = [0.35e-3, 0.0, 0.0, 0.0, 0.0, 0.0]
+    assert stuck.at_rest(inside).force[0] == pytest.approx(-6000.0 * 0.35e-3)
+    with pytest.raises(ParameterError, match=r"on x, where the flotor is, by at most 2 N, not \+2\.1 N"):
+        check_step(stuck, table.controller(), inside)
+    one, other = (Joystick(walls=[("x", -1, edge)]).controller() for edge in (0.001, 0.0012))
+    check_step(one, other, [0.004, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(ParameterError, match="on x, where the flotor is"):
+        check_step(Joystick().controller(), other, [0.003, 0.0, 0.0, 0.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("name", ["joystick", "table", "box", "corner"])
+def test_walls_of_the_settings_take_the_place_of_the_scenes_own(name: str) -> None:
+    cls, walls = find_scene(name), [("x", 1, -0.002), ("rz", -1, 0.03), ("z", 1, 0.001), ("z", -1, 0.003)]
+    scene = cls().replace(wall=True, friction=False, walls=walls)
+    faces = scene.controller().faces
+    assert sorted(faces) == sorted((AXES.index(axis), float(normal), edge) for axis, normal, edge in walls)
+    assert scene.replace(wall=False).controller().faces == ()
+    assert scene.replace(walls=[]).controller().faces == ()
+    assert cls.from_json(json.loads(json.dumps(scene.as_json()))) == scene
+
+
+@pytest.mark.parametrize("period", [0.005, 0.001])
+@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004])
+@pytest.mark.parametrize("name", ["joystick", "table", "box", "corner"])
+def test_settings_are_refused_from_the_boundary_of_theory_on(name: str, period: float, delay: float) -> None:
+    # Just below the largest stable stiffness they may be had, just above they may not, with the figures of theory.
+    chosen = find_scene(name)().replace(period=period, delay=delay, pulse=False)
+    assert isinstance(chosen, InteractiveScene)
+    on = "friction" if chosen.friction else "walls"
+    held = [law for law in chosen.laws() if isinstance(law, Hold)]
+    springs = max(float(np.max(law.stiffness)) for law in held if "x" in law.axes) if name != "table" else 0.0
+    dampers = max(float(np.max(law.damping)) for law in held if "x" in law.axes) if name != "table" else 0.0
+    bound = float(largest_stable_stiffness(chosen.damping + dampers, period=period, delay=delay, mass=MASS))
+    assert unstable_loop(chosen.replace(stiffness=0.999 * (bound - springs))) is None
+    refused = unstable_loop(chosen.replace(stiffness=1.001 * (bound - springs)))
+    assert refused is not None and refused.acting == on and refused.modulus > 1.0
+    share = 1.0 if refused.axis in AXES[:3] else INERTIA[AXES.index(refused.axis)] / MASS
+    assert refused.largest_stable == pytest.approx(bound * share, rel=1e-6)
+    assert refused.largest_stable is not None and refused.stiffness > refused.largest_stable
+    assert "must be below 1" in str(refused) and "stable up to" in str(refused)
+
+
+def test_a_scene_is_checked_with_another_delay_or_flotor() -> None:
+    for delay, stable in ((0.0, True), (0.0015, True), (0.003, False)):
+        refused = unstable_loop(Box(stiffness=9000.0), delay=delay)
+        assert (None if refused is None else refused.delay) == (None if stable else delay)
+    for mass, stable in ((0.7, True), (0.35, False)):
+        assert (unstable_loop(Drop(), inertia=[mass] * 3 + [1e-3] * 3) is None) is stable
+
+
+@pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.study)])
+def test_every_legal_scene_is_judged(count: int) -> None:
+    draw, stable = random.Random(3), 0
+    for _ in range(count):
+        cls = draw.choice((Joystick, Table, Box, Corner))
+        values: dict[str, Any] = {name: draw.random() < 0.5 for name in ("wall", "friction", "pulse", "weightless")}
+        values |= {"stiffness": 10 ** draw.uniform(0, 6), "damping": 10 ** draw.uniform(-2, 4)}
+        if draw.random() < 0.5:
+            reaches = zip(AXES, RANGE, strict=True)
+            values["walls"] = [[axis, 1, draw.uniform(-reach, reach)] for axis, reach in reaches if draw.random() < 0.5]
+        stable += unstable_loop(cls(period=draw.choice((5e-3, 1e-3)), delay=draw.uniform(0.0, 5e-3), **values)) is None
+    assert 0.1 * count < stable < 0.9 * count
+
+
+@pytest.mark.parametrize("above", [False, True])
+def test_what_is_refused_makes_energy_and_what_is_not_does_not(above: bool) -> None:
+    # In the simulation, at 1.3 and 0.8 of the boundary, pressed against the wall.
+    chosen = Drop(pulse=0.0)
+    bound = float(largest_stable_stiffness(chosen.damping, period=chosen.period, delay=chosen.delay, mass=MASS))
+    scene = chosen.replace(stiffness=(1.3 if above else 0.8) * bound)
+    assert (unstable_loop(scene) is not None) is above
+    session = Session(scene, pacer=Pacer(budget=60.0, patience=3600.0))
+    for _ in range(180):
+        session.tick(1.0 / 60.0)
+    assert ("unstable" in session.snapshot().reason) is above
+
+
+class Detents(Scene):
+    """Detents along x."""
+
+    shown_axis = "x"
+
+    stiffness: float = param("stiffness at a bottom", "N/m", default=4000.0)
+    damping: float = param("damping", "N s/m", default=50.0)
+
+    def laws(self) -> list[Law]:
+        others = Hold.critically_damped(AXES[1:], inertia=INERTIA[1:], period=self.period, delay=self.delay)
+        return [Detent(axes="x", stiffness=self.stiffness, damping=self.damping), others]
+
+
+class Echoing(Detents):
+    """Detents and an echo."""
+
+    def laws(self) -> list[Law]:
+        return [Echo(axes="x"), *super().laws()]
+
+
+def test_a_law_that_states_no_gains_is_judged_too() -> None:
+    assert unstable_loop(Detents()) is None
+    refused = unstable_loop(Detents(stiffness=9870.0))
+    assert refused is not None and refused.axis == "x" and refused.acting == "the laws"
+    assert refused.modulus == pytest.approx(1.0308, abs=1e-4) and refused.largest_stable is None
+    assert refused.stiffness == pytest.approx(9870.0, rel=1e-6) and refused.damping == pytest.approx(50.0, rel=1e-6)
+    assert str(refused).endswith("which must be below 1")
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_no_scene_warns_as_it_is(name: str) -> None:
+    scene = find_scene(name)()
+    for variant in (scene, *scene.variants().values()):
+        assert stability_warning(variant) is None
+
+
+def test_a_scene_that_may_be_unstable_warns_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 100)
+    monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:188])
+    assert stability_warning(Detents()) is None
+    wrong = Detents(stiffness=9870.0)
+    assert stability_warning(wrong) == f"detents is unstable: {unstable_loop(wrong)}"
+    assert "have the largest root modulus 1.0308, which must be below 1" in str(stability_warning(wrong))
+    unknown = stability_warning(Echoing(stiffness=1000.0))
+    assert unknown is not None and "\n" not in unknown
+    refused = "echoing may be unstable: it is not known whether the scene would be stable; not judged at "
+    assert unknown.startswith(refused)  # with the words of `unstable_loop`, which refuses it
+    late = stability_warning(Detents(period=0.001, delay=0.05))
+    assert late is not None and late.startswith("detents may be unstable: delay must be at most 10 periods")
+    with pytest.raises(ParameterError, match="law Detent must leave six"):  # a slip in a law is no question of gains
+        stability_warning(Slipped())
+
+
+class Slipped(Detents):
+    """Scene with a law that answers wrongly."""
+
+    def laws(self) -> list[Any]:
+        class Detent(Law):
+            def __call__(self, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
+                wrench.pop()
+                return None, None
+
+        return [Detent()]
+
+
+@pytest.mark.parametrize(
+    ("options", "inertia"),
+    [
+        pytest.param({}, INERTIA, marks=pytest.mark.study),
+        pytest.param({"mass": None, "inertia": None, "model": None}, INERTIA, marks=pytest.mark.study),
+        ({"mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:])),
+        pytest.param({"inertia": [1e-3, 2e-3, 3e-3]}, (*INERTIA[:3], 1e-3, 2e-3, 3e-3), marks=pytest.mark.study),
+        pytest.param({"model": "drop"}, INERTIA, marks=pytest.mark.study),
+        ({"model": "HEAVY", "inertia": [1e-3, 2e-3, 3e-3]}, (0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3)),
+        pytest.param({"model": "HEAVY", "mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:]), marks=pytest.mark.study),
+    ],
+)
+def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia: Any) -> None:
+    """By the mass on which the plants agree."""
+    if options.get("model") == "HEAVY":
+        heavy = mujoco.MjSpec.from_file(str(model_path("drop")))
+        heavy.body("flotor").mass += 0.05
+        options = options | {"model": heavy}
+
+    class Own(Detents):
+        """Detents on a flotor of its own."""
+
+        def plant_options(self) -> dict[str, Any]:
+            return options
+
+    scene = Own(stiffness=9870.0)
+    body = inertia_of(scene)
+    np.testing.assert_allclose(body, inertia, rtol=2e-3)
+    np.testing.assert_array_equal(scene.plant("exact").inertia, body)  # type: ignore[attr-defined]
+    assert stability(scene).modulus == stability(scene, inertia=body).modulus
+    warned = stability_warning(scene, inertia=[10.0] * 3 + [1.0] * 3)
+    assert warned is None and (stability_warning(scene) is None) == (body[0] > 1.0)
+
+
+def test_the_stability_plot_shows_gains_only_where_all_laws_state_them() -> None:
+    def shown(scene: Scene) -> tuple[str, int]:
+        session = Session(scene)
+        snapshot, plots = session.snapshot(), Plots()
+        session.close()
+        STABILITY.wait(snapshot)
+        figure = plots.update(snapshot)[2]
+        title = bytes(figure.title).split(b"\0")[0].decode() if not isinstance(figure.title, str) else figure.title
+        return title, int(np.count_nonzero(figure.linepnt))
+
+    assert shown(Detents(stiffness=9870.0)) == ("x: largest root 1.031 UNSTABLE", 0)
+    assert shown(Detents(stiffness=4000.0)) == ("x: largest root 0.9147 stable", 0)
+    assert shown(Joystick(stiffness=4000.0)) == ("stable: 42 % of the boundary", 5)
+    assert shown(Detents(period=0.001, delay=0.05))[0] == "stability not known"
+
+
+def test_the_boundary_in_the_plot_is_that_of_the_scenes_own_mass() -> None:
+    def most(mass: float) -> float:
+        """Return the largest damping of a stable wall [N s/m]."""
+        plots, snapshot = Plots(), Snapshot(scene=Drop(mass=mass))
+        STABILITY.wait(snapshot)
+        figure = plots.update(snapshot)[2]
+        lowest = int(np.count_nonzero(figure.linepnt)) - 1
+        return float(figure.linedata[lowest, 2 * int(figure.linepnt[lowest]) - 2])
+
+    assert most(1.4) == pytest.approx(2.0 * most(0.7), rel=1e-3)

@@ -1,0 +1,187 @@
+"""Stability of a scene's wall alone: its root, its limit, and where both are read."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import analyse, rebuild, record_run, run
+from maglev_mj.analysis.pictures import _describe
+from maglev_mj.colours import BAD
+from maglev_mj.control import Law, Wall
+from maglev_mj.process import SideAnswers
+from maglev_mj.scenes import Scene, find_scene
+from maglev_mj.scenes.bench import WallScene
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.press import Press
+from maglev_mj.scenes.results import Variants
+from maglev_mj.scenes.rooms import INERTIA, Joystick
+from maglev_mj.scenes.stability_check import wall_margin
+from maglev_mj.session import Snapshot
+from maglev_mj.theory import stability, verdict
+from maglev_mj.views.readings import Reading, StabilityMap, readings
+from tests.bridge.test_flight_changes import Here
+from tests.theory.test_linearise import WEIGHTS, Echo
+
+
+class Echoing(WallScene):
+    """Wall beside a law that remembers too long."""
+
+    def laws(self) -> list[Law]:
+        return [Wall(axes="z", lower=0.0, stiffness=self.stiffness, damping=self.damping), Echo()]
+
+
+def contact_root(scene: Scene) -> float:
+    """Return the largest root of all states in contact on axes with a wall."""
+    axes = {axis for axis, _, _ in scene.controller().faces}
+    states = [one for one in stability(scene).states if "contact" in one.acting]
+    return max(one.modulus for one in states if axes & set(map("x y z rx ry rz".split().index, one.axes)))
+
+
+@pytest.mark.parametrize("stiffness", [3000.0, 15_000.0])
+@pytest.mark.parametrize("name", ["drop", "press", "joystick", "box", "corner"])
+def test_the_margin_is_where_the_walls_own_root_passes_one(name: str, stiffness: float) -> None:
+    scene = find_scene(name)().replace(stiffness=stiffness)
+    found = wall_margin(scene)
+    assert found is not None and found.modulus == pytest.approx(contact_root(scene), abs=1e-9)
+    assert (found.margin > 1.0) == (found.modulus < 1.0)
+    below, above = (scene.replace(stiffness=share * found.margin * stiffness) for share in (0.999, 1.001))
+    assert contact_root(below) < 1.0 < contact_root(above)
+
+
+@pytest.mark.parametrize(
+    ("scene", "says"),
+    [
+        (Drop(), "root 0.877, stiffness 59 % of its limit"),
+        (Drop(stiffness=15_000.0), "root 1.105 UNSTABLE, stiffness 148 % of its limit"),
+        (Drop(stiffness=400.0), "root 0.975"),  # up to tenfold it is stable
+        (Joystick(period=1e-4, delay=0.0, stiffness=5e5), "root 0.995"),  # up to the largest stiffness that it takes
+        pytest.param(Echoing(), "root not known", marks=pytest.mark.study),
+    ],
+)
+def test_it_is_said_in_a_line(scene: Scene, says: str) -> None:
+    assert str(wall_margin(scene)) == says
+
+
+def test_what_remembers_too_long_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)
+    monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:100])
+    assert str(wall_margin(Echoing())) == "root not known"
+
+
+@pytest.mark.parametrize("scene", [Joystick(wall=False), Drop(stiffness=0.0), find_scene("twist")()])
+def test_without_a_stiff_wall_there_is_none(scene: Scene) -> None:
+    assert wall_margin(scene) is None
+
+
+def test_it_is_that_of_the_hand_delay_and_flotor_in_question() -> None:
+    assert str(wall_margin(Press(stiffness=12_000.0))).startswith("root 1.044 UNSTABLE")
+    assert str(wall_margin(Press(stiffness=12_000.0), held=True)) == "root 0.956, stiffness 78 % of its limit"
+    assert wall_margin(Drop(), delay=0.003) == wall_margin(Drop(delay=0.003))
+    assert wall_margin(Drop(), inertia=[1.4] * 3 + [1e-3] * 3) == wall_margin(Drop(mass=1.4))
+
+
+@pytest.mark.parametrize("scene", [Joystick(friction=True), Drop(), Press()])
+def test_gains_and_linearisation_give_one_loop(scene: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    axis, normal, edge = scene.controller().faces[0]
+    pose = np.where(np.arange(6) == axis, edge - 1e-3 * normal, 0.0)
+
+    def loop() -> tuple[float, float]:
+        return verdict.axis_loop(scene.controller(), axis, pose=pose, delay=scene.delay, inertia=INERTIA)
+
+    by_gains = loop()
+    monkeypatch.setattr(verdict, "stated_gains", lambda _: None)
+    assert loop() == pytest.approx(by_gains, rel=1e-6)
+
+
+# what a person reads
+
+
+@pytest.fixture(params=[Here, pytest.param(SideAnswers, marks=pytest.mark.machine)])
+def beside(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[StabilityMap]:
+    """Give viewers answers of their own: of this process, or of one beside it, with time for it on a busy machine."""
+    monkeypatch.setattr("maglev_mj.views.readings.SideAnswers", request.param)
+    monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
+    own = StabilityMap()
+    monkeypatch.setattr("maglev_mj.views.readings.STABILITY", own)
+    yield own
+    if own._answers is not None:
+        own._answers.close(0.0)
+
+
+def shown(scene: Scene, **more: Any) -> Snapshot:
+    return Snapshot(scene=scene, faces=scene.controller().faces, **more)
+
+
+def wall_of(snapshot: Snapshot) -> Reading | None:
+    return next((one for one in readings(snapshot) if one.name == "wall"), None)
+
+
+def settled(snapshot: Snapshot, known: Callable[[], bool]) -> Reading | None:
+    """Return the reading once the process has answered."""
+    while not known():
+        wall_of(snapshot)
+        time.sleep(0.005)
+    return wall_of(snapshot)
+
+
+def test_a_reading_is_computed_beside_the_viewer(beside: StabilityMap) -> None:
+    for scene, colour in ((Drop(), None), (Drop(stiffness=15_000.0), BAD)):
+        meanwhile = wall_of(shown(scene))
+        assert meanwhile == Reading("wall", "...")
+        found = settled(shown(scene), lambda scene=scene: beside.scene == scene)  # type: ignore[misc]
+        assert found == Reading("wall", str(wall_margin(scene)), colour)
+    table = find_scene("table")()
+    assert wall_of(shown(table)) is None and settled(shown(table), lambda: beside.scene == table) is None
+
+
+def test_in_flight_it_is_of_the_measured_delay_and_the_devices_mass(beside: StabilityMap) -> None:
+    flying: dict[str, Any] = {"state": "flying", "inertia": [0.75] * 3 + [1e-3] * 3}
+    shots = [shown(Joystick(), delay=delay, **flying) for delay in (0.0021, 0.00212, 0.0031)]
+    found = [settled(shots[0], lambda: beside.scene is not None), wall_of(shots[1])]
+    assert beside._asked[1] == 0.0021 and wall_of(shots[2]) != Reading("wall", "...")  # of the same scene
+    found.append(settled(shots[2], lambda: not beside._waits))
+    want = [str(wall_margin(Joystick(), delay=delay, inertia=flying["inertia"])) for delay in (0.0021, 0.0031)]
+    assert [one.value for one in found if one] == [want[0], *want]
+
+
+@pytest.mark.parametrize("beside", [pytest.param(SideAnswers, marks=pytest.mark.machine)], indirect=True)
+def test_a_viewer_outlives_the_process(beside: StabilityMap) -> None:
+    settled(shown(Drop()), lambda: beside.scene is not None)
+    assert beside._answers is not None
+    beside._answers._process.kill()
+    beside._answers._process.join()
+    gone, again = Drop(stiffness=3000.0), Drop(stiffness=2000.0)
+    assert settled(shown(gone), lambda: beside.scene == gone) is None
+    assert settled(shown(again), lambda: beside.scene == again) == Reading("wall", str(wall_margin(again)))
+
+
+def test_a_picture_waits_for_it(beside: StabilityMap) -> None:
+    beside.wait(shown(Drop()))
+    assert beside._answers is None and wall_of(shown(Drop())) == Reading("wall", str(wall_margin(Drop())))
+    assert beside._answers is None
+
+
+def test_charts_of_runs_and_recordings_say_it() -> None:
+    figure = run(Press(stiffness=12_000.0), plant="exact").plot()
+    assert "wall of 12000 N/m and 80 N s/m (root 0.956, stiffness 78 % of its limit)\n" in figure.axes[0].get_title(
+        "left"
+    )
+    stretch = record_run(Press(), plant="exact").stretches[0]
+    report = analyse(stretch, rebuild)
+    assert _describe(report).startswith("press, 200 Hz, delay 1.5 ms; wall: root 0.853, stiffness 39 % of its limit\n")
+    for other in ({"kind": "device"}, {"scene": "unknown"}):
+        assert analyse(replace(stretch, setup={**stretch.setup, **other})).wall is None
+    bare = {name: value for name, value in stretch.setup.items() if name != "scene"}  # of a loop of one's own
+    assert analyse(replace(stretch, setup=bare)).wall is None
+    assert "wall" not in _describe(analyse(replace(stretch, setup={**stretch.setup, "scene": "unknown"})))
+
+
+def test_a_chart_of_walls_that_differ_names_none() -> None:
+    runs = {f"{gain:g} N/m": run(Press(stiffness=gain), plant="exact") for gain in (3000.0, 6000.0)}
+    assert "wall of" not in Variants(runs).plot().axes[0].get_title("left")

@@ -1,0 +1,245 @@
+"""Publishers: snapshots and settings of other programs, in a session and in a flight."""
+
+import re
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from maglev_mj import cli
+from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.twin.simulated_links import VirtualLink
+from maglev_mj.control.laws.base import as_law
+from maglev_mj.recording import Recording, RecordingError, open_recording
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.rooms import Box, Joystick
+from maglev_mj.session import ChangeRequest, Publishers, Snapshot
+from tests.bridge.impaired import ImpairedLine, Impairment
+from tests.recorded import decoder, exported
+
+
+def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
+    class Told:
+        waiting: Any = None
+
+        def take(self) -> Any:
+            taken, self.waiting = self.waiting, None
+            return taken
+
+        def __init__(self) -> None:
+            self.snapshots: list[Snapshot] = []
+
+        def show(self, snapshot: Snapshot) -> None:
+            self.snapshots.append(snapshot)
+
+        def close(self) -> None:
+            self.closed = True
+
+    now, made, told = 0.0, 0, [Told(), Told()]
+    publishers = Publishers(told, clock=lambda: now)
+    scene = Box()
+
+    def snapshot() -> Snapshot:
+        nonlocal made
+        made += 1
+        return Snapshot(scene=scene, time=now)
+
+    for tick in range(2001):
+        now = tick * 5e-4
+        publishers.show(snapshot)
+    assert made == len(told[0].snapshots) == len(told[1].snapshots)
+    assert 60 <= made <= 62
+    gaps = [after.time - before.time for before, after in zip(told[0].snapshots, told[0].snapshots[1:], strict=False)]
+    assert max(gaps) - min(gaps) < 1e-3
+    now += 5.0  # a pause is not made up for
+    for _ in range(10):
+        publishers.show(snapshot)
+        now += 1e-4
+    assert made <= 63
+    told[1].waiting = ChangeRequest(scene)
+    assert publishers.wanted() == ChangeRequest(scene) and publishers.wanted() is None
+    publishers.close()
+    assert told[0].closed and told[1].closed
+
+
+class Asks:
+    """Publisher that requests settings and keeps the answers."""
+
+    def __init__(self, *wanted: Scene) -> None:
+        self._waiting, self._asked = list(wanted), False
+        self.answers: list[int | str] = []
+        self.snapshots: list[Snapshot] = []
+
+    def take(self) -> ChangeRequest | None:
+        asked, self._asked = self._asked, False
+        return ChangeRequest(self._waiting.pop(0), self.answers.append) if asked else None
+
+    def show(self, snapshot: Snapshot) -> None:
+        self.snapshots.append(snapshot)
+        if self._waiting and len(self.snapshots) % 3 == 0:
+            self._asked = True
+
+    def close(self) -> None: ...
+
+
+def flight(**options: Any) -> tuple[Flight, RemotePlant]:
+    """Return a flight on a virtual twin.
+
+    It takes off at once.
+    """
+    line = ImpairedLine(Impairment(jitter=0.001))
+    plant = RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), line))
+    return Flight(plant, Joystick(period=plant.period, delay=plant.delay), **options), plant
+
+
+def slow() -> Callable[[], float]:
+    """Return a clock of one frame per call.
+
+    Virtual time does not wait.
+    """
+    now = iter(range(10**9))
+    return lambda: next(now) / 60.0
+
+
+def test_a_flight_is_recorded_through_changes_as_one_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Settings from outside: what is missed and when counts on from change to change, for a device does.
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    wishes = [Joystick(friction=True), Joystick(stiffness=4000.0)]
+    asks, file = Asks(*wishes), open_recording(tmp_path / "run.maglev")
+    flown, plant = flight(publishers=[asks], file=file)
+    with plant:
+        flown.run(0.5)
+    file.close()
+    recording = Recording.load(tmp_path / "run.maglev")
+    assert [stretch.setup["parameters"]["friction"] for stretch in recording.stretches] == [False, True, False]
+    ticks = np.concatenate([stretch.tick for stretch in recording.stretches])
+    assert (np.diff(ticks) >= 1).all() and ticks[0] > 100  # it counts from takeoff on
+    for before, after in zip(asks.snapshots, asks.snapshots[1:], strict=False):
+        assert after.tick - before.tick <= 3
+    begun = [int(stretch.tick[0]) for stretch in recording.stretches]
+    assert asks.answers == begun[1:]
+    since = [next(one.since for one in asks.snapshots if one.scene == stretch) for stretch in (Joystick(), *wishes)]
+    assert since == begun and 1 <= since[1] - asks.snapshots[2].tick <= 3
+    read = [
+        (message.log_time, decoder(schema)(message.data))
+        for schema, _, message in make_reader(
+            BytesIO(exported((tmp_path / "run.maglev").read_bytes(), "mcap"))
+        ).iter_messages(topics=["/maglev/sample"])
+        if schema is not None
+    ]
+    firsts = [next(said for _, said in read if said["stretch"] == place) for place in range(3)]
+    assert [said["missed"] for said in firsts] == [0, 0, 0]
+    for place in range(3):
+        logged = [(when, said["tick"]) for when, said in read if said["stretch"] == place]
+        for when, tick in logged:
+            assert (when - logged[0][0]) * 1e-9 == pytest.approx((tick - logged[0][1]) * plant.period, abs=1e-6)
+    assert cli.main(["replay", str(tmp_path / "run.maglev"), "--check"]) == 0
+    assert f"{recording.ticks} of {recording.ticks} the same: command," in capsys.readouterr().out
+    assert cli.main(["analyse", str(tmp_path / "run.maglev")]) == 0
+
+
+def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A wall 2 mm deep, the flotor's weight, laws that fail: each is refused with why, and the flight goes on.
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    around, good = [("z", -1, -0.002)], Joystick(stiffness=3000.0)
+    asks = Asks(Joystick(walls=around), good, Unmade(), Failing(period=0.005, delay=0.0015))
+    flown, plant = flight(publishers=[asks])
+    with plant:
+        assert flown.run(0.6).ticks == 120
+    wall, tick, unmade, failing = asks.answers
+    pushed = re.fullmatch(
+        r"settings must change the force on z, where the flotor is, by at most 2 N, not -(.*) N", str(wall)
+    )
+    assert pushed and float(pushed[1]) == pytest.approx(12.0, abs=0.5)
+    assert "law broken fails: ValueError: no" in str(failing)
+    assert unmade == "the parameters are refused: ValueError: never"
+    assert asks.snapshots[-1].scene == good and asks.snapshots[-1].since == tick
+    assert any(wall in one.notes for one in asks.snapshots) and failing in asks.snapshots[-1].notes
+    asks = Asks(Joystick(walls=around, stiffness=1000.0))
+    flown, plant = flight(publishers=[asks], step_force=2.5)
+    with plant:
+        flown.run(0.3)
+    assert asks.answers == [asks.snapshots[-1].since]
+
+
+def test_period_and_delay_of_settings_are_the_devices(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    asks = Asks(Joystick(stiffness=3000.0, period=0.001, delay=0.02))
+    flown, plant = flight(publishers=[asks])
+    with plant:
+        assert flown.run(0.3).ticks == 60
+    assert asks.snapshots[-1].scene == Joystick(stiffness=3000.0, period=plant.period, delay=plant.delay)
+    assert asks.answers == [asks.snapshots[-1].since]
+
+
+def broken(position: Any, velocity: Any) -> Any:
+    raise ValueError("no")
+
+
+class Unmade(Joystick):
+    """Scene with laws that cannot be made."""
+
+    def own_laws(self) -> Any:
+        raise ValueError("never")
+
+
+class Failing(Joystick):
+    """Scene with a failing law."""
+
+    def own_laws(self) -> Any:
+        return [*super().own_laws(), as_law(broken)]
+
+
+def test_a_set_is_told_the_mass_of_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    asks = Asks()
+    flown, plant = flight(publishers=[asks])
+    with plant:
+        flown.run(0.2)
+    known = plant.calibration
+    assert asks.snapshots[-1].inertia == [*[known.mass] * 3, *known.inertia]
+
+
+def test_the_delay_that_is_told_is_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
+    asks = Asks()
+    flown, plant = flight(publishers=[asks])
+    measured: list[tuple[int, float]] = []
+    with plant:
+        read = plant.read
+
+        def noted() -> Any:
+            sample = read()
+            measured.append((sample.tick, plant.last_delay))
+            return sample
+
+        monkeypatch.setattr(plant, "read", noted)
+        flown.run(1.5)
+    last = [delay for tick, delay in measured if tick < asks.snapshots[-1].tick and delay == delay][-100:]
+    assert asks.snapshots[-1].delay == pytest.approx(np.median(last), abs=2e-5)
+    assert plant.delay + 1e-4 < np.median(last) < max(last) - 1e-4
+
+
+def full(_: bytes) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_a_flight_whose_recording_ends_says_so_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    file: Any = open_recording(tmp_path / "run.maglev")
+    flown, plant = flight(file=file, warn=said.append)
+    monkeypatch.setattr(file._journal, "_write", full)
+    file.event("timing", "for a test")
+    file._journal._thread.join()
+    with plant:
+        assert flown.run(0.5).ticks == 100
+    assert len(said) == 1 and "is not written any more" in said[0]
+    with pytest.raises(RecordingError):
+        file.close()

@@ -1,0 +1,340 @@
+"""Charts are readable at page width, in every format."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.text import Text
+
+from maglev_mj.analysis.pictures import staircases, whole_run
+from maglev_mj.bridge.fault import load_fault
+from maglev_mj.bridge.pictures import last_cycles
+from maglev_mj.cli import main
+from maglev_mj.errors import ParameterError
+from maglev_mj.pictures import FORMATS, Panel, broken, name_curves, new_figure, new_grid, save, small_multiples
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.studies.pictures import _even
+from maglev_mj.studies.stability_map import StabilityParameters, run_stability
+from maglev_mj.studies.sweep import sweep
+from tests.analysis.test_analysis import analysed, recorded
+from tests.bridge.test_black_box import flown
+from tests.views.test_colours import PAPER, contrast
+from work_precision import WorkPoint, work_precision
+
+COLUMN = 830 / 96
+"""Width of a page's column [inch]."""
+SMALLEST = 8.0
+"""Size of the smallest words there [pt]."""
+
+
+@pytest.fixture
+def figures(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return a list that collects figures instead of files."""
+    from matplotlib.figure import Figure
+
+    drawn: list[Any] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: drawn.append(figure))
+    return drawn
+
+
+def apart(boxes: list[Any]) -> bool:
+    """Return True if no boxes overlap beyond rounding."""
+    return not any(
+        min(one.x1, other.x1) - max(one.x0, other.x0) > 1.0 and min(one.y1, other.y1) - max(one.y0, other.y0) > 1.0
+        for index, one in enumerate(boxes)
+        for other in boxes[:index]
+    )
+
+
+def numbers_of(axis: Any) -> list[Any]:
+    """Return the numbers of an axis that are seen."""
+    low, high = sorted(axis.get_view_interval())
+    ticks = [tick for tick in [*axis.get_major_ticks(), *axis.get_minor_ticks()] if low <= tick.get_loc() <= high]
+    return [tick.label1 for tick in ticks if tick.label1.get_visible() and tick.label1.get_text()]
+
+
+def words_of(figure: Any) -> list[Any]:
+    """Return the texts that are seen."""
+    from matplotlib.axis import Tick
+    from matplotlib.text import Text
+
+    panels = [panel for panel in figure.axes if panel.axison]
+    hidden = {text for panel in figure.axes if not panel.axison for text in panel.findobj(Text)}
+    hidden |= {text for tick in figure.findobj(Tick) for text in tick.findobj(Text)}
+    texts = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+    numbers = [text for panel in panels for axis in (panel.xaxis, panel.yaxis) for text in numbers_of(axis)]
+    return [text for text in texts if text not in hidden] + numbers
+
+
+def complaints(figure: Any) -> list[str]:
+    """Return the unreadable parts of a figure."""
+    from matplotlib.colors import to_rgb
+
+    figure.draw_without_rendering()
+    renderer = figure.canvas.get_renderer()
+    scale, whole, found = min(COLUMN / figure.get_figwidth(), 1.0), figure.bbox, []
+    panels = [panel for panel in figure.axes if panel.axison]
+    for text in words_of(figure):
+        box = text.get_window_extent(renderer)
+        if text.get_size() * scale < SMALLEST:
+            found.append(f"{text.get_text()!r} has {text.get_size() * scale:.1f} pt")
+        if min(box.x0, box.y0, whole.x1 - box.x1, whole.y1 - box.y1) < -1.0:
+            found.append(f"{text.get_text()!r} leaves the picture")
+        if contrast(to_rgb(text.get_color()), PAPER) < 4.5:
+            found.append(f"{text.get_text()!r} is pale")
+    legends = [legend for legend in [*figure.legends, *(panel.get_legend() for panel in panels)] if legend is not None]
+    for legend in legends:
+        box = legend.get_window_extent(renderer)
+        inside = [panel.get_title(loc="left") for panel in panels if not apart([box, panel.bbox])]
+        found += [f"a legend lies on the panel {title!r}" for title in inside]
+    blocks = [legend.get_window_extent(renderer) for legend in legends]
+    for panel in panels:
+        names = [panel.xaxis.label, panel.yaxis.label, panel._left_title]
+        blocks += [text.get_window_extent(renderer) for text in names if text.get_text()]
+        numbers = numbers_of(panel.xaxis) + numbers_of(panel.yaxis)
+        blocks += [text.get_window_extent(renderer).padded(3.0, 0.0) for text in numbers]
+    if not apart(blocks):
+        found.append("names, numbers, titles or legends lie on one another")
+    return found
+
+
+COMMANDS = {
+    "drop": "drop --plant exact --phase 0.56 --phases 3",
+    "own gains": "drop --plant exact --pulse 150 --force-limit 12345 --height 0.003",
+    "press, own hand": "press --plant exact --hand 0.554,6.45,135.5,25.25,1000.5 --force-limit 60.5",
+    "stick-slip": "stick-slip --plant exact",
+    "scene": "run joystick --phases 2",
+    "stability": "stability --grid 12 --plant exact --workers 0",
+    "stability, hand": "stability --grid 12 --delay 0 --hand arm",
+    "card": "card --rate 1000 --delay 0.0005",
+    "sweep": "sweep drop --vary height=1e-3:3e-3:3 --vary damping=60,80 --set plant=exact --workers 0",
+    "sweep, two": "sweep drop --vary height=1e-3:4e-3:4 --vary damping=50:80:4 --set plant=exact --workers 0",
+    "sweep, choice": "sweep stick-slip --vary law=stick-slip,elasto-plastic,dahl,lugre,kikuuwe --workers 0",
+    "fidelity": "fidelity let-go --duration 0.02 --phases 1 --around 0",
+    "design": "design --mass 0.63:0.77 --delay 0.001:0.002",
+}
+
+
+LONG = {"stability", "card"}
+"""Expensive charts: studies. `stability, hand` has the same panels; `test_card` draws a card of one hand."""
+
+
+@pytest.mark.parametrize(
+    "command",
+    [pytest.param(line, id=name, marks=[pytest.mark.study] * (name in LONG)) for name, line in COMMANDS.items()],
+)
+def test_a_chart_of_a_command_can_be_read(
+    command: str, tmp_path: Path, figures: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # a sweep keeps its cells there
+    assert main([*command.split(), "--out", str(tmp_path)]) == 0
+    assert figures and [complaints(figure) for figure in figures] == [[]] * len(figures)
+
+
+@pytest.mark.parametrize(("points", "pixels"), [(20_000, True), (500, False)])
+def test_a_curve_of_many_points_is_small_in_an_svg(points: int, pixels: bool, tmp_path: Path) -> None:
+    figure, (panel,) = new_figure(1, 1, 3.0)
+    panel.plot(np.random.default_rng(1).normal(size=points), ".")
+    text = save(figure, tmp_path / "noise.svg").read_text()
+    assert len(text) < 300_000 and ("image/png" in text) is pixels
+
+
+def test_a_curve_has_a_gap_at_a_jump_and_none_at_a_slope() -> None:
+    x = np.linspace(0.0, 1.0, 21)
+    gaps = np.isnan(broken(x, np.where(x > 0.42, 2.0, 0.0) + x)[1])
+    assert np.flatnonzero(gaps).tolist() == [9]
+    for slope in (x, x**2, np.sin(6.0 * x), np.zeros(21)):
+        assert not np.isnan(broken(x, slope)[1]).any()
+
+
+def test_a_sweep_over_two_even_parameters_is_heat_maps_of_its_cells() -> None:
+    found = sweep(Drop(), {"height": [1e-3, 2e-3, 3e-3, 4e-3], "damping": [50.0, 60.0, 70.0, 80.0]}, plant="exact")
+    image = found.plot().axes[0].images[0]
+    assert np.asarray(image.get_array()) == pytest.approx(1e3 * found.figure("penetration").T)
+    assert image.get_extent() == pytest.approx([5e-4, 4.5e-3, 45.0, 85.0])
+
+
+@pytest.mark.parametrize(
+    ("values", "even"),
+    [
+        ([1.0, 2.0, 3.0, 4.0], True),
+        ([1, 2, 3], False),
+        ([1.0, 2.0, 4.0, 8.0], False),
+        ([4, 3, 2, 1], False),
+        ([True, False, True, False], False),
+        (["a", "b", "c", "d"], False),
+    ],
+)
+def test_values_of_a_heat_map_are_four_even_numbers(values: list[Any], even: bool) -> None:
+    assert _even(values) is even
+
+
+def test_a_sweep_of_a_scene_without_figures_has_no_picture() -> None:
+    found = sweep("joystick", {"stiffness": [1000.0, 2000.0]}, plant="exact")
+    with pytest.raises(ParameterError, match="figures must be numbers for a picture: joystick has none"):
+        found.plot()
+
+
+def test_each_value_of_a_choice_has_rows_of_its_own() -> None:
+    found = sweep(Drop(), {"plant": ["exact", "mujoco"], "height": [1e-3, 2e-3]})
+    table = found.table()
+    assert table.head[:2] == ("", "plant")
+    for index, plant in enumerate(("exact", "mujoco")):
+        row = next(row for row in table.rows if row[:2] == ("penetration", plant))
+        assert row[3] == pytest.approx(1e3 * np.median(found.figure("penetration")[index])) and row[-1] == 2
+    assert [text.get_text() for text in found.plot().axes[0].get_xticklabels()] == ["exact", "mujoco"]
+
+
+def test_the_gains_in_use_are_marked_where_the_map_has_them() -> None:
+    for stiffness, marked in (((500.0, 9000.0), 1), ((500.0, 5000.0), 0)):
+        figure = run_stability(StabilityParameters(stiffness=stiffness, damping=(10.0, 120.0), grid=2)).plot()
+        labels = figure.axes[0].get_legend_handles_labels()[1]
+        assert sum(label == "gains of drop: 6000 N/m, 80 N s/m" for label in labels) == marked
+        assert "stiffest by theory" not in labels  # at 10 173 N/m
+
+
+@pytest.mark.parametrize("scene", ["drop", "press", "stick-slip", "run let-go"])
+def test_a_chart_of_a_recording_can_be_read(scene: str, tmp_path: Path, figures: list[Any]) -> None:
+    path = tmp_path / "run.maglev"
+    assert main([*scene.split(), "--plant", "exact", "--record", str(path)]) == 0
+    assert main(["analyse", str(path), "--out", str(tmp_path)]) == 0
+    free = scene == "run let-go"  # no wall, and no force
+    assert [complaints(figure) for figure in figures] == [[]] * (2 - free)
+    assert [len(figure.axes) for figure in figures] == ([1] if free else [2, 1 + (scene != "stick-slip")])
+    if scene == "stick-slip":  # no empty panel for an axis without friction
+        assert [len(panel.lines) for panel in figures[1].axes] == [2]
+
+
+def test_the_chart_of_a_recording_that_differs_can_be_read() -> None:
+    stretch = recorded(Drop())
+    other = stretch.replace(position=stretch.position + 1e-5)
+    assert complaints(whole_run(analysed(other), 2)) == []
+
+
+@pytest.mark.parametrize("count", [1, 4, 6])
+@pytest.mark.parametrize("quiet", [0, 3])
+def test_staircases_have_a_panel_for_each_axis_that_moves(count: int, quiet: int) -> None:
+    time, position = np.linspace(0.0, 1.0, 50), np.random.default_rng(1).normal(size=(50, 6)) * 1e-3
+    position[:, 1 : 1 + quiet] *= 1e-9  # rounding
+    said = {axis: "3 slips, resting places 0.73 to 2.3 apart" for axis in range(count)}
+    figure = staircases(time, position, position, said)
+    out = ["y", "z", "rx"][: min(quiet, count - 1)]
+    assert sum(panel.axison for panel in figure.axes) == count - len(out) and complaints(figure) == []
+    assert figure.get_suptitle() == (f"left out, as flat: {', '.join(out)}" if out else "")
+
+
+@pytest.mark.parametrize(("force", "panels"), [(0.0, 1), (1e-16, 1), (5e-4, 1), (2e-3, 2), (3.0, 2)])
+def test_rounding_fills_no_panel(force: float, panels: int) -> None:
+    time = np.linspace(0.0, 1.0, 50)
+    found = {"position": ([0.0 * time], "mm"), "force": ([force * np.sin(20.0 * time), 0.0 * time], "N")}
+    figure, shown = new_grid(found, "time (s)", high=2, always="position")
+    for name, panel in shown.items():
+        panel.plot(time, found[name][0][0])
+    heights = [float(np.ptp(panel.get_ylim())) for panel in shown.values()]
+    assert len(figure.axes) == panels and heights[0] >= 0.02 and min(heights[1:], default=1.0) >= 0.02
+    figure, shown = new_grid({"pose": ([[np.nan, np.nan]], "mm"), "path": ([[2.0, 2.001]], "mm")}, "time (s)")
+    assert [*shown] == ["pose"] and complaints(figure) == []  # one panel, where all are flat
+    named = {name: ([[np.nan, 1.0, 2.0]], "mm") for name in "abcde"}
+    figure, shown = new_grid(named | {"time": ([[100.0, 100.05]], "ms")}, "time (s)")
+    assert [*shown] == list("abcde") and figure.get_suptitle() == "left out, as flat: time"
+    lowest = [name for name, panel in shown.items() if panel.xaxis.get_tick_params()["labelbottom"]]
+    assert lowest == list("cde")  # numbers where no panel is below
+
+
+def test_the_chart_of_a_fault_can_be_read(tmp_path: Path) -> None:
+    _, error = flown(tmp_path)
+    assert error.path is not None
+    record = load_fault(error.path)
+    long = replace(
+        record, message="a word or two " * 20, faults="COIL_NOT_FOLLOWING FLOTOR_OVERSPEED SENSOR_FROZEN " * 2
+    )
+    assert [complaints(last_cycles(one)) for one in (record, long)] == [[], []]
+
+
+@pytest.mark.parametrize("same", [True, False])
+def test_panels_of_curves_can_be_read(same: bool, figures: list[Any]) -> None:
+    x = np.geomspace(1e-3, 0.22, 20)
+    names = [f"a rather long name of curve {index}" for index in range(8)]
+    panels = [
+        Panel(
+            title=f"panel {index} with a title that is\nas long as two lines",
+            labels=("a quantity (unit)", "another quantity (unit)"),
+            curves=[(name if same else f"{name}, {index}", x, x * (place + 1)) for place, name in enumerate(names)],
+            log=("", "x", "xy")[index],
+            outside=[x > 0.1] * 8 if index == 2 else (),
+        )
+        for index in range(3)
+    ]
+    small_multiples(panels, Path("unused.png"))
+    (figure,) = figures
+    assert complaints(figure) == [] and len(figure.legends) == int(same)
+
+
+def test_speed_and_accuracy_can_be_read(figures: list[Any]) -> None:
+    points = [
+        WorkPoint("exact", "exact plant", 1e-3, 0.0),
+        WorkPoint("exact, dearer", "exact plant", 2e-3, 1e-12),
+        WorkPoint("rk4", "RK4", 3e-3, 1e-10),
+        WorkPoint("many", "many at once", 1e-5, 1e-12, many=True),
+        WorkPoint("cheap", "a cheap way", 5e-4, 1e-3, label="a cheap way"),
+    ]
+    points += [
+        WorkPoint(f"euler {step}", "raw Euler", 2e-6 / step, step, label=f"raw Euler, {step:g}", joined=True)
+        for step in (1e-3, 9e-4, 8e-4, 1e-4)
+    ]
+    work_precision("drop: on a wall, with a braking pulse", points, Path("unused.png"))
+    (figure,) = figures
+    assert complaints(figure) == []
+    (panel,) = figure.axes
+    figure.draw_without_rendering()
+    renderer = figure.canvas.get_renderer()
+    labels = [text for text in panel.texts if text.get_text() in {point.label for point in points}]
+    boxes = [Text.get_window_extent(text, renderer) for text in labels]
+    assert len(boxes) == 5 and apart(boxes)
+    dots = [
+        panel.transData.transform((line.get_xdata()[0], line.get_ydata()[0]))
+        for line in panel.lines
+        if len(line.get_xdata())
+    ]
+    assert not any(box.contains(*dot) for box in boxes for dot in dots)
+    assert all(panel.bbox.contains(*corner) for box in boxes for corner in box.corners())
+    # a row for the cheapest of each kind that is exact enough; bold where nothing beats it
+    rows = {label.get_text(): label.get_fontweight() for label in panel.get_yticklabels()[-3:]}
+    assert rows == {"many at once": "bold", "exact plant": "bold", "RK4": "normal"}
+    assert {text.get_text() for text in panel.texts} >= {"0.01", "1", "3"}
+
+
+def test_what_cannot_be_read_is_found() -> None:
+    figure, (left, right) = new_figure(1, 2, 3.0)
+    for panel in (left, right):
+        panel.plot([0.0, 1.0], [0.0, 1.0], label="curve")
+    name_curves(figure, [left, right])
+    assert complaints(figure) == []
+    left.legend(loc="center")
+    right.set_xlabel("small", fontsize=7.0)
+    right.set_ylabel("pale", color="0.7")
+    left.set_title("a title so long that it runs far into that of the next panel", loc="left")
+    figure.text(0.9, 0.5, "a word that leaves the picture at its right side")
+    right.set_title("the next panel", loc="left")
+    assert set(complaints(figure)) == {
+        "'small' has 7.0 pt",
+        "'pale' is pale",
+        "'a word that leaves the picture at its right side' leaves the picture",
+        "a legend lies on the panel 'a title so long that it runs far into that of the next panel'",
+        "names, numbers, titles or legends lie on one another",
+    }
+
+
+BEGINS = {"png": b"\x89PNG", "pdf": b"%PDF", "svg": b"<?xml"}
+
+
+@pytest.mark.parametrize("kind", FORMATS)
+def test_pictures_have_the_format_asked_for(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["stick-slip", "--plant", "exact", "--out", str(tmp_path / "new"), "--format", kind]) == 0
+    (path,) = (tmp_path / "new").iterdir()
+    assert path.name == f"stick_slip.{kind}" and path.read_bytes().startswith(BEGINS[kind])
+    assert f"wrote {path}" in capsys.readouterr().out

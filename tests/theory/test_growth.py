@@ -1,0 +1,286 @@
+"""Simulated walls against the exact map: grids, hands, and integrators that shift the boundary."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from maglev_mj.control import LowPass, VelocityEstimator, Window
+from maglev_mj.control.loop import ControlLoop
+from maglev_mj.errors import ParameterError
+from maglev_mj.plants import MuJoCoBatchPlant, Timing
+from maglev_mj.plants.hand import HANDS, get_hand
+from maglev_mj.studies import stability_map as growing
+from maglev_mj.studies.levels import SteppedLoop, boundary_shift
+from maglev_mj.studies.stability_map import (
+    RestingWall,
+    StabilityParameters,
+    measure_growth,
+    run_stability,
+)
+from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory.boundary import boundary_of, stiffest_of
+from maglev_mj.theory.closed_loop import SampledLoop
+from tests.theory.failures import random_delay_rate
+
+T, M = 0.005, 0.7
+DELAYS = (0.0, 0.0015, 0.003, 0.005)
+
+
+def check_every_cell(plant: str, grid: int, delay: float) -> None:
+    """Check each cell against theory, except within half a percent of the boundary."""
+    result = run_stability(StabilityParameters(plant=plant, grid=grid, delay=delay))
+    assert result.simulated is not None and result.misjudged is not None
+    assert not result.misjudged.any()
+    share = result.simulated.mean()
+    assert 0.3 < share < 0.7 and result.near.mean() < 0.05  # a map of both kinds, with little left out
+
+
+@pytest.mark.parametrize(
+    ("plant", "grid", "delay"),
+    [("exact", 6, 0.0), ("exact", 6, 0.005), pytest.param("mujoco", 6, 0.0015, marks=pytest.mark.study)],
+)
+def test_cells_of_a_coarse_map_settle_or_grow_as_theory_has_it(plant: str, grid: int, delay: float) -> None:
+    check_every_cell(plant, grid, delay)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("delay", DELAYS)
+@pytest.mark.parametrize(("plant", "grid"), [("exact", 60), ("mujoco", 24)])
+def test_every_cell_of_the_map_settles_or_grows_as_theory_has_it(plant: str, grid: int, delay: float) -> None:
+    """60 x 60 on MuJoCo: `maglev-mj stability --plant mujoco`."""
+    check_every_cell(plant, grid, delay)
+
+
+def walls(stiffness: ArrayLike, damping: ArrayLike, **values: Any) -> list[RestingWall]:
+    pairs = np.broadcast_arrays(np.atleast_1d(stiffness), damping)
+    return [RestingWall(stiffness=k, damping=b, **values) for k, b in zip(*(pair.tolist() for pair in pairs))]
+
+
+@pytest.mark.parametrize("count", [30, pytest.param(300, marks=pytest.mark.study)])
+def test_growth_is_the_modulus(count: int) -> None:
+    # Over a random sample, away from pairs of modes that beat.
+    random = np.random.default_rng(4)
+    k, b = random.uniform(500.0, 9000.0, count), random.uniform(10.0, 100.0, count)
+    growth = measure_growth(walls(k, b))
+    modulus = largest_modulus(k, b, period=T, delay=0.0015)
+    long = growth.ticks > 200
+    assert long.sum() > count / 4
+    np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
+
+
+@pytest.mark.parametrize("off", [0.06, pytest.param(0.01, marks=pytest.mark.study)])
+def test_a_wall_s_growth_is_that_of_the_wall_alone(off: float) -> None:
+    # Runs end when the last of a batch is decided, of which one that is a little too stiff takes the longest.
+    edge = float(largest_stable_stiffness(80.0, period=T, delay=0.0015))
+    some = walls([2000.0, (1.0 - off) * edge, (1.0 + off) * edge, 2.0 * edge], 80.0)
+    together = measure_growth(some)
+    alone = [measure_growth([wall]) for wall in some]
+    for name in ("stable", "rate", "ticks"):
+        np.testing.assert_array_equal(getattr(together, name), [getattr(one, name)[0] for one in alone])
+
+
+def test_a_run_ends_with_the_block_in_which_the_last_is_decided(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts: list[int] = []
+
+    class Counted(ControlLoop):
+        def cycle(self, count: int = 1) -> None:
+            counts.append(count)
+            super().cycle(count)
+
+    monkeypatch.setattr(growing, "ControlLoop", Counted)
+    found = measure_growth(walls([3000.0, 5000.0], 80.0))
+    # ten-thousandfold less
+    last = np.log(1e-4) / np.log(found.rate.max())
+    assert found.stable.all() and last < sum(counts) <= last + 32 < 128
+
+
+@pytest.mark.parametrize(("count", "threads"), [(2, 1), (47, 1), (48, 0)])
+def test_few_walls_are_simulated_on_one_thread(count: int, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def made(*arguments: Any, **keywords: Any) -> MuJoCoBatchPlant:
+        asked.append(keywords["threads"])
+        return MuJoCoBatchPlant(*arguments, **keywords)
+
+    monkeypatch.setitem(growing._BATCHES, "mujoco", made)
+    assert measure_growth(walls(np.linspace(3000.0, 5000.0, count), 80.0), "mujoco").stable.all()
+    assert asked == [threads]
+
+
+def settles_just_below(boundary: ArrayLike, damping: float, wall: RestingWall, margin: float, **keywords: Any) -> bool:
+    """Return True if walls settle a margin below boundaries and grow a margin above."""
+    k = np.atleast_1d(np.asarray(boundary, dtype=np.float64))
+    gains = [*((1.0 - margin) * k).tolist(), *((1.0 + margin) * k).tolist()]
+    stable = measure_growth([wall.replace(stiffness=gain, damping=damping) for gain in gains], **keywords).stable
+    return bool(stable[: k.size].all() and not stable[k.size :].any())
+
+
+EXTREME = [
+    "0.6,0,1050",
+    "0.02,28,40",
+    "0.2,10,200,2,800",
+]
+
+
+@pytest.mark.parametrize(
+    ("hand", "plant"),
+    [
+        *((hand, "exact") for hand in (*HANDS, *EXTREME)),
+        ("arm", "mujoco"),
+        # plants agree on hands: test_agreement
+        *(pytest.param(hand, "mujoco", marks=pytest.mark.study) for hand in (*HANDS, *EXTREME)),
+    ],
+)
+def test_hands_shift_the_boundary_as_the_map_says(plant: str, hand: str) -> None:
+    # Over the published range: 5 % below the boundary it settles, 5 % above it grows.
+    boundary = largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=get_hand(hand))
+    assert settles_just_below(boundary, 70.0, RestingWall(hand=hand), 0.05, plant=plant)
+
+
+@pytest.mark.parametrize(
+    ("plant", "estimates"),
+    [
+        ("exact", (LowPass(50.0),)),
+        ("mujoco", (Window(3),)),
+        *(pytest.param(plant, (LowPass(50.0), Window(3)), marks=pytest.mark.study) for plant in ("exact", "mujoco")),
+    ],
+)
+def test_velocity_estimates_shift_the_boundary_as_the_map_says(
+    plant: str, estimates: tuple[VelocityEstimator, ...]
+) -> None:
+    for estimate in estimates:
+
+        class Estimated(RestingWall):
+            """A wall with another velocity estimate."""
+
+            def velocity_estimator(self, estimate: VelocityEstimator = estimate) -> VelocityEstimator:
+                return estimate
+
+        boundary = largest_stable_stiffness(30.0, period=T, delay=0.0015, velocity=estimate)
+        assert settles_just_below(boundary, 30.0, Estimated(), 0.05, plant=plant)
+
+
+def shifts(integrator: str, steps: NDArray[np.float64], delay: float) -> NDArray[np.float64]:
+    loop = SampledLoop(period=T, delay=delay)
+    return np.array([boundary_shift(integrator, step, loop) for step in steps])
+
+
+def check_first_order(integrator: str, steps: list[float], delay: float) -> None:
+    """Check that numerical damping hides instability, in first order.
+
+    At every step, an unstable wall looks stable by an amount in proportion to it.
+    """
+    shift = shifts(integrator, np.array(steps), delay)
+    assert (shift > 0.0).all()
+    slope = np.polyfit(np.log(steps), np.log(shift), 1)[0]
+    assert slope == pytest.approx(1.0, abs=0.05)
+
+
+SEMI_IMPLICIT = ("euler", "implicit", "implicitfast", "discrete")
+
+
+@pytest.mark.parametrize("integrator", SEMI_IMPLICIT)
+def test_two_semi_implicit_steps_overstate_the_boundary_to_first_order(integrator: str) -> None:
+    check_first_order(integrator, [2e-5, 1e-4], 0.0015)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.005])
+def test_semi_implicit_steps_overstate_the_boundary_to_first_order(delay: float) -> None:
+    for integrator in SEMI_IMPLICIT:
+        check_first_order(integrator, [2e-5, 5e-5, 1e-4], delay)
+
+
+def test_steps_that_miss_the_switch_lengthen_the_delay() -> None:
+    # RK4 at 1 ms sees a delay of 1.5 ms as 2 ms.
+    found = stiffest_of(SteppedLoop(period=T, delay=0.0015, integrator="rk4", step=1e-3, aligned=False)).stiffness
+    assert found == pytest.approx(float(stiffest_wall(period=T, delay=0.002).stiffness), rel=1e-6)
+
+
+NEAR = pytest.mark.parametrize(
+    ("dampings", "margin"), [([110.0], 0.03), pytest.param([60.0, 90.0, 110.0], 0.005, marks=pytest.mark.study)]
+)
+
+
+def shifted_by_steps(dampings: list[float]) -> NDArray[np.float64]:
+    """Return the boundary of walls that MuJoCo steps with Euler at 0.5 ms."""
+    b = np.array(dampings)
+    shifted = boundary_of(SteppedLoop(period=T, delay=0.0015, integrator="euler", step=5e-4), b)
+    assert (shifted > 1.03 * largest_stable_stiffness(b, period=T, delay=0.0015)).all()
+    return shifted
+
+
+@NEAR
+def test_walls_that_settle_with_long_steps_grow_without(dampings: list[float], margin: float) -> None:
+    shifted = shifted_by_steps(dampings)
+    assert not measure_growth(walls((1.0 - margin) * shifted, np.array(dampings)), "mujoco").stable.any()
+
+
+@NEAR
+def test_a_simulation_in_closed_loop_agrees_with_the_measured_shift(dampings: list[float], margin: float) -> None:
+    # MuJoCo itself, with Euler at 0.5 ms, settles in walls that are unstable.
+    b, shifted = np.array(dampings), shifted_by_steps(dampings)
+    euler: dict[str, Any] = {"plant": "mujoco", "integrator": "euler", "longest_step": 5e-4}
+    assert measure_growth(walls((1.0 - margin) * shifted, b), **euler).stable.all()
+    assert not measure_growth(walls((1.0 + margin) * shifted, b), **euler).stable.any()
+
+
+@pytest.mark.parametrize(
+    "delays_of",
+    [
+        ((0.003, 0.002), (0.0034, 0.0015)),
+        pytest.param(((0.003, 0.0015), (0.003, 0.002), (0.0034, 0.001), (0.0034, 0.0015)), marks=pytest.mark.study),
+    ],
+)
+def test_random_delay_acts_as_its_mean_and_not_as_its_worst(delays_of: tuple[tuple[float, float], ...]) -> None:
+    # A third of the delays may be too long; only the mean being too long makes the loop grow, in the plant too.
+    k, b = 6000.0, 80.0
+    critical = float(critical_delay(k, b, period=T))
+    for mean, jitter in delays_of:
+        delays = [Timing(delay=mean, jitter=jitter, seed=0).rest_at(tick) for tick in range(2000)]
+        assert np.mean(np.array(delays) > critical) > 0.25
+        rate = random_delay_rate(k, b, delays)
+        assert (rate < 1.0) == (mean < critical)
+        wall = RestingWall(delay=mean)
+        growth = measure_growth([wall], timing=replace(wall.timing(), jitter=jitter))
+        assert bool(growth.stable[0]) == (mean < critical)
+
+
+def test_bad_resting_walls_are_refused() -> None:
+    with pytest.raises(ParameterError, match="plant must be one of exact, mujoco, not 'moon'"):
+        measure_growth([RestingWall()], "moon")
+    with pytest.raises(ParameterError, match="stiffness must be a finite number above 0"):
+        RestingWall(stiffness=0.0)
+    with pytest.raises(ParameterError, match=r"delay must be a finite number at least 0 and at most 0.05, not 0.06"):
+        RestingWall(delay=0.06)
+    with pytest.raises(ParameterError, match="integrator must be one of"):
+        measure_growth([RestingWall()], "mujoco", integrator="magic")
+    with pytest.raises(ParameterError, match=r"jitter must be at most 0.0015 s at this delay and period, not 0.002"):
+        Timing(delay=0.0015, jitter=0.002)
+
+
+@pytest.mark.parametrize("rate", [0.999, 0.9999, 1.0001, 1.001])
+def test_a_loop_that_no_block_decides_is_judged_by_its_trend(rate: float) -> None:
+    # beside one that grew a thousandfold at once and one that decayed
+    blocks = np.arange(16)
+    slow = rate ** (growing._BLOCK * blocks)
+    assert 1.0 / growing._DECIDED < slow.min() and slow.max() < growing._DECIDED
+    sizes = np.stack(
+        [slow, 10.0 * growing._DECIDED ** (blocks + 1.0), 0.1 * growing._DECIDED ** -(blocks + 1.0)], axis=1
+    )
+    found, decided = growing._judge(sizes, last=True)
+    assert decided.all() and found.stable.tolist() == [rate < 1.0, False, True]
+    assert found.rate[0] == pytest.approx(rate, rel=1e-12)
+    _, decided = growing._judge(sizes, last=False)
+    assert decided.tolist() == [False, True, True]
+
+
+def test_walls_of_several_loops_have_their_own_growth_in_their_own_place() -> None:
+    periods = (0.005, 0.004, 0.003, 0.005, 0.004)
+    walls = [RestingWall(stiffness=4000.0 * (1 + place), period=period) for place, period in enumerate(periods)]
+    found, alone = measure_growth(walls), [measure_growth([wall]) for wall in walls]
+    assert found.rate == pytest.approx([one.rate[0] for one in alone], rel=1e-9) and len(set(found.rate)) == 5
+    assert found.stable.tolist() == [one.stable[0] for one in alone] and len(set(found.stable)) == 2

@@ -1,0 +1,527 @@
+"""Stability of any law against closed forms."""
+
+import math
+import operator
+import sys
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from maglev_mj import AXES, Controller, Wall
+from maglev_mj.control import (
+    AdaptiveWindow,
+    AxisLaw,
+    Bias,
+    Dahl,
+    ElastoPlastic,
+    Friction,
+    Gains,
+    HaywardArmstrong,
+    Hold,
+    ImplicitCoulomb,
+    Law,
+    LowPass,
+    LuGre,
+    ObserverWall,
+    PredictiveWall,
+    SpringReset,
+    StickSlip,
+    VelocityEstimator,
+    Window,
+    gain,
+)
+from maglev_mj.errors import MissingPackageError, ParameterError
+from maglev_mj.scenes.find import find_scene
+from maglev_mj.spec import INERTIA
+from maglev_mj.theory import Verdict, judge, largest_modulus, stability, stated_gains
+from maglev_mj.theory.closed_loop import SampledLoop
+from maglev_mj.theory.linearise import ClosedLoop, linearise
+from tests.sweeps import sweep
+
+T, DELAY = 0.005, 0.0015
+NAMES = ["joystick", "drop", "press", "table", "box", "corner"]
+
+
+class Detent(AxisLaw):
+    """Sine detents."""
+
+    pitch: float = gain(default=0.002, above=0.0)
+    stiffness: float = gain()
+    damping: float = gain(default=50.0)
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        turn = 2.0 * np.pi / gains.pitch
+        return -gains.stiffness / turn * np.sin(turn * x) - gains.damping * v
+
+
+def silent(position: Sequence[Any], velocity: Sequence[Any]) -> Sequence[Any]:
+    """State no gains, and do nothing."""
+    return [0.0] * 6
+
+
+def along_x(force: Callable[[Any, Any], Any]) -> Callable[[Sequence[Any], Sequence[Any]], Sequence[Any]]:
+    """Return a law along x."""
+    return lambda position, velocity: [force(position[0], velocity[0]), 0.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def verdict(
+    *laws: Any, period: float = T, velocity: VelocityEstimator | None = None, axes: int = 1, **how: Any
+) -> Verdict:
+    """Return the verdict on laws, other axes held."""
+    others = Hold.critically_damped(AXES[axes:], inertia=INERTIA[axes:], period=period, delay=DELAY)
+    return judge(Controller([*laws, others], period=period, velocity=velocity), **{"delay": DELAY, **how})
+
+
+def at_rest(controller: Controller, delay: float) -> float:
+    """Return the largest modulus by closed forms, those of free motion left out.
+
+    With friction stuck, as in the linearisation.
+    """
+    gains = stated_gains(controller)
+    assert gains is not None
+    sticks = any("stuck" in acting for acting in gains)
+    chosen = [pair for acting, pair in gains.items() if ("stuck" in acting) is sticks or not sticks]
+    return max(
+        closed(k, b, period=controller.period, delay=delay, mass=mass, velocity=controller.velocity)
+        for pair in chosen
+        for k, b, mass in zip(*pair, INERTIA)
+    )
+
+
+def closed(stiffness: float, damping: float, **loop: Any) -> float:
+    """Return the largest modulus by closed forms, those of free motion left out."""
+    roots = np.linalg.eigvals(SampledLoop(**loop).matrix(stiffness, damping))
+    free = 0 if stiffness > 0.0 else 1 if damping > 0.0 else 2
+    return float(np.abs(roots[np.argsort(np.abs(roots - 1.0))[free:]]).max())
+
+
+def exact(law: AxisLaw, start: Any, *, period: float, delay: float, mass: float) -> NDArray[Any]:
+    """Return the roots of a linear law's loop, nearest to 1 first.
+
+    The law is run on unit states.
+
+    Args:
+        law: The law.
+        start: Its state after rest at 0, a number or a tuple.
+        period: Sample period [s].
+        delay: Delay of less than a period [s].
+        mass: Mass [kg].
+    """
+    size = np.size(start)
+    gains: Any = SimpleNamespace(**{name: getattr(law, name) for name in type(law).__annotations__})
+
+    def step(row: Any) -> Any:
+        x, before, state = row[0], row[1], row[2:]
+        given = tuple(state) if isinstance(start, tuple) else state[0]
+        force, after = law.force(x, (x - before) / period, gains, given)
+        return np.array([force, *np.atleast_1d(after)])
+
+    # position, speed, last command, last position, the law's states
+    columns = [step(row) for row in np.eye(2 + size)]
+    law_row = np.zeros((1 + size, 4 + size))
+    law_row[:, 0], law_row[:, 3], law_row[:, 4:] = columns[0], columns[1], np.array(columns[2:]).T
+    matrix, rest = np.zeros((4 + size, 4 + size)), period - delay
+    late, early = (np.array([time**2 / 2.0, time]) / mass for time in (delay, rest))
+    matrix[:2, :2] = [[1.0, period], [0.0, 1.0]]
+    matrix[:2, 2] = np.array([[1.0, rest], [0.0, 1.0]]) @ late
+    matrix[:2] += np.outer(early, law_row[0])
+    matrix[2], matrix[3, 0], matrix[4:] = law_row[0], 1.0, law_row[1:]
+    roots = np.linalg.eigvals(matrix)
+    return np.asarray(roots[np.argsort(np.abs(roots - 1.0))])
+
+
+def compare(name: str, seed: int) -> None:
+    """Compare both verdicts on a scene with random settings."""
+    random = np.random.default_rng([NAMES.index(name), seed])
+    values = dict(
+        stiffness=float(10.0 ** random.uniform(2.0, 4.7)),
+        damping=float(10.0 ** random.uniform(0.0, 2.6)),
+        friction=bool(random.integers(2)),
+        wall=bool(random.integers(2)),
+        period=float(random.choice([0.005, 0.002, 0.01])),
+        delay=float(random.choice([0.0, 0.0015, 0.005, 0.0065])),
+    )
+    scene = find_scene(name)()
+    scene = scene.replace(**{one: value for one, value in values.items() if one in scene.as_json()})
+    laws = scene.laws()
+    how: dict[str, Any] = {"delay": scene.delay, "pose": scene.start().pose}
+    stated = Controller(laws, period=scene.period)
+    closed, found = judge(stated, **how), judge(Controller([*laws, silent], period=scene.period), **how)
+    assert closed.stated and not found.stated
+    assert found.stable is closed.stable, scene
+    assert found.modulus == pytest.approx(at_rest(stated, scene.delay), abs=1e-9), scene
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_numerical_verdict_is_that_of_the_closed_forms(name: str) -> None:
+    for seed in range(2):
+        compare(name, seed)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", NAMES)
+def test_150_numerical_verdicts_are_those_of_the_closed_forms(name: str) -> None:
+    for seed in range(25):
+        compare(name, 1000 + seed)
+
+
+@pytest.mark.parametrize("velocity", [None, LowPass(), LowPass(20.0), Window(4)])
+@pytest.mark.parametrize("gains", [(6000.0, 80.0), (1000.0, 100.0), (0.0, 30.0), (20000.0, 80.0)])
+def test_velocity_estimates_are_found_as_they_are(
+    gains: tuple[float, float], velocity: VelocityEstimator | None
+) -> None:
+    hold = Hold(stiffness=gains[0] * np.array(INERTIA), damping=gains[1] * np.array(INERTIA))
+    loop: Any = {"period": T, "delay": DELAY, "mass": 1.0, "velocity": velocity}
+    expected = closed(*gains, **loop)
+    for extra in ([], [silent]):
+        found = judge(Controller([hold, *extra], period=T, velocity=velocity), delay=DELAY)
+        assert found.stated is not bool(extra)
+        assert found.modulus == pytest.approx(expected, abs=1e-8)
+        assert found.stable is (expected < 1.0)
+
+
+def test_an_estimate_that_is_not_linear_is_linearised() -> None:
+    controller = Controller(
+        [Hold(axes="x", stiffness=1000.0, damping=20.0)], period=T, velocity=AdaptiveWindow(longest=4)
+    )
+    assert stated_gains(controller) is None
+    (near,) = linearise(controller, np.zeros((1, 6)))
+    # below its resolution it looks as far back as it may
+    assert near.response[0, 0, 0] == pytest.approx(-1000.0 - 20.0 / (4 * T), rel=1e-6)
+
+
+FRICTIONS = [StickSlip, SpringReset, ImplicitCoulomb, Dahl, LuGre, ElastoPlastic, HaywardArmstrong]
+
+
+@pytest.mark.parametrize(("kind", "period"), sweep(FRICTIONS, [0.005, 0.001], every=2))
+def test_friction_states_what_is_found_numerically(kind: type[Friction], period: float) -> None:
+    given: dict[str, Any] = {"axes": "x", "stiffness": 3000.0, "damping": 30.0, "breakaway": 2.0}
+    given |= {"period": period} if kind in (ImplicitCoulomb, LuGre) else {}
+    given |= {"v_min": 0.005} if kind is StickSlip else {}
+    given |= {"element_damping": 20.0} if kind is ImplicitCoulomb else {}
+    given |= {"bristle_damping": 10.0} if kind is LuGre else {}
+    law = kind(**given)
+    always, stuck = law.gains()
+    (near,) = linearise(Controller([law], period=period), np.zeros((1, 6)))
+    creep = 2e-3 if issubclass(kind, Dahl | LuGre) else 1e-6
+    assert near.stiffness[0, 0] == pytest.approx(always.stiffness[0] + stuck.stiffness[0], rel=creep)
+    assert near.damping[0, 0] == pytest.approx(always.damping[0] + stuck.damping[0], rel=creep)
+    assert verdict(law, silent, period=period).stable is True
+
+
+@pytest.mark.parametrize("stiffness", [9870.0, 8000.0, 5000.0, 3000.0, 1000.0])
+def test_detents_are_judged_at_their_bottoms(stiffness: float) -> None:
+    # A crest is no place of rest, whatever the wall: set aside, and counted.
+    found = verdict(Detent(axes="x", stiffness=stiffness), pose=[2e-4, 0, 0, 0, 0, 0])
+    assert found.stable is (stiffness < 9000.0) and len(found.away) > 0
+    assert "push away" in found.remarks[-1]
+    if stiffness == 9870.0:
+        assert found.modulus == pytest.approx(1.0308, abs=1e-4) and found.axes == ("x",)
+        assert found.modulus == pytest.approx(float(largest_modulus(9870.0, 50.0, period=T, delay=DELAY)), abs=1e-8)
+        assert str(found) == "x: largest root 1.031 UNSTABLE"
+
+
+def circulating(position: Sequence[Any], velocity: Sequence[Any]) -> Sequence[Any]:
+    """Couple x and y; no axis alone is unstable."""
+    (x, y), (u, v) = position[:2], velocity[:2]
+    return [-2000.0 * x - 30.0 * u + 1500.0 * y, -2000.0 * y - 30.0 * v - 1500.0 * x, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_axes_that_act_on_each_other_are_judged_together() -> None:
+    found = verdict(circulating, axes=2)
+    assert found.stable is False and found.axes == ("x", "y") and found.modulus == pytest.approx(1.0235, abs=1e-4)
+    (near,) = linearise(Controller([circulating], period=T), np.zeros((1, 6)))
+    assert near.stiffness[:2, :2] == pytest.approx(np.array([[2000.0, -1500.0], [1500.0, 2000.0]]))
+    assert near.closed_loop(delay=DELAY, axes=("x", "y")).modulus == pytest.approx(found.modulus, abs=1e-9)
+    assert near.closed_loop(delay=DELAY, axes="x").modulus < 1.0
+
+
+def test_walls_that_state_no_gains_are_judged_inside_their_faces() -> None:
+    common: dict[str, Any] = {"axes": "x", "lower": -0.00447, "damping": 80.0, "period": T}
+    for stiffness in (4000.0, 20000.0):
+        ahead = PredictiveWall(**common, delay=DELAY, stiffness=stiffness)
+        assert [face[0] for face in ahead.faces()] == [0]
+        found = verdict(ahead, Bias([0.0] * 6))
+        assert found.stable is (stiffness < 9000.0), found.modulus
+    observer = ObserverWall(**common, delay=DELAY, stiffness=4000.0, inertia=INERTIA[0], pole=0.4)
+    loop: Any = {"period": T, "delay": DELAY, "mass": INERTIA[0], "design": lambda k, b, _: observer.linear(k, b)}
+    (near,) = linearise(Controller([observer], period=T), [[-0.0045, 0, 0, 0, 0, 0]])
+    assert near.closed_loop(delay=DELAY, axes="x").modulus == pytest.approx(
+        float(largest_modulus(4000.0, 80.0, **loop)), abs=1e-6
+    )
+
+
+def test_a_start_on_an_edge_is_moved_off_it() -> None:
+    # Else each pose of the grid but those along that axis would be a jump.
+    for side in (1.0, -1.0):
+        edge = along_x(lambda x, v, side=side: (side * x < 0.0) * -(3000.0 * x + 50.0 * v))  # type: ignore[misc]
+        found = verdict(edge)
+        assert found.stable is True and 1 <= len(found.jumps) <= 2
+        assert "jumps or bends" in found.remarks[0]
+
+
+def test_an_axis_without_stiffness_is_stable() -> None:
+    # It may stay anywhere: one root at 1, or two without damping, which are split off.
+    others = Hold.critically_damped(AXES[1:], inertia=INERTIA[1:], period=T, delay=DELAY)
+    held = at_rest(Controller([others], period=T), DELAY)
+    for force in (lambda x, v: 0.0 * x, lambda x, v: -30.0 * v, lambda x, v: -1e-9 * x - 1e-12 * v):
+        found = verdict(along_x(force))
+        assert found.stable is True and found.modulus == pytest.approx(held, abs=1e-6)
+    assert verdict(along_x(lambda x, v: -400.0 * v)).stable is False
+
+
+class Washout(AxisLaw):
+    """Spring that pushes away and yields: no stiffness but for the cut-off part of its answer."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        slow = x if state is None else state + 0.05 * (x - state)
+        return 200.0 * (x - slow) - 30.0 * v, slow
+
+
+def test_the_end_of_a_long_answer_does_not_push_away() -> None:
+    found = verdict(Washout(axes="x"))
+    roots = exact(Washout(axes="x"), 0.0, period=T, delay=DELAY, mass=INERTIA[0])
+    assert abs(roots[0] - 1.0) < 1e-12 and found.modulus == pytest.approx(np.abs(roots[1:]).max(), abs=1e-9)
+    assert found.stable is True and not found.remarks
+
+
+class VirtualMass(AxisLaw):
+    """Mass that the flotor draws along by a spring and a damper."""
+
+    mass: float = gain(default=1.0)
+    stiffness: float = gain(default=1000.0)
+    damping: float = gain(default=10.0)
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        place, speed = (x, 0.0 * x) if state is None else state
+        force = gains.stiffness * (place - x) + gains.damping * (speed - v)
+        speed = speed - 0.001 * force / gains.mass
+        return force, (place + 0.001 * speed, speed)
+
+
+@pytest.mark.parametrize(
+    ("mass", "coupling"),
+    [
+        (0.1, (500.0, 5.0)),
+        (0.3, (2000.0, 20.0)),
+        (1.0, (10000.0, 40.0)),
+        (3.0, (60000.0, 100.0)),
+        (1.0, (20000.0, 4.0)),
+    ],
+)
+def test_a_virtual_mass_is_judged_without_its_free_motion(mass: float, coupling: tuple[float, float]) -> None:
+    law = VirtualMass(axes="z", mass=mass, stiffness=coupling[0], damping=coupling[1])
+    roots = exact(law, (0.0, 0.0), period=0.001, delay=0.0005, mass=INERTIA[2])
+    assert np.abs(roots[:2] - 1.0).max() < 1e-6  # a double root is known to half of the digits
+    found = judge(Controller([law], period=0.001), delay=0.0005)
+    assert found.modulus == pytest.approx(np.abs(roots[2:]).max(), abs=1e-9) and found.axes == ("z",)
+    assert found.stable is bool(np.abs(roots).max() < 1.0 + 1e-6) and not found.remarks
+
+
+class Integral(AxisLaw):
+    """Proportional, integral and derivative action, with a leak."""
+
+    leak: float = gain(default=0.0)
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        area = (0.0 if state is None else state) * (1.0 - gains.leak) + 0.005 * x
+        return -1000.0 * x - 40.0 * v - 1000.0 * area, area
+
+
+@pytest.mark.parametrize("leak", [0.0, 1e-4, 0.1])
+def test_an_integral_is_judged_by_its_own_root(leak: float) -> None:
+    found = verdict(law := Integral(axes="x", leak=leak))
+    roots = exact(law, 0.0, period=T, delay=DELAY, mass=INERTIA[0])
+    assert found.stable is True and found.modulus == pytest.approx(np.abs(roots).max(), abs=1e-9)
+    assert np.isinf(found.stiffness[0, 0]) == (leak == 0.0)
+
+
+WEIGHTS = np.random.default_rng(0).standard_normal(600)
+
+
+class Echo(AxisLaw):
+    """Force by the positions of 600 samples, as no law of few states has it."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        line = (x,) * len(WEIGHTS) if state is None else (x, *state[:-1])
+        return -1000.0 * x - 40.0 * v - sum(map(operator.mul, WEIGHTS, line)), line
+
+
+class Cave(Echo):
+    """Echo at one end of the range only."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        echo, line = super().force(x, v, gains, state)
+        near = x < -3e-3
+        return near * echo + (1.0 - near) * (-1000.0 * x - 40.0 * v), line
+
+
+@pytest.mark.parametrize("longest", [100, pytest.param(512, marks=pytest.mark.study)])
+def test_an_answer_that_does_not_die_away_is_not_known(longest: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", longest)
+    monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[: longest + 88])
+    found = verdict(Echo(axes="x"))
+    assert found.stable is None and len(found.unknown) > 100 and "512 samples" in found.remarks[0]
+    assert str(found).endswith("not known")
+    # nor is a controller known that is stable at all poses but a few
+    few = verdict(Cave(axes="x"))
+    assert few.stable is None and few.modulus < 1.0 and 0 < len(few.unknown) < 10
+    # what is unstable for certain is said to be
+    assert verdict(Echo(axes="y"), Hold(axes="x", stiffness=20000.0, damping=80.0), axes=2).stable is False
+
+
+class Corner(AxisLaw):
+    """Integral action at one end of the range only, with a leak or none."""
+
+    leak: float = gain(default=0.0)
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        area = (0.0 if state is None else state) * (1.0 - gains.leak) + (x < -3e-3) * 0.005 * x
+        return -1000.0 * x - 40.0 * v - 1000.0 * area, area
+
+
+def test_an_answer_that_lasts_at_some_poses_alone_is_waited_for_there() -> None:
+    for leak in (0.0, 0.1):
+        found = verdict(Corner(axes="x", leak=leak))
+        there = exact(Integral(axes="x", leak=leak), 0.0, period=T, delay=DELAY, mass=INERTIA[0])
+        assert found.stable is True and not len(found.unknown)
+        assert found.modulus >= np.abs(there).max() - 1e-9
+
+
+@pytest.mark.parametrize("period", [0.005, 1e-4])
+def test_displacements_stay_below_the_speed_at_which_friction_slides(period: float) -> None:
+    law = along_x(lambda x, v: (abs(v) < 4e-4) * (-3000.0 * x) - 20.0 * v)
+    (near,) = linearise(Controller([law], period=period), np.zeros((1, 6)))
+    assert near.stiffness[0, 0] == pytest.approx(3000.0) and not near.jumps.any()
+
+
+def test_jumps_are_counted_and_no_gains() -> None:
+    relay = along_x(lambda x, v: -0.5 * ((x > 0.0) * 1.0 - (x < 0.0) * 1.0) - 20.0 * v)
+    found = verdict(relay)
+    assert found.stable is True and len(found.jumps) == 1
+    # a force that jumps with the speed jumps wherever the flotor rests: nothing is known
+    coulomb = verdict(along_x(lambda x, v: -0.5 * ((v > 0.0) * 1.0 - (v < 0.0) * 1.0)))
+    assert coulomb.stable is None and len(coulomb.jumps) > 100
+
+
+def test_laws_of_floats_alone_and_laws_that_mix_devices_are_asked_one_by_one() -> None:
+    poses = [[0.0] * 6, [1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]]
+    for force in (lambda x, v: -5.0 * math.sin(100.0 * x), lambda x, v: -5.0 * np.sin(100.0 * np.max(x))):
+        for near, pose in zip(linearise(Controller([along_x(force)], period=T), poses), poses, strict=True):
+            assert near.stiffness[0, 0] == pytest.approx(500.0 * math.cos(100.0 * pose[0]), rel=1e-6)
+
+
+def test_an_answer_that_is_not_finite_is_not_known() -> None:
+    with np.errstate(invalid="ignore"):
+        (near,) = linearise(Controller([along_x(lambda x, v: np.sqrt(1e-16 - x * x))], period=T), np.zeros((1, 6)))
+    assert near.settled.tolist() == [False, True, True, True, True, True]
+
+
+def test_the_controller_is_left_as_it_is() -> None:
+    controller = Controller([StickSlip(axes="x", stiffness=1e3, breakaway=1.0, v_min=0.01)], period=T)
+    before = controller.states
+    judge(controller, delay=DELAY)
+    linearise(controller, np.zeros((1, 6)))
+    assert controller.states == before
+
+
+def test_a_scene_of_any_kind_is_judged() -> None:
+    controller = Controller([Hold(stiffness=np.array(INERTIA) * 3e4, damping=np.array(INERTIA) * 300.0)], period=T)
+    scene: Any = SimpleNamespace(
+        delay=DELAY,
+        controller=lambda: controller,
+        start=lambda: SimpleNamespace(pose=[0.0] * 6),
+        plant_options=dict,
+    )
+    assert stability(scene).stable is False
+    heavy = stability(scene, inertia=np.array(INERTIA) * 10.0)
+    assert heavy.stable is True and heavy.modulus == pytest.approx(
+        float(largest_modulus(3e3, 30.0, mass=1.0)), abs=1e-9
+    )
+
+
+def test_a_stated_gain_below_zero_is_judged_numerically() -> None:
+    class Negative(Law):
+        def gains(self) -> list[Gains]:
+            return [Gains("always", np.full(6, -300.0), np.zeros(6))]
+
+        def __call__(self, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
+            wrench[0] = wrench[0] + 300.0 * position[0]
+            return None, None
+
+    found = verdict(Negative())
+    assert not found.stated and found.stable is False
+
+
+def test_bad_values_are_refused_in_one_line() -> None:
+    controller = Controller([silent], period=T)
+    for how, message in (
+        ({"delay": -1.0}, "delay must be"),
+        ({"delay": 1.0}, "at most 10 periods"),
+        ({"delay": 0.0, "pose": [0.0] * 3}, r"must be \(6,\)"),
+        ({"delay": 0.0, "inertia": [0.0] * 6}, "above 0"),
+    ):
+        with pytest.raises(ParameterError, match=message) as caught:
+            judge(controller, **how)
+        assert "\n" not in str(caught.value)
+    batch = Controller([Hold(stiffness=np.ones((3, 6)), damping=0.0)], period=T)
+    with pytest.raises(ParameterError, match="batch shape"):
+        judge(batch, delay=0.0)
+
+
+def test_a_state_space_needs_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "control", None)
+    (near,) = linearise(Controller([silent], period=T), np.zeros((1, 6)))
+    with pytest.raises(MissingPackageError, match=r"python-control: .* -m pip install '?(control>=|\.\[control)"):
+        near.to_statespace()
+
+
+def loop_response(loop: ClosedLoop, push: NDArray[Any]) -> NDArray[Any]:
+    """Return the positions of a loop under a wrench, (n, K), by its recurrence."""
+    state, rows = np.zeros(len(loop.matrix)), []
+    for wrench in push.T:
+        rows.append(loop.seen @ state)
+        state = loop.matrix @ state + loop.enters @ wrench
+    return np.array(rows).T
+
+
+def test_state_spaces_of_controller_and_loop_answer_as_they_do() -> None:
+    import control
+
+    hold = Hold(stiffness=np.array(INERTIA) * 4000.0, damping=np.array(INERTIA) * 60.0)
+    (near,) = linearise(Controller([hold], period=T, velocity=LowPass()), np.zeros((1, 6)))
+    loop = near.closed_loop(delay=DELAY)
+    law, plant = near.to_statespace(), loop.to_statespace()
+    assert law.dt == plant.dt == T and np.abs(plant.poles()).max() == pytest.approx(loop.modulus, abs=1e-9)
+    # the flotor under a constant push, in the loop and with the controller around it
+    push = np.zeros((6, 300))
+    push[0] = 1.0
+    moved = loop_response(loop, push)
+    np.testing.assert_allclose(control.forced_response(plant, inputs=push).outputs, moved, atol=1e-15)
+    # a push held for a period moves the flotor from rest by T²/2m, before any law answers
+    assert moved[0, 1] == pytest.approx(T**2 / 2.0 / INERTIA[0], rel=1e-12)
+    free = linearise(Controller([silent], period=T), np.zeros((1, 6)))[0].closed_loop(delay=DELAY)
+    times = T * np.arange(300)
+    np.testing.assert_allclose(loop_response(free, push)[0], times**2 / 2.0 / INERTIA[0], rtol=1e-9)
+    moved = control.forced_response(plant, inputs=push).outputs
+    assert moved[0, -1] == pytest.approx(1.0 / near.stiffness[0, 0], rel=1e-3)
+    answer = control.forced_response(law, inputs=moved).outputs
+    assert answer[0, -1] == pytest.approx(-1.0, rel=1e-3)
+    # each answer is the sum over the positions so far, the newest first
+    past = np.convolve(moved[0], near.response[:, 0, 0])[: len(times)]
+    assert len(near.response) > 3
+    np.testing.assert_allclose(answer[0], past, atol=1e-12)
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "ry"])
+def test_a_hold_on_an_axis_without_a_wall_is_judged_too(axis: str) -> None:
+    laws = [Wall(axes="z", lower=0.0, stiffness=1000.0, damping=40.0), Hold(axes=axis, stiffness=5e4, damping=1.0)]
+    found = judge(Controller(laws, period=0.005), delay=DELAY)
+    assert (found.stable, found.axes, found.stated) == (False, (axis,), True)
+    # of two that are unstable the worse is named
+    worse = [*laws, Hold(axes="z", stiffness=1e9, damping=1.0)]
+    assert judge(Controller(worse, period=0.005), delay=DELAY).axes == ("z",)

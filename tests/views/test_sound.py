@@ -1,0 +1,158 @@
+"""Forces as sound: `maglev-mj export --to wav`, and in clips."""
+
+from __future__ import annotations
+
+import subprocess
+import wave
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from maglev_mj import export, record_run
+from maglev_mj.cli import main
+from maglev_mj.recording import Recording
+from maglev_mj.recording.export import write_sound
+from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.stick_slip import StickSlip
+from maglev_mj.views.window import offscreen
+from maglev_mj.views.window.offscreen import render
+from tests.theory.closed_loop import pd_matrix
+
+PERIOD = 0.001
+
+
+def recording_of(force: Any, axis: int = 2) -> Recording:
+    """Return a recording at 1 kHz with a force [N] on one axis, (N,)."""
+    (stretch,) = record_run(Drop(period=PERIOD, delay=0.0, duration=0.1), plant="exact").stretches
+    rows = len(force)
+    assert abs(stretch.metadata.period - PERIOD) < 1e-12
+    arrays = {name: np.resize(values, (rows, *values.shape[1:])) for name, values in stretch.arrays.items()}
+    arrays["applied"] = np.zeros((rows, 6))
+    arrays["applied"][:, axis] = force
+    return Recording([replace_arrays(stretch, arrays)])
+
+
+def replace_arrays(stretch: Any, arrays: dict[str, Any]) -> Any:
+    """Return a stretch with other arrays."""
+    return type(stretch)(setup=stretch.setup, arrays=arrays, gaps=())
+
+
+def heard(recording: Recording, path: Path) -> tuple[int, Any]:
+    """Return rate and values between -1 and 1 of a recording's sound."""
+    export(recording, "wav", path)
+    with wave.open(str(path)) as sound:
+        assert (sound.getnchannels(), sound.getsampwidth()) == (1, 2)
+        return sound.getframerate(), np.frombuffer(sound.readframes(sound.getnframes()), "<i2") / 32767
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_sine_of_force_is_heard_at_its_frequency_and_on_the_stated_scale(axis: int, tmp_path: Path) -> None:
+    time = np.arange(20_000) * PERIOD  # more than one block
+    recording = recording_of(7.0 + 20.0 * np.sin(2 * np.pi * 125.0 * time), axis)
+    rate, sound = heard(recording, tmp_path / "sine.wav")
+    assert rate == 48_000 and len(sound) == 20 * rate
+    spectrum = np.abs(np.fft.rfft(sound[rate:])) * 2 / (19 * rate)
+    assert np.argmax(spectrum) / 19 == 125.0
+    turn, kept = np.exp(-2j * np.pi * 125 * PERIOD), np.exp(-2 * np.pi * 20 * PERIOD)
+    passed = abs(kept * (1 - turn) / (1 - kept * turn)) * np.sinc(125 * PERIOD)  # high-pass, and each sample held
+    assert abs(spectrum.max() * 50 / (20 * passed) - 1) < 0.001
+
+
+def test_a_torque_is_heard_where_the_scene_turns_and_what_is_not_known_is_silent(tmp_path: Path) -> None:
+    (stretch,) = record_run(StickSlip(period=PERIOD, delay=0.0, axis="ry", duration=0.1), plant="exact").stretches
+    applied = np.zeros((100, 6))
+    applied[:, 2], applied[50:, 4], applied[60:, 4] = np.arange(100.0), -0.5, np.nan
+    arrays = {name: values[:100] for name, values in stretch.arrays.items()} | {"applied": applied}
+    held = heard(Recording([replace_arrays(stretch, arrays)]), tmp_path / "torque.wav")[1].reshape(-1, 48)[:, 0]
+    kept = np.exp(-2 * np.pi * 20 * PERIOD)
+    step = -0.5 * kept ** np.arange(1, 11)  # of 1 N m
+    assert not held[:50].any() and held[50:60] == pytest.approx(step, abs=1e-4)
+    assert held[60] == pytest.approx(kept * (step[-1] + 0.5), abs=1e-4)
+
+
+def test_a_force_at_rest_is_silent_and_a_slow_one_is_faint(tmp_path: Path) -> None:
+    assert not heard(recording_of(np.full(500, 7.0)), tmp_path / "rest.wav")[1].any()
+    slow = 20.0 * np.sin(2 * np.pi * 1.0 * np.arange(4000) * PERIOD)
+    assert np.abs(heard(recording_of(slow), tmp_path / "slow.wav")[1]).max() < 0.06 * 20 / 50
+
+
+def test_each_force_is_held_and_one_beyond_the_scale_is_cut(tmp_path: Path) -> None:
+    sound = heard(recording_of(np.where(np.arange(100) % 2, 200.0, -200.0)), tmp_path / "loud.wav")[1]
+    held = sound.reshape(-1, 48)
+    assert (held == held[:, :1]).all() and set(held[40:, 0]) == {-1.0, 1.0}
+
+
+def test_a_step_of_a_slowed_force_fades_as_fast_as_in_real_time(tmp_path: Path) -> None:
+    wrench = np.zeros((2, 6))
+    wrench[1, 2] = 40.0
+    with (tmp_path / "step.wav").open("wb") as file:
+        write_sound(file, [(wrench, 0.1)], turns=False)
+    with wave.open(str(tmp_path / "step.wav")) as sound:
+        frames = np.frombuffer(sound.readframes(sound.getnframes()), "<i2") / 32767
+    kept = np.exp(-2 * np.pi * 20.0 * 0.005 * (1 + np.arange(4800) // 240))
+    assert not frames[:4800].any() and frames[4800:] == pytest.approx(40 / 50 * kept, abs=1e-4)
+
+
+def test_a_wall_that_buzzes_is_louder_than_one_that_does_not(tmp_path: Path) -> None:
+    loud, calm = (
+        heard(record_run(Drop(stiffness=stiffness, pulse=0.0), plant="exact"), tmp_path / "drop.wav")[1]
+        for stiffness in (12_000.0, 4000.0)
+    )
+    assert np.std(loud[-9600:]) > 10 * np.std(calm[-9600:])
+
+
+def test_an_empty_and_a_wrong_file_are_refused_in_one_line(tmp_path: Path, capsys: Any) -> None:
+    Recording([]).save(tmp_path / "empty.maglev")
+    (tmp_path / "wrong.maglev").write_bytes(b"no recording")
+    for name, words in {"empty": "nothing to hear", "wrong": "wrong.maglev"}.items():
+        assert main(["export", str(tmp_path / f"{name}.maglev"), "--to", "wav"]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert words in line and not (tmp_path / f"{name}.wav").exists()
+
+
+def render_buzz(path: Path, time_scale: float) -> float:
+    """Write a clip of 1.5 s of a wall that rings; return its frequency [Hz]."""
+    scene = Drop(height=1e-4, stiffness=9_500.0, pulse=0.0, duration=3.0)
+    render(scene, path, seconds=1.5, time_scale=time_scale, width=160, height=160, rate=2, plots=False)
+    matrix = pd_matrix(scene.stiffness, scene.damping, period=scene.period, delay=scene.delay, mass=scene.mass)
+    roots = np.linalg.eigvals(matrix)
+    return float(abs(np.angle(roots[np.abs(roots).argmax()]))) / (2.0 * np.pi * scene.period)
+
+
+def decoded(path: Path, *options: str) -> Any:
+    """Return the sound of a file, by ffmpeg."""
+    from imageio_ffmpeg import get_ffmpeg_exe
+
+    command = [get_ffmpeg_exe(), "-loglevel", "error", "-i", str(path), "-f", "s16le", "-ar", "48000", *options, "-"]
+    return np.frombuffer(subprocess.run(command, check=True, capture_output=True).stdout, "<i2") / 32767
+
+
+@pytest.mark.needs("drawing")
+@pytest.mark.parametrize("time_scale", [pytest.param(1.0, marks=pytest.mark.study), 0.5])
+def test_a_clip_has_the_buzz_of_a_wall_slowed_as_its_pictures(time_scale: float, tmp_path: Path) -> None:
+    frequency = render_buzz(tmp_path / "buzz.mp4", time_scale)
+    sound, length = decoded(tmp_path / "buzz.mp4"), 1.5 / time_scale
+    assert len(sound) == pytest.approx(48_000 * length, abs=2048)  # a block of the encoder
+    ringing = sound[len(sound) // 3 :]
+    spectrum = np.abs(np.fft.rfft(ringing * np.hanning(len(ringing))))
+    assert np.argmax(spectrum) * 48_000 / len(ringing) == pytest.approx(frequency * time_scale, abs=1.5 / length)
+
+
+@pytest.mark.needs("drawing")
+def test_a_clip_without_an_encoder_for_sound_is_silent_and_says_so(
+    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refused = subprocess.CompletedProcess((), 1, b"", b"Unknown encoder 'aac'\nnothing written")
+    parts: list[Any] = []
+    monkeypatch.setattr(offscreen, "subprocess", SimpleNamespace(run=lambda *_, **__: refused))
+    monkeypatch.setattr(offscreen, "write_sound", lambda file, heard, turns: parts.extend(heard))
+    render_buzz(tmp_path / "buzz.mp4", 1.0)
+    assert capsys.readouterr().out.splitlines() == [f"  {tmp_path / 'buzz.mp4'} is silent: Unknown encoder 'aac'"]
+    assert [one.name for one in tmp_path.iterdir()] == ["buzz.mp4"]
+    assert [(forces.shape, period) for forces, period in parts] == [((300, 6), 0.005)]  # each sample once
+    monkeypatch.undo()
+    with pytest.raises(subprocess.CalledProcessError):
+        decoded(tmp_path / "buzz.mp4")  # no sound in it

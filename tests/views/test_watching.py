@@ -1,0 +1,396 @@
+"""Viewer process of a device: messages both ways.
+
+A wall felt through the mouse too.
+"""
+
+import multiprocessing
+import os
+import re
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import glfw
+import numpy as np
+import pytest
+
+from maglev_mj.errors import MaglevError
+from maglev_mj.parameters import Turn, param
+from maglev_mj.plants.hand import SpringHand
+from maglev_mj.recording import Recording
+from maglev_mj.scenes import Scene
+from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Session, Snapshot, device_actions
+from maglev_mj.views.viewer_process import Inbox, RemoteSession, RemoteViewer, show_remotely
+from maglev_mj.views.window.keys import keys_of
+from maglev_mj.views.window.window import show
+from tests.processes import PATIENCE, Program, started
+from tests.views.virtual_screen import VirtualScreen, waited
+
+SIZE = 600, 450
+"""Size of the screen [px], which software draws."""
+
+
+def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() -> None:
+    near, far = Pipe()
+    watched = RemoteSession(far, Snapshot(scene=Joystick()))
+    pose, scene, faces = np.arange(6.0) * 1e-3, Joystick(stiffness=4000.0), ((0, 1.0, 3e-3),)
+    sent = Snapshot(
+        scene=scene,
+        tick=3,
+        time=0.015,
+        pose=pose,
+        faces=faces,
+        history=np.array([(0.005 * tick, *[1e-3] * 24) for tick in range(3)]),
+        notes=["a note"],
+    )
+    near.send(sent)
+    assert watched.tick(0.02) == 3
+    view = watched.snapshot()
+    assert (view.pose == pose).all() and view.scene == scene and view.notes == ["a note"]
+    assert view.faces == ((0, 1.0, 3e-3),) and view.history.shape == (3, 25) and view.time == pytest.approx(0.015)
+    watched.hand.target = [1e-3] * 6
+    watched.act("wall")
+    watched.tick(0.02)
+    assert [near.recv(), near.recv()] == [("act", "wall"), ("hand", [1e-3] * 6)]
+    watched.tick(0.02)
+    assert not near.poll()  # the hand has not moved
+    near.close()
+    with pytest.raises(MaglevError, match="the device's program has ended"):
+        watched.tick(0.02)
+    far.close()
+
+
+class OpenedHere:
+    """Replacement of a process, with its line kept here."""
+
+    def __init__(self, target: Any, args: Any) -> None:
+        line, self.blank, _ = args
+        self.line = Connection(os.dup(line.fileno()))  # its parent closes the one that it gives away
+
+    def start(self) -> None: ...
+
+    def join(self, patience: float) -> None: ...
+
+    def is_alive(self) -> bool:
+        return False
+
+
+def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Each sample's row arrives once; keys pressed between two snapshots add up; a closed window is told of once.
+    ends: list[OpenedHere] = []
+
+    def opened(**keywords: Any) -> OpenedHere:
+        ends.append(OpenedHere(**keywords))
+        return ends[-1]
+
+    monkeypatch.setattr(multiprocessing, "get_context", lambda method: SimpleNamespace(Process=opened))
+    motion, blank = SampledMotion(), Snapshot(scene=Joystick())
+    viewer, closed = RemoteViewer(blank, show), []
+    viewer._inbox = Inbox(0.0)
+    viewer.on_close = lambda: closed.append(1)
+    far = ends[0].line
+    session = RemoteSession(far, ends[0].blank)
+    for tick in range(1, 1001):
+        time = tick * 0.005
+        motion.add(time, np.full(6, 1e-6 * tick), np.ones(6), [0.5] * 6)
+        if tick % 3 == 0:
+            shown = replace(blank, tick=tick, time=time, history=motion.history.rows, work=motion.work)
+            viewer.show(shown)
+            session.tick(0.0)
+    rows = session.snapshot().history
+    assert (rows[-399:] == motion.history.rows[-400:-1]).all()  # the last was not shown
+    assert len(rows) == pytest.approx(400, abs=2)
+    assert rows[1:, 7] == pytest.approx(1e-6 / 0.005)
+    assert session.snapshot().work == pytest.approx(6 * 0.5 * 998e-6)
+    session.hand.target = [1e-3] * 6
+    session.tick(0.0)
+    for action in ("stiffness up", "pause", "stiffness up", "wall"):
+        session.act(action)
+    request = viewer.take()
+    assert request is not None and request.scene == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
+    request.reply("not heard")
+    assert viewer.hand.target == [1e-3] * 6
+    viewer.show(replace(blank, scene=Joystick(stiffness=3000.0)))  # the person is not the only one who changes it
+    session.act("wall")
+    request = viewer.take()
+    assert request is not None and request.scene == Joystick(stiffness=3000.0, wall=False)
+    far.close()
+    for _ in range(3):
+        viewer.take()
+        viewer.show(blank)
+    assert closed == [1] and viewer.hand.target is None
+    viewer.close()
+
+
+@contextmanager
+def flying(screen: VirtualScreen, folder: Path, look: str, *options: str) -> Iterator[tuple[Program, Program, int]]:
+    """Yield a twin, its host in flight, and the window of one of them."""
+    views = {name: ["--view"] if name == look else [] for name in ("twin", "bridge")}
+    address = ["--listen", "udp://127.0.0.1:0", "--watchdog", "1"]
+    with started("twin", *address, *views["twin"], env=screen.environment) as twin:
+        place = twin.wait_for(r"udp://\S+:\d+")
+        with started(
+            "bridge",
+            place,
+            "--as-written",
+            "--anyway",
+            *("--stiffness", "2000", "--damping", "30"),  # bear 8 ms, which a busy machine's line needs
+            "--out",
+            str(folder),
+            *options,
+            *views["bridge"],
+            env=screen.environment,
+        ) as host:
+            window = screen.window("MuJoCo")
+            host.wait_for("takes off")
+
+            def focused() -> bool:
+                with suppress(AssertionError):  # refused until it is on the screen
+                    screen.xdotool("windowfocus", window)
+                    return True
+                return False
+
+            waited(focused, PATIENCE)
+            yield twin, host, window
+
+
+@pytest.mark.needs("screen", "xdotool")
+def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_path: Path) -> None:
+    record = tmp_path / "run.maglev"  # which is read while it is written
+    with VirtualScreen(*SIZE) as screen:
+        with flying(screen, tmp_path, "twin", "--seconds", "60", "--record", str(record)) as (twin, host, window):
+            for _ in range(8):  # a busy machine's window takes long to draw, and misses a drag
+                time.sleep(1.0)
+                _pull(screen, window)
+                (stretch,) = Recording.load(record).stretches
+                if np.abs(stretch.position[:, :3]).max() > 3.5e-3:
+                    break
+            landed = host.end()
+            assert landed.status == 0, landed
+            ended = twin.end()
+            assert ended.status == 0 and "faults: none" in ended.output
+    (stretch,) = Recording.load(record).stretches
+    far = int(np.argmax(np.abs(stretch.position[:, :3]).max(axis=1)))
+    axis = int(np.argmax(np.abs(stretch.position[far, :3])))
+    within = np.abs(stretch.position[:, axis]) > 3.5e-3
+    # held there, for a late sample of a busy machine lets it in further
+    place, pushed = (float(np.median(each[within, axis])) for each in (stretch.position, stretch.applied))
+    # into the wall at 3.5 mm, which pushes back with 2000 N/m; the spring to the centre alone gives about 1 N
+    assert 3.6e-3 < abs(place) < 5e-3
+    assert pushed * place < 0.0 and abs(pushed) > 1.2
+
+
+@pytest.mark.needs("screen", "xdotool")
+@pytest.mark.parametrize("look", ["bridge", pytest.param("twin", marks=pytest.mark.study)])
+def test_escape_in_a_window_cuts_the_currents(look: str, tmp_path: Path) -> None:
+    with VirtualScreen(*SIZE) as screen, flying(screen, tmp_path, look) as (twin, host, _window):
+        screen.xdotool("mousemove", 200, 200)
+
+        def cut() -> bool:
+            screen.xdotool("key", "Escape")  # a window that is not drawn yet misses it
+            time.sleep(0.3)
+            return host.child.poll() is not None
+
+        waited(cut, PATIENCE)
+        stopped = host.end(None)
+        assert stopped.status == 1 and "ESTOP: " in stopped.output + stopped.errors
+        assert "fault, faults: ESTOP" in twin.end().output
+
+
+class ViewerHere(RemoteViewer):
+    """A viewer whose window is this test.
+
+    Attributes:
+        sent: What it has shown.
+        window: The session behind the window.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        line, far = Pipe()
+        received = lambda: [line.recv() for _ in iter(line.poll, False)]  # noqa: E731
+        self.sent, self.window = list[Snapshot](), RemoteSession(far, Snapshot(scene=scene))
+        front = SimpleNamespace(received=received, ended=False, ready=True, send=self.sent.append)
+        with patch("maglev_mj.views.viewer_process.SideProcess", return_value=front):
+            super().__init__(Snapshot(scene=scene), show)
+        self._inbox = Inbox(0.0)
+
+
+def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:
+    viewer, pressed = ViewerHere(Joystick()), []
+    viewer.on_emergency = lambda: pressed.append(1)
+    viewer.window.act(keys_of(device_actions(Joystick))[glfw.KEY_ESCAPE])
+    assert viewer.take() is None and pressed == [1]
+
+
+class Steep(Scene):
+    """Scene that refuses some values set by keys.
+
+    A number and a switch.
+    """
+
+    level: float = param("level", default=1.0, above=0.0, live=Turn(add=1.0))
+    fragile: bool = param("fails", default=False, live=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.fragile:
+            raise ValueError("it breaks")
+
+
+@pytest.mark.parametrize(("key", "said"), [("level down", "level must be"), ("fragile", "ValueError: it breaks")])
+def test_what_a_scene_refuses_ends_no_flight_and_is_told(key: str, said: str) -> None:
+    """Keys are taken in the loop of a device."""
+    viewer = ViewerHere(Steep())
+    viewer.window.act(key)
+    assert viewer.take() is None
+    viewer.show(Snapshot(scene=Steep(), notes=["a device"]))
+    assert viewer.sent[0].notes[0] == "a device" and said in viewer.sent[0].notes[1]
+    viewer.window.act("level up")
+    request = viewer.take()
+    assert request is not None and request.scene == Steep(level=2.0)
+
+
+def test_a_device_takes_what_its_scene_has_and_is_not_rewound() -> None:
+    viewer = ViewerHere(Joystick())
+    viewer.window.change({"stiffness": 3000.0, "hand_stiffness": 9.0})
+    request = viewer.take()
+    assert request is not None and request.scene == Joystick(stiffness=3000.0)
+    viewer.window.act("of another scene")
+    assert viewer.take() is None and not viewer._note.lines
+    viewer.window.change({"rewind": 1.0})
+    assert viewer.take() is None and "a device cannot be rewound" in viewer._note.lines[0]
+
+
+def test_a_scene_that_has_started_again_is_shown_from_its_beginning() -> None:
+    viewer, blank = ViewerHere(Joystick()), Snapshot(scene=Joystick())
+    for times in ([0.9, 1.0], [0.005, 0.01], [0.01, 0.015]):
+        viewer.show(replace(blank, time=times[-1], history=np.full((2, 25), 1.0) * np.array(times)[:, None]))
+    assert [shown.history[:, 0].tolist() for shown in viewer.sent] == [[0.9, 1.0], [0.005, 0.01], [0.015]]
+
+
+def test_where_a_recording_has_jumped_few_rows_are_sent_and_the_newest_of_them() -> None:
+    viewer, rows = ViewerHere(Joystick()), np.zeros((5000, len(SampledMotion().history.rows.T)))
+    rows[:, 0] = 0.005 * np.arange(5000)
+    viewer.show(Snapshot(scene=Joystick(), time=25.0, history=rows))
+    sent = viewer.sent[0].history[:, 0]
+    assert 350 <= len(sent) <= 400 and sent[-1] == rows[-1, 0] and np.ptp(np.diff(sent)) < 1e-9
+
+
+@pytest.mark.machine
+def test_a_page_whose_process_ends_ends_the_session() -> None:
+    with pytest.raises(MaglevError, match="the process that shows the scene has ended"):
+        show_remotely(Session(), id, 60.0)
+
+
+def test_a_folder_that_takes_no_recording_ends_no_session() -> None:
+    viewer, session = ViewerHere(Joystick()), Session()
+    with patch("maglev_mj.session.session.open_recording", side_effect=OSError("no space left")):
+        viewer.window.act("record")
+        viewer.serve(session)
+    assert viewer.sent[0].notes == ["no space left"] and session.tick(0.02) > 0
+    session.close()
+
+
+def _pull(screen: VirtualScreen, window: int) -> None:
+    """Pull the handle by mouse until at a wall.
+
+    A window's camera and first frames take their time.
+    """
+    screen.xdotool("windowfocus", window)
+    left, top, width, height = _place(screen, window)
+    x, y = left + width // 2, top + height // 3
+    screen.xdotool("mousemove", x, y)
+    screen.xdotool("keydown", "ctrl")
+    screen.xdotool("mousedown", 3)
+    for step in range(25):
+        screen.xdotool("mousemove", x + 10 * step, y)
+        time.sleep(0.1)
+    time.sleep(1.5)
+    screen.xdotool("mouseup", 3)
+    screen.xdotool("keyup", "ctrl")
+
+
+def _place(screen: VirtualScreen, window: int) -> tuple[int, int, int, int]:
+    text = screen.xdotool("getwindowgeometry", window)
+    left, top = map(int, re.findall(r"Position: (-?\d+),(-?\d+)", text)[0])
+    width, height = map(int, re.findall(r"Geometry: (\d+)x(\d+)", text)[0])
+    return left, top, min(width, SIZE[0]), min(height, SIZE[1])
+
+
+def test_a_flood_of_requests_delays_no_tick_and_no_emergency_stop() -> None:
+    # Ten seconds of 4800 slider values a second and half as many actions, the stop amid them.
+    now = [100.0]
+    inbox = Inbox(clock=lambda: now[0])
+    taken, stops = [], []
+    for turn in range(2000):
+        now[0] = 100.0 + 0.005 * turn
+        if turn == 1000:
+            inbox.put("act", EMERGENCY_STOP)
+        for count in range(12):
+            inbox.put("change", {"stiffness": 1000.0 + 12 * turn + count})
+            inbox.put("change", {"damping": float(count)})
+            inbox.put("hand", [1e-6 * count] * 6)
+            inbox.put("act", "wall" if count % 2 else "pulse")
+        requests = inbox.take()
+        stops += [turn for request in requests if request[1] == EMERGENCY_STOP]
+        assert [request[0] for request in requests].count("hand") == 1 and len(requests) <= 66
+        taken += [turn] if len(requests) > 2 else []
+    assert stops == [1000] and 180 <= len(taken) <= 201 and min(np.diff(taken)) >= 10
+
+
+def test_of_each_parameter_the_newest_value_waits() -> None:
+    inbox = Inbox(0.0)
+    for value in range(1000):
+        inbox.put("change", {"stiffness": value})
+        inbox.put("change", {"damping": 2 * value})
+    inbox.put("act", "wall")
+    inbox.put("change", {"stiffness": 5.0})
+    assert inbox.take() == [
+        ("change", {"stiffness": 999, "damping": 1998}),
+        ("act", "wall"),
+        ("change", {"stiffness": 5.0}),
+    ]
+    assert inbox.take() == []
+
+
+def test_what_was_asked_for_before_an_emergency_stop_does_not_start_the_scene_again() -> None:
+    inbox = Inbox(0.0)
+    inbox.put("act", "centre")
+    inbox.put("change", {"stiffness": 5.0})
+    inbox.put("hand", [1e-3] * 6)
+    inbox.put("act", EMERGENCY_STOP)
+    assert inbox.take() == [("act", EMERGENCY_STOP), ("hand", [1e-3] * 6)]
+    inbox.put("act", "centre")
+    assert inbox.take() == [("act", "centre")]
+
+
+def test_a_slider_that_still_moves_starts_nothing_after_an_emergency_stop() -> None:
+    now = [10.0]
+    inbox = Inbox(0.0, lambda: now[0])
+    inbox.put("act", EMERGENCY_STOP)
+    assert inbox.take() == [("act", EMERGENCY_STOP)]
+    for _ in range(100):
+        now[0] += 0.04
+        inbox.put("change", {"stiffness": 5.0})
+        assert inbox.take() == []
+    inbox.put("act", "centre")  # the person goes on
+    assert inbox.take() == [("act", "centre")]
+    now[0] += 0.6
+    inbox.put("change", {"stiffness": 6.0})
+    assert inbox.take() == [("change", {"stiffness": 6.0})]
+
+
+def test_a_line_that_never_runs_dry_holds_no_tick() -> None:
+    viewer, messages = ViewerHere(Joystick()), iter([("change", {"stiffness": 1000.0})] * 10_000)
+    viewer._front.received = lambda: messages  # type: ignore[method-assign]
+    source: Any = SimpleNamespace(change=id, hand=SpringHand(), snapshot=lambda: Snapshot(scene=Joystick()))
+    viewer.serve(source)
+    assert len(list(messages)) >= 9900

@@ -1,0 +1,374 @@
+"""Web page in a real browser: slider, knob, touch, buttons."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from maglev_mj.plants import engine_warnings_silenced
+from maglev_mj.plants.shapes import GRIP
+from maglev_mj.recording import Recording
+from maglev_mj.recording.verify import verify
+from maglev_mj.session import Session, Snapshot, real_time
+from maglev_mj.session.access import listen
+from maglev_mj.session.replay import rebuild
+from maglev_mj.views.page.page import Door, page
+from maglev_mj.views.page.stage import FIELD, placed
+from maglev_mj.views.viewer_process import RemoteViewer
+from tests.views.browser import chromium, on_screen
+
+pytestmark = pytest.mark.needs("browser")
+
+SIZE = {"width": 860, "height": 420}
+PATIENCE = 60.0
+"""Longest wait for a slow machine [s]."""
+
+UNDRAWN = """
+const context = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (...kind) {
+    const made = context.apply(this, kind);
+    for (const draw of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"])
+        if (made && made[draw]) made[draw] = () => {};
+    return made;
+};
+"""  # no test looks at the scene's pixels, which software draws in more time than all else takes
+UNSEEN = "--disable-gpu-compositing"  # nor at those of the panels, whose layers software puts together most cheaply so
+
+
+class Run:
+    """A source that runs in a thread, and its page.
+
+    Args:
+        source: The source.
+        token: That of its address; None for none.
+        options: Of the page.
+
+    Attributes:
+        url: Address of the page.
+        shown: The newest snapshot.
+        recordings: Files written.
+    """
+
+    def __init__(self, source: Any, token: str | None = None, **options: Any) -> None:
+        listener = listen(0)
+        door = Door("127.0.0.1", listener.getsockname()[1], token)
+        self.url, self._over = door.url, threading.Event()
+        self._session = source
+        self.shown: Snapshot = self._session.snapshot()
+        self._viewer = RemoteViewer(self.shown, page(door, listener, **options))
+        listener.close()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    @property
+    def recordings(self) -> Any:
+        return self._session.recordings
+
+    def _run(self) -> None:
+        with engine_warnings_silenced():
+            for elapsed, _ in real_time(None, 0.002):
+                self._session.tick(elapsed)
+                self._viewer.serve(self._session)
+                self.shown = self._session.snapshot()
+                if self._over.is_set():
+                    break
+        self._session.close()
+        self._viewer.close()
+
+    def until(self, done: Callable[[Snapshot], Any]) -> Snapshot:
+        """Wait until the scene is so."""
+        end = time.monotonic() + PATIENCE
+        while not done(shown := self.shown):
+            assert time.monotonic() < end, f"{shown.pose}, {shown.hand}, {shown.state}, {shown.scene}"
+            time.sleep(0.01)
+        return shown
+
+    def close(self) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
+    one = Run(Session(folder=tmp_path_factory.mktemp("recordings")))
+    yield one
+    one.close()
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium(UNSEEN) as found:
+        yield found
+
+
+def blank(browser: Any, script: str, **options: Any) -> Any:
+    """Return an empty tab, with a script for its pages."""
+    tab = browser.new_context(**options).new_page()
+    tab.set_default_timeout(1000.0 * PATIENCE)
+    tab.add_init_script(script)
+    return tab
+
+
+def opened(browser: Any, run: Run, **options: Any) -> Any:
+    """Return a tab that shows the scene."""
+    tab = blank(browser, UNDRAWN, **{"viewport": SIZE, "device_scale_factor": 0.25, **options})
+    tab.goto(run.url, wait_until="domcontentloaded")
+    tab.wait_for_selector("text=joystick")
+    tab.add_style_tag(content=".mantine-Notifications-root{display:none}")  # that it draws by software is known
+    return tab
+
+
+@pytest.fixture(scope="module")
+def tab(browser: Any, run: Run) -> Any:
+    return opened(browser, run)
+
+
+@pytest.fixture(autouse=True)
+def let_go(run: Run, tab: Any) -> None:
+    """Begin each test with a released hand, even after one that failed in mid drag."""
+    tab.mouse.up()
+    run.until(lambda shown: shown.target is None)
+
+
+def knob(tab: Any, run: Run) -> tuple[float, float]:
+    """Return the drawn position of the knob [px]."""
+    box = tab.locator("canvas").last.bounding_box()
+    return on_screen(tab, run.shown.pose[:3] + GRIP, placed("home", box["width"], box["height"]), FIELD)
+
+
+def await_hold(run: Run) -> None:
+    """Wait until the hand has hold of the knob, for a second at most: the press may have come before the drawing."""
+    end = time.monotonic() + 1.0
+    while run.shown.target is None and time.monotonic() < end:
+        time.sleep(0.01)
+
+
+def press(tab: Any, run: Run) -> tuple[float, float]:
+    """Press the knob with a moving mouse, once the page shows by its cursor that the mouse came over it.
+
+    A drag that misses the knob would turn the view. A click alone does not take hold.
+    """
+    x, y = knob(tab, run)
+    end = time.monotonic() + PATIENCE
+    for above, cursor in (60.0, "auto"), (0.0, "pointer"):  # that of an earlier size of the page may still be there
+        while tab.locator("canvas").last.evaluate("canvas => canvas.style.cursor || 'auto'") != cursor:
+            assert time.monotonic() < end, f"the cursor is not {cursor}"
+            tab.mouse.move(x + 2, y - above)
+            tab.mouse.move(x, y - above)
+    tab.mouse.down()
+    tab.mouse.move(x + 6, y, steps=3)
+    run.until(lambda shown: shown.target is not None)
+    return x, y
+
+
+def pull(tab: Any, run: Run, x: float, y: float, done: Callable[[Snapshot], Any]) -> Snapshot:
+    """Pull the knob to a position until a condition holds.
+
+    On a busy machine a browser loses hold of it now and then.
+    """
+    end = time.monotonic() + PATIENCE
+    while not done(shown := run.shown):
+        assert time.monotonic() < end, f"{shown.pose}, {shown.hand}"
+        tab.mouse.move(x - 2, y)
+        tab.mouse.move(x, y)
+        time.sleep(0.1)
+    return shown
+
+
+def stiffness(shown: Snapshot) -> float:
+    return float(shown.scene.as_json()["stiffness"])
+
+
+def test_a_slider_moves_a_gain(run: Run, tab: Any) -> None:
+    slider = tab.locator("[role=slider]").nth(1)
+    before = stiffness(run.shown)
+    slider.focus()
+    for _ in range(3):
+        tab.keyboard.press("ArrowRight")
+    run.until(lambda shown: stiffness(shown) == float(slider.get_attribute("aria-valuenow")) > before + 200.0)
+
+
+def test_a_slider_goes_back_and_buttons_go_on_or_repeat(run: Run, tab: Any) -> None:
+    slider = tab.locator("[role=slider]").first
+    slider.focus()
+    tab.keyboard.press("ArrowRight")
+    shown = run.until(lambda shown: shown.state == "paused" and shown.rewound)
+    tab.wait_for_selector("[role=alert]:has-text('s back')")
+    assert 0.0 < (shown.rewound or 0.0) < 0.6
+    tab.get_by_role("button", name="same hand again", exact=True).click()
+    run.until(lambda shown: shown.state == "running" and shown.time > 0.0)
+    slider.focus()
+    tab.keyboard.press("ArrowRight")
+    run.until(lambda shown: shown.state == "paused" and shown.rewound)
+    tab.get_by_role("button", name="go on from here", exact=True).click()
+    run.until(lambda shown: shown.state == "running" and not shown.rewound)
+
+
+def test_the_knob_is_pulled_into_the_wall_which_stops_it(run: Run, tab: Any) -> None:
+    x, y = press(tab, run)
+    edge = next(edge for axis, normal, edge in run.shown.faces if (axis, normal) == (0, -1.0))
+    pushed = pull(tab, run, x + 90, y, lambda shown: shown.pose[0] > edge and shown.hand[0] > 3.0)
+    assert pushed.target is not None and pushed.target[0] > 2.0 * edge  # the hand is far in the wall, the flotor is not
+    assert pushed.pose[0] < 1.3 * edge
+    run.until(lambda shown: shown.force[0] < -3.0)
+    tab.mouse.up()
+    let_go = run.until(lambda shown: shown.target is None and not shown.hand.any())
+    assert let_go.state == "running"
+
+
+def test_a_finger_pulls_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: Any, tab: Any) -> None:
+    phone = opened(browser, run, viewport={"width": 390, "height": 500}, has_touch=True, is_mobile=True)
+    assert phone.evaluate("document.documentElement.scrollWidth") <= 390
+    touch = phone.context.new_cdp_session(phone)
+    x, y = knob(phone, run)
+    touched, end = False, time.monotonic() + PATIENCE
+    while not run.shown.hand.any():
+        assert time.monotonic() < end
+        if run.shown.target is None:
+            if touched:
+                touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
+            touched = True
+            touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
+        for step in range(1, 5):
+            points = [{"x": x + 5.0 * step, "y": y}]
+            touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": points})
+        await_hold(run)
+    phone.context.close()
+    run.until(lambda shown: shown.target is None and not shown.hand.any())
+    press(tab, run)  # another can take hold
+    tab.mouse.up()
+
+
+def test_a_recording_of_a_drag_runs_again_bit_for_bit(run: Run, tab: Any) -> None:
+    before = len(run.recordings)
+    tab.get_by_role("button", name="record", exact=True).click()
+    run.until(lambda shown: any(note.startswith("RECORDING") for note in shown.notes))
+    x, y = press(tab, run)
+    pull(tab, run, x + 60, y - 30, lambda shown: shown.hand[0] > 1.0)
+    tab.mouse.up()
+    run.until(lambda shown: shown.target is None)
+    tab.get_by_role("button", name="record", exact=True).click()
+    run.until(lambda shown: len(run.recordings) > before)
+    recording = Recording.load(run.recordings[-1])
+    assert any(stretch.hand.any() for stretch in recording.stretches)
+    verdict = verify(recording, rebuild)
+    assert verdict.ticks and all(field.first is None for field in verdict.fields.values())
+
+
+def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, tab: Any) -> None:
+    def button(name: str) -> Any:
+        return tab.get_by_role("button", name=name, exact=True)
+
+    button("pause").click()
+    paused = run.until(lambda shown: shown.state == "paused")
+    tab.wait_for_selector("[role=alert]:has-text('PAUSED')")
+    button("step").click()
+    run.until(lambda shown: shown.tick == paused.tick + 1)
+    button("pause").click()
+    run.until(lambda shown: shown.state == "running")
+    button("slower").click()
+    run.until(lambda shown: shown.time_scale == 0.5)
+    button("faster").click()
+    run.until(lambda shown: shown.time_scale == 1.0)  # the stop drops what still waits
+    button("emergency stop").click()
+    run.until(lambda shown: shown.state == "stopped")
+    tab.wait_for_selector("[role=alert]:has-text('press centre')")
+    button("centre").click()
+    run.until(lambda shown: shown.state == "running" and shown.time_scale == 1.0)
+    tab.wait_for_selector("[role=alert]:has-text('STOPPED')", state="detached")
+
+
+def test_a_refused_value_is_told_and_the_slider_goes_back(run: Run, tab: Any) -> None:
+    choose(tab, "press")
+    run.until(lambda shown: shown.scene.name == "press")
+    slider = tab.locator("[role=slider]").nth(1)
+    # the slider of the scene before had the same value
+    tab.wait_for_function("document.querySelectorAll('[role=slider]')[1].getAttribute('aria-valuemin') == '0'")
+    slider.focus()
+    tab.keyboard.press("Home")
+    tab.wait_for_selector("text=stiffness must be a finite number above 0")
+    assert stiffness(run.shown) > 0.0
+    tab.wait_for_function("document.querySelectorAll('[role=slider]')[1].getAttribute('aria-valuenow') != '0'")
+    choose(tab, "joystick")
+    run.until(lambda shown: shown.scene.name == "joystick")
+
+
+def choose(tab: Any, scene: str) -> None:
+    """Choose a scene in the list."""
+    tab.get_by_label("scene").click()
+    tab.get_by_role("option", name=scene, exact=True).click()
+
+
+WIDTHS = (1400, 304, 324, 420), (900, 304, 324, 420), (700, 0, 320, 420), (390, 0, 0, 210)
+"""Width of the page, widths of its panels, and height of the scene between them [px]."""
+
+
+def test_at_any_width_the_device_is_seen_between_the_panels(run: Run, browser: Any) -> None:
+    tab = opened(browser, run, viewport={"width": 1400, "height": 420})
+    for width, left, right, height in WIDTHS:
+        tab.set_viewport_size({"width": width, "height": 420})
+        tab.wait_for_function(
+            """([x, width, height]) => {
+                const box = [...document.querySelectorAll("canvas")].at(-1).getBoundingClientRect();
+                return [box.x - x, box.y, box.width - width, box.height - height].every((off) => Math.abs(off) < 8);
+            }""",
+            arg=[left, width - left - right, height],
+        )
+        press(tab, run)  # the knob is drawn where the camera of this width has it
+        tab.mouse.up()
+        run.until(lambda shown: shown.target is None)
+    tab.context.close()
+
+
+def test_on_a_phone_the_stop_is_in_reach_and_all_is_for_a_finger(run: Run, browser: Any) -> None:
+    phone = opened(browser, run, viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
+    phone.locator("[role=slider]").last.scroll_into_view_if_needed()
+    stop = phone.get_by_role("button", name="emergency stop", exact=True)
+    box = stop.bounding_box()
+    assert (box["x"], box["y"] + box["height"], box["width"]) == (0.0, 800.0, 390.0)
+    sizes = ".mantine-Button-root, .mantine-Input-input, .mantine-Checkbox-input, .mantine-Slider-trackContainer"
+    boxes = [one.bounding_box() for one in phone.locator(sizes).all() if one.is_visible()]
+    assert len(boxes) > 15 and min(one["height"] for one in boxes) >= 44.0
+    plots = phone.get_by_role("button", name="Expand panel plots")
+    assert plots.bounding_box()["height"] >= 44.0
+    plots.click()
+    phone.get_by_text("force on x").wait_for()
+    stop.click()
+    run.until(lambda shown: shown.state == "stopped")
+    phone.wait_for_selector("[role=alert]:has-text('press centre')")  # drawn with it, the panel moves its buttons
+    phone.get_by_role("button", name="centre", exact=True).click()
+    run.until(lambda shown: shown.state == "running")
+    phone.context.close()
+
+
+NO_WEBGL = """
+const context = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+    return kind.includes("webgl") ? null : context.call(this, kind, ...more);
+};
+"""
+
+
+def test_without_webgl_and_after_the_token_has_left_the_address_all_but_the_picture_works(browser: Any) -> None:
+    run = Run(Session(), token="a-token-of-some-length")
+    try:
+        tab = blank(browser, NO_WEBGL)
+        tab.goto(run.url, wait_until="domcontentloaded")
+        for _ in range(2):
+            tab.wait_for_selector("text=no WebGL")
+            tab.wait_for_selector("text=joystick")
+            assert tab.url == run.url.split("?")[0] and tab.title() == "maglev-mj"
+            tab.reload(wait_until="domcontentloaded")
+        tab.locator("[role=slider]").nth(1).focus()
+        tab.keyboard.press("ArrowRight")
+        run.until(lambda shown: stiffness(shown) > 6000.0)
+        tab.get_by_role("button", name="emergency stop", exact=True).click()
+        run.until(lambda shown: shown.state == "stopped")
+        tab.wait_for_selector("[role=alert]:has-text('STOPPED')")
+        tab.context.close()
+    finally:
+        run.close()

@@ -1,0 +1,169 @@
+"""Benchmark runner: sections, paired ratios, tables, pictures."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import bench
+import growth
+import loop
+import options
+import others
+import realism
+import speed_tables
+from maglev_mj import ExactPlant
+from maglev_mj.pictures import PictureFolder
+from peers import Task
+from tests.studies.test_charts import complaints
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def section(runs: dict[str, list[dict[str, Any]]], **keywords: Any) -> dict[str, Any]:
+    return {
+        "title": "a section",
+        "seconds": 3.0,
+        "failed": {},
+        "figures": bench.summary(runs),
+        "details": {},
+        **keywords,
+    }
+
+
+def test_numbers_are_named_by_where_they_stand_and_nothing_else_is_a_number() -> None:
+    figures = {"a": {"b": 1, "c": {1000: 2.5}}, "words": "no", "flag": True, "list": [1.0], "d": 3.0}
+    assert bench.flat(figures) == {"a: b": 1.0, "a: c: 1000": 2.5, "d": 3.0}
+
+
+def test_ratios_are_formed_pair_by_pair() -> None:
+    runs = {"before": [{"x": 1.0}, {"x": 2.0}, {"x": 8.0}], "after": [{"x": 2.0}, {"x": 2.0}, {"x": 2.0, "new": 1.0}]}
+    found = bench.summary(runs)
+    assert found["x"]["before"] == {"median": 2.0, "least": 1.0, "greatest": 8.0, "runs": [1.0, 2.0, 8.0]}
+    assert found["x"]["ratio"]["runs"] == [2.0, 1.0, 0.25] and found["x"]["ratio"]["median"] == 1.0
+    assert list(found["new"]) == ["after"]
+    # no ratio over nothing, nor of runs that are not pairs
+    assert "ratio" not in bench.summary({"before": [{"x": 0.0}], "after": [{"x": 1.0}]})["x"]
+    assert "ratio" not in bench.summary({"before": [{"x": 1.0}], "after": [{"x": 1.0}, {"x": 1.0}]})["x"]
+
+
+def test_a_table_for_a_terminal_keeps_to_80_columns_and_says_what_failed() -> None:
+    long = "a name that does not fit into the first column"
+    one = {"group": {"x": 123456.0, long: 1.234e-18}}, {"group": {"x": 0.0123456, long: 5.678e-18}}
+    told = speed_tables.terminal("name", section({"before": list(one), "after": list(one)}, failed={"after": "why"}))
+    assert max(map(len, told.splitlines())) <= 80
+    assert "after: why" in told and " group" in told.splitlines() and f"  {long}" in told.splitlines()
+    missing = section({"after": [{"x": 1.0}]}, details={"missing": ["drake is not installed"]})
+    assert speed_tables.terminal("name", missing).splitlines()[-1] == "  drake is not installed"
+
+
+def test_tables_of_the_documentation_have_every_number_with_its_range() -> None:
+    pair = {"before": [{"x": 2.0}, {"x": 2.0}], "after": [{"x": 1.0}, {"x": 3.0}]}
+    sides = {
+        "after": [{"cost": {"a": 1.0, "b": 2.0}, "error": {"a": 0.0}}, {"cost": {"a": 3.0, "b": 2.0}, "error": {}}]
+    }
+    lines = speed_tables.compared_table(bench.summary(pair))
+    assert lines[2:] == ["| x | 2 | 2 | 1 to 3 | 1 | 0.5 to 1.5 |"]
+    assert speed_tables.side_by_side(bench.summary(sides))[2:] == ["| a | 2 (1 to 3) | 0 |", "| b | 2 |  |"]
+    apart = speed_tables.side_by_side(bench.summary({"after": [{"one": {"a": 1.0}, "other": {"b": 2.0}}]}))
+    assert apart[2:] == ["| *one* | |", "| a | 1 |", "| *other* | |", "| b | 2 |"]
+
+
+def test_the_table_of_options_has_a_column_for_each_plant() -> None:
+    one = {"exact plant": {"over plain": {"plain": 1.0, "jitter": 3.0}}, "RK4": {"over plain": {"jitter": 2.0}}}
+    other = {"exact plant": {"over plain": {"plain": 1.0, "jitter": 1.2}, "µs": {"jitter": 4.0}}}
+    lines = speed_tables.options_table(bench.summary({"before": [one], "after": [other]}))
+    assert lines == ["| | exact plant |", "|---|---|", "| jitter | 3 → 1.2 |"]
+
+
+def test_a_section_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
+    with pytest.raises(bench.SectionFailedError, match="no_such_section failed: ModuleNotFoundError"):
+        bench.run_section("no_such_section", ROOT, quick=True)
+    (tmp_path / "empty_section.py").write_text("def measure(quick):\n    return {}\n")
+    with pytest.raises(bench.SectionFailedError, match="not the package in"):  # what is measured is what was asked for
+        bench.run_section("empty_section", tmp_path, quick=True)
+
+
+def test_each_row_of_the_loop_counts_what_it_ran_and_every_drop_ends_alike() -> None:
+    runs = {name: work() for name, work in loop.WORK.items()}
+    many, alone = "exact plant, 1000 at once: closed loop", "six-axis controller"
+    assert {name: run.devices for name, run in runs.items()} == dict.fromkeys(runs, 1) | {many: 1000}
+    assert {name: run.ticks for name, run in runs.items()} == dict.fromkeys(runs, 400) | {alone: 1000}
+    assert runs[many]._replace(seconds=2.0).each == 2.0 / 400 / 1000
+    assert runs[many].pose.shape == (1000, 6)
+    loop.compare_ends(runs)
+    elsewhere = runs[many].pose.copy()
+    elsewhere[-1, 2] += 1e-6  # one device of them
+    with pytest.raises(ValueError, match=f"{many}: its drop ends at"):
+        loop.compare_ends(runs | {many: runs[many]._replace(pose=elsewhere)})
+
+
+def test_options_and_growth_count_what_they_ran(monkeypatch: pytest.MonkeyPatch) -> None:
+    few = options.Loop(ExactPlant, {options.PLAIN: {}, "recording": {"record": True}}, options.many(3, 1e-4), 4, 1)
+    found = options.over_plain(few, quick=False)
+    assert (found["devices"], found["ticks"], list(found["over plain"])) == (3, 4, list(few.options))
+    assert growth.cheapest_run(ExactPlant, 10).devices == 10
+    run = options.run
+    monkeypatch.setattr(options, "run", lambda one, name, ticks: run(one, name, ticks - (name != options.PLAIN)))
+    with pytest.raises(ValueError, match="the same for each option"):
+        options.over_plain(few, quick=False)
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("clock", [False, pytest.param(True, marks=pytest.mark.study)])
+def test_others_are_accurate_beside_every_cost(clock: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not clock:
+        monkeypatch.setattr(others, "timed", lambda run: 1.0)
+    found = others.measure(quick=True)
+    errors, costs = found["error (m)"], found["µs a simulated ms"]
+    assert len(errors) >= 5 and max(errors.values()) < 1e-9
+    assert list(errors) == list(costs) == list(found["over corrected"]) and "this package, exact plant" in errors
+    assert found["ticks"] == dict.fromkeys(errors, Task().ticks)
+
+
+def test_an_estimate_is_bounded_by_the_workers_and_by_what_hands_out() -> None:
+    row = {"start (s)": 0.5, "cells a second": 100.0}
+    found = {"1 worker": row, "2 workers": {**row, "cells a second": 160.0}}
+    found["Dask, 2 workers"] = {**row, "cells a second": 180.0, "empty jobs a second": 500.0}
+    few, many = growth.estimate(found, 100, 3200), growth.estimate(found, 100, 100_000)
+    # the slowest of a worker alone, half of two, half of two on the cluster
+    assert few["cells a second and worker"] == 80.0
+    assert few["cells a second"] == 500.0  # a cell a job
+    assert many["cells a second"] == 8000.0 and many["cells a second, by the scheduler"] == 31 * 500.0
+    assert many["seconds"] == pytest.approx(0.5 + 100_000 / 8000.0)
+
+
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Return the pictures that are drawn."""
+    from matplotlib.figure import Figure
+
+    figures: list[Any] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
+    return figures
+
+
+def test_the_picture_of_growth_is_drawn_from_the_figures_and_can_be_read(drawn: list[Any], tmp_path: Path) -> None:
+    row = {"start (s)": 0.5, "cells a second": 100.0}
+    figures = {
+        "µs a tick and device": {"exact plant": {1: 4.0, 1000: 0.03, 1_000_000: 0.02}},
+        "simulated seconds a second": {"exact plant": {200: 1400.0, 20_000: 14.0}},
+        "workers": {"this process": row, "1 worker": row, "2 workers": row, "missing": "no Dask cluster"},
+    }
+    growth.draw(PictureFolder(tmp_path), json.loads(json.dumps(figures)))  # as read from the file: keys are text
+    assert [complaints(figure) for figure in drawn] == [[]]
+
+
+def test_the_picture_of_options_is_drawn_from_the_figures_and_can_be_read(drawn: list[Any], tmp_path: Path) -> None:
+    pieces = {
+        "cost over plain": {name: 300.0 / 1.5**index for index, name in enumerate(realism.PIECES)},
+        "change (µm)": {name: 1e-4 * 3.0**index for index, name in enumerate(realism.PIECES)},
+    }
+    realism.draw(PictureFolder(tmp_path), pieces)
+    assert [complaints(figure) for figure in drawn] == [[]]
+    assert [label.get_text() for label in drawn[0].axes[0].get_yticklabels()] == list(
+        realism.PIECES
+    )  # the cheapest on top

@@ -1,0 +1,260 @@
+"""The scripts run as they stand."""
+
+from __future__ import annotations
+
+import json
+import re
+import runpy
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.studies.test_charts import complaints
+
+ROOT = Path(__file__).resolve().parents[2]
+
+Script = Callable[..., str]
+STUDY = pytest.mark.study
+
+
+@pytest.fixture(autouse=True)
+def readable(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Check that all charts of a script are readable; only a study writes their pixels."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        yield
+        return
+    drawn: list[Any] = []
+    save, pixels = Figure.savefig, request.node.get_closest_marker("study") is not None
+
+    def keep(figure: Any, path: Path, **options: Any) -> None:
+        drawn.append(figure)
+        if pixels:
+            save(figure, path, **options)
+        else:
+            path.write_bytes(b"drawn")
+
+    monkeypatch.setattr(Figure, "savefig", keep)
+    yield
+    assert [complaints(figure) for figure in drawn] == [[]] * len(drawn)
+
+
+@pytest.fixture
+def run_script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Script:
+    """Return a function that runs a script.
+
+    In this process; it returns the output.
+    """
+
+    def run(name: str, *arguments: str) -> str:
+        path = str(ROOT / "scripts" / name)
+        monkeypatch.setattr(sys, "argv", [path, *arguments])
+        runpy.run_path(path, run_name="__main__")
+        return capsys.readouterr().out
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("number", "name", "claim"),
+    [
+        ("2", "fig2_stability", r"the device, 200 Hz, 0.7 kg: at most 10173 N/m, at 87.6 N s/m"),
+        ("3", "fig3_drop", r"no pulse: 2.95 mm deep"),
+        ("4", "fig4_phase_plane", "wrote"),
+        ("6", "fig6_press", r"(pressed 0.833 mm deep with 5.000 N\s.*){2}"),
+        ("8", "fig8_stick_slip", r"transitions +2 +2\n"),
+        ("9", "fig9_six_axes", r"1500 N/m .* \d+ of \d+\n"),
+    ],
+)
+@pytest.mark.parametrize("options", [["--quick"], pytest.param([], marks=STUDY)], ids=["quick", "whole"])
+def test_figures(number: str, name: str, claim: str, options: list[str], tmp_path: Path, run_script: Script) -> None:
+    out = run_script("figures/paper.py", "--figure", number, *options, "--out", str(tmp_path))
+    assert re.search(claim, out) and [path.stem for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.needs("drawing")
+@pytest.mark.parametrize("size", [(560, 420), pytest.param((1400, 1050), marks=STUDY)])
+def test_render_device_runs_in_a_process_of_its_own(size: tuple[int, int], tmp_path: Path) -> None:
+    from matplotlib import image
+
+    script, target = ROOT / "scripts" / "figures" / "render_device.py", tmp_path / "device.png"
+    command = [sys.executable, str(script), str(target), f"{size[0]}x{size[1]}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0 and "device.png" in done.stdout, done.stderr
+    picture = image.imread(target)
+    assert picture.shape[:2] == size[::-1]
+    assert picture[..., :3].std() > 0.1  # a device, not an empty sky
+
+
+@pytest.mark.parametrize(("options", "tables"), [(["--quick"], 1), pytest.param([], 8, marks=STUDY)])
+def test_pulse_effect_prints_the_table_of_its_page(options: list[str], tables: int, run_script: Script) -> None:
+    out = run_script("figures/pulse_effect.py", *options).splitlines()
+    assert sum(line.startswith("| from") for line in out) == tables
+    page = (ROOT / "docs" / "explanation" / "drop.md").read_text(encoding="utf-8")
+    (table,) = re.findall(r"^\| from 4\.5 mm (?:.*\n)+?\n", page, re.MULTILINE)
+    rows = table.splitlines()[:-1]
+    assert len(rows) > 8
+    assert [row for row in rows if row not in out] == []
+
+
+def test_friction_laws_prints_and_writes_every_law(tmp_path: Path, run_script: Script) -> None:
+    out = run_script("studies/friction_laws.py", "--quick", "--out", str(tmp_path))
+    data = json.loads((tmp_path / "friction_laws.json").read_text())
+    assert len(data["spring"]) == 7 * 4
+    assert len(data["hard"]) == 7 * 2
+    assert out.count("kikuuwe") == 3
+    assert (tmp_path / "friction_laws.png").is_file()
+
+
+def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
+    out = run_script("studies/stability_bounds.py", "--quick", "--out", str(tmp_path))
+    data = json.loads((tmp_path / "stability_bounds.json").read_text())
+    assert len(data["bounds"]) == 6 and len(data["integrators"]) == 5 + 2
+    assert out.count("euler") == 2
+    for name in ("stability_bounds", "stability_steps"):
+        assert (tmp_path / f"{name}.png").is_file()
+
+
+PANELS = ["timing", "pulse", "limits", "hands"]
+
+
+@pytest.mark.parametrize("names", [*([name] for name in PANELS), pytest.param(PANELS, marks=STUDY)])
+def test_where_methods_fail_draws_its_panels(names: list[str], tmp_path: Path, run_script: Script) -> None:
+    one = ["--figure", *names] if len(names) == 1 else []
+    run_script("studies/where_methods_fail.py", "--quick", *one, "--out", str(tmp_path))
+    panels = json.loads((tmp_path / "where_methods_fail.json").read_text())["panels"]
+    assert len(panels) == 2 * len(names) and all(panel["curves"] for panel in panels)
+    assert {path.stem for path in tmp_path.glob("*.png")} == {f"where_methods_fail_{name}" for name in names}
+
+
+def test_nonlinear_walls_are_drawn(tmp_path: Path, run_script: Script) -> None:
+    out = run_script("studies/nonlinear_walls.py", "--quick", "--out", str(tmp_path))
+    assert out.count("settles up to, over theory's boundary") == 6
+    cases = json.loads((tmp_path / "stability_nonlinear.json").read_text())["cases"]
+    assert (
+        cases["with a limit of 60 N"]["largest_swing"]
+        < 0.5 * cases["a drop from 4.5 mm: the edge alone"]["largest_swing"]
+    )
+    assert (tmp_path / "stability_nonlinear.png").is_file()
+
+
+def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run_script: Script) -> None:
+    out = run_script("studies/two_walls.py", "--quick", "--out", str(tmp_path))
+    rows = json.loads((tmp_path / "two_walls.json").read_text())["rows"]
+    assert [row["delay"] for row in rows] == [0.0, 0.003] and out.count("\npulse 220") == 1
+    assert [row["share"] for row in rows] == [[0.0] * 4, [1.0] * 4]
+    assert (tmp_path / "two_walls.png").is_file()
+
+
+@STUDY  # of the script; the claims are those of test_design.py
+def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
+    out = run_script("studies/better_walls.py", "--quick", "--out", str(tmp_path))
+    data = json.loads((tmp_path / "better_walls.json").read_text())
+    assert len(data["designs"]) == 2 and len(data["bounces"]) == 2 and len(data["hum"]) == 2
+    assert "observer, poles at 0" in out
+    for row in data["designs"]:  # in every case of the product, and in simulation
+        assert row["modulus"] < 1.0 and row["growing"] == [0, 0]
+
+
+@pytest.mark.parametrize(
+    ("part", "options", "words"),
+    [
+        pytest.param("product", ["--number", "1"], "1 flights, 0 exceed", marks=STUDY),
+        ("laws", ["--number", "1"], "| sign error |"),
+        ("good", ["--number", "1", "--seconds", "0.2"], "0 refused; 1 flights, 0 softened, 0.00 hours; {'landed': 1}"),
+    ],
+)
+def test_a_part_of_flight_safety_is_flown_and_printed(
+    part: str, options: list[str], words: str, tmp_path: Path, run_script: Script
+) -> None:
+    (tmp_path / "delays.json").write_text(json.dumps({"busy 200": [400, 900], "quiet 200": [400, 900]}))
+    run_script("studies/flight_safety.py", part, *options, "--out", str(tmp_path))
+    assert words in run_script("studies/flight_safety.py", "tables", "--out", str(tmp_path))
+
+
+def test_takeoffs_of_flight_safety_go_on_where_they_ended(tmp_path: Path, run_script: Script) -> None:
+    for number in (1, 2):
+        run_script("studies/flight_safety.py", "takeoffs", "--number", str(number), "--out", str(tmp_path))
+        rows = [json.loads(line) for line in (tmp_path / "takeoffs.jsonl").read_text().splitlines()]
+        assert [row["cell"]["seed"] for row in rows] == [110_000, 110_001][:number]
+    assert "| good | 200 | 0.4 | 2 | 0 | 0 |" in run_script(
+        "studies/flight_safety.py", "tables", "--out", str(tmp_path)
+    )
+
+
+@STUDY
+def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Path, run_script: Script) -> None:
+    def run(*arguments: str) -> str:
+        return run_script("studies/flight_safety.py", *arguments, "--out", str(tmp_path))
+
+    for number in ("1", "3"):
+        run("product", "--number", number)
+        assert len((tmp_path / "product.jsonl").read_text().splitlines()) == int(number)
+    run("laws", "--number", "1")
+    (tmp_path / "delays.json").write_text(json.dumps({"busy 200": [400, 900], "quiet 200": [400, 900]}))
+    run("good", "--number", "1", "--seconds", "0.4")
+    run("takeoffs", "--number", "1")
+    out = run("tables")
+    assert "3 flights, 0 exceed" in out and "| sign error |" in out and "| good | 200 | 0.4 | 1 | 0 | 0 |" in out
+    assert "0 refused; 1 flights, 0 softened, 0.00 hours; {'landed': 1}" in out
+    assert "| attack |" in run("attacks")
+
+
+@STUDY  # in real time: a stall of a second ends the flight before its emergency stop
+def test_an_emergency_stop_is_heard_through_every_flood() -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "studies" / "fault_campaign.py"), "flood", "1"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0 and done.stdout.count("| 1 |") == 4, done.stderr
+
+
+@pytest.mark.parametrize("wrong", [("--repeats", "0"), ("--tables", "no.json"), ("--tables", __file__)])
+def test_bench_refuses_what_it_cannot_do(
+    wrong: tuple[str, str], run_script: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as done:
+        run_script("benchmarks/bench.py", *wrong)
+    assert done.value.code == 2 and len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.machine
+@pytest.mark.parametrize("sections", [["loop"], pytest.param(["loop", "others"], marks=STUDY)], ids=["one", "two"])
+def test_bench_measures_sections_and_writes_one_file(
+    sections: list[str], tmp_path: Path, run_script: Script, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as done:
+        arguments = "--quick", "--repeats", "2", "--only", *sections, "--before", "no-such-revision"
+        run_script("benchmarks/bench.py", *arguments, "--out", str(tmp_path))
+    out = capsys.readouterr().out
+    assert done.value.code == 0 and "no-such-revision is not here" in out and "exact plant" in out
+    found = json.loads((tmp_path / "bench.json").read_text())
+    assert list(found["sections"]) == sections
+    loop = found["sections"]["loop"]["figures"]
+    ratio = loop["ratio: corrected, body: over by hand"]["after"]
+    assert len(ratio["runs"]) == 2 and ratio["least"] <= ratio["median"] <= ratio["greatest"]
+    assert "before" not in loop["ratio: corrected, body: over by hand"]
+    with pytest.raises(SystemExit) as done:
+        run_script("benchmarks/bench.py", "--tables", str(tmp_path / "bench.json"))
+    assert done.value.code == 0 and "| corrected, body: over by hand |" in capsys.readouterr().out
+
+
+@pytest.mark.machine
+def test_the_cost_of_cells_is_a_row_for_each_number_of_them(run_script: Script) -> None:
+    *rows, _ = map(json.loads, run_script("benchmarks/cells.py", "--empty", "100", "--drops", "16").splitlines())
+    assert [row["cells"] for row in rows] == [100, 16] and all(row["bytes a cell"] > 8.0 for row in rows)
+
+
+@pytest.mark.machine
+def test_recorder_prints_what_a_tick_costs(run_script: Script) -> None:
+    out = run_script("benchmarks/recorder.py", "--quick")
+    assert "recorded to a journal, with its thread" in out and "samples a second" in out and "is read in" in out
+
+
+@pytest.mark.machine
+def test_start_prints_times_and_ratios(run_script: Script) -> None:
+    out = run_script("benchmarks/start.py", "--quick")
+    assert "complete an option" in out and "drop over numpy and mujoco" in out
