@@ -18,129 +18,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import control
 from maglev_mj.cli import main, program
-from maglev_mj.control import (
-    AdaptiveWindow,
-    AxisLaw,
-    Bias,
-    Dahl,
-    ElastoPlastic,
-    FiniteDifference,
-    Friction,
-    HaywardArmstrong,
-    Hold,
-    ImplicitCoulomb,
-    Law,
-    LowPass,
-    LuGre,
-    ObserverWall,
-    PassivityController,
-    PredictiveWall,
-    SpringReset,
-    StickSlip,
-    VelocityEstimator,
-    Wall,
-    Window,
-)
+from maglev_mj.control import Bias, Law
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
-from maglev_mj.frames import AXES
-from maglev_mj.plants import ExactPlant, MuJoCoPlant, SampledPlant, Sensor, SpotSensor, Timing
-from maglev_mj.plants.hand import GuidedHand, Hand, SpringHand, Trajectory
+from maglev_mj.plants import ExactPlant, SampledPlant, Timing
+from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import InvalidRecordingError, MemoryFile, Recording, open_recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.find import _module_of_text, find_scene
-from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, write_run
 from maglev_mj.versions import MODELS, differences, hash_of, versions
+from tests.all_of import DELAY, LAWS, PERIOD, PLANTS, START, TIMING, controller_of
 from tests.golden.outputs import HERE
 from tests.recorded import Part, journal_of, numbers_in, parts_in, some_of
 
-TICKS, PERIOD, DELAY = 80, 0.002, 0.003
-ALL: dict[str, Any] = {"stiffness": 300.0, "damping": 5.0, "axes": ("x", "y", "z")}
-FRICTION = {**ALL, "breakaway": 0.05}
-LAWS: Mapping[str, list[Law]] = {
-    "Wall": [
-        Wall(
-            axes=("y", "z"),
-            lower=[-np.inf, 1e-4],
-            upper=[2e-4, np.inf],
-            stiffness=[800.0, 2000.0],
-            damping=20.0,
-            pulse=40.0,
-            pulse_width=1e-3,
-            pulse_gate=1e-4,
-            force_limit=[np.inf, 0.2],
-        )
-    ],
-    "Hold": [Hold(**ALL, target=[1e-3, 0.0, -1e-3])],
-    "PredictiveWall": [PredictiveWall(axes="z", stiffness=1500.0, damping=10.0, period=PERIOD, delay=DELAY)],
-    "ObserverWall": [
-        ObserverWall(
-            axes="z", stiffness=500.0, damping=20.0, inertia=0.7, period=PERIOD, delay=DELAY, pole=0.4, disturbance=True
-        )
-    ],
-    "PassivityController": [
-        Wall(axes="z", lower=1e-4, stiffness=4000.0, damping=0.0),
-        PassivityController(axes="z", period=PERIOD, delay=DELAY, most=30.0, slow=1e-5),
-    ],
-    "StickSlip": [StickSlip(**FRICTION, v_min=1e-3, coupled=False)],
-    "SpringReset": [SpringReset(**FRICTION)],
-    "ImplicitCoulomb": [ImplicitCoulomb(**FRICTION, period=PERIOD, element_damping=3.0)],
-    "Dahl": [Dahl(**FRICTION)],
-    "LuGre": [LuGre(**FRICTION, period=PERIOD, coulomb=0.7, stribeck=0.02, bristle_damping=0.5)],
-    "ElastoPlastic": [ElastoPlastic(**FRICTION, elastic=0.6)],
-    "HaywardArmstrong": [HaywardArmstrong(**FRICTION, stick=0.6)],
-    "Bias": [],
-}
-VELOCITIES: list[VelocityEstimator] = [FiniteDifference(), LowPass(cutoff=80.0), Window(samples=4), AdaptiveWindow()]
-ARM = Hand(mass=0.3, damping=5.0, stiffness=100.0)
-PATH = Trajectory([0.01, 0.05, 0.12], [[0.0] * 6, [1e-3, -1e-3, 2e-3, 0.0, 0.0, 0.0], [0.0] * 6])
-START: dict[str, Any] = {"pose": [8e-4, -6e-4, 9e-4, 4e-3, 0.0, 0.0], "twist": [0.02, 0.01, -0.05, 0.0, 0.0, 0.0]}
-TIMING: dict[str, Any] = {"period": PERIOD, "delay": DELAY}
-PLANTS: Mapping[str, Callable[[], SampledPlant]] = {
-    "exact": lambda: ExactPlant(Timing(**TIMING), **START, wrench=WEIGHT),
-    "exact, with options": lambda: ExactPlant(
-        Timing(**TIMING, phase=0.3, jitter=2e-4, seed=4),
-        **START,
-        mass=0.9,
-        inertia=[1e-3, 2e-3, 3e-3],
-        gravity=1.5,
-        wrench=[0.0, 0.0, 1.3, 0.0, 0.0, 0.0],
-        wrench_limit=np.array([0.05, np.inf, 1.0, np.inf, np.inf, np.inf]),
-        sensor=Sensor(quantum=5e-6, noise=2e-5, seed=3),
-        driver_lag=True,
-        hand=ARM,
-        hand_force=GuidedHand(hand=ARM, path=PATH),
-        record=True,
-    ),
-    "mujoco": lambda: MuJoCoPlant(Timing(**TIMING), **START, wrench=WEIGHT),
-    "mujoco, with options": lambda: MuJoCoPlant(
-        Timing(**TIMING, phase=0.6),
-        **START,
-        model="scenes/table",
-        mass=0.8,
-        gravity=2.0,
-        current_limit=0.5,
-        driver_lag=True,
-        stops=True,
-        force_falloff=0.1,
-        sensor=SpotSensor(quantum=5e-6, noise=2e-6, seed=5),
-        hand_force=SpringHand(target=PATH, stiffness=150.0),
-        escape=(0.02, 1.0),
-        longest_step=5e-5,
-        metered=True,
-    ),
-}
-
-
-def controller_of(name: str) -> Controller:
-    """Return a controller of a law, with another velocity estimate, that holds the other axes."""
-    estimate = VELOCITIES[list(LAWS).index(name) % len(VELOCITIES)]
-    rest = Hold(axes=AXES[3:], stiffness=0.3, damping=0.02)
-    return Controller([*LAWS[name], rest, Bias(WEIGHT)], period=PERIOD, velocity=estimate)
+TICKS = 80
 
 
 def record(path: Path, plants: list[str], names: Iterable[str] | None = None, ticks: int = TICKS) -> None:
@@ -168,13 +62,6 @@ def say(capsys: Any) -> Callable[..., tuple[int, str, str]]:
         return status, said.out, said.err
 
     return typed
-
-
-def test_every_law_and_estimate_of_the_package_is_in_the_product() -> None:
-    used: set[type] = {type(law) for parts in LAWS.values() for law in parts} | {type(one) for one in VELOCITIES}
-    given = [getattr(control, name) for name in dir(control)]
-    there = {cls for cls in given if isinstance(cls, type) and "__call__" in dir(cls)}
-    assert there - {Law, AxisLaw, Friction, VelocityEstimator} == used | {Bias}
 
 
 @pytest.mark.parametrize(
