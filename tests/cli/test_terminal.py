@@ -47,8 +47,8 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str
 
 
 def test_every_kept_table_fits_80_columns() -> None:
-    lines = [line for group in {name.split("/")[0] for name in cases()} for one in kept(group).values()
-             for line in one["stdout"]]  # fmt: skip
+    groups = {name.split("/")[0] for name in cases()}
+    lines = [line for group in groups for one in kept(group).values() for line in one["stdout"]]
     assert len(lines) > 1000
     assert max(map(len, lines)) <= 80
 
@@ -68,13 +68,13 @@ def test_tables_of_devices_and_models_fit_80_columns(tmp_path: Path) -> None:
 BOX = {"tick": 1, "lost": 0, "skipped": 0, "period_ns": 5_000_000, "first": "ESTOP", "fault_time_ns": 0}
 
 
-@pytest.mark.parametrize("shift", range(12))
-def test_a_number_keeps_its_unit_and_a_file_its_name(shift: int) -> None:
-    text = "-" * shift + " a wall of 6000 N/m" * 9 + " in " + "x" * 90
-    lines = wrapped(text, "  ", "    ")
-    assert " ".join(" ".join(lines).split()) == text.strip()
-    assert all(len(line) <= 80 for line in lines[:-1]) and lines[-1] == "    " + "x" * 90
-    assert not any(re.search(r"\d$", line) for line in lines)
+def test_a_number_keeps_its_unit_and_a_file_its_name() -> None:
+    for shift in range(12):
+        text = "-" * shift + " a wall of 6000 N/m" * 9 + " in " + "x" * 90
+        lines = wrapped(text, "  ", "    ")
+        assert " ".join(" ".join(lines).split()) == text.strip()
+        assert all(len(line) <= 80 for line in lines[:-1]) and lines[-1] == "    " + "x" * 90
+        assert not any(re.search(r"\d$", line) for line in lines)
 
 
 def test_the_command_alone_prints_help_of_all_commands_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
@@ -98,7 +98,7 @@ def test_help_fits_80_columns_and_ends_with_an_example(
     command: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    for scene in ("", *(BUILT_IN if command in SCENES_OF else ())):
+    for scene in ("", *(BUILT_IN if command == "run" else ["drop"] if command in SCENES_OF else ())):
         status, out, err = said(capsys, command, *scene.split(), "--help")
         assert (status, err) == (0, "")
         lines = out.splitlines()

@@ -70,10 +70,15 @@ PRESSES = (
 """Actions that all scenes with keys have."""
 
 
-def cases() -> dict[str, str]:
-    """Return the command line of each case."""
-    found: dict[str, str] = json.loads((HERE / "cases.json").read_text())
-    return found
+@cache
+def cases(*groups: str) -> dict[str, str]:
+    """Return the command line of each case.
+
+    Args:
+        groups: "paths" for one of each path through the code, "values" for other values on the same; both without one.
+    """
+    found: dict[str, dict[str, str]] = json.loads((HERE / "cases.json").read_text())
+    return {name: line for group in groups or found for name, line in found[group].items()}
 
 
 def outcome(line: str) -> dict[str, Any]:

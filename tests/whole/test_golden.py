@@ -17,26 +17,19 @@ from tests.golden.outputs import HERE, KEYS, PRESSED, as_kept, cases, difference
 kept_once = cache(kept)
 
 
-def check(group: str, name: str, found: Any) -> None:
-    """Check that a case gives the stored output."""
-    lines = differences(group, kept_once(group)[name], as_kept(found))
-    assert not lines, f"{len(lines)} differences:\n" + "\n".join(lines[:10])
-
-
-STUDIES = {"design/ranges", "design/observer", "fidelity/let-go"}
-"""Expensive cases whose code the other cases of their groups run too."""
-
-
 def case(name: str, line: str) -> Any:
     """Return a case; those that read the files of one earlier command share a worker, which runs it once."""
     earlier, joined, _ = line.rpartition(" && ")
     marks = [pytest.mark.xdist_group(earlier)] if joined else []
-    return pytest.param(name, marks=[*marks, *[pytest.mark.study] * (name in STUDIES)])
+    return pytest.param(name, marks=[*marks, *[pytest.mark.study] * (name in cases("values"))])
 
 
 @pytest.mark.parametrize("name", [case(*item) for item in cases().items()])
 def test_a_command_says_what_it_said(name: str) -> None:
-    check(name.split("/")[0], name, outcome(cases()[name]))
+    group, found = name.split("/")[0], as_kept(outcome(cases()[name]))
+    lines = differences(group, kept_once(group)[name], found)
+    failed = [*found["stdout"], *found["stderr"]] if found["status"] != kept_once(group)[name]["status"] else []
+    assert not lines, f"{len(lines)} differences:\n" + "\n".join([*lines[:10], *failed])
 
 
 def test_an_earlier_command_that_fails_is_shown_with_its_errors() -> None:
@@ -44,7 +37,9 @@ def test_an_earlier_command_that_fails_is_shown_with_its_errors() -> None:
         outcome("drop --rate 0 && replay run.maglev")
 
 
-@pytest.mark.parametrize("name", PRESSED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.study] * (name != "corner")) for name in PRESSED]
+)
 def test_keys_pressed_at_random_have_the_same_effects(name: str) -> None:
     results = pressed(name)
     first = len(results) * PRESSED.index(name)
