@@ -1,5 +1,6 @@
 """Laws, theory, exact plants, studies, twins where no engine can be imported, as in browsers."""
 
+import json
 import re
 import sys
 from pathlib import Path
@@ -17,12 +18,46 @@ for name in ("mujoco", "glfw", "multiprocessing", "_multiprocessing", *browser):
     sys.modules[name] = None  # importing it fails
 """
 COMMAND = BLOCKED + "from maglev_mj.cli import main\nsys.exit(main(sys.argv[1:]))"
-PYTHON = {
-    "law": "find_scene('drop')().controller()",
-    "recording": "record_run(find_scene('drop')(duration=0.1), plant='exact')",
-    "margins": "assert 0.002 < min(delay_margins(find_scene('joystick')().controller(), ['arm']).values()) < 0.004",
-    "sweep": "sweep(find_scene('drop'), {'height': [0.001, 0.002]}, plant='exact')",
+MANY = (
+    BLOCKED
+    + """
+import io, json, shlex
+from contextlib import redirect_stderr, redirect_stdout
+from maglev_mj import find_scene, record_run, sweep
+from maglev_mj.cli import main
+from maglev_mj.theory.verdict import delay_margins
+
+answers = []
+for line in sys.argv[1:]:
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()) as errors:
+        try:
+            status = main(shlex.split(line)[1:]) if line.startswith("maglev-mj ") else exec(line) or 0
+        except SystemExit as ended:
+            status = ended.code
+    answers.append([line, status, errors.getvalue()])
+print(json.dumps(answers))
+"""
+)
+DONE = [
+    "find_scene('drop')().controller()",
+    "record_run(find_scene('drop')(duration=0.1), plant='exact')",
+    "assert 0.002 < min(delay_margins(find_scene('joystick')().controller(), ['arm']).values()) < 0.004",
+    "sweep(find_scene('drop'), {'height': [0.001, 0.002]}, plant='exact')",
+    "maglev-mj drop --plant exact",
+    "maglev-mj press --plant exact --phases 2",
+    "maglev-mj stick-slip --plant exact --json -",
+    "maglev-mj stability drop",
+    "maglev-mj stability --hand arm --grid 10",
+    "maglev-mj design --quantize 0",
+    "maglev-mj sweep drop --vary height=1e-3:4e-3:2 --vary plant=exact --workers 0 --record cells",
+]
+LACKING = {
+    "maglev-mj drop": "mujoco, which cannot be imported here; scenes do without it by `--plant exact`.*",
+    "maglev-mj twin --plant exact": "mujoco, which cannot be imported here; .*devices by `--calibration FILE`",
+    "maglev-mj sweep drop --vary height=1e-3:2e-3:2": "multiprocessing, .*; sweeps do without it by `--workers 0`",
+    "maglev-mj view --web": "multiprocessing, which cannot .*",
 }
+OWN = "maglev-mj stability own.py"
 FLIGHT = """
 import signal, socket, threading
 threading.Thread.start = socket.socket.__init__ = signal.signal = None  # calling it fails
@@ -42,33 +77,31 @@ with RemotePlant(VirtualLink(twin), calibration=known) as plant:
     assert report.landing.at_rest and not report.landing.reason and report.ticks == 200, report
 assert twin.firmware.state == State.INACTIVE and not twin.firmware.faults and twin.pose[2] == -0.0045, twin.pose
 """
-IMPORTS = """
-from maglev_mj import find_scene, record_run, sweep
-from maglev_mj.theory.verdict import delay_margins
-"""
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        "drop --plant exact",
-        "press --plant exact --phases 2",
-        "stick-slip --plant exact --json -",
-        "stability drop",
-        "stability --hand arm",
-        "design --quantize 0",
-        "sweep drop --vary height=1e-3:4e-3:2 --vary plant=exact --workers 0 --record cells",
-    ],
-)
-def test_a_command_needs_no_engine(words: str, tmp_path: Path) -> None:
-    done = run(sys.executable, "-c", COMMAND, *words.split(), cwd=tmp_path)
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[int, str]]:
+    """Return status and errors of each line, all in one process without an engine."""
+    folder = tmp_path_factory.mktemp("browser")
+    (folder / "own.py").write_text("import nothing_like_it\n")
+    done = run(sys.executable, "-c", MANY, *DONE, *LACKING, OWN, cwd=folder)
     assert done.status == 0, done
+    return {line: (status, errors) for line, status, errors in json.loads(done.output)}
 
 
-@pytest.mark.parametrize("source", PYTHON.values(), ids=PYTHON)
-def test_python_needs_no_engine(source: str, tmp_path: Path) -> None:
-    done = run(sys.executable, "-c", BLOCKED + IMPORTS + source, cwd=tmp_path)
-    assert done.status == 0, done
+def test_commands_and_python_need_no_engine(answers: dict[str, tuple[int, str]]) -> None:
+    assert {line: answers[line] for line in DONE if answers[line][0] != 0} == {}
+
+
+def test_what_is_lacking_is_one_line(answers: dict[str, tuple[int, str]]) -> None:
+    for line, said in LACKING.items():
+        status, errors = answers[line]
+        assert status == 1 and re.fullmatch(f"maglev-mj: this needs {said}\n", errors), (line, errors)
+
+
+def test_what_a_file_of_one_s_own_lacks_is_told_as_any_error(answers: dict[str, tuple[int, str]]) -> None:
+    status, errors = answers[OWN]
+    assert status == 2 and "nothing_like_it" in errors and "this needs" not in errors
 
 
 @pytest.mark.machine
@@ -86,23 +119,3 @@ def test_the_command_of_a_twin_needs_no_engine(tmp_path: Path) -> None:
     words = "twin --plant exact --calibration device.json --listen udp://127.0.0.1:0 --seconds 0.2"
     done = run(sys.executable, "-c", COMMAND, *words.split(), cwd=tmp_path)
     assert done.status == 0 and "inactive, faults: none" in done.output, done
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("drop", "mujoco, which cannot be imported here; scenes do without it by `--plant exact`.*"),
-        ("twin --plant exact", "mujoco, which cannot be imported here; .*devices by `--calibration FILE`"),
-        ("sweep drop --vary height=1e-3:2e-3:2", "multiprocessing, .*; sweeps do without it by `--workers 0`"),
-        ("view --web", "multiprocessing, which cannot .*"),
-    ],
-)
-def test_what_is_lacking_is_one_line(words: str, said: str, tmp_path: Path) -> None:
-    done = run(sys.executable, "-c", COMMAND, *words.split(), cwd=tmp_path)
-    assert done.status == 1 and re.fullmatch(f"maglev-mj: this needs {said}\n", done.errors), done
-
-
-def test_what_a_file_of_one_s_own_lacks_is_told_as_any_error(tmp_path: Path) -> None:
-    (tmp_path / "own.py").write_text("import nothing_like_it\n")
-    done = run(sys.executable, "-c", COMMAND, "stability", "own.py", cwd=tmp_path)
-    assert done.status == 2 and "nothing_like_it" in done.errors and "this needs" not in done.errors
