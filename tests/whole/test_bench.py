@@ -112,11 +112,9 @@ def test_options_and_growth_count_what_they_ran(monkeypatch: pytest.MonkeyPatch)
         options.over_plain(few, quick=False)
 
 
+@pytest.mark.study  # that peers are exact is shown in test_peers.py
 @pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize("clock", [False, pytest.param(True, marks=pytest.mark.study)])
-def test_others_are_accurate_beside_every_cost(clock: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    if not clock:
-        monkeypatch.setattr(others, "timed", lambda run: 1.0)
+def test_others_are_accurate_beside_every_cost() -> None:
     found = others.measure(quick=True)
     errors, costs = found["error (m)"], found["µs a simulated ms"]
     assert len(errors) >= 5 and max(errors.values()) < 1e-9
@@ -139,13 +137,12 @@ def test_an_estimate_is_bounded_by_the_workers_and_by_what_hands_out() -> None:
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Return the pictures that are drawn."""
-    from matplotlib.figure import Figure
-
     figures: list[Any] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, *_, **__: figures.append(figure))
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *_, **__: figures.append(figure))
     return figures
 
 
+@pytest.mark.study
 def test_the_picture_of_growth_is_drawn_from_the_figures_and_can_be_read(drawn: list[Any], tmp_path: Path) -> None:
     row = {"start (s)": 0.5, "cells a second": 100.0}
     figures = {
@@ -164,6 +161,5 @@ def test_the_picture_of_options_is_drawn_from_the_figures_and_can_be_read(drawn:
     }
     realism.draw(PictureFolder(tmp_path), pieces)
     assert [complaints(figure) for figure in drawn] == [[]]
-    assert [label.get_text() for label in drawn[0].axes[0].get_yticklabels()] == list(
-        realism.PIECES
-    )  # the cheapest on top
+    labels = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
+    assert labels == list(realism.PIECES)  # the cheapest on top

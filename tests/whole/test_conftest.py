@@ -85,8 +85,10 @@ def run(
 
 @pytest.mark.parametrize("workers", ["none", pytest.param("2", marks=pytest.mark.machine)])
 def test_the_last_line_names_the_tests_that_are_left_out(workers: str, tmp_path: Path) -> None:
-    """Also without pytest-xdist; studies do not count."""
-    status, out = run(tmp_path, *SUITE, *(["-p", "no:xdist"] if workers == "none" else ["-n", workers]))
+    """Also without pytest-xdist; studies do not count, and the gate does not fail where a peer alone is skipped."""
+    status, out = run(
+        tmp_path, *SUITE, "--nothing-missing", *(["-p", "no:xdist"] if workers == "none" else ["-n", workers])
+    )
     *_, summary, last = out.splitlines()
     assert (status == 0 and "1 passed, 1 skipped, 6 deselected" in summary) or workers == "2", out
     assert last.startswith("5 more tests need the machine (") and last.endswith(f": apt install {ALL_PACKAGES}")
@@ -105,7 +107,6 @@ def test_skipped_tests_are_named_by_reason_with_the_packages_that_they_need(tmp_
 
 def test_the_gate_fails_where_more_than_a_peer_is_skipped(tmp_path: Path) -> None:
     assert run(tmp_path, *MACHINE, "--nothing-missing")[0] == 1
-    assert run(tmp_path, *SUITE, "--nothing-missing")[0] == 0
 
 
 @pytest.mark.machine

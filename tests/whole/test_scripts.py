@@ -60,34 +60,41 @@ def run_script(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[st
     return run
 
 
+FIGURES = {
+    "2": ("fig2_stability", r"the device, 200 Hz, 0.7 kg: at most 10173 N/m, at 87.6 N s/m"),
+    "3": ("fig3_drop", r"no pulse: 2.95 mm deep"),
+    "4": ("fig4_phase_plane", "wrote"),
+    "6": ("fig6_press", r"(pressed 0.833 mm deep with 5.000 N\s.*){2}"),
+    "8": ("fig8_stick_slip", r"transitions +2 +2\n"),
+    "9": ("fig9_six_axes", r"1500 N/m .* \d+ of \d+\n"),
+}
+COMPUTED_HERE = {"2", "9"}
+"""Figures whose numbers the script computes; the others' are those of scenes, which have tests of their own."""
+
+
 @pytest.mark.parametrize(
-    ("number", "name", "claim"),
+    ("number", "options"),
     [
-        ("2", "fig2_stability", r"the device, 200 Hz, 0.7 kg: at most 10173 N/m, at 87.6 N s/m"),
-        ("3", "fig3_drop", r"no pulse: 2.95 mm deep"),
-        ("4", "fig4_phase_plane", "wrote"),
-        ("6", "fig6_press", r"(pressed 0.833 mm deep with 5.000 N\s.*){2}"),
-        ("8", "fig8_stick_slip", r"transitions +2 +2\n"),
-        ("9", "fig9_six_axes", r"1500 N/m .* \d+ of \d+\n"),
+        *(pytest.param(one, ["--quick"], marks=[STUDY] * (one not in COMPUTED_HERE)) for one in FIGURES),
+        *(pytest.param(one, [], marks=STUDY) for one in FIGURES),
     ],
 )
-@pytest.mark.parametrize("options", [["--quick"], pytest.param([], marks=STUDY)], ids=["quick", "whole"])
-def test_figures(number: str, name: str, claim: str, options: list[str], tmp_path: Path, run_script: Script) -> None:
+def test_figures(number: str, options: list[str], tmp_path: Path, run_script: Script) -> None:
+    name, claim = FIGURES[number]
     out = run_script("figures/paper.py", "--figure", number, *options, "--out", str(tmp_path))
     assert re.search(claim, out) and [path.stem for path in tmp_path.iterdir()] == [name]
 
 
 @pytest.mark.needs("drawing")
-@pytest.mark.parametrize("size", [(560, 420), pytest.param((1400, 1050), marks=STUDY)])
-def test_render_device_runs_in_a_process_of_its_own(size: tuple[int, int], tmp_path: Path) -> None:
+def test_render_device_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
     from matplotlib import image
 
     script, target = ROOT / "scripts" / "figures" / "render_device.py", tmp_path / "device.png"
-    command = [sys.executable, str(script), str(target), f"{size[0]}x{size[1]}"]
+    command = [sys.executable, str(script), str(target), "560x420"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0 and "device.png" in done.stdout, done.stderr
     picture = image.imread(target)
-    assert picture.shape[:2] == size[::-1]
+    assert picture.shape[:2] == (420, 560)
     assert picture[..., :3].std() > 0.1  # a device, not an empty sky
 
 
@@ -111,6 +118,7 @@ def test_friction_laws_prints_and_writes_every_law(tmp_path: Path, run_script: S
     assert (tmp_path / "friction_laws.png").is_file()
 
 
+@STUDY  # of the script; the claims are those of test_growth.py and test_boundary.py
 def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
     out = run_script("studies/stability_bounds.py", "--quick", "--out", str(tmp_path))
     data = json.loads((tmp_path / "stability_bounds.json").read_text())
@@ -123,7 +131,8 @@ def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path, run_scri
 PANELS = ["timing", "pulse", "limits", "hands"]
 
 
-@pytest.mark.parametrize("names", [*([name] for name in PANELS), pytest.param(PANELS, marks=STUDY)])
+@STUDY
+@pytest.mark.parametrize("names", [["timing"], PANELS], ids=["one", "all"])
 def test_where_methods_fail_draws_its_panels(names: list[str], tmp_path: Path, run_script: Script) -> None:
     one = ["--figure", *names] if len(names) == 1 else []
     run_script("studies/where_methods_fail.py", "--quick", *one, "--out", str(tmp_path))
@@ -132,6 +141,7 @@ def test_where_methods_fail_draws_its_panels(names: list[str], tmp_path: Path, r
     assert {path.stem for path in tmp_path.glob("*.png")} == {f"where_methods_fail_{name}" for name in names}
 
 
+@STUDY  # of the script; the claims are those of test_nonlinear_walls.py
 def test_nonlinear_walls_are_drawn(tmp_path: Path, run_script: Script) -> None:
     out = run_script("studies/nonlinear_walls.py", "--quick", "--out", str(tmp_path))
     assert out.count("settles up to, over theory's boundary") == 6
@@ -161,32 +171,6 @@ def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: 
         assert row["modulus"] < 1.0 and row["growing"] == [0, 0]
 
 
-@pytest.mark.parametrize(
-    ("part", "options", "words"),
-    [
-        pytest.param("product", ["--number", "1"], "1 flights, 0 exceed", marks=STUDY),
-        ("laws", ["--number", "1"], "| sign error |"),
-        ("good", ["--number", "1", "--seconds", "0.2"], "0 refused; 1 flights, 0 softened, 0.00 hours; {'landed': 1}"),
-    ],
-)
-def test_a_part_of_flight_safety_is_flown_and_printed(
-    part: str, options: list[str], words: str, tmp_path: Path, run_script: Script
-) -> None:
-    (tmp_path / "delays.json").write_text(json.dumps({"busy 200": [400, 900], "quiet 200": [400, 900]}))
-    run_script("studies/flight_safety.py", part, *options, "--out", str(tmp_path))
-    assert words in run_script("studies/flight_safety.py", "tables", "--out", str(tmp_path))
-
-
-def test_takeoffs_of_flight_safety_go_on_where_they_ended(tmp_path: Path, run_script: Script) -> None:
-    for number in (1, 2):
-        run_script("studies/flight_safety.py", "takeoffs", "--number", str(number), "--out", str(tmp_path))
-        rows = [json.loads(line) for line in (tmp_path / "takeoffs.jsonl").read_text().splitlines()]
-        assert [row["cell"]["seed"] for row in rows] == [110_000, 110_001][:number]
-    assert "| good | 200 | 0.4 | 2 | 0 | 0 |" in run_script(
-        "studies/flight_safety.py", "tables", "--out", str(tmp_path)
-    )
-
-
 @STUDY
 def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Path, run_script: Script) -> None:
     def run(*arguments: str) -> str:
@@ -198,9 +182,12 @@ def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Pa
     run("laws", "--number", "1")
     (tmp_path / "delays.json").write_text(json.dumps({"busy 200": [400, 900], "quiet 200": [400, 900]}))
     run("good", "--number", "1", "--seconds", "0.4")
-    run("takeoffs", "--number", "1")
+    for number in (1, 2):
+        run("takeoffs", "--number", str(number))
+        rows = [json.loads(line) for line in (tmp_path / "takeoffs.jsonl").read_text().splitlines()]
+        assert [row["cell"]["seed"] for row in rows] == [110_000, 110_001][:number]
     out = run("tables")
-    assert "3 flights, 0 exceed" in out and "| sign error |" in out and "| good | 200 | 0.4 | 1 | 0 | 0 |" in out
+    assert "3 flights, 0 exceed" in out and "| sign error |" in out and "| good | 200 | 0.4 | 2 | 0 | 0 |" in out
     assert "0 refused; 1 flights, 0 softened, 0.00 hours; {'landed': 1}" in out
     assert "| attack |" in run("attacks")
 
