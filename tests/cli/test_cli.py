@@ -15,7 +15,6 @@ from maglev_mj import cli
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run
-from maglev_mj.scenes.stick_slip import LAWS, VELOCITIES
 from maglev_mj.versions import versions
 
 
@@ -50,18 +49,19 @@ def test_drop_json_on_standard_output_is_nothing_but_json(capsys: pytest.Capture
     assert [row["phase"] for row in data["sweep"]["phases"]] == [0.0, 1 / 3, 2 / 3]
 
 
-@pytest.mark.parametrize("drawn", [False, pytest.param(True, marks=pytest.mark.study)])
-def test_drop_writes_json_and_pictures(
-    drawn: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    if not drawn:
-        monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, path, **__: Path(path).touch())
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let pictures be empty files."""
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda _, path, **__: Path(path).touch())
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_drop_writes_json_and_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["drop", "--plant", "exact", "--phases", "2", "--json", str(tmp_path / "drop.json")]
     assert cli.main([*arguments, "--out", str(tmp_path / "new" / "folder")]) == 0
     assert json.loads((tmp_path / "drop.json").read_text())["summary"]["penetration"] > 0.0
     pictures = sorted((tmp_path / "new" / "folder").glob("*.png"))
     assert [picture.name for picture in pictures] == ["drop_phase_plane.png", "drop_phases.png", "drop_time.png"]
-    assert all(picture.stat().st_size > 10_000 for picture in pictures) or not drawn
     out = capsys.readouterr().out
     assert all(f"wrote {picture}" in out for picture in pictures)
 
@@ -118,18 +118,12 @@ def test_the_table_says_when_the_device_could_not_do_it(capsys: pytest.CaptureFi
     assert "Above the device" not in capsys.readouterr().out
 
 
-def test_the_table_shows_the_sweep_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["drop", "--plant", "exact", "--phases", "100"]) == 0
-    rows = {line[2:16].strip(): line for line in capsys.readouterr().out.splitlines()}
-    assert re.findall(r"\S+ \(.*?\)", rows["penetration"]) == [
-        "1.74 (1.22 to 2.54)",
-        "2.01 (1.53 to 2.80)",
-        "2.94 (2.41 to 3.58)",
-    ]
+def test_the_table_counts_the_phases_that_have_a_figure(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["drop", "--plant", "exact", "--phases", "20", "--duration", "0.13"]) == 0
     assert "pulse 220 further: settling time is there at 19 of 20 phases" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_stick_slip_prints_one_screen_and_writes_json_and_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -160,39 +154,24 @@ def test_stick_slip_prints_one_screen_and_writes_json_and_a_picture(
     assert data["parameters"]["spring"] == 1000.0
     assert data["state"][0] == "stuck"
     assert "sliding" in data["state"]
-    assert (tmp_path / "stick_slip.png").stat().st_size > 10_000
+    assert (tmp_path / "stick_slip.png").is_file()
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [[f"--law={law}", "--plant=exact"] for law in LAWS]
-    + [[f"--velocity={name}", "--axis=ry", "--quantize=1e-5", "--period=0.001"] for name in VELOCITIES],
-)
-def test_stick_slip_runs_every_law_velocity_and_axis(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["stick-slip", *arguments, "--json", "-"]) == 0
-    data = json.loads(capsys.readouterr().out)
-    assert abs(data["summary"]["final_position"]) > 0.0
-
-
-def test_press_writes_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "new" / "folder"
-    assert cli.main(["press", "--plant", "exact", "--hits", "1", "--out", str(folder)]) == 0
-    assert f"wrote {folder / 'press.png'}" in capsys.readouterr().out
-    assert (folder / "press.png").stat().st_size > 10_000
-
-
-def test_press_prints_one_screen_and_writes_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.usefixtures("undrawn")
+def test_press_prints_one_screen_and_writes_json_and_a_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     target = tmp_path / "press.json"
-    assert cli.main(["press", "--plant", "exact", "--phases", "3", "--json", str(target)]) == 0
+    words = ["press", "--plant", "exact", "--hits", "2", "--phases", "2", "--json", str(target), "--out", str(tmp_path)]
+    assert cli.main(words) == 0
     out = capsys.readouterr().out
-    for words in ("approach speed", "contacts", "over 3 phases", "absorbed", "without pulse", "differ by at most"):
-        assert words in out
-    table = out.splitlines()
-    assert max(map(len, table)) <= 80
+    for part in ("approach speed", "contacts", "over 2 phases", "absorbed", "without pulse", "differ by at most"):
+        assert part in out
+    assert f"wrote {tmp_path / 'press.png'}" in out and (tmp_path / "press.png").is_file()
+    assert max(map(len, out.partition("wrote ")[0].splitlines())) <= 80
     data = json.loads(target.read_text())
-    assert data["parameters"] == {"plant": "exact", "phase": 0.0, **Press().as_json()}
-    assert len(data["summary"]["penetration"]) == 4
-    assert len(data["sweep"]["phases"]) == 3
+    assert data["parameters"] == {"plant": "exact", "phase": 0.0, **Press(hits=2).as_json()}
+    assert len(data["summary"]["penetration"]) == len(data["sweep"]["phases"]) == 2
 
 
 def test_press_json_on_standard_output_is_nothing_but_json(capsys: pytest.CaptureFixture[str]) -> None:
@@ -210,7 +189,7 @@ def test_the_press_table_says_what_the_device_could_not_do(capsys: pytest.Captur
     assert "Beyond the range of 4.5 mm: with pulse" in out
     (depths,) = [line for line in out.splitlines() if "penetration" in line]
     assert re.findall(r"\S+ to \S+", depths) == ["1.59 to 2.21", "2.35 to 3.25"]  # of eight hits
-    assert cli.main(["press", "--plant", "exact"]) == 0
+    assert cli.main(["press", "--plant", "exact", "--hits", "1"]) == 0
     assert "device" not in capsys.readouterr().out
 
 

@@ -27,7 +27,7 @@ def test_stability_json_is_the_map(tmp_path: Path) -> None:
     np.testing.assert_array_equal(stable, modulus < 1.0)
     np.testing.assert_array_equal(stable, rows <= np.array(data["boundary"]))
     assert data["maximum"]["stiffness"] == pytest.approx(10173, rel=1e-3)
-    assert (tmp_path / "stability.png").stat().st_size > 10_000
+    assert (tmp_path / "stability.png").is_file()
 
 
 def test_stability_by_theory_alone_simulates_nothing(capsys: pytest.CaptureFixture[str]) -> None:
@@ -38,7 +38,7 @@ def test_stability_by_theory_alone_simulates_nothing(capsys: pytest.CaptureFixtu
 
 def test_stability_goes_on_from_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     record = tmp_path / "cells"
-    arguments = ["stability", "--grid", "4", "--plant", "exact", "--record", str(record)]
+    arguments = ["stability", "--grid", "2", "--plant", "exact", "--record", str(record)]
     assert main([*arguments, "--json", "-"]) == 0
     first = capsys.readouterr().out
     (shard,) = record.glob("cells-*")

@@ -14,7 +14,6 @@ from maglev_mj import cli
 from maglev_mj.cli.declare import _inverse, count, number_option
 from maglev_mj.cli.program import COMMANDS, add_options, command_parser
 from maglev_mj.interop import hand_devices
-from maglev_mj.scenes import names
 from maglev_mj.views.window import window
 from tests.cli.test_options import NEEDED
 
@@ -70,6 +69,22 @@ render drop --out a.png --magnify 2                 | magnify must be one of 1, 
 press --press 60 --force-limit 60                   | press must be below the force_limit of 60 N
 press --duration 1 | duration must be a finite number above 1.905 and at most 100000, not 1.0
 stick-slip --law glue                               | law must be one of stick-slip, spring-reset, dahl,
+# values at a bound that excludes them
+view box --seconds 0                                | seconds must be a finite number above 0, not 0
+render box --out a.png --fps 0                      | fps must be
+fidelity drop --tolerance 0                         | tolerance must be a finite number above 0, not 0
+fidelity drop --boundary-tolerance 0                | boundary must be a finite number above 0, not 0
+stability --grid 1                                  | grid must be
+stability --grid 3 --force-limit 0 | force_limit must be a finite number above 0 and at most 1e+06, not 0
+stability --grid 3 --quantize 2 | quantize must be a finite number at least 0 and at most 1, not 2
+drop --phases 0                                     | phases must be at least 1 and at most 10000, not 0
+drop --rate 0                                       | argument --rate: must be a finite number above 0, not '0'
+press --hits 0                                      | hits must be
+stick-slip --breakaway 0                            | breakaway must be
+twin --rate 0                                       | rate must be
+twin --noise -1                                     | noise must be
+bridge DEVICE --max-current 0                       | max_current must be
+stability --damping 1 2 3                           | damping must be LOW HIGH, LOW:HIGH, or one value, not '1 2 3'
 # rates beside periods
 drop --rate fast                                    | argument --rate: must be a
 drop --rate 100 --period 0.01                       | argument --period: not allowed with argument --rate
@@ -121,7 +136,6 @@ twin --port 5680 | maglev-mj twin: port is for --web; a device's address is give
 view --no-open                                      | no-open is for --web
 twin --view --web                                   | give one
 # input devices
-view --hand-device joypad | must be one of those that `--hand-device list` prints, not 'joypad'
 view --hand-device | hand-device must be one of those that `--hand-device list` prints, not 'auto'
 view --hand-device /no/such.sock | must be one of those that `--hand-device list` prints, not '/no/such.sock'
 view --hand-gain 2                                  | hand-gain and the like are for --hand-device
@@ -200,7 +214,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def refused(folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Refused:
     """Return a function that runs a wrong line and returns its message."""
     monkeypatch.chdir(folder)
-    monkeypatch.setattr(names, "installed_scenes", cache(names.installed_scenes))
     monkeypatch.setattr(window, "require_display", lambda: None)
     monkeypatch.setattr(hand_devices, "_SETTINGS", folder / "spnavrc")
     monkeypatch.setattr(hand_devices, "_DAEMONS", folder / "daemon.sock")
@@ -227,7 +240,11 @@ def test_a_wrong_line_is_status_2_and_one_line_that_names_the_value(line: str, n
     assert named in refused(line)
 
 
-ALSO = {"compare": "--law pd", "sweep": "--vary height=0.001"}
+ALSO = {
+    "compare": "--law pd --duration 0.02",
+    "press": "--plant exact --hits 1 --interval 0.1",
+    "sweep": "--vary height=0.001",
+}
 SAID = {"--boundary-tolerance": "boundary"}
 NUMBER = re.compile(r"must be .*\b(finite number|at least|whole number|one of)\b.* not '?(\S+?)'?\n")
 
