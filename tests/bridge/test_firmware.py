@@ -1,9 +1,13 @@
-"""Edges and internals of the device's side of a session, in Python and in C."""
+"""What no host can observe of a device, and edges to the nanosecond, in Python and in C.
+
+Rules of the protocol are those of `conform`, which `test_conform.py` has both firmwares pass.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any
 
 import pytest
@@ -15,8 +19,6 @@ from maglev_mj.bridge.wire import (
     Command,
     Control,
     ControlAck,
-    Estop,
-    EstopAck,
     Fault,
     Flag,
     Frame,
@@ -118,12 +120,6 @@ class Bench:
         assert self.last.sequence == 0 and self.last.time == self.now
         return answer
 
-    def estop(self, request: int = 5, **frame: Any) -> EstopAck:
-        answer = self.give(Estop(request), **frame)
-        assert isinstance(answer, EstopAck) and answer.request == request
-        assert (self.last.session, self.last.sequence, self.last.time) == (0, 0, self.now)
-        return answer
-
     def command(self, held: Sequence[float] = ONES, pulsed: Sequence[float] = ZERO, width: float = 0.0) -> None:
         answers = max(self.tick, 0)
         assert self.give(Command(answers, 0, tuple(held), tuple(pulsed), width)) is None
@@ -171,21 +167,13 @@ class Bench:
             assert self.ask(Operation.TRIP, faults=Fault.CLOCK).state == State.FAULT
         return self
 
-    def refuses(self, fault: Fault) -> None:
-        """Check a latched fault, zero currents and recovery by RESET."""
-        device = self.device
-        assert device.state == State.FAULT and device.faults == fault
-        assert self.cuts and self.currents == ZERO
+    def has_tripped(self, fault: Fault) -> None:
+        """Check a latched fault, and that nothing is driven any more."""
+        assert (self.device.state, self.device.faults) == (State.FAULT, fault)
         driven = len(self.drives)
-        assert self.ask(Operation.ARM) == (self.request, Operation.ARM, Result.REFUSED, State.FAULT, fault)
-        assert self.ask(Operation.DISARM).state == State.FAULT
         self.command()
-        report = self.sample()
-        assert report is not None and report.state == State.FAULT and report.faults == fault
-        assert report.currents == ZERO and len(self.drives) == driven
-        assert self.ask(Operation.RESET)[2:] == (Result.DONE, State.INACTIVE, 0)
-        assert self.ask(Operation.ARM)[2:] == (Result.DONE, State.ACTIVE, 0)
-        assert len(self.drives) == driven
+        self.sample()
+        assert self.cuts and self.currents == ZERO and len(self.drives) == driven
 
 
 @pytest.fixture(autouse=True, params=FIRMWARES)
@@ -199,79 +187,40 @@ def moving(tick: int) -> list[float]:
     return [1e-3 + 1e-6 * (tick % 2 + place) for place in range(6)]
 
 
-@pytest.mark.parametrize("state", State)
-@pytest.mark.parametrize("operation", [*Operation, 0, 3, 7, 255])
-def test_every_operation_in_every_state(state: State, operation: int) -> None:
+def test_what_leads_away_from_flying_cuts_and_no_operation_drives() -> None:
     head, *rows = tables("| operation | INACTIVE |")
-    name = Operation(operation).name if operation in [*Operation] else "other"
-    (row,) = [row for row in rows if row[0] == name]
-    result, _, after = row[head.index(state.name)].partition(": ")
-    bench = Bench().brought_to(state)
-    cuts = bench.cuts
-    answer = bench.ask(operation, faults=Fault.BOUNDARY)
-    assert answer == (bench.request, operation, Result[result], State[after], bench.device.faults)
-    assert bench.device.state == State[after]
-    assert (bench.device.session == 0) == (operation == Operation.BYE)
-    tripped = operation == Operation.TRIP
-    assert (Fault.BOUNDARY in bench.device.faults) == tripped
-    # whatever leads away from flying cuts the currents, and nothing but a command drives them
-    assert (bench.cuts > cuts) == (tripped or (state == State.ACTIVE and State[after] != State.ACTIVE))
-    assert not bench.drives
-    assert bool(bench.device.faults) == (State[after] == State.FAULT)
+    for state, operation in product(State, [*Operation, 0, 255]):
+        name = Operation(operation).name if operation in [*Operation] else "other"
+        (row,) = [row for row in rows if row[0] == name]
+        result, _, after = row[head.index(state.name)].partition(": ")
+        bench = Bench().brought_to(state)
+        cuts = bench.cuts
+        answer = bench.ask(operation, faults=Fault.BOUNDARY)
+        assert answer == (bench.request, operation, Result[result], State[after], bench.device.faults)
+        left = state == State.ACTIVE and State[after] != State.ACTIVE
+        assert (bench.cuts > cuts) == (operation == Operation.TRIP or left), (state, name)
+        assert not bench.drives
 
 
-def test_the_welcome_says_what_the_device_is() -> None:
-    times = {"watchdog": 0.03, "enable": 0.02, "stale": 0.015, "thermal_time": 7.0}
-    bench = Bench(current_limit=8.0, hover_limit=1.5, frozen=7, **times)  # type: ignore[arg-type]
-    answer = bench.hello(nonce=2**64 - 1)
-    said, limits = (PERIOD, DELAY, 30_000_000, 20_000_000, 15_000_000), (8.0, 3.0, 1.5, 7.0, 0.012, 1.0)
-    expected = HelloAck(2**64 - 1, 0, 0, 3, State.INACTIVE, 1, CALIBRATION, *said, 0, 0, 0, 7, *limits)
-    assert answer == expected
-    assert bench.last.session == bench.device.session == 101
-
-
-@pytest.mark.parametrize("state", State)
-def test_a_session_is_taken_over_when_its_host_is_silent_and_the_device_does_not_fly(state: State) -> None:
-    bench = Bench(watchdog=1.0).brought_to(state)
-    bench.now += 999_999_999
+def test_another_host_gets_the_session_after_a_second_and_begins_anew() -> None:
+    bench = Bench(watchdog=1.0).brought_to(State.INACTIVE)
+    bench.command()
+    bench.now = START + 999_999_999
     assert bench.hello(nonce=2, peer="other").status == HelloStatus.BUSY
     bench.now += 1
-    active = state == State.ACTIVE
-    assert bench.hello(nonce=2, peer="other").status == (HelloStatus.BUSY if active else HelloStatus.WELCOME)
-    assert bench.device.state == state  # a latched fault is the next host's to reset
-    assert bench.device.peer == ("host" if active else "other")
-    if not active:
-        bench.give(Control(1, Operation.TRIP, 0, ZERO), session=101)
-        assert bench.device.counts["session"] == 1 and bench.last.session == 102
+    assert bench.hello(nonce=2, peer="other").status == HelloStatus.WELCOME
+    report = bench.sample()
+    assert report is not None and (report.answered, report.age) == (NEVER, NEVER) and bench.device.answered is None
+    bench.give(Control(1, Operation.ARM, 0, HOVER))
+    assert bench.device.state == State.INACTIVE and bench.device.counts["session"] == 1  # of the host before
 
 
-def test_a_new_session_forgets_numbers_and_the_last_answer() -> None:
-    bench = Bench().brought_to(State.ACTIVE)
-    bench.command()
-    bench.ask(Operation.BYE)
-    assert bench.sample() is None and bench.device.peer is None
-    assert bench.hello(nonce=2).status == HelloStatus.WELCOME
+def test_in_fault_the_last_answer_of_the_flight_is_kept() -> None:
+    bench = Bench().brought_to(State.FAULT)
+    bench.command((math.nan,) * 6)
     report = bench.sample()
     assert report is not None and (report.answered, report.age) == (NEVER, NEVER)
-    bench.sequence, bench.request = 0, 0
-    assert bench.ask(Operation.ARM).result == Result.DONE
-
-
-@pytest.mark.parametrize("state", [State.INACTIVE, State.FAULT])
-@pytest.mark.parametrize(("current", "width"), [(math.nan, 0.0), (1e308, 0.0), (1.0, -1.0)])
-def test_a_command_to_a_device_that_is_not_active_is_not_examined(state: State, current: float, width: float) -> None:
-    bench = Bench().brought_to(state)
-    before = bench.device.faults
-    bench.command((current,) * 6, width=width)
-    report = bench.sample()
-    # before takeoff a host measures the line's delay by it; in FAULT that of the flight is kept
-    known = (0, 5000) if state == State.INACTIVE else (NEVER, NEVER)
-    assert report is not None and (report.answered, report.age) == known
-    assert bench.device.counts == {"inactive": 1}
-    assert (bench.device.state, bench.device.faults) == (state, before) and not bench.drives
-    assert bench.device.answered == 0  # it was an answer all the same
-    bench.now += 999_999_999 - PERIOD
-    assert bench.hello(nonce=2, peer="other").status == HelloStatus.BUSY  # and its host lives
+    assert bench.device.counts == {"inactive": 1} and bench.device.answered == 0  # it was an answer all the same
 
 
 def test_a_command_is_driven_as_it_came() -> None:
@@ -290,20 +239,6 @@ def flags_while_silent(bench: Bench, samples: int) -> list[tuple[State, Flag, Fa
         assert report is not None
         found.append((State(report.state), Flag(report.flags), Fault(report.faults)))
     return found
-
-
-@pytest.mark.parametrize("commanded", [True, False], ids=["after a command", "after arming"])
-def test_silence_is_held_after_two_periods_and_ends_with_the_watchdog(commanded: bool) -> None:
-    bench = Bench().brought_to(State.ACTIVE)
-    if commanded:
-        bench.command(ONES, HOVER, 0.001)
-    found = flags_while_silent(bench, 12)
-    none, holding = (State.ACTIVE, Flag.ENABLED, Fault(0)), (State.ACTIVE, Flag.ENABLED | Flag.HOLDING, Fault(0))
-    assert found[:2] == [none] * 2  # 5 and 10 ms: no more than two periods
-    assert found[2:10] == [holding] * 8  # 15 to 50 ms: no more than the watchdog
-    assert found[10:] == [(State.FAULT, Flag.ENABLED, Fault.WATCHDOG)] * 2
-    assert bench.drives[commanded:] == [(HOVER, None, 0.0)]  # once
-    bench.refuses(Fault.WATCHDOG)
 
 
 def test_the_watchdog_is_as_long_as_it_is_said_to_be() -> None:
@@ -330,45 +265,14 @@ def test_a_host_that_is_lost(state: State) -> None:
     assert bench.hello(nonce=2).status == HelloStatus.WELCOME
 
 
-@pytest.mark.parametrize("current", [10.0, -10.0, 6.0, 3.2, 3.0])
-@pytest.mark.parametrize("time", [10.0, 2.0])
-def test_warmth_trips_when_the_closed_form_says(current: float, time: float) -> None:
-    bench = Bench(thermal_time=time).brought_to(State.ACTIVE)
-    left = 1.0 - (3.0 / current) ** 2
-    expected = -time * math.log(left) if left > 0.0 else math.inf
-    currents = [0.0, 0.0, current, 0.0, 0.0, 0.0]
-    report = None
-    for _ in range(math.ceil(min(expected, 6.0 * time) / PERIOD * 1e9) + 2):
-        bench.command(currents)
-        report = bench.sample()
-        if bench.device.state == State.FAULT:
-            break
-    assert report is not None
-    if math.isinf(expected):
-        assert bench.device.state == State.ACTIVE
-        assert report.temperatures[2] == pytest.approx(1.0 - math.exp(-6.0), rel=1e-3)
-        return
-    assert (bench.now - START) * 1e-9 == pytest.approx(expected, abs=1.1 * PERIOD * 1e-9)
-    assert bench.device.faults == Fault.COIL_OVERTEMP and bench.currents == ZERO
-    assert report.temperatures[2] >= 1.0 > max(report.temperatures[:2] + report.temperatures[3:])
-    # it is reset when it has cooled to 0.8, not before
-    hot, since = report.temperatures[2], bench.now
-    while bench.ask(Operation.RESET).result == Result.REFUSED:
-        assert bench.device.state == State.FAULT
-        bench.sample()
-    assert (bench.now - since) * 1e-9 == pytest.approx(time * math.log(hot / 0.8), abs=1.1 * PERIOD * 1e-9)
-    assert bench.ask(Operation.ARM).state == State.ACTIVE
-
-
-@pytest.mark.parametrize("state", [State.INACTIVE, State.FAULT])
-def test_a_device_that_nobody_flies_may_be_opened(state: State) -> None:
-    bench = Bench().brought_to(state)
-    before = bench.device.faults
-    for spots in (ZERO, (0.01,) * 6, (NAN,) * 6):
-        for _ in range(50):
-            bench.sample(spots=spots, valid=3, conversions=4, enabled=False)
-    assert (bench.device.state, bench.device.faults) == (state, before)
-    assert not bench.toggles
+def test_a_device_that_nobody_flies_may_be_opened() -> None:
+    for state in (State.INACTIVE, State.FAULT):
+        bench = Bench().brought_to(state)
+        before = bench.device.faults
+        for spots in (ZERO, (0.01,) * 6, (NAN,) * 6):
+            for _ in range(50):
+                bench.sample(spots=spots, valid=3, conversions=4, enabled=False)
+        assert (bench.device.state, bench.device.faults) == (state, before) and not bench.toggles
 
 
 def test_currents_of_a_flight_are_not_counted_after_it_nor_those_before() -> None:
@@ -413,24 +317,6 @@ def test_the_enable_line_lives_while_the_device_is_active_and_no_longer() -> Non
 LONG = 3_600_000_000_000
 
 
-@pytest.mark.parametrize("peer", ["host", "anyone"])
-@pytest.mark.parametrize("state", State)
-def test_an_estop_is_obeyed_in_every_state(state: State, peer: str) -> None:
-    bench = Bench().brought_to(state)
-    if state == State.ACTIVE:
-        bench.command()
-    bench.sample()
-    before, measured = bench.device.faults, bench.currents
-    for count in range(1, 4):
-        cuts = bench.cuts
-        bench.now += 1000
-        answer = bench.estop(request=2**64 - 1, peer=peer)
-        assert answer == (2**64 - 1, State.FAULT, before | Fault.ESTOP, START + bench.tick * PERIOD, measured), count
-        assert bench.cuts == cuts + 1
-    assert bench.device.peer == "host"
-    bench.refuses(before | Fault.ESTOP)
-
-
 @pytest.mark.parametrize(
     ("period", "stale", "lockstep", "behind", "late"),
     [
@@ -464,50 +350,28 @@ def test_an_answer_is_obeyed_until_its_sample_is_stale(
     assert bench.device.counts == {"old": 3 - lockstep}
 
 
-def test_stale_answers_feed_nothing_but_use_up_their_numbers_and_say_that_the_host_lives() -> None:
-    bench = Bench().brought_to(State.ACTIVE)
-    bench.command()
-    for count in range(1, 12):
-        report = bench.sample()
-        bench.give(Command((bench.tick - 5) % 2**32, 0, ONES, ONES, 0.0))
-        bench.give(Command(bench.tick, 0, ONES, ONES, 0.0), sequence=bench.sequence)
-        assert report is not None and (report.answered, report.age) == (0, 5000 * count)
-        assert bool(report.flags & Flag.HOLDING) == (3 <= count <= 10)
-    assert bench.drives == [(ONES, None, 0.0), (HOVER, None, 0.0)] and bench.device.counts == {"old": 22}
-    bench.now += 999_999_999
-    assert bench.hello(nonce=2, peer="other").status == HelloStatus.BUSY
-    bench.refuses(Fault.WATCHDOG)
-
-
-EDGES: list[tuple[float, float, Fault]] = [
-    *((10.0, width, Fault(0)) for width in (0.0, -0.0, 5e-324, 1.0)),
-    *((current, 0.001, Fault(0)) for current in (-10.0, 10.0 * (1.0 + 1e-10))),
-    *((current, 0.001, Fault.COIL_OVERCURRENT) for current in (10.0 * (1.0 + 1e-8), -10.1, 1e308)),
-    *((10.0, width, Fault.INVALID_COMMAND) for width in (-1e-9, 1.0 + 1e-9, 1e308, NAN, -INF)),
-]
-
-
 @pytest.mark.parametrize("pulse", [False, True])
-@pytest.mark.parametrize(("current", "width", "fault"), EDGES)
-def test_the_edges_of_a_command(current: float, width: float, fault: Fault, pulse: bool) -> None:
-    bench = Bench().brought_to(State.ACTIVE)
-    edge = (*ZERO[:4], current, current)  # the sum of two that are huge is infinite
-    bench.command(ZERO if pulse else edge, edge if pulse else ZERO, width)
-    assert len(bench.drives) == (not fault)
-    if fault:
-        bench.refuses(fault)
-    assert bench.device.state == State.ACTIVE
+def test_the_edges_of_a_command(pulse: bool) -> None:
+    for current, width, fault in (
+        *((10.0, width, Fault(0)) for width in (0.0, -0.0, 5e-324, 1.0)),
+        *((current, 0.001, Fault(0)) for current in (-10.0, 10.0 * (1.0 + 1e-10))),
+        *((current, 0.001, Fault.COIL_OVERCURRENT) for current in (10.0 * (1.0 + 1e-8), -10.1, 1e308)),
+        *((10.0, width, Fault.INVALID_COMMAND) for width in (-1e-9, 1.0 + 1e-9, 1e308, NAN, -INF)),
+    ):
+        bench = Bench().brought_to(State.ACTIVE)
+        edge = (*ZERO[:4], current, current)  # the sum of two that are huge is infinite
+        bench.command(ZERO if pulse else edge, edge if pulse else ZERO, width)
+        assert len(bench.drives) == (not fault) and bench.device.faults == fault, (current, width)
 
 
-@pytest.mark.parametrize("place", [0, 5])
-@pytest.mark.parametrize("current", [NAN, 1.5 + 1e-9, -1.5 - 1e-9])
-def test_the_edges_of_hover_currents(current: float, place: int) -> None:
-    bench = Bench(hover_limit=1.5).brought_to(State.INACTIVE)
-    hover = [*ZERO]
-    hover[place] = current
-    assert bench.ask(Operation.ARM, hover=hover)[2:] == (Result.REFUSED, State.INACTIVE, 0)
-    hover[place] = math.copysign(1.5, current)
-    assert not bench.toggles and bench.ask(Operation.ARM, hover=hover)[2:] == (Result.DONE, State.ACTIVE, 0)
+def test_the_edges_of_hover_currents() -> None:
+    for place, current in product((0, 5), (NAN, 1.5 + 1e-9, -1.5 - 1e-9)):
+        bench = Bench(hover_limit=1.5).brought_to(State.INACTIVE)
+        hover = [*ZERO]
+        hover[place] = current
+        assert bench.ask(Operation.ARM, hover=hover)[2:] == (Result.REFUSED, State.INACTIVE, 0)
+        hover[place] = math.copysign(1.5, current)
+        assert not bench.toggles and bench.ask(Operation.ARM, hover=hover)[2:] == (Result.DONE, State.ACTIVE, 0)
 
 
 def test_a_command_a_cut_and_a_trip_end_the_hold() -> None:
@@ -523,9 +387,9 @@ def test_a_command_a_cut_and_a_trip_end_the_hold() -> None:
 
 
 TRIPS: list[tuple[Fault, int, dict[str, Any]]] = [
-    *((Fault.COIL_NOT_FOLLOWING, 3, {"measured": (*ONES[:5], found)}) for found in (0.0, NAN, INF, -1.4, -0.6)),
-    *((Fault.SENSOR_OUT_OF_RANGE, 1, {"valid": valid}) for valid in (6, 5, 3)),
-    *((Fault.SENSOR_OUT_OF_RANGE, 1, {"spots": (*ZERO[:5], spot)}) for spot in (0.0121, NAN, -INF)),
+    *((Fault.COIL_NOT_FOLLOWING, 3, {"measured": (*ONES[:5], found)}) for found in (0.0, NAN, -0.6)),
+    (Fault.SENSOR_OUT_OF_RANGE, 1, {"valid": 6}),
+    (Fault.SENSOR_OUT_OF_RANGE, 1, {"spots": (*ZERO[:5], NAN)}),
     (Fault.SENSOR_FROZEN, 31, {"spots": (1e-3,) * 6}),  # the first, and thirty like it
     (Fault.SENSOR_STOPPED, 2, {"conversions": 7}),
     (Fault.WATCHDOG, 2, {"enabled": False}),
@@ -533,17 +397,17 @@ TRIPS: list[tuple[Fault, int, dict[str, Any]]] = [
 ]
 
 
-@pytest.mark.parametrize(("fault", "samples", "reading"), TRIPS)
-def test_each_guard_trips(fault: Fault, samples: int, reading: dict[str, Any]) -> None:
-    bench = Bench().brought_to(State.ACTIVE)
-    bench.command()
-    bench.sample(spots=ZERO)
-    for count in range(samples):
-        assert bench.device.state == State.ACTIVE, count
+def test_each_guard_trips() -> None:
+    for fault, samples, reading in TRIPS:
+        bench = Bench().brought_to(State.ACTIVE)
         bench.command()
-        report = bench.sample(**reading)
-    assert report is not None and report.valid == reading.get("valid", 7) and len(bench.drives) == samples + 1
-    bench.refuses(fault)
+        bench.sample(spots=ZERO)
+        for count in range(samples):
+            assert bench.device.state == State.ACTIVE, (fault, count)
+            bench.command()
+            report = bench.sample(**reading)
+        assert report is not None and report.valid == reading.get("valid", 7) and len(bench.drives) == samples + 1
+        bench.has_tripped(fault)
 
 
 def test_strikes_may_be_of_any_coils() -> None:
@@ -552,7 +416,7 @@ def test_strikes_may_be_of_any_coils() -> None:
         assert bench.device.state == State.ACTIVE
         bench.command()
         bench.sample(measured=[*ONES[:coil], 0.0, *ONES[coil + 1 :]])
-    bench.refuses(Fault.COIL_NOT_FOLLOWING)
+    bench.has_tripped(Fault.COIL_NOT_FOLLOWING)
 
 
 def test_reset_is_refused_in_inactive_while_a_coil_is_warm() -> None:
@@ -570,7 +434,7 @@ def test_nothing_is_held_where_something_is_wrong() -> None:
     flags_while_silent(bench, 2)
     bench.sample(valid=0)
     assert not bench.drives
-    bench.refuses(Fault.SENSOR_OUT_OF_RANGE)
+    bench.has_tripped(Fault.SENSOR_OUT_OF_RANGE)
 
 
 @pytest.mark.parametrize(
@@ -616,17 +480,6 @@ def test_a_current_that_does_not_stop_is_found_in_three_samples(state: State, cu
     assert bench.ask(Operation.RESET).result == (Result.REFUSED if found else Result.DONE)
     bench.sample()
     assert bench.ask(Operation.RESET)[2:] == (Result.DONE, State.INACTIVE, 0)
-
-
-def test_the_last_request_is_answered_again_and_not_done() -> None:
-    bench = Bench().brought_to(State.FAULT)
-    bench.ask(Operation.ARM)
-    bench.device.state, bench.device.faults = State.INACTIVE, Fault(0)
-    for operation in (Operation.ARM, Operation.BYE, Operation.DISARM):
-        answer = bench.give(Control(bench.request, operation, 0, HOVER))
-        assert answer == (bench.request, Operation.ARM, Result.REFUSED, State.INACTIVE, 0)
-    assert bench.device.session == 101
-    assert bench.ask(Operation.ARM)[2:] == (Result.DONE, State.ACTIVE, 0)
 
 
 @pytest.mark.parametrize(("now", "tick", "age"), [(7_000_000, 1, 0), (0, LONG // PERIOD * 2, NEVER - 1)])
