@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from maglev_mj.bridge.twin.simulated_links import TO_DEVICE, TO_HOST, Line
-from maglev_mj.errors import ParameterError
-from maglev_mj.parameters import number
 
 
 @dataclass(frozen=True)
@@ -27,9 +25,6 @@ class Impairment:
         jitter: Half width of the uniform variation of each copy's time [s]; the time is never negative.
         blackouts: Pairs of start and end [s] since the beginning, in which all frames are lost.
         seed: Seed of the random numbers.
-
-    Raises:
-        ParameterError: If a value is outside its bounds, or a blackout ends before it starts.
     """
 
     loss: float = 0.0
@@ -39,15 +34,6 @@ class Impairment:
     jitter: float = 0.0
     blackouts: tuple[tuple[float, float], ...] = ()
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("loss", "duplicate", "corrupt"):
-            number(name, getattr(self, name), at_least=0.0, at_most=1.0)
-        for name in ("delay", "jitter"):
-            number(name, getattr(self, name), at_least=0.0)
-        for start, end in self.blackouts:
-            if not 0.0 <= start < end:
-                raise ParameterError(f"a blackout must start at 0 or later and end after that, not {(start, end)!r}")
 
 
 class Impairer:

@@ -153,15 +153,14 @@ STARTS: dict[str, tuple[tuple[float, ...], dict[str, Any]]] = {
     "joystick": ((1e-3, -5e-4, 2e-3, 0.01, 0.02, -0.01), {"friction": True}),
 }
 TIMINGS = ((0.005, 0.0015), (0.001, 0.0015), (0.005, 0.007))  # the last two with a delay of more than a period
-SAME: list[tuple[str, float, float, dict[str, Any], list[float] | None]] = [
-    *((name, period, delay, {}, None) for name in STARTS for period, delay in TIMINGS),
-    (
-        "drop",
-        0.001,
-        0.0004,
-        {"stiffness": 20_000.0, "pulse": 1000.0, "pulse_width": 6e-4},
-        None,
-    ),  # so hard that the currents' limit is met
+SAME: list[Any] = [
+    *(
+        pytest.param(name, *timing, {}, None, marks=pytest.mark.study if (one + two) % 3 else ())
+        for one, name in enumerate(STARTS)
+        for two, timing in enumerate(TIMINGS)
+    ),
+    # so hard that the currents' limit is met
+    ("drop", 0.001, 0.0004, {"stiffness": 20_000.0, "pulse": 1000.0, "pulse_width": 6e-4}, None),
     ("joystick", 0.005, 0.0015, {}, [8.6, 8.6, 8.6, 0.01, 0.01, 0.01]),
 ]
 
@@ -172,12 +171,12 @@ def test_the_same_controller_flies_a_device_bit_for_bit(
 ) -> None:
     start, usual = STARTS[name]
     scene = find_scene(name)().replace(period=period, delay=delay, **(usual | changes))
-    times = period * np.array([10, 150, 250, 400])
+    times = period * np.array([10, 100, 170, 260])
     hands = [SpringHand(target=Trajectory(times, np.asarray(TOUR.poses)[:4])) for _ in range(2)]
 
     def answers(plant: Plant) -> Array:
         rows: list[list[float]] = []
-        drive(plant, scene.controller(), 450, observe=lambda one, two: rows.append([*one.position, *command_row(two)]))
+        drive(plant, scene.controller(), 300, observe=lambda one, two: rows.append([*one.position, *command_row(two)]))
         return np.array(rows)
 
     local = answers(
@@ -200,7 +199,7 @@ def test_the_same_controller_flies_a_device_bit_for_bit(
         plant.arm()
         remote = answers(plant)
         assert plant.samples.lost == plant.samples.skipped == 0 and not plant.faults
-    assert remote.shape == (450, 19) and (remote == local).all()
+    assert remote.shape == (300, 19) and (remote == local).all()
     assert np.ptp(local[:, :3], axis=0).max() > 1e-3  # it does move
     total = np.abs(local[:, 6:12] + local[:, 12:18])
     if changes or wrench_limit is not None:  # and what was asked for is more than is borne
@@ -250,7 +249,7 @@ def test_it_takes_off_hovers_and_lands(period: float, most: float) -> None:
 
 @pytest.mark.parametrize(
     ("seed", "seconds"),
-    [(0, 5.0), *(pytest.param(*case, marks=pytest.mark.study) for case in ((0, 20.0), (1, 5.0), (2, 5.0)))],
+    [(0, 2.0), *(pytest.param(*case, marks=pytest.mark.study) for case in ((0, 20.0), (1, 5.0), (2, 5.0)))],
 )
 def test_over_a_bad_line_it_hovers(seed: int, seconds: float) -> None:
     rig = Rig(replace(BAD, seed=seed))
@@ -268,9 +267,9 @@ def test_over_a_bad_line_it_hovers(seed: int, seconds: float) -> None:
 
 def test_the_same_seeds_give_the_same_commands() -> None:
     def fingerprint(seed: int) -> str:
-        rig = Rig(replace(BAD, seed=seed))
-        rig.plant.takeoff()
-        rig.fly(1.5, hover(0.005, BAD_REACH))
+        rig = Rig(replace(BAD, seed=seed), pose=CENTRE)
+        rig.plant.arm()
+        rig.fly(0.6, hover(0.005, BAD_REACH))
         return hashlib.sha256(
             np.array([*rig.rows, *(row.tolist() + [0.0] * 13 for row in rig.poses)]).tobytes()
         ).hexdigest()
@@ -384,16 +383,16 @@ def test_a_second_host_is_refused_and_the_first_flies_on_undisturbed() -> None:
     refused = []
 
     def intrude(rig: Rig) -> None:
-        if rig.plant.samples.tick == 200:
+        if rig.plant.samples.tick == 50:
             with pytest.raises(HandshakeError, match="another host has the device"):
                 RemotePlant(Neighbour(rig))
             refused.append(rig.twin.firmware.counts["busy"])
 
     flown = []
     for disturbed in (False, True):
-        rig = Rig()
-        rig.plant.takeoff()
-        rig.fly(1.0, observe=(lambda rig=rig: intrude(rig)) if disturbed else None)  # type: ignore[misc]
+        rig = Rig(pose=CENTRE)
+        rig.plant.arm()
+        rig.fly(0.5, observe=(lambda rig=rig: intrude(rig)) if disturbed else None)  # type: ignore[misc]
         flown.append((rig.rows, rig.poses.tolist()))
     assert flown[0] == flown[1]
     assert len(refused) == 1 and refused[0] > 1

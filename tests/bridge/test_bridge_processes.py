@@ -6,7 +6,6 @@ In lockstep, and after the death of one.
 import json
 import os
 import re
-import signal
 import sys
 import threading
 import time
@@ -21,7 +20,6 @@ import pytest
 from maglev_mj import MuJoCoPlant, Timing, drive
 from maglev_mj.bridge import Calibration, Fault, HostLimits, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
-from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.line import measure_line
 from maglev_mj.bridge.links import UdpLink, UdpServer
 from maglev_mj.bridge.realtime import RealtimeError, realtime
@@ -34,9 +32,6 @@ from maglev_mj.plants import SpotSensor
 from maglev_mj.recording import Recording, RecordingError
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.rooms import Table
-from tests.bridge.impaired import Impairment
-from tests.bridge.udp_proxy import UdpProxy
 from tests.processes import ADDRESS, PATIENCE, Program, ended, running, said_by, started, twin
 from tests.recorded import command_row
 
@@ -112,18 +107,6 @@ def rows(plant: Plant, scene: Scene) -> np.ndarray:
     return np.array(seen)
 
 
-DROP = Drop(), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)
-STICK_SLIP = Table(), (0.001, 0.0, 0.0, 0.0, 0.01, 0.0)
-
-
-LINES = [
-    pytest.param(*DROP, 0.03, id="drop-0.03"),
-    pytest.param(*STICK_SLIP, 0.0, id="stick-slip-0.0"),
-    pytest.param(*DROP, 0.0, id="drop-0.0", marks=pytest.mark.study),
-    pytest.param(*STICK_SLIP, 0.03, id="stick-slip-0.03", marks=pytest.mark.study),
-]
-
-
 def local(pose: tuple[float, ...]) -> Plant:
     """Return the plant of a twin with seed 5."""
     sensor = SpotSensor(quantum=8e-7, noise=4e-7, seed=5)
@@ -131,18 +114,12 @@ def local(pose: tuple[float, ...]) -> Plant:
 
 
 @pytest.mark.machine
-@pytest.mark.parametrize(("scene", "pose", "loss"), LINES)
-def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process(
-    scene: Scene, pose: tuple[float, ...], loss: float
-) -> None:
+def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process() -> None:
+    scene, pose = Drop(), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)
     with running(sys.executable, "-c", LOCKSTEP, " ".join(map(str, pose))) as device:
-        address = device.wait_for(ADDRESS)
-        host, port = address.removeprefix("udp://").split(":")
-        with UdpProxy((host, int(port)), Impairment(loss=loss, duplicate=loss, seed=1)) as proxy:
-            place, number = proxy.address
-            with RemotePlant(open_link(f"udp://{place}:{number}"), patience=PATIENCE) as plant:
-                plant.arm()
-                np.testing.assert_array_equal(rows(plant, scene), rows(local(pose), scene))
+        with RemotePlant(open_link(device.wait_for(ADDRESS)), patience=PATIENCE) as plant:
+            plant.arm()
+            np.testing.assert_array_equal(rows(plant, scene), rows(local(pose), scene))
 
 
 def assert_runs_again(path: Path) -> None:
@@ -193,38 +170,12 @@ def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(t
 
 
 @pytest.mark.machine
-@pytest.mark.study
-def test_a_host_that_is_stopped_finds_the_watchdogs_fault_when_it_goes_on(tmp_path: Path) -> None:
-    with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
-        host.child.send_signal(signal.SIGSTOP)
-        time.sleep(2.0)  # longer than the watchdog
-        host.child.send_signal(signal.SIGCONT)
-        status, said = ended(host, None)
-        assert status == 1 and "WATCHDOG" in said
-        (last,) = tmp_path.glob("fault-*.maglev")
-        assert load_fault(last).time.size == 200
-        assert "fault, faults: WATCHDOG" in ended(device)[1]
-
-
-@pytest.mark.machine
 def test_a_device_that_is_gone_is_a_fault_of_the_host_and_the_recording_is_kept(tmp_path: Path) -> None:
     with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
         device.child.kill()
         status, said = ended(host, None)
         assert status == 1 and "HOST: no sample from the device within 1 s" in said
         assert Recording.load(tmp_path / "run.maglev").ticks > 0
-
-
-@pytest.mark.machine
-@pytest.mark.study
-def test_a_second_host_is_turned_away_and_the_first_flies_on_until_ctrl_c(tmp_path: Path) -> None:
-    with twin("--watchdog", "1") as (device, address), flown(address, tmp_path) as host:
-        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5")
-        assert status == 1 and "another host has the device" in said
-        status, said = ended(host, signal.SIGINT)
-        assert status == 0, said
-        assert Recording.load(tmp_path / "run.maglev").ticks > 0
-        assert "inactive, faults: none" in ended(device)[1]
 
 
 def _key(path: Path, byte: str) -> list[str]:
@@ -299,15 +250,6 @@ def test_the_hosts_limits_hold_in_flight_and_options_go_before_the_profile(devic
     status, said = said_by(*arguments, "--speed-limit", "0.6")
     assert status == 0 and "at rest" in said, said
     assert (device.firmware.state, device.firmware.faults) == (State.INACTIVE, Fault(0))
-
-
-def test_help_says_what_ends_a_flight() -> None:
-    status, said = said_by("bridge", "--help")
-    assert status == 0
-    for words in ("Ctrl-C twice", "SIGTERM, SIGHUP", "2 s later", "Esc in the window", "maglev-mj estop ADDRESS"):
-        assert words in said
-    for option in ("max-current", "force-limit", "torque-limit", "envelope", "speed-limit", "profile", "reset"):
-        assert f"--{option}" in said
 
 
 @pytest.mark.machine

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Collection
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ import pytest
 
 from maglev_mj.bridge.connection import EstopReport, estop
 from maglev_mj.bridge.fault import DeviceFault
-from maglev_mj.bridge.links import open_link
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
@@ -21,8 +19,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command as MotionCommand
 from tests.bridge.impaired import Impairer, Impairment
 from tests.bridge.test_bridge import CENTRE, Rig
-from tests.bridge.test_bridge_processes import flown
-from tests.processes import ended, twin
 
 KEY = b"0123456789abcdef"
 CASES, ALLOWED = 20, 0.03
@@ -137,23 +133,30 @@ def stopped(seed: int, where: str, before: Before, loss: float, key: bytes | Non
     return line.off_after(), reports[0]
 
 
-hostile = pytest.mark.parametrize(
-    ("where", "before", "loss", "key"),
+HOSTILE = [
+    ("in flight", nothing, 0.0, None),
+    ("in takeoff", nothing, 0.2, KEY),
+    ("in flight", flooded, 0.0, None),
+    ("in takeoff", far_ahead, 0.2, None),
+]
+MORE = [
+    ("in takeoff", nothing, 0.0, None),
+    ("in flight", nothing, 0.2, None),
+    ("in takeoff", flooded, 0.2, None),
+    ("in flight", far_ahead, 0.0, KEY),
+]
+
+
+@pytest.mark.parametrize(
+    ("where", "before", "loss", "key", "seeds"),
     [
-        ("in flight", nothing, 0.0, None),
-        ("in takeoff", nothing, 0.0, None),
-        ("in flight", nothing, 0.2, None),
-        ("in takeoff", nothing, 0.2, KEY),
-        ("in flight", flooded, 0.0, None),
-        ("in takeoff", flooded, 0.2, None),
-        ("in flight", far_ahead, 0.0, KEY),
-        ("in takeoff", far_ahead, 0.2, None),
+        *((*case, SOME) for case in HOSTILE),
+        *(pytest.param(*case, range(CASES), marks=pytest.mark.study) for case in (*HOSTILE, *MORE)),
     ],
 )
-
-
-def cuts_within_30_ms(seeds: Collection[int], where: str, before: Before, loss: float, key: bytes | None) -> None:
-    """Stop a device in cases of some numbers."""
+def test_an_estop_from_beside_cuts_within_30_ms(
+    where: str, before: Before, loss: float, key: bytes | None, seeds: Collection[int]
+) -> None:
     cases = [stopped(seed, where, before, loss, key) for seed in seeds]
     worst, longest = max(off for off, _ in cases), max(report.duration for _, report in cases)
     print(
@@ -161,17 +164,6 @@ def cuts_within_30_ms(seeds: Collection[int], where: str, before: Before, loss: 
         f"off within {worst * 1e3:.1f} ms of arrival, confirmed within {longest * 1e3:.0f} ms"
     )
     assert worst <= ALLOWED and all(report.confirmed for _, report in cases)
-
-
-@hostile
-def test_an_estop_from_beside_cuts_within_30_ms(where: str, before: Before, loss: float, key: bytes | None) -> None:
-    cuts_within_30_ms(SOME, where, before, loss, key)
-
-
-@pytest.mark.study
-@hostile
-def test_an_estop_at_any_phase_cuts_within_30_ms(where: str, before: Before, loss: float, key: bytes | None) -> None:
-    cuts_within_30_ms(range(CASES), where, before, loss, key)
 
 
 def test_without_the_key_a_keyed_device_is_not_stopped_and_that_is_said() -> None:
@@ -238,19 +230,7 @@ def test_in_lockstep_where_time_stands_still_the_state_is_enough() -> None:
         plant.read()
 
 
-@pytest.mark.parametrize("patience", [0.0, -1.0, float("nan")])
-def test_a_patience_that_is_none_is_refused(patience: float) -> None:
-    with pytest.raises(ParameterError, match="patience must be"):
-        estop(VirtualLink(Twin(TwinParameters())), patience=patience)
-
-
-@pytest.mark.machine
-@pytest.mark.study  # test_stopping.py has one
-def test_a_third_process_stops_what_a_second_one_flies(tmp_path: Path) -> None:
-    with twin("--watchdog", "1") as (_, address), flown(address, tmp_path) as host:
-        with closing(open_link(address)) as link:
-            report = estop(link)
-        status, said = ended(host, None)
-    assert report.confirmed and report.faults & Fault.ESTOP and status == 1
-    assert "ESTOP" in said or "WATCHDOG" in said  # of a host that has stalled
-    assert max(map(abs, report.currents)) < 0.25
+def test_a_patience_that_is_none_is_refused() -> None:
+    for patience in (0.0, -1.0, float("nan")):
+        with pytest.raises(ParameterError, match="patience must be"):
+            estop(VirtualLink(Twin(TwinParameters())), patience=patience)

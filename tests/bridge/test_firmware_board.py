@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import signal
 import subprocess
 import sys
 import threading
@@ -231,13 +230,3 @@ def test_session_numbers_follow_from_the_nonce(program: Program, start: Starter)
         assert frame is not None
         numbers.add(frame.session)
     assert len(numbers) == 2 and not numbers & {0, 1, 2}
-
-
-@KEY_ALONE
-def test_an_emulator_that_hangs_is_killed(program: Program, start: Starter, capsys: pytest.CaptureFixture[str]) -> None:
-    board = start()
-    os.kill(board.process.pid, signal.SIGSTOP)
-    assert main(["bridge", board.address, *program.options]) == 1
-    assert "no device answered within 1 s" in capsys.readouterr().err
-    board.end(patience=0.2)
-    assert board.process.returncode == -signal.SIGKILL

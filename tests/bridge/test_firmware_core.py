@@ -16,14 +16,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.links import cobs_decode, cobs_encode
 from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
-from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State
 from tests.bridge.firmware_core import FOLDER, SANITIZED, STRICT, CoreFirmware, library
 from tests.bridge.test_wire import sealed
@@ -180,7 +177,7 @@ class Exchange:
         self.compare([side.outcome(side.device.sample(*told)) for side in self.sides])
 
 
-@pytest.mark.parametrize("seeds", [2, pytest.param(4, marks=pytest.mark.study)])
+@pytest.mark.parametrize("seeds", [1, pytest.param(4, marks=pytest.mark.study)])
 @pytest.mark.parametrize("lockstep", [False, True], ids=["real time", "lockstep"])
 @pytest.mark.parametrize("key", [None, KEY], ids=["no key", "key"])
 def test_it_does_what_the_firmware_in_python_does(key: bytes | None, lockstep: bool, seeds: int) -> None:
@@ -194,44 +191,6 @@ def test_it_does_what_the_firmware_in_python_does(key: bytes | None, lockstep: b
     assert faults == BY_DEVICE | Fault.BOUNDARY | Fault.CLOCK
     assert {2, 4, 5, 8} == set(frames)
     assert {"direction", "session", "old", "inactive", "busy", "crc", "magic", "short"} <= set(counts)
-
-
-def springs(spots: Sequence[float], before: Sequence[float] | None, known: Calibration) -> tuple[float, ...]:
-    """Return currents that pull the flotor to the centre."""
-    slopes = known.beams._spots(np.zeros(6))[1]
-    pose = np.linalg.solve(slopes, spots)
-    speed = (pose - np.linalg.solve(slopes, before)) / (PERIOD * 1e-9) if before else np.zeros(6)
-    pull = np.array([*[known.mass] * 3, *known.inertia]) * (-2500.0 * pose - 90.0 * speed)
-    currents = np.clip(known.hover + known.coils.currents(pull), -9.0, 9.0)
-    return tuple(currents.tolist())
-
-
-@pytest.mark.parametrize("key", [None, KEY], ids=["no key", "key"])
-def test_it_flies_the_twin_to_the_same_bytes(key: bytes | None) -> None:
-    parameters = TwinParameters(lockstep=True)
-    known, host = parameters.calibration, Codec(key)
-    twins = [Twin(parameters, key=key, draw=lambda: 7) for _ in range(2)]
-    twins[1].firmware = CoreFirmware(parameters.profile, twins[1].board, twins[1].codec, lambda: 7)  # type: ignore[assignment]
-
-    def told(session: int, sequence: int, body: Any) -> None:
-        data = host.encode(session, sequence, 0, body)
-        one, other = (twin.receive(data, 0, "host") for twin in twins)
-        assert one == other
-
-    told(0, 0, Hello(1, known.digest))
-    before: Sequence[float] | None = None
-    for tick in range(300):
-        one, other = (twin.sample() for twin in twins)
-        assert one is not None and one == other
-        frame = host.decode(one)
-        assert frame is not None
-        report: Any = frame.body
-        if tick == 1:
-            told(7, 0, Control(1, Operation.ARM, 0, tuple(known.hover.tolist())))
-        assert report.state == (State.ACTIVE if tick > 1 else State.INACTIVE)
-        told(7, tick + 1, Command(frame.sequence, 0, springs(report.spots, before, known), ZERO, 0.0))
-        before = report.spots
-    assert np.abs(twins[1].pose).max() < 2e-5
 
 
 @pytest.mark.parametrize(

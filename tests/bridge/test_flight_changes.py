@@ -277,7 +277,7 @@ class Here:
     def close(self, patience: float) -> None: ...
 
 
-@pytest.mark.parametrize("anyway", [False, True])
+@pytest.mark.parametrize("anyway", [False, pytest.param(True, marks=pytest.mark.study)])
 @pytest.mark.parametrize(
     "answers",
     [Here, pytest.param(SideAnswers, marks=pytest.mark.machine)],

@@ -90,8 +90,7 @@ class Witnessed:
         assert sum(span for span, _ in self.segments[:zero]) <= 2 * self.plant.period
 
 
-@pytest.mark.parametrize("delays", DELAYS)
-@pytest.mark.parametrize("at", sweep(range(200), every=20))
+@pytest.mark.parametrize(("delays", "at"), sweep(DELAYS, range(200), every=100))
 def test_a_law_that_raises_ends_the_currents_at_once(
     delays: str, at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -139,19 +138,12 @@ class Broken:
     def append(self, *_: Any) -> None: ...
 
 
-@pytest.mark.parametrize("kind", ["file", "publishers"])
-@pytest.mark.parametrize("at", [0, 1, 30])
-@pytest.mark.parametrize(
-    ("error", "first"),
-    [
-        (OSError(28, "No space left on device"), Fault.HOST),
-        (SystemExit(3), Fault.HOST),
-        (KeyboardInterrupt(), Fault.ESTOP),
-    ],
-)
-def test_so_do_a_recording_a_viewer_and_an_interrupt(
-    error: BaseException, first: Fault, at: int, kind: str, tmp_path: Path
-) -> None:
+ERRORS = [OSError(28, "No space left on device"), SystemExit(3), KeyboardInterrupt()]
+
+
+@pytest.mark.parametrize(("error", "at", "kind"), sweep(ERRORS, [0, 1, 30], ["file", "publishers"], every=3))
+def test_so_do_a_recording_a_viewer_and_an_interrupt(error: BaseException, at: int, kind: str, tmp_path: Path) -> None:
+    first = Fault.ESTOP if isinstance(error, KeyboardInterrupt) else Fault.HOST
     broken = Broken(error, at)
     options: dict[str, Any] = {"file": broken} if kind == "file" else {"publishers": [broken]}
     flown = broken.flown = Witnessed(tmp_path, **options)
@@ -167,6 +159,7 @@ def test_a_silent_serial_line_is_told_what_it_needs(
 ) -> None:
     twin, line = Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(blackouts=((2.7, 2.8),)))
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(twin, line), folder=tmp_path))
+    monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
     assert cli.main(["bridge", address, "--seconds", "1"]) == 1
     (fault,) = capsys.readouterr().err.splitlines()
     assert fault.startswith("maglev-mj bridge: WATCHDOG: said by the device; the last cycles are in ")
@@ -246,5 +239,6 @@ def test_the_line_is_measured_as_it_is_flown_in_real_time(
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(Twin(TwinParameters())), folder=tmp_path))
     monkeypatch.setattr(bridge, "scheduled", scheduled)
     monkeypatch.setattr(bridge, "measure_line", measure)
+    monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)
     assert cli.main(["bridge", "udp://127.0.0.1:1", *mode]) == 0
     assert measured == [["ignore"]] and not inside

@@ -70,22 +70,17 @@ def one_diode(report: StateReport, first: list[StateReport] = []) -> StateReport
 
 NAN, INF = math.nan, math.inf
 DISBELIEVED: list[tuple[str, Callable[[StateReport], StateReport], Fault, int]] = [
-    *(
-        (f"valid {valid:03b}", lambda report, valid=valid: report._replace(valid=valid), Fault.SENSOR_OUT_OF_RANGE, 1)
-        for valid in (6, 5, 3, 0)
-    ),
-    *((f"spot {value}", put("spots", 3, value), Fault.SENSOR_OUT_OF_RANGE, 1) for value in (NAN, INF, -0.0121, 1e300)),
-    *((f"current {value}", put("currents", 4, value), Fault.COIL_OVERCURRENT, 1) for value in (NAN, -INF, 15.1, -15.1)),
-    *(
-        (f"temperature {value}", put("temperatures", 1, value), Fault.COIL_OVERTEMP, 1)
-        for value in (NAN, INF, 2.1, -0.02)
-    ),
+    ("valid", lambda report: report._replace(valid=6), Fault.SENSOR_OUT_OF_RANGE, 1),
+    *((f"spot {value}", put("spots", 3, value), Fault.SENSOR_OUT_OF_RANGE, 1) for value in (NAN, -0.0121)),
+    *((f"current {value}", put("currents", 4, value), Fault.COIL_OVERCURRENT, 1) for value in (-INF, 15.1)),
+    *((f"temperature {value}", put("temperatures", 1, value), Fault.COIL_OVERTEMP, 1) for value in (2.1, -0.02)),
     ("all diodes frozen", repeated("spots"), Fault.SENSOR_FROZEN, Limits().frozen + 1),
     ("one diode frozen", one_diode, Fault.SENSOR_FROZEN, Limits().frozen + 1),
     ("counter stuck", repeated("conversions"), Fault.SENSOR_STOPPED, 2),
     ("measured, not commanded", put("currents", 3, 0.9), Fault.COIL_NOT_FOLLOWING, 4),
     ("amplifiers open", lambda report: report._replace(flags=0), Fault.HOST, 2),
 ]
+"""Each guard by a few values; `test_safety.py` has all of them."""
 CONTRADICTED: list[tuple[str, Callable[[StateReport], StateReport], Fault, int]] = [
     ("fault bits without FAULT", lambda report: report._replace(faults=Fault.CLOCK), Fault.HOST, 1),
     ("FAULT without fault bits", lambda report: report._replace(state=State.FAULT), Fault.HOST, 1),
@@ -189,13 +184,14 @@ def test_a_device_of_smaller_current_is_held_to_the_hosts() -> None:
         rig.fly(0.1)
 
 
-@pytest.mark.parametrize("change", [case[1] for case in DISBELIEVED if "spot" not in case[0]])
-def test_a_device_that_is_not_flown_may_say_what_it_likes(change: Callable[[StateReport], StateReport]) -> None:
-    rig = Rig()
-    doctored(rig, change)
-    for _ in range(40):
-        rig.plant.read()
-    assert rig.plant.state == State.INACTIVE and not rig.plant.faults
+def test_a_device_that_is_not_flown_may_say_what_it_likes() -> None:
+    for name, change, *_ in DISBELIEVED:
+        if "spot" not in name:
+            rig = Rig()
+            doctored(rig, change)
+            for _ in range(40):
+                rig.plant.read()
+            assert rig.plant.state == State.INACTIVE and not rig.plant.faults, name
 
 
 @pytest.mark.parametrize("missed", [1, 3])

@@ -34,7 +34,6 @@ from maglev_mj.bridge.twin.simulated_links import TO_DEVICE, Line
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.session.access import check_host, is_loopback
 from tests.bridge.impaired import Impairer, Impairment
-from tests.bridge.udp_proxy import UdpProxy
 
 PATIENCE = 60.0
 HOME = "127.0.0.1"
@@ -249,10 +248,10 @@ def test_a_port_in_use_is_one_line() -> None:
         UdpServer(HOME, server.address[1])
 
 
-@pytest.mark.parametrize("port", [0, -1, 65536])
-def test_a_link_needs_a_port(port: int) -> None:
-    with pytest.raises(ParameterError, match=f"port must be 1 to 65535, not {port}"):
-        UdpLink(HOME, port)
+def test_a_link_needs_a_port() -> None:
+    for port in (0, -1, 65536):
+        with pytest.raises(ParameterError, match=f"port must be 1 to 65535, not {port}"):
+            UdpLink(HOME, port)
 
 
 def test_only_this_machine_is_loopback() -> None:
@@ -262,10 +261,10 @@ def test_only_this_machine_is_loopback() -> None:
     assert check_host("192.0.2.1", b"0123456789abcdef") == "192.0.2.1"
 
 
-@pytest.mark.parametrize("host", ["0.0.0.0", "192.0.2.1", "", "a..b", "::1", "x" * 300, "a\0b"])
-def test_without_a_key_nobody_else_is_spoken_to(host: str) -> None:
-    with pytest.raises(ParameterError, match="host must be"):
-        check_host(host, None)
+def test_without_a_key_nobody_else_is_spoken_to() -> None:
+    for host in ("0.0.0.0", "192.0.2.1", "", "a..b", "::1", "x" * 300, "a\0b"):
+        with pytest.raises(ParameterError, match="host must be"):
+            check_host(host, None)
 
 
 def test_addresses() -> None:
@@ -477,18 +476,8 @@ def near(count: int, trials: int, probability: float) -> bool:
     return abs(count - trials * probability) <= 4.0 * math.sqrt(trials * probability * (1.0 - probability))
 
 
-def test_the_same_seed_is_the_same_bad_line_and_each_way_has_its_own() -> None:
-    def fates(impairment: Impairment, stream: int) -> list[list[tuple[int, bytes]]]:
-        impairer = Impairer(impairment, stream)
-        return [impairer.fates(b"frame %d" % number, number * 1000) for number in range(500)]
-
-    assert fates(BAD, 0) == fates(BAD, 0)
-    assert fates(BAD, 0) != fates(BAD, 1)
-    assert fates(BAD, 0) != fates(Impairment(loss=0.05, seed=8), 0)
-
-
 def test_a_bad_line_is_as_bad_as_asked() -> None:
-    impairer, trials, period = Impairer(BAD), 20_000, 5_000_000
+    impairer, trials, period = Impairer(BAD), 4000, 5_000_000
     data = bytes(range(100))
     fates = [(number * period, impairer.fates(data, number * period)) for number in range(trials)]
     arrived = [copies for _, copies in fates if copies]
@@ -504,106 +493,6 @@ def test_a_bad_line_is_as_bad_as_asked() -> None:
     counts = impairer.counts
     assert (counts["frames"], counts["lost"]) == (trials, trials - len(arrived))
     assert (counts["duplicated"], counts["corrupted"]) == (len(copies) - len(arrived), len(wrong))
-
-
-def test_more_loss_leaves_the_luck_of_the_others_as_it_was() -> None:
-    few, many = (Impairer(Impairment(loss=loss, jitter=1e-3, corrupt=0.1)) for loss in (0.1, 0.5))
-    for number in range(1000):
-        first, second = few.fates(b"frame", number), many.fates(b"frame", number)
-        assert not second or second == first
-
-
-def test_jitter_reorders_and_a_good_line_does_nothing() -> None:
-    shaken, good = Impairer(Impairment(delay=1e-3, jitter=2e-3)), Impairer(Impairment())
-    dues = [shaken.fates(b"frame", number * 500_000)[0][0] for number in range(1000)]
-    assert dues != sorted(dues) and shaken.counts["reordered"] > 0
-    assert all(due >= number * 500_000 for number, due in enumerate(dues))  # never before it was sent
-    assert good.fates(b"", 5) == [(5, b"")] and Impairer(Impairment(corrupt=1.0)).fates(b"", 5) == [(5, b"")]
-
-
-def test_in_a_blackout_nothing_arrives() -> None:
-    impairer = Impairer(Impairment(blackouts=((0.1, 0.3), (0.5, 0.6))), start=1_000_000_000)
-    arrived = [number for number in range(10) if impairer.fates(b"frame", 1_000_000_000 + number * 100_000_000)]
-    assert arrived == [0, 3, 4, 6, 7, 8, 9]
-    assert impairer.counts["blackout"] == 3
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"loss": -0.1},
-        {"duplicate": 1.1},
-        {"corrupt": float("nan")},
-        {"delay": -1e-3},
-        {"jitter": float("inf")},
-        {"blackouts": ((0.2, 0.1),)},
-        {"blackouts": ((-1.0, 0.1),)},
-    ],
-)
-def test_an_impairment_that_cannot_be_is_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ParameterError, match="must"):
-        Impairment(**wrong)  # type: ignore[arg-type]
-
-
-def echo(link: Link, server: UdpServer, proxy: UdpProxy, count: int) -> list[bytes]:
-    """Send numbered frames; return the answers received."""
-    answers = []
-    for number in range(count):
-        link.send(b"%d" % number)
-        while (heard := server.receive(0.0)) is not None:
-            server.send(*heard)
-        while (answer := link.receive(0.0)) is not None:
-            answers.append(answer)
-        while proxy.to_device.counts["frames"] <= number:  # or a system's queue may run over
-            time.sleep(2e-4)
-    return answers
-
-
-@pytest.mark.machine
-def test_a_proxy_that_is_a_good_line_carries_everything_both_ways() -> None:
-    with closing(UdpServer(HOME, 0)) as server, UdpProxy(server.address, Impairment()) as proxy:
-        with closing(UdpLink(*proxy.address)) as link:
-            for frame in frames(200):
-                link.send(frame)
-                heard = server.receive(PATIENCE)
-                assert heard is not None and heard[0] == frame
-                server.send(frame[::-1], heard[1])
-                assert link.receive(PATIENCE) == frame[::-1]
-        assert proxy.to_device.counts["frames"] == proxy.to_host.counts["frames"] == 200
-        proxy.close()
-
-
-@pytest.mark.machine
-def test_a_proxy_that_is_a_bad_line_loses_repeats_damages_and_delays() -> None:
-    bad = Impairment(loss=0.2, duplicate=0.2, corrupt=0.2, delay=2e-3, jitter=2e-3)
-    with closing(UdpServer(HOME, 0)) as server, UdpProxy(server.address, bad) as proxy:
-        with closing(UdpLink(*proxy.address)) as link:
-            answers = echo(link, server, proxy, 1000)
-            while server.receive(0.05) or link.receive(0.05):  # what is still under way
-                pass
-    assert proxy.to_device.counts["frames"] == 1000
-    for way in (proxy.to_device, proxy.to_host):
-        assert near(way.counts["lost"], way.counts["frames"], 0.2)
-        assert all(way.counts[what] > 0 for what in ("duplicated", "corrupted", "reordered"))
-    sent = {b"%d" % number for number in range(1000)}
-    assert 0 < len(sent & set(answers)) < 1000 and set(answers) - sent
-
-
-@pytest.mark.machine
-def test_a_proxy_holds_frames_back_for_the_delay() -> None:
-    for delay, arrives in ((0.03, True), (3600.0, False)):
-        with closing(UdpServer(HOME, 0)) as server, UdpProxy(server.address, Impairment(delay=delay)) as proxy:
-            with closing(UdpLink(*proxy.address)) as link:
-                link.send(b"there and back")
-                if arrives:
-                    heard = server.receive(PATIENCE)
-                    assert heard is not None
-                    server.send(*heard)
-                    assert link.receive(PATIENCE) == b"there and back"
-                else:
-                    while not proxy.to_device.counts["frames"]:
-                        time.sleep(1e-3)
-                    assert server.receive(0.1) is None
 
 
 def test_a_line_delays_each_frame_and_keeps_their_order() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -36,13 +35,13 @@ def moved(axis: int, amount: float, base: tuple[float, ...] = (0.0,) * 6) -> tup
     return tuple(amount if place == axis else value for place, value in enumerate(base))
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("axis", range(6))
-def test_a_flotor_beyond_its_envelope_is_found_on_every_axis(axis: int, sign: float) -> None:
+def test_a_flotor_beyond_its_envelope_is_found_on_every_axis() -> None:
     limits = HostLimits()
-    most = sign * (limits.envelope if axis < 3 else limits.envelope_angle)
-    assert FlotorGuard(limits).check(moved(axis, 1.001 * most), PERIOD) == Fault.BOUNDARY
-    assert FlotorGuard(limits).check(moved(axis, 0.999 * most), PERIOD) == NONE
+    for axis in range(6):
+        for sign in (1.0, -1.0):
+            most = sign * (limits.envelope if axis < 3 else limits.envelope_angle)
+            assert FlotorGuard(limits).check(moved(axis, 1.001 * most), PERIOD) == Fault.BOUNDARY
+            assert FlotorGuard(limits).check(moved(axis, 0.999 * most), PERIOD) == NONE
 
 
 def test_an_angle_about_several_axes_counts_as_one() -> None:
@@ -72,9 +71,8 @@ def watched(limits: Limits | None = None) -> SpotGuard:
     return guard
 
 
-@pytest.mark.parametrize("valid", range(7))
-def test_a_diode_that_is_not_valid_is_found(valid: int) -> None:
-    assert watched().check(SPOTS, valid, 1, 1) == Fault.SENSOR_OUT_OF_RANGE
+def test_a_diode_that_is_not_valid_is_found() -> None:
+    assert {watched().check(SPOTS, valid, 1, 1) for valid in range(7)} == {Fault.SENSOR_OUT_OF_RANGE}
 
 
 @pytest.mark.parametrize("value", [NAN, INF, -INF, 0.0121, -0.0121])
@@ -255,8 +253,8 @@ def test_a_profile_that_is_none_is_one_line(text: str | bytes | None, says: str,
     assert "profile.json" in str(caught.value) and "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("one", HostLimits.parameters(), ids=lambda one: one.name)
-def test_the_hosts_limits_are_above_zero(one: Any) -> None:
-    for value in (0.0, -1.0, NAN, INF, "1", True):
-        with pytest.raises(ParameterError, match=f"{one.name} must be a finite number above 0, not"):
-            HostLimits.from_json({one.name: value})
+def test_the_hosts_limits_are_above_zero() -> None:
+    for one in HostLimits.parameters():
+        for value in (0.0, -1.0, NAN, INF, "1", True):
+            with pytest.raises(ParameterError, match=f"{one.name} must be a finite number above 0, not"):
+                HostLimits.from_json({one.name: value})

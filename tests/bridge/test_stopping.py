@@ -11,6 +11,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import Mock
@@ -232,8 +233,8 @@ def timeline(monkeypatch: pytest.MonkeyPatch) -> Presser:
 
 
 LANDING = some(
-    [(signal.SIGINT, 0.02), (signal.SIGINT, 1.03), (signal.SIGTERM, 0.3), (signal.SIGHUP, 1.6)],
-    [(signal.SIGINT, 0.3), (signal.SIGINT, 1.6), (signal.SIGTERM, 1.6), (signal.SIGHUP, 0.3)],
+    [(signal.SIGINT, 0.02), (signal.SIGHUP, 1.1)],
+    [*((signal.SIGINT, at) for at in (0.3, 1.03, 1.6)), *((signal.SIGTERM, at) for at in (0.3, 1.6))],
 )
 """Signals, and times since the device is active [s]."""
 
@@ -254,7 +255,7 @@ def test_the_first_signal_lands_at_any_time_of_takeoff_and_flight(
 
 
 @pytest.mark.parametrize(
-    ("at", "gap"), some([(0.02, 0.05), (0.3, 0.4), (1.6, 0.05)], [(0.02, 0.4), (0.3, 0.05), (1.6, 0.4)])
+    ("at", "gap"), some([(0.02, 0.05), (1.1, 0.05)], [(0.02, 0.4), (0.3, 0.05), (0.3, 0.4), (1.6, 0.05), (1.6, 0.4)])
 )
 def test_a_second_ctrl_c_cuts_now(at: float, gap: float, timeline: Presser, tmp_path: Path) -> None:
     record, device = tmp_path / "run.maglev", timeline((at, signal.SIGINT), (at + gap, signal.SIGINT))
@@ -287,7 +288,7 @@ def test_a_landing_that_takes_too_long_is_cut_at_the_stated_time(
     assert 0.24 < device.cut_after < 0.27
 
 
-@pytest.mark.parametrize(("kind", "at"), [(signal.SIGHUP, 0.3), (signal.SIGINT, 1.2)], ids=named)
+@pytest.mark.parametrize(("kind", "at"), some([(signal.SIGINT, 1.2)], [(signal.SIGHUP, 0.3)]), ids=named)
 def test_identification_lands_when_asked_to_and_writes_nothing(
     kind: signal.Signals, at: float, timeline: Presser, tmp_path: Path
 ) -> None:
@@ -347,17 +348,6 @@ def test_a_second_ctrl_c_cuts_a_real_flight(at: float, tmp_path: Path) -> None:
 
 
 @pytest.mark.machine
-@pytest.mark.study
-def test_a_real_landing_that_takes_too_long_is_cut(tmp_path: Path) -> None:
-    with Watched() as twin:
-        with running(*within(0.25), "bridge", twin.address, "--anyway", "--out", str(tmp_path)) as host:
-            twin.flown(0.3)
-            host.child.send_signal(signal.SIGTERM)
-            status, said = ended(host, None)
-    assert status == 1 and twin.last.faults == Fault.ESTOP, said
-
-
-@pytest.mark.machine
 @pytest.mark.parametrize("kind", only(signal.SIGHUP, (signal.SIGINT,), (signal.SIGTERM,)), ids=named)
 def test_a_handshake_is_given_up_at_once(kind: signal.Signals, tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
@@ -382,16 +372,17 @@ def test_hangups_that_nohup_ignores_stay_ignored(monkeypatch: pytest.MonkeyPatch
     assert not asked
 
 
-@pytest.mark.parametrize("first", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda kind: kind.name)
-@pytest.mark.parametrize("then", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP], ids=lambda kind: kind.name)
-def test_only_ctrl_c_cuts(first: signal.Signals, then: signal.Signals) -> None:
+def test_only_ctrl_c_cuts() -> None:
+    kinds = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
     told: list[str] = []
-    handlers = [signal.getsignal(kind) for kind in (first, then)]
-    with stopping(lambda: told.append("land"), lambda: told.append("cut")):
-        for kind in (first, then, then):
-            signal.raise_signal(kind)
-    assert told == ["land", *["cut"] * (2 * (then == signal.SIGINT))]
-    assert [signal.getsignal(kind) for kind in (first, then)] == handlers
+    for first, then in product(kinds, kinds):
+        told.clear()
+        handlers = [signal.getsignal(kind) for kind in (first, then)]
+        with stopping(lambda: told.append("land"), lambda: told.append("cut")):
+            for kind in (first, then, then):
+                signal.raise_signal(kind)
+        assert told == ["land", *["cut"] * (2 * (then == signal.SIGINT))], (first, then)
+        assert [signal.getsignal(kind) for kind in (first, then)] == handlers
 
 
 def test_time_cuts_once_and_is_over_with_the_flight(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -526,24 +517,7 @@ def test_estop_stops_whoever_flies_and_the_way_on_is_reset(at: float, tmp_path: 
         status, said = said_by("bridge", twin.address, "--reset")
         assert status == 0 and "no fault is latched; the device is inactive" in said
     (box,) = tmp_path.glob("fault-*.maglev")
-    status, said = said_by("fault", str(box), "--out", str(tmp_path / "pictures"))
-    assert status == 0 and "faults ESTOP" in said and "the last 20 of " in said
-    assert max(map(len, said.splitlines()[:-1])) <= 100
-    assert len(said.splitlines()) < 40 < len(said_by("fault", str(box), "--all")[1].splitlines())
-    assert list((tmp_path / "pictures").glob("*.png"))
-
-
-@pytest.mark.machine
-def test_estop_that_is_not_confirmed_is_a_failure(tmp_path: Path) -> None:
-    key = tmp_path / "key"
-    key.write_text("a7" * 16)
-    key.chmod(0o600)
-    status, said = said_by("estop", "udp://127.0.0.1:9")
-    assert status == 1 and "not confirmed: cut the power (no answer within 1" in said
-    with Watched() as twin:  # it has no key, so it knows no tag
-        status, said = said_by("estop", twin.address, "--key", str(key))
-        assert status == 1 and "not confirmed: cut the power" in said
-        assert twin.last.state == State.INACTIVE
+    assert load_fault(box).faults == "ESTOP"
 
 
 def test_estop_of_no_device_is_a_failure() -> None:
