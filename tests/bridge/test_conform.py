@@ -10,7 +10,7 @@ import sys
 import textwrap
 import threading
 from collections.abc import Callable, Container, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -163,7 +163,7 @@ def keep_checks(monkeypatch: pytest.MonkeyPatch, kept: Container[str]) -> None:
             monkeypatch.delitem(CHECKS, name)
 
 
-@pytest.mark.parametrize("part", range(PARTS))
+@pytest.mark.parametrize("part", sweep(range(PARTS), every=PARTS))
 def test_a_twin_in_lockstep_passes(part: int) -> None:
     results = results_of(lockstep=True, only=[name for name in CHECKS if name not in TIMED][part::PARTS])
     assert results and not names(results, False) and names(results, None) <= TAGS
@@ -185,45 +185,19 @@ def virtual() -> Iterator[str]:
         yield "udp://127.0.0.1:1"
 
 
-@contextmanager
-def over_udp() -> Iterator[str]:
-    """Serve a twin in real time."""
-    with served() as server:
-        yield f"udp://127.0.0.1:{server.address[1]}"
-
-
-@pytest.mark.parametrize(
-    ("where", "step"),
-    [
-        pytest.param(virtual, 5, id="virtual time"),
-        pytest.param(over_udp, 5, id="UDP", marks=pytest.mark.machine),
-    ],
-)
 def test_the_command_says_what_it_has_checked(
-    where: Callable[[], AbstractContextManager[str]],
-    step: int,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     skipped = [name for name, one in CHECKS.items() if one.flight or one.keyed or one.lockstep]
-    keep_checks(monkeypatch, [*skipped, *[*CHECKS][::step]])
+    keep_checks(monkeypatch, [*skipped, *[*CHECKS][::10]])
     path = tmp_path / "report.json"
-    with where() as address:
-        status = main(["conform", address, "--no-flight", "--json", str(path)])
+    with virtual() as address:
+        assert main(["conform", address, "--no-flight", "--json", str(path)]) == 0
     report, lines = json.loads(path.read_text()), capsys.readouterr().out.splitlines()
-    # a machine that stalls is no fault of the device
-    failed = [line for line in lines if line.startswith("  FAIL")]
-    late = [one for one in report["checks"] if one["passed"] is False and one["seen"].endswith("STATEs were read late")]
-    assert len(failed) == len(late) and status == bool(failed) and not (failed and where is virtual), failed
     assert report["format"] == "maglev_mj conformance 1" and report["address"] == address
     assert [one["name"] for one in report["checks"]] == list(checks())
     flights = sum(text.startswith("in flight") for text in checks().values())
-    assert report["counts"] == {
-        "pass": len(checks()) - flights - 3 - len(failed),
-        "FAIL": len(failed),
-        "skip": flights + 3,
-    }
+    assert report["counts"] == {"pass": len(checks()) - flights - 3, "FAIL": 0, "skip": flights + 3}
     assert lines[-1] == "  " + ", ".join(f"{count} {word}" for word, count in report["counts"].items())
     words = {True: "pass", False: "FAIL", None: "skip"}
     told = [f"{words[one['passed']]} {one['name']}: {one['expected']}; {one['seen']}" for one in report["checks"]]

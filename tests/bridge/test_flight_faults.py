@@ -90,7 +90,7 @@ class Witnessed:
         assert sum(span for span, _ in self.segments[:zero]) <= 2 * self.plant.period
 
 
-@pytest.mark.parametrize(("delays", "at"), sweep(DELAYS, range(200), every=100))
+@pytest.mark.parametrize(("delays", "at"), sweep(DELAYS, range(200), every=150))
 def test_a_law_that_raises_ends_the_currents_at_once(
     delays: str, at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -153,7 +153,7 @@ def test_so_do_a_recording_a_viewer_and_an_interrupt(error: BaseException, at: i
         flown.check(first)
 
 
-@pytest.mark.parametrize("address", ["udp://127.0.0.1:1", "serial:///dev/ttyUSB0?baud=921600"])
+@pytest.mark.parametrize("address", sweep(["serial:///dev/ttyUSB0?baud=921600", "udp://127.0.0.1:1"], every=2))
 def test_a_silent_serial_line_is_told_what_it_needs(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -218,7 +218,7 @@ def test_the_command_says_in_one_line_what_happened_and_how_to_go_on(
     assert cli.main(shlex.split(again)[1:]) == 0 and twin.firmware.state == State.INACTIVE
 
 
-@pytest.mark.parametrize("mode", [("--seconds", "0.2"), ("--check",)])
+@pytest.mark.parametrize("mode", sweep([("--check",), ("--seconds", "0.2")], every=2))
 def test_the_line_is_measured_as_it_is_flown_in_real_time(
     mode: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

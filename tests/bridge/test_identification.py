@@ -313,9 +313,9 @@ def test_a_device_at_the_other_end_of_a_wire_is_found_too(tmp_path: Path) -> Non
     with RemotePlant(VirtualLink(device), folder=tmp_path) as plant:
         plant.read()
         plant.arm()
-        motion = collect(plant, excitation(plant.calibration, period=plant.period, delay=plant.delay), 10.0)
+        motion = collect(plant, excitation(plant.calibration, period=plant.period, delay=plant.delay), 6.0)
         off = errors(identify(*motion[:2], period=plant.period, delay=plant.delay), other)
-    assert off.forces < 1.5e-3 and off.torques < 8e-4 and off.gravity < 6e-4  # 7e-4, 3e-4 and 3e-4
+    assert off.forces < 1.5e-3 and off.torques < 8e-4 and off.gravity < 6e-4
 
 
 def test_samples_that_were_lost_cost_little() -> None:

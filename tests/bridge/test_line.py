@@ -192,8 +192,9 @@ def test_a_scene_that_does_not_bear_the_line_should_not_fly(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(SIGN_ERROR)
+    files = {"mine": "mine.py"}
     with device(tmp_path, way) as plant:
-        found = preflight(plant, find_scene("mine.py" if name == "mine" else name)(), as_written=True)
+        found = preflight(plant, find_scene(files.get(name, name))(), as_written=True, report=measure_line(plant, 0.2))
     assert says in found.problem and "\n" not in found.problem and not found.softened
 
 

@@ -67,7 +67,7 @@ PUSHES = [(2, -8.0), (2, 3.0), (0, 5.0), (5, 0.2)]
 
 
 STUCK = [("stuck-diodes", 0), *(("stuck-diode", diode) for diode in range(3))]
-TIMES = [(0.005, 0.5), (0.005, 0.733), (0.001, 0.4), (0.001, 0.5127)]
+TIMES = [(0.005, 0.3), (0.005, 0.533), (0.001, 0.2), (0.001, 0.3127)]
 
 
 @pytest.mark.parametrize(("stuck", "push", "when"), sweep(STUCK, PUSHES, TIMES, every=8))
