@@ -13,7 +13,7 @@ from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import Fault, State, StateReport
 from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import Command
-from tests.bridge.test_bridge import Rig
+from tests.bridge.test_bridge import CENTRE, Rig
 
 
 @pytest.fixture(autouse=True)
@@ -43,14 +43,21 @@ def at_tick(rig: Rig, tick: int, act: Callable[[Rig], object]) -> Callable[[], N
     return observe
 
 
+def hovering() -> Rig:
+    """Return a rig whose flotor is at the centre, armed, with its first sample read."""
+    rig = Rig(pose=CENTRE)
+    rig.plant.arm()
+    rig.plant.read()
+    return rig
+
+
 def fault_of(rig: Rig, act: Callable[[Rig], object]) -> DeviceFault:
     """Return the fault of an action in flight.
 
     It must have left a file.
     """
-    rig.plant.takeoff()
     with pytest.raises(DeviceFault) as caught:
-        rig.fly(1.0, observe=at_tick(rig, 240, act))
+        rig.fly(1.5, observe=at_tick(rig, 210, act))
     assert caught.value.path is not None and load_fault(caught.value.path).time.size == 200
     for _ in range(15):
         rig.twin.sample()
@@ -59,7 +66,7 @@ def fault_of(rig: Rig, act: Callable[[Rig], object]) -> DeviceFault:
 
 
 def test_a_line_that_goes_in_flight_is_a_fault_of_the_host_with_a_file() -> None:
-    rig = Rig()
+    rig = hovering()
     error = fault_of(rig, cut)
     assert error.faults == Fault.HOST and "the line is gone" in str(error)
     assert rig.twin.firmware.faults == Fault.WATCHDOG
@@ -69,9 +76,7 @@ def test_a_line_that_goes_in_flight_is_a_fault_of_the_host_with_a_file() -> None
 
 
 def test_a_fault_found_while_the_line_goes_is_the_one_reported() -> None:
-    rig = Rig()
-    rig.plant.takeoff()
-    rig.plant.read()
+    rig = hovering()
     cut(rig)
     with pytest.raises(DeviceFault, match="INVALID_COMMAND: a command must be six finite numbers"):
         rig.plant.write(Command([float("nan")] * 6))
@@ -80,9 +85,7 @@ def test_a_fault_found_while_the_line_goes_is_the_one_reported() -> None:
 
 @pytest.mark.parametrize("force", [["a"] * 6, None])
 def test_a_command_of_no_numbers_is_invalid_too(force: object) -> None:
-    rig = Rig()
-    rig.plant.takeoff()
-    rig.plant.read()
+    rig = hovering()
     with pytest.raises(DeviceFault, match="INVALID_COMMAND"):
         rig.plant.write(Command(force))  # type: ignore[arg-type]
     assert rig.twin.firmware.faults == Fault.INVALID_COMMAND
@@ -94,7 +97,7 @@ def disarms(rig: Rig) -> None:
 
 
 def test_a_device_that_switches_its_currents_off_by_itself_is_not_flown_on() -> None:
-    error = fault_of(Rig(), disarms)
+    error = fault_of(hovering(), disarms)
     assert error.faults == Fault.HOST and "switched its currents off" in str(error)
 
 
@@ -110,7 +113,7 @@ def talks_nonsense(rig: Rig) -> None:
 
 
 def test_a_state_that_is_none_is_a_fault() -> None:
-    error = fault_of(Rig(), talks_nonsense)
+    error = fault_of(hovering(), talks_nonsense)
     assert error.faults == Fault.HOST and "in state 7, which is none" in str(error)
 
 
@@ -118,14 +121,13 @@ def test_a_state_that_is_none_is_a_fault() -> None:
 def test_a_program_that_fails_in_flight_leaves_a_fault_and_a_file_and_one_that_is_stopped_does_not(
     kind: type[BaseException], folder: Path
 ) -> None:
-    rig = Rig()
+    rig = hovering()
 
     def stumble(_: Rig) -> None:
         raise kind("oh")
 
     with pytest.raises(kind), rig.plant:
-        rig.plant.takeoff()
-        rig.fly(1.0, observe=at_tick(rig, 200, stumble))
+        rig.fly(0.5, observe=at_tick(rig, 50, stumble))
     files = list(folder.glob("fault-*.maglev"))
     if kind is KeyboardInterrupt:
         assert rig.twin.firmware.state == State.INACTIVE and not files

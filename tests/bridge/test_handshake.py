@@ -272,10 +272,3 @@ def test_limits_have_the_bounds_that_the_handshake_asks_for() -> None:
         "first",
         "fault_time",
     }
-
-
-def test_a_closed_plant_says_so() -> None:
-    plant = RemotePlant(Doctored(Twin(TwinParameters())))
-    plant.close()
-    with pytest.raises(PlantError, match="the plant is closed"):
-        plant.takeoff()
