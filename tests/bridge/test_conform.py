@@ -370,16 +370,16 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("over-current", F, "trip", "self._amplifiers.cut()", "pass"),
     ("temperatures", ThermalModel, "add", "= shares, max", "= self.rises, max"),
     ("enabled", F, "sample", "self._amplifiers.toggle(now)", "pass"),
-    ("period", F, "sample", "self.state == State.ACTIVE:\n        self._amp", "True:\n        self._amp"),
     ("enabled", AmplifierBoard, "toggle", "self._enable", "2 * self._enable"),
     # emergency stop
+    ("estop", F, "receive", "self._sampled_at, tuple", "0, tuple"),
     ("estop", F, "receive", "self.trip(Fault.ESTOP, now)", "pass"),
     ("estop", F, "receive", "self.trip(Fault.ESTOP, now)", "self.trip(Fault.ESTOP, now) if not self.faults else None"),
-    ("estop", F, "receive", "self._sampled_at, tuple", "0, tuple"),
     ("estop-without-session", F, "receive", "(body, wire.Estop)", "(body, wire.Estop) and self.session"),
     ("estop-elsewhere", F, "receive", "(body, wire.Estop)", "(body, wire.Estop) and peer == self.peer"),
     ("far-ahead", F, "receive", "(body, wire.Estop)", "(body, wire.Estop) and self._sequence < 1 << 30"),
-    # silence
+    # time and silence
+    ("period", F, "sample", "self.state == State.ACTIVE:\n        self._amp", "True:\n        self._amp"),
     ("silence-after-arm", F, "_hold_or_trip", "gap > self._watchdog", "False"),
     ("silence-after-arm", F, "_hold_or_trip", "gap > _GAP * self.profile.period", "False"),
     ("silence-after-arm", F, "_hold_or_trip", "gap > _GAP * self.profile.period", "gap > 4 * self.profile.period"),
