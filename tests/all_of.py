@@ -6,6 +6,7 @@ A property that all of a kind have is stated once, over its list here; `test_all
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,18 @@ from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.spec import INERTIA
 
-__all__ = ["COMMANDS", "EXPORTS", "LAWS", "LINES", "PLANTS", "SCENES", "SENSORS", "UNRECORDED", "VELOCITIES"]
+__all__ = [
+    "COMMANDS",
+    "EXPORTS",
+    "LAWS",
+    "LINES",
+    "MOTIONS",
+    "PLANTS",
+    "SCENES",
+    "SENSORS",
+    "UNRECORDED",
+    "VELOCITIES",
+]
 
 SCENES = [*BUILT_IN]
 SENSORS = {"ideal": Sensor(), "coarse": Sensor(quantum=5e-6, noise=2e-5, seed=3), "spots": SpotSensor(quantum=5e-6)}
@@ -126,6 +138,15 @@ PLANTS: Mapping[str, Callable[[], SampledPlant]] = {
         metered=True,
     ),
 }
+
+MOTIONS: Mapping[str, Callable[..., SampledPlant]] = {
+    "exact": ExactPlant,
+    "mujoco": MuJoCoPlant,
+    "mujoco, ideal wrench": partial(MuJoCoPlant, coils=False),
+    "mujoco, corrected": partial(MuJoCoPlant, integrator="corrected"),
+    "mujoco, corrected in short steps": partial(MuJoCoPlant, integrator="corrected", coils=False, longest_step=1e-3),
+}
+"""Ways to compute the motion of one device, all of the same device."""
 
 _COILS = load_model("maglev").coils
 UNRECORDED: Mapping[str, Callable[[], SampledPlant]] = {

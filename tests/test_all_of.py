@@ -2,17 +2,42 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from maglev_mj import ExactPlant, Timing, control, drive
-from maglev_mj.control import AxisLaw, Friction, Law, VelocityEstimator
-from maglev_mj.frames import AXES
-from maglev_mj.plants import SampledPlant
-from tests.all_of import LAWS, PLANTS, START, TIMING, UNRECORDED, VELOCITIES, controller_of
+from maglev_mj import Command, Controller, ExactPlant, MuJoCoPlant, Sample, Timing, control, drive, linearise
+from maglev_mj.control import AxisLaw, Friction, Law, VelocityEstimator, Wall
+from maglev_mj.control.laws.base import Gains
+from maglev_mj.errors import ParameterError
+from maglev_mj.frames import AXES, Array, components
+from maglev_mj.plants import SampledPlant, Sensor
+from maglev_mj.plants.trace import PassivityObserver, Trace, actuator_work
+from maglev_mj.scenes.rooms import WEIGHT
+from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
+from tests.all_of import (
+    LAWS,
+    MOTIONS,
+    PERIOD,
+    PLANTS,
+    SENSORS,
+    START,
+    TIMING,
+    UNRECORDED,
+    VELOCITIES,
+    controller_of,
+)
+from tests.sweeps import sweep
+
+ALONE = {name: laws[-1] for name, laws in LAWS.items() if laws}
+"""Each law by its name."""
+
+FRICTION = {name: law for name, law in ALONE.items() if isinstance(law, Friction)}
+UPRIGHT = {name: [*values[:3], 0.0, 0.0, 0.0] for name, values in START.items()}
 
 
 def below(kind: type) -> Iterator[type]:
@@ -40,6 +65,38 @@ def test_every_plant_of_the_package_is_listed() -> None:
             plant.close()
 
 
+# -- laws ------------------------------------------------------------------------------------------------
+
+
+def answers(laws: list[Any], poses: Array, period: float = PERIOD) -> tuple[Array, Array]:
+    """Return held forces and pulses of laws for a prescribed motion, of one device or several."""
+    controller = Controller(laws, period=period)
+    commands = [controller.step(Sample(tick, tick * period, components(pose))) for tick, pose in enumerate(poses)]
+    return np.array([command.wrench for command in commands]), np.array([command.pulse for command in commands])
+
+
+def weaker(law: Law, factors: Array) -> Law:
+    """Return a law with all its gains times each factor, of which there is one for each device."""
+    if not isinstance(law, AxisLaw):
+        return law
+    many = np.asarray(factors)[..., None] * np.ones(len(law.indices))
+    return replace(law, **{name: np.asarray(getattr(law, name)) * many for name in law.per_device})
+
+
+@pytest.mark.parametrize("law", ALONE)
+def test_a_batch_of_devices_with_their_own_gains_answers_as_each_alone_to_the_last_bit(law: str) -> None:
+    random, devices, ticks = np.random.default_rng(7), 9, 80
+    factors, phase, rate = random.uniform(0.5, 1.0, devices), *random.uniform([[0], [0.02]], [[6], [0.9]], (2, devices))
+    turns = phase[:, None] + rate[:, None] * np.arange(ticks)[:, None, None] + np.arange(6)
+    poses = 1e-3 * np.sin(turns) * ([1.0] * 3 + [3.0] * 3)
+    together = answers([weaker(one, factors) for one in LAWS[law]], poses)
+    assert together[0].shape == (ticks, devices, 6) and np.ptp(together[0], axis=(0, 1)).any()
+    for device, factor in enumerate(factors):
+        alone = answers([weaker(one, factor) for one in LAWS[law]], poses[:, device])
+        for one, many in zip(alone, together, strict=True):
+            assert np.array_equal(one, many[:, device])
+
+
 @pytest.mark.parametrize("law", LAWS)
 def test_a_batch_moves_as_each_of_its_devices(law: str) -> None:
     starts = np.array(START["pose"]) * np.array([1.0, -0.4, 0.1])[:, None]
@@ -57,13 +114,183 @@ def test_a_batch_moves_as_each_of_its_devices(law: str) -> None:
         np.testing.assert_allclose(together[:, device], moved(start), rtol=1e-12, atol=1e-15)
 
 
-@pytest.mark.parametrize("plant", PLANTS)
-def test_a_plant_moves_alike_each_time(plant: str) -> None:
+@pytest.mark.parametrize(("law", "plant"), sweep(LAWS, PLANTS, every=3))
+def test_a_run_is_the_same_again_after_a_reset_and_is_refused_before_it(law: str, plant: str) -> None:
+    controller = controller_of(law)
+
     def moved() -> list[Any]:
         with PLANTS[plant]() as made:
-            return [
-                tuple(made.read().position),
-                *(tuple(drive(made, controller_of("Hold"), 10).position) for _ in "ab"),
-            ]
+            seen: list[Any] = []
+            drive(made, controller, 8, observe=lambda sample, applied: seen.append((*sample.position, *applied.force)))
+        return seen
 
-    assert moved() == moved()
+    first = moved()
+    with pytest.raises(ParameterError, match=r"tick must be above \d+, .* not 0; call reset\(\)"):
+        moved()
+    controller.reset()
+    assert moved() == first
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_law_moves_both_plants_alike(law: str) -> None:
+    """To rounding in translation, also behind the steps of a sensor."""
+    for sensor in (SENSORS["ideal"], Sensor(quantum=5.3e-6)):  # no pose of it lies between two steps
+        paths = []
+        for kind in (ExactPlant, MuJoCoPlant):
+            with kind(Timing(**TIMING), **UPRIGHT, wrench=WEIGHT, sensor=sensor, record=True) as plant:
+                drive(plant, controller_of(law), 60)
+                paths.append(plant.trace().at(np.arange(60) * PERIOD)[0])
+        assert np.ptp(paths[0][:, 2]) > 1e-4
+        np.testing.assert_allclose(paths[0][:, :3], paths[1][:, :3], rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", [name for name, law in ALONE.items() if law.gains() is not None])
+def test_the_gains_that_a_law_states_are_those_of_its_linearisation(law: str) -> None:
+    """In contact, where it is a wall, and stuck, where it is friction."""
+    pose = np.zeros(6)
+    for axis, normal, edge in ALONE[law].faces():
+        pose[axis] = np.max(edge) - 1e-3 * normal
+    stated: list[Gains] = list(ALONE[law].gains() or ())
+    near = linearise(Controller([ALONE[law]], period=PERIOD), pose)[0]
+    assert not near.jumps.any() and any(one.stiffness.any() for one in stated)
+    # the wrench is taken at displacements of 0.1 µm, and some friction bends
+    np.testing.assert_allclose(near.stiffness, np.diag(sum(one.stiffness for one in stated)), rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(near.damping, np.diag(sum(one.damping for one in stated)), rtol=1e-3, atol=1e-6)
+
+
+LIMIT = 0.05
+SLIDING = np.outer(np.sin(np.linspace(0.0, 4.0 * math.pi, 801)), [1e-3, 1e-3, 1e-3, 0.0, 0.0, 0.0])
+"""Two cycles along x, y and z, of six times the stretch at breakaway."""
+
+
+@pytest.mark.parametrize("law", FRICTION)
+def test_friction_is_at_most_its_breakaway_and_takes_energy_over_a_closed_cycle(law: str) -> None:
+    own = {"stiffness": 300.0, "damping": 0.0, "breakaway": LIMIT}
+    still = replace(FRICTION[law], **own)
+    bound = LIMIT * (1.0 + 1e-9)
+    for path in (SLIDING, 1e-4 * np.random.default_rng(3).normal(size=(300, 6))):
+        alone = replace(still, bristle_damping=0.0) if law == "LuGre" else still
+        assert 0.5 * LIMIT < np.abs(answers([alone], path)[0]).max() <= bound
+    force = answers([still], SLIDING)[0]
+    work = (force[:-1] * np.diff(SLIDING, axis=0))[400:].sum(axis=0)[:3]
+    # of Coulomb's 4 F A, less what the spring gives back: half of it where it is reset, twice F² / 2 K where it breaks
+    least = {"SpringReset": 0.35, "StickSlip": 0.9 * LIMIT / 300.0 / 4e-3}.get(law, 0.6)
+    assert (least < -work / (4.0 * LIMIT * 1e-3)).all() and (-work < 4.0 * LIMIT * 1e-3).all()
+
+
+def test_a_wall_with_a_force_limit_pushes_no_harder_in_its_pulses() -> None:
+    wall = replace(ALONE["Wall"], pulse=400.0, force_limit=0.4, stiffness=100.0, damping=1.0)
+    held, pulse = answers([wall], SLIDING)
+    assert pulse[:, 1:3].any(axis=0).all()
+    assert np.abs(held[:, 1:3] + pulse[:, 1:3])[pulse[:, 1:3] != 0.0].max() == pytest.approx(0.4, rel=1e-12)
+
+
+REFUSED = [
+    (name, one.name, dict(one.metadata.get("gain") or one.metadata["setting"]))
+    for name, law in ALONE.items()
+    for one in fields(law)
+    if {"gain", "setting"} & one.metadata.keys()
+]
+
+
+def test_a_gain_outside_its_bounds_is_refused_with_the_value_by_every_law() -> None:
+    assert len(REFUSED) > 50
+    for law, name, bounds in REFUSED:
+        values = [math.nan, "stiff"] + [math.inf] * bounds.get("finite", True)
+        if (lowest := bounds.get("above")) is not None:
+            values += [lowest]
+        elif math.isfinite(lowest := bounds.get("at_least", -math.inf)):
+            values += [lowest - 1.0]
+        values += [bounds["below"]] if "below" in bounds else []
+        for value in values:
+            with pytest.raises(ParameterError, match=rf"{name} .*not ") as refused:
+                replace(ALONE[law], **{name: value})
+            assert (repr(value) if isinstance(value, str) else f"{value:g}") in str(refused.value)
+    for law in ALONE.values():
+        for axes, words in (("q", "axis must be one of x, y, z, rx, ry, rz, not 'q'"), (("x", "x"), "different names")):
+            with pytest.raises(ParameterError, match=words):
+                replace(law, axes=axes)
+
+
+# -- plants ----------------------------------------------------------------------------------------------
+
+
+def bounced(kind: Any, pulse: float = 0.0, ticks: int = 60, timing: Timing | None = None, **options: Any) -> Any:
+    """Return a plant after drops onto a wall, and what an observer of it counted."""
+    own = Timing(delay=0.0015, phase=0.3) if timing is None else timing
+    plant = kind(own, pose=[0.0, 0.0, 4e-3, 0.0, 0.0, 0.0], **options)
+    watch = PassivityObserver(own, INERTIA, load=[0.0, 0.0, -INERTIA[0] * GRAVITY, 0.0, 0.0, 0.0])
+    wall = Wall(axes="z", lower=0.0, stiffness=4000.0, damping=40.0, pulse=pulse, pulse_width=0.003)
+    last = drive(plant, Controller([wall], period=own.period), ticks, observe=watch)
+    watch(last, Command([0.0] * 6))  # the period up to the last sample
+    return plant, watch
+
+
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_a_flotor_under_a_constant_force_moves_on_a_parabola(kind: str) -> None:
+    push = np.array([0.3, -0.2, 0.1, 0.0, 0.0, 4e-4])
+    with MOTIONS[kind](Timing(phase=0.3), gravity=1.5, hand_force=lambda *_: push.tolist(), record=True) as plant:
+        for tick in range(8):
+            sample = plant.read()
+            assert (sample.tick, sample.time) == (tick, (tick + 0.3) * 0.005)
+        trace = plant.trace()
+    since = np.linspace(0.0015, trace.time[-1], 50)[:, None]
+    rate = push / INERTIA - [0.0, 0.0, 1.5, 0.0, 0.0, 0.0]
+    pose, twist, _ = trace.at(since[:, 0])
+    # the hand acts from the first sample on; before that it falls alone
+    fallen, early = np.array([0.0, 0.0, 1.5, 0.0, 0.0, 0.0]), 0.0015
+    np.testing.assert_allclose(twist, rate * (since - early) - fallen * early, rtol=0.0, atol=1e-14)
+    lag = since - early
+    expected = 0.5 * rate * lag**2 - fallen * early * (lag + 0.5 * early)
+    np.testing.assert_allclose(pose, expected, rtol=0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("pulse", [0.0, 120.0])
+@pytest.mark.parametrize("kind", MOTIONS)
+def test_the_energy_gained_is_the_work_of_the_actuators_and_of_gravity(kind: str, pulse: float) -> None:
+    """By the plant's meter, by its trace and by an observer of samples and commands."""
+    plant, watch = bounced(MOTIONS[kind], pulse, metered=True, record=True)
+    trace: Trace = plant.trace()
+    for end in (*range(2, len(trace.time), len(trace.time) // 9), len(trace.time)):
+        part = Trace(trace.time[:end], trace.pose[:end], trace.twist[:end], trace.wrench[:end])
+        heights, speeds = part.pose[[0, -1], 2], part.twist[[0, -1], 2]
+        gained = INERTIA[0] * (0.5 * np.diff(speeds**2) + GRAVITY * np.diff(heights))[0]
+        assert actuator_work(part).sum() == pytest.approx(gained, abs=1e-14)
+    assert plant.work == pytest.approx(gained, abs=1e-12) and gained < -0.01
+    assert -watch.energy.sum() == pytest.approx(plant.work, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("order", "options"),
+    [(1.0, {"integrator": "euler", "coils": False}), (4.0, {"driver_lag": True})],
+    ids=["euler", "rk4 under lag"],
+)
+def test_the_engines_error_falls_with_the_order_of_its_integrator(order: float, options: dict[str, Any]) -> None:
+    """Towards the motion in closed form."""
+    steps = np.array([1.0, 0.5]) * (DRIVER_TIME_CONSTANT if "driver_lag" in options else 1e-3)
+    exact = bounced(ExactPlant, 120.0, 12, driver_lag="driver_lag" in options, record=True)[0].trace()
+    times, errors = np.arange(0.0, 0.06, 0.005), []
+    for step in steps:
+        engine = bounced(MuJoCoPlant, 120.0, 12, longest_step=step, record=True, **options)[0].trace()
+        errors.append(np.abs(engine.at(times)[0] - exact.at(times)[0]).max())
+    assert np.diff(np.log(errors)) / np.diff(np.log(steps)) > order - 0.5, errors
+    assert errors[-1] < (1e-8 if order > 1.0 else 1e-3)
+
+
+# -- sensors ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_a_sensor_reads_the_same_again_near_the_pose_and_a_batch_as_its_devices(sensor: str) -> None:
+    made, random = SENSORS[sensor], np.random.default_rng(2)
+    poses = random.uniform(-1.0, 1.0, (200, 6)) * ([4e-3] * 3 + [0.05] * 3)
+    one, again = made.start(), made.start()
+    read = np.array([one(pose.tolist()) for pose in poses])
+    assert np.array_equal(read, [again(pose.tolist()) for pose in poses])
+    # half a step and six standard deviations; a step of a spot turns the flotor by that over its arm
+    within = {"ideal": 1e-15, "coarse": 2.5e-6 + 6.0 * 2e-5, "spots": 3e-4}[sensor]
+    assert np.abs(read - poses).max() <= within
+    assert sensor == "ideal" or np.abs(read - poses).max() > 1e-6
+    if sensor != "coarse":  # noise is drawn for all devices of a sample
+        together = np.stack(np.broadcast_arrays(*made.start()(components(poses))), axis=-1)
+        np.testing.assert_allclose(together, read, rtol=0.0, atol=1e-12)
