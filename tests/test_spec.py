@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from maglev_mj.spec import DRIVER_TIME_CONSTANT, ESCAPE, GRAVITY, RESOLUTION, Spec
+from maglev_mj.spec import DRIVER_TIME_CONSTANT, ESCAPE, GRAVITY, RESOLUTION, Quantity, Spec
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -35,6 +36,14 @@ DEFAULTS = {
     "noise": {*RESOLUTION},
 }
 """Device numbers that no default of that name may repeat."""
+
+
+@pytest.mark.parametrize(("instance", "name"), [(Spec(), "radius"), (Spec.radius, "value")])
+def test_a_constant_of_the_device_cannot_be_assigned_to(instance: Spec | Quantity, name: str) -> None:
+    before = getattr(instance, name)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(instance, name, None)
+    assert getattr(instance, name) == before
 
 
 @pytest.mark.parametrize("folder", ["maglev_mj", "scripts"])

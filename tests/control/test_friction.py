@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, Controller, Sample
+from maglev_mj import Controller, Sample
 from maglev_mj.control import (
     AdaptiveWindow,
     Dahl,
@@ -24,14 +24,13 @@ from maglev_mj.control import (
     StickSlip,
 )
 from maglev_mj.errors import ParameterError
-from maglev_mj.frames import Array, components
+from maglev_mj.frames import Array
+from maglev_mj.plants.hand import exponential
 from maglev_mj.scenes.run import run
-from maglev_mj.scenes.stick_slip import LAWS
 from maglev_mj.scenes.stick_slip import StickSlip as StickSlipScene
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.ideal import karnopp
 from six_axes import SixAxesResult, run_six_axes
-from tests.sweeps import sweep
 from tests.theory.closed_loop import largest_modulus
 
 T, K, F = 0.005, 6000.0, 2.0
@@ -77,12 +76,8 @@ def test_every_kind_of_damping_has_its_closed_form(damping: float) -> None:
     options = FIGURE_8 | {"damping": damping, "breakaway": 0.1, "v_min": 1e-9}
     end, count = 0.03, 4096
     motion = karnopp([end], targets=[(0.0, 0.003)], **options)
-    h = end / count
-    matrix = np.array([[0.0, 1.0], [-1000.0 / 0.7, -damping / 0.7]]) * h
-    one = (
-        np.eye(2) + matrix + matrix @ matrix / 2 + matrix @ matrix @ matrix / 6 + np.linalg.matrix_power(matrix, 4) / 24
-    )
-    state = np.linalg.matrix_power(one, count) @ [-0.003, 0.0]
+    matrix = np.array([[0.0, 1.0], [-1000.0 / 0.7, -damping / 0.7]])
+    state = np.linalg.matrix_power(exponential(matrix * end / count), count) @ [-0.003, 0.0]
     assert motion.position[0] == pytest.approx(0.003 + state[0], abs=1e-12)
     assert motion.velocity[0] == pytest.approx(state[1], abs=1e-10)
 
@@ -150,7 +145,7 @@ def test_series_and_summary_follow_the_events() -> None:
 
 def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say() -> None:
     # Stuck, spring and law are one PD of 7000 N/m and 80 N s/m: stable at 1.5 ms, not at 5 ms; 2.96 ms between.
-    for delay in (0.0, 0.0015, 0.0025, 0.0033, 0.004, 0.005):
+    for delay in (0.0015, 0.0025, 0.0033, 0.005):
         modulus = largest_modulus(K + 1000.0, 80.0, period=T, delay=delay, mass=0.7)
         figures = run(StickSlipScene(delay=delay, duration=3.0), plant="exact").figures
         if modulus < 1.0:
@@ -165,21 +160,17 @@ def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say
     assert np.ptp(swing) == pytest.approx(1e-3, rel=0.15)  # about 1 mm, says the paper; 1.12 mm at four phases
 
 
-@pytest.mark.parametrize(("law", "axis", "period"), sweep(LAWS, AXES, [0.005, 0.001], every=3))
-def test_plants_agree_on_every_law(law: str, axis: str, period: float) -> None:
-    # Within 1e-12 m in translation, quantized or not; in rotation the coils turn by 4.7 degrees: 1e-4 rad.
-    translation = AXES.index(axis) < 3
-    for quantize in (0.0, 5e-6) if translation else (0.0,):
-        scene = StickSlipScene(law=law, axis=axis, period=period, quantize=quantize)
-        exact, engine = (run(scene, plant=plant).series()["position"] for plant in ("exact", "mujoco"))
-        assert np.abs(engine - exact).max() < (1e-12 if translation else 1e-4)
-
-
-@pytest.mark.parametrize("seeds", [(1,), pytest.param((1, 2, 3), marks=pytest.mark.study)])
-@pytest.mark.parametrize("plant", ["exact", "mujoco"])
+@pytest.mark.parametrize(
+    ("plant", "seeds"),
+    [
+        ("exact", (1,)),
+        pytest.param("exact", (2, 3), marks=pytest.mark.study),
+        pytest.param("mujoco", (1, 2, 3), marks=pytest.mark.study),
+    ],
+)
 def test_figure_9_breaks_away_at_breakaway_over_stiffness(plant: str, seeds: tuple[int, ...]) -> None:
     for seed in seeds:
-        result = run_six_axes(plant=plant, seed=seed, duration=30.0)
+        result = run_six_axes(plant=plant, seed=seed, duration=15.0)
         for bound in result.stretch:
             np.testing.assert_allclose(bound, result.expected_stretch, rtol=0.05)
         stuck, gone = result.stretch
@@ -282,7 +273,7 @@ def test_coupled_friction_is_the_same_in_every_direction() -> None:
 def test_spring_reset_is_a_sawtooth() -> None:
     # At a slow speed the force rises to the limit and drops to 0: mean breakaway / 2.
     law = SpringReset(axes="x", stiffness=K, breakaway=F)
-    force, _ = drive(law, np.arange(0.0, 5e-3, 1e-7))
+    force, _ = drive(law, np.arange(0.0, 2e-3, 2.5e-7))
     assert -force.min() == pytest.approx(F, rel=1e-3)
     assert -force.mean() == pytest.approx(F / 2, rel=0.01)
 
@@ -322,13 +313,13 @@ def test_elasto_plastic_is_a_spring_up_to_its_share_and_coulomb_beyond() -> None
 
 def test_hayward_armstrong_slides_at_breakaway_and_hardly_moves_when_stuck() -> None:
     law = HaywardArmstrong(axes="x", stiffness=K, breakaway=F)
-    sliding, _ = drive(law, np.linspace(0.0, 5e-3, 5000))
+    sliding, _ = drive(law, np.linspace(0.0, 5e-3, 1000))
     assert sliding[-1] == pytest.approx(-F, rel=1e-6)
     limit = F / K
     first, _ = drive(law, np.array([0.0, 0.9 * limit]))  # one step by the formula, alpha taken at the moved stretch
     alpha = 0.9**8 / (0.7**8 + 0.9**8) / limit
     assert first[1] == pytest.approx(-K * 0.9 * limit / (1.0 + alpha * 0.9 * limit), rel=1e-12)
-    small = 0.2 * F / K * np.sin(np.linspace(0.0, 40.0 * math.pi, 4000))
+    small = 0.2 * F / K * np.sin(np.linspace(0.0, 40.0 * math.pi, 1000))
     _, anchor = drive(law, small)
     assert np.abs(anchor).max() < 0.01 * F / K
     far, _ = drive(law, np.array([0.0, 1e-2, 2e-2]))  # one sample's travel of many z_max: never past the flotor
@@ -348,47 +339,6 @@ def test_implicit_coulomb_is_sat_of_the_implicit_spring_damper(element_damping: 
         expected = min(max(trial, -F), F)
         stretch = (expected + drag * stretch) / (K + drag)
         assert force[k] == pytest.approx(-expected, abs=1e-9)
-
-
-@pytest.mark.parametrize("every", [7, pytest.param(1, marks=pytest.mark.study)])
-@pytest.mark.parametrize("name", LAWS)
-def test_batch_of_1000_equals_single_devices_bit_for_bit(name: str, every: int) -> None:
-    count, ticks = 1000, 40
-    random = np.random.default_rng(9)
-    stiffness = random.uniform(1000.0, 8000.0, (count, 6))
-    damping, breakaway = random.uniform(0.0, 80.0, (count, 6)), random.uniform(0.5, 3.0, (count, 6))
-
-    def controller(device: Any) -> Controller:
-        own = {"v_min": 0.02, "period": T}
-        chosen = {"stiffness": stiffness[device], "damping": damping[device], "breakaway": breakaway[device]}
-        return Controller([LAWS[name](axes=AXES, **own, **chosen)], period=T)
-
-    phase, speed = random.uniform(0, 6.28, (count, 6)), random.uniform(0.01, 0.6, (count, 6))
-    poses = [1e-3 * np.sin(phase + speed * tick) for tick in range(ticks)]
-    together = controller(slice(None))
-    wrench = np.stack([together.step(Sample(k, k * T, components(pose))).wrench for k, pose in enumerate(poses)])
-    stuck = np.array(together.states[0][0].stuck)
-    assert 0 < stuck.sum() < count
-    for device in range(0, count, every):
-        alone = controller(device)
-        for tick, pose in enumerate(poses):
-            single = alone.step(Sample(tick, tick * T, pose[device].tolist())).wrench
-            assert single.tobytes() == wrench[tick, device].tobytes()
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"stiffness": 0.0}, "stiffness must be above 0 everywhere, not 0"),
-        ({"breakaway": -1.0}, "breakaway must be finite and at least 0 everywhere, not -1"),
-        ({"damping": math.inf}, "damping must be finite"),
-        ({"v_min": 0.0}, "v_min must be above 0"),
-        ({"axes": "q"}, "axis must be one of"),
-    ],
-)
-def test_bad_friction_is_refused_with_the_value(options: dict[str, Any], words: str) -> None:
-    with pytest.raises(ParameterError, match=words):
-        StickSlip(**dict({"axes": "x", "stiffness": K, "breakaway": F, "v_min": 0.005}, **options))
 
 
 # -- velocity estimators ---------------------------------------------------------------------------------

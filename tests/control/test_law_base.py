@@ -9,21 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from maglev_mj import AXES, Controller, ExactPlant, Sample, Timing, drive
+from maglev_mj import AXES, Controller, Sample
 from maglev_mj.control import (
     AxisLaw,
     Bias,
-    Dahl,
-    ElastoPlastic,
-    HaywardArmstrong,
     Hold,
-    ImplicitCoulomb,
     Law,
-    LuGre,
-    ObserverWall,
     PassivityController,
     PredictiveWall,
-    SpringReset,
     StickSlip,
     Wall,
     check_law,
@@ -31,6 +24,7 @@ from maglev_mj.control import (
 )
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import components
+from tests.all_of import LAWS
 
 T = 0.005
 GAINS: dict[str, Any] = {"stiffness": 3000.0, "damping": 30.0}
@@ -52,6 +46,9 @@ class Detent(AxisLaw):
         return -gains.stiffness / turn * np.sin(turn * x) - gains.damping * v
 
 
+DETENT = Detent(axes=("x", "rz"), pitch=0.002, stiffness=3000.0)
+
+
 class Leaky(AxisLaw):
     """Integral action with a leak."""
 
@@ -63,43 +60,17 @@ class Leaky(AxisLaw):
         return -self.rate * area, area
 
 
-LAWS: dict[str, Law] = {
-    "detent": Detent(axes=("x", "rz"), pitch=0.002, stiffness=3000.0),
-    "leaky": Leaky(),
-    "bias": Bias([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]),
-    "hold": Hold(**GAINS, target=1e-3),
-    "wall": Wall(axes="z", upper=0.0, pulse=200.0, pulse_width=0.003, force_limit=10.0, **GAINS),
-    "two walls": Wall(lower=-1e-3, upper=1e-3, **GAINS),
-    "stick-slip": StickSlip(v_min=0.01, **FRICTION),
-    "coupled": StickSlip(axes=("x", "y"), v_min=0.01, coupled=True, **FRICTION),
-    "spring reset": SpringReset(**FRICTION),
-    "implicit": ImplicitCoulomb(period=T, element_damping=5.0, **FRICTION),
-    "lugre": LuGre(period=T, bristle_damping=5.0, **FRICTION),
-    "dahl": Dahl(**FRICTION),
-    "elasto-plastic": ElastoPlastic(**FRICTION),
-    "hayward": HaywardArmstrong(**FRICTION),
-    "predictive": PredictiveWall(period=T, delay=0.0015, **GAINS),
-    "observer": ObserverWall(period=T, delay=0.0015, inertia=0.7, pole=0.4, **GAINS),
-}
-
-
-@pytest.mark.parametrize("name", list(LAWS))
-def test_every_law_is_the_same_alone_and_in_a_batch(name: str) -> None:
-    check_law(LAWS[name])
-
-
-def test_a_law_of_gains_and_one_function_serves_one_device_and_thousand() -> None:
-    law = Detent(axes="x", pitch=0.002, stiffness=4000.0, damping=50.0)
-    starts = np.zeros((1000, 6))
-    starts[:, 0] = np.linspace(-9e-4, 9e-4, 1000)
-    timing = Timing(period=T)
-    with ExactPlant(timing, pose=starts, gravity=0.0, record=True) as plant:
-        drive(plant, Controller([law], period=T), 60)
-        together = plant.trace().pose
-    for device in (0, 499, 731):
-        with ExactPlant(timing, pose=starts[device], gravity=0.0, record=True) as plant:
-            drive(plant, Controller([law], period=T), 60)
-            assert np.array_equal(plant.trace().pose, together[:, device])
+@pytest.mark.parametrize("law", [*LAWS, "Detent", "Leaky", "coupled"])
+def test_a_law_is_the_same_alone_and_in_a_batch(law: str) -> None:
+    own: dict[str, list[Law]] = {
+        "Detent": [DETENT],
+        "Leaky": [Leaky()],
+        "Bias": [Bias([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])],
+        "PassivityController": [],  # gives nothing alone
+        "coupled": [StickSlip(axes=("x", "y"), v_min=0.01, coupled=True, **FRICTION)],
+    }
+    for one in own.get(law, LAWS.get(law, [])):
+        check_law(one)
 
 
 def test_gains_may_differ_by_axis_and_by_device() -> None:
@@ -114,7 +85,7 @@ def test_gains_may_differ_by_axis_and_by_device() -> None:
 
 
 def test_a_law_that_says_nothing_has_defaults() -> None:
-    law = LAWS["detent"]
+    law = DETENT
     assert law.gains() is None and law.faces() == () and law.signals(law.start()) == {}
     assert law.stick_positions(law.start()) == {} and law.carried().tolist() == [0.0] * 6
 
@@ -240,20 +211,6 @@ def test_what_is_no_law_is_refused(given: Any, message: str) -> None:
 def test_a_law_of_a_batch_is_not_checked() -> None:
     with pytest.raises(ParameterError, match=r"must be of one device to be checked, not of shape \(2,\)"):
         check_law(Hold(stiffness=np.ones((2, 6)), damping=0.0))
-
-
-def test_gains_that_are_wrong_are_refused_at_construction() -> None:
-    for values, message in (
-        ({"pitch": 0.0, "stiffness": 1.0}, "Detent pitch must be above 0 everywhere, not 0"),
-        ({"pitch": 1.0, "stiffness": -1.0}, "Detent stiffness must be finite and at least 0 everywhere, not -1"),
-        ({"pitch": 1.0, "stiffness": math.nan}, "Detent stiffness must be"),
-        ({"pitch": 1.0, "stiffness": [1.0, 2.0]}, "Detent stiffness must have a last dimension of 6"),
-        ({"pitch": 1.0, "stiffness": 1.0, "axes": "q"}, "axis must be one of"),
-    ):
-        with pytest.raises(ParameterError, match=message):
-            Detent(**values)
-    with pytest.raises(TypeError, match="stiffness"):
-        Detent(pitch=1.0)  # type: ignore[call-arg]
 
 
 def test_a_class_that_is_no_law_is_refused() -> None:

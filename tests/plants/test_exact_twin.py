@@ -96,7 +96,6 @@ def test_a_turn_is_that_of_the_engine_to_second_order_in_a_segment() -> None:
         turns = [plant.read().position for plant in plants]
         assert abs(turns[1][3] - 0.05) > 1e-3 and max(map(abs, turns[0][4:])) < 1e-15
         apart.append(abs(turns[0][3] - turns[1][3]))
-    print(apart)
     assert apart[0] / apart[1] == pytest.approx(4.0, rel=0.1) == apart[1] / apart[2]
     assert apart[1] < 1e-5
 
@@ -154,13 +153,13 @@ PULLS = {"level": LEVEL, "tilted": TILTED, "none": np.zeros(3)}
 def test_stops_give_no_energy(axis: int, pull: str) -> None:
     """Over speeds up to 3 m/s and 100 rad/s, and distances to the stop."""
     gravity = PULLS[pull]
-    for size in (0.01, 0.3, 3.0) if axis < 3 else (0.3, 9.0, 100.0):
-        for sense, phase in ((1, 0.0), (-1, 0.71), (1, -0.93)):
-            plant, energies = pushed(axis, sense * size * INERTIA[axis] / 0.005, phase, gravity)
-            assert max(np.diff(energies)) < 1e-13
-            assert (np.abs(plant.state()[0]) <= RANGE).all()
-            if gravity.any():
-                assert plant.state()[0][2] == -RANGE[2] and plant.state()[1][2] == 0.0
+    sizes = (0.01, 0.3, 3.0) if axis < 3 else (0.3, 9.0, 100.0)
+    for size, sense, phase in zip(sizes, (1, -1, 1), (-0.93, 0.71, 0.0), strict=True):
+        plant, energies = pushed(axis, sense * size * INERTIA[axis] / 0.005, phase, gravity)
+        assert max(np.diff(energies)) < 1e-13
+        assert (np.abs(plant.state()[0]) <= RANGE).all()
+        if gravity.any():
+            assert plant.state()[0][2] == -RANGE[2] and plant.state()[1][2] == 0.0
 
 
 def test_a_flotor_falls_freely_and_lies_on_its_stop_exactly() -> None:
@@ -269,8 +268,7 @@ def nudge(tick: int, time: float, state: Any) -> Sequence[float]:
     return [1.5 * (1.4 < time < 1.6), 0.0, -2.0 * (1.5 < time < 1.7), 0.0, 0.01 * (1.4 < time < 1.6), 0.0]
 
 
-@both
-@pytest.mark.parametrize("scene", ["joystick", "drop", "six-axes"])
+@pytest.mark.parametrize(("plant", "scene"), sweep(PLANTS, ["joystick", "drop", "six-axes"], every=3))
 def test_currents_of_a_flight_are_newtons(plant: str, scene: str, tmp_path: Path) -> None:
     """Mean force is weight and change of momentum, exactly, at any angle: forces keep their directions."""
     flown = Flown(plant, tmp_path, scene)
@@ -295,13 +293,12 @@ def test_flights_on_both_plants_agree(hand: Any, tmp_path: Path) -> None:
     assert one.outcome == other.outcome == "landed"
     apart = np.abs(one.levitated(1.25, 1.75) - other.levitated(1.25, 1.75)).max(axis=0)
     size = np.abs(other.levitated(1.25, 1.75)).max(axis=0)
-    print(apart, size)
     assert apart[:3].max() < 5e-11 and apart[6:9].max() < 5e-9
     assert apart[3:6].max() < 1e-4 * size[3:6].max() and apart[12:].max() < 2e-5
     assert hand is None or ((size[[0, 2]] > 3e-3).all() and size[4] > 0.03)
 
 
-@pytest.mark.parametrize("coil", sweep(range(6), every=2))
+@pytest.mark.parametrize("coil", sweep(range(6), every=3))
 def test_a_dead_coil_is_found_at_takeoff_as_in_the_engine(coil: int, tmp_path: Path) -> None:
     """By its current where it carries much, else by its force."""
     fault = InjectedFault(kind="dead-coil", which=coil, at=0.05)
@@ -312,7 +309,7 @@ def test_a_dead_coil_is_found_at_takeoff_as_in_the_engine(coil: int, tmp_path: P
     )
 
 
-@pytest.mark.parametrize(("plant", "coil"), sweep(PLANTS, range(6), every=2))
+@pytest.mark.parametrize(("plant", "coil"), sweep(PLANTS, range(6), every=6))
 def test_a_weak_coil_is_named_at_takeoff(plant: str, coil: int, tmp_path: Path) -> None:
     constants = KNOWN.coils.force_constants.copy()
     constants[coil] *= 0.9
@@ -333,7 +330,7 @@ def test_an_open_coil_gives_no_force_though_its_current_is_commanded() -> None:
     assert plant.currents[1] == 2.0
 
 
-@both
+@pytest.mark.parametrize("plant", sweep(PLANTS, every=2))
 def test_a_tilted_device_of_another_mass_lands(plant: str, tmp_path: Path) -> None:
     truth, corner = replace(KNOWN, mass=0.8, gravity=TILTED), (RANGE[0], 0.0, -RANGE[2], 0.0, 0.0, 0.0)
     flown = Flown(plant, tmp_path, calibration=truth, pose=corner)

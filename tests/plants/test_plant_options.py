@@ -89,9 +89,9 @@ def test_jitter_is_that_of_seed_and_tick_whoever_asks_in_whatever_order() -> Non
     assert abs((draws[1:] * draws[:-1]).mean()) < 4.0 / 3.0 / np.sqrt(1200)
 
 
-@pytest.mark.parametrize("jitter", [1e-4, 1.5e-3])
-@pytest.mark.parametrize("delay", [0.0015, np.array([0.0015, 0.002])])
-@pytest.mark.parametrize("draw", [None, -1.0])
+@pytest.mark.parametrize(
+    ("jitter", "delay", "draw"), sweep([1e-4, 1.5e-3], [0.0015, np.array([0.0015, 0.002])], [None, -1.0], every=2)
+)
 def test_a_jittering_answer_with_the_request_is_as_one_before_it(
     jitter: float, delay: Component, draw: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -164,7 +164,7 @@ def test_friction_slides_stops_rests_and_turns_back_to_the_last_bit() -> None:
         return [after[0][0], after[1][0]]
 
     assert np.array_equal(slid(False, x, v, push, rub), expected)
-    for device in range(0, count, 3):
+    for device in range(0, count, 7):
         alone = slid(True, *(float(part[device]) for part in (x, v, push, rub)))
         assert alone == expected[:, device].tolist()
         assert all(part.__class__ is float for part in alone)
@@ -234,11 +234,11 @@ OPTIONS: dict[str, dict[str, Any]] = {
 def test_a_batch_moves_as_its_devices_alone_whatever_they_share(name: str) -> None:
     timing, options = Timing(jitter=1e-4 if "jitter" in name else 0.0), OPTIONS[name]
     poses = places(12)
-    for start in (poses, np.where([1, 1, 0, 1, 1, 1], poses[0], poses), np.broadcast_to(poses[0], (12, 6))):
+    for start in (poses, np.where([1, 1, 0, 1, 1, 1], poses[0], poses)):
         # a pulse of one splits the step of all
-        together = drive(ExactPlant(timing, pose=start, **options), bouncing(), 80).pose
-        for device in (0, 5, 11):
-            alone = drive(ExactPlant(timing, pose=start[device], **options), bouncing(), 80).pose
+        together = drive(ExactPlant(timing, pose=start, **options), bouncing(), 40).pose
+        for device in (0, 11):
+            alone = drive(ExactPlant(timing, pose=start[device], **options), bouncing(), 40).pose
             np.testing.assert_allclose(together[device], alone, rtol=0.0, atol=1e-15)
 
 
@@ -255,14 +255,15 @@ class _Watched(TraceRecorder):
 
 MANY = places(4)
 RECORDED: dict[str, Callable[..., SampledPlant]] = {
-    **{f"exact, {name}": partial(ExactPlant, pose=MANY[0], **options) for name, options in OPTIONS.items()},
-    **{f"exact batch, {name}": partial(ExactPlant, pose=MANY, **options) for name, options in OPTIONS.items()},
+    "exact, soft hand, lag": partial(ExactPlant, pose=MANY[0], **OPTIONS["soft hand, lag"]),
+    "exact batch, hand": partial(ExactPlant, pose=MANY, **OPTIONS["hand"]),
+    "exact batch, friction": partial(ExactPlant, pose=MANY, **OPTIONS["friction"]),
     "coils": partial(MuJoCoPlant, pose=MANY[0]),
     "corrected": partial(MuJoCoPlant, pose=MANY[0], integrator="corrected", coils=False, longest_step=1e-3),
-    "lagging coils": partial(MuJoCoPlant, pose=MANY[0], driver_lag=True),
+    "lagging coils": partial(MuJoCoPlant, pose=MANY[0], driver_lag=True, driver_time_constant=5e-4),
     "falling off": partial(MuJoCoPlant, pose=MANY[0], force_falloff=0.1),
     "batch": partial(MuJoCoBatchPlant, pose=MANY, integrator="corrected", coils=False),
-    "lagging batch": partial(MuJoCoBatchPlant, pose=MANY, driver_lag=True),
+    "lagging batch": partial(MuJoCoBatchPlant, pose=MANY[:2], driver_lag=True, driver_time_constant=5e-4),
 }
 
 
@@ -279,7 +280,7 @@ def test_a_trace_is_what_each_state_was(name: str, monkeypatch: pytest.MonkeyPat
             assert np.array_equal(kept[knot], part)
 
 
-@pytest.mark.parametrize(("name", "record"), sweep([*RECORDED, "exact, nothing"], [True, False], every=2))
+@pytest.mark.parametrize(("name", "record"), sweep([*RECORDED, "exact, nothing"], [True, False], every=3))
 def test_what_a_caller_does_to_a_command_later_changes_nothing(name: str, record: bool) -> None:
     """Its list and its arrays are its own."""
     states, traces = [], []

@@ -16,9 +16,9 @@ def bounce(**options: object) -> Trace:
 
 
 def test_curve_between_switches_is_what_smaller_steps_give() -> None:
-    # Evaluating between the engine's steps adds no error: steps of 0.1 ms pass through the same curve.
-    coarse, fine = bounce(), bounce(longest_step=1e-4)
-    assert len(fine.time) > 20 * len(coarse.time)
+    # Evaluating between the engine's steps adds no error: steps of 0.5 ms pass through the same curve.
+    coarse, fine = bounce(), bounce(longest_step=5e-4)
+    assert len(fine.time) > 4 * len(coarse.time)
     pose, twist, _ = coarse.at(fine.time)
     np.testing.assert_allclose(pose, fine.pose, atol=1e-15)
     np.testing.assert_allclose(twist, fine.twist, atol=1e-13)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,7 +46,7 @@ def tracked(tracker: PoseTracker, spots: Iterable[Array]) -> Array:
 
 @pytest.mark.parametrize(
     "wanted",
-    [poses(3000), poses(3000, 9e-3, 12.0), path(2000, 1e-6), path(2000, 2e-4)],
+    [poses(600), poses(600, 9e-3, 12.0), path(400, 1e-6), path(400, 2e-4)],
     ids=["anywhere", "beyond", "hovering", "moving"],
 )
 def test_it_agrees_with_newton_on_all_six(wanted: Array) -> None:
@@ -54,10 +56,10 @@ def test_it_agrees_with_newton_on_all_six(wanted: Array) -> None:
     np.testing.assert_allclose(found, wanted, atol=1e-13)
 
 
-@pytest.mark.parametrize("share", [1, 2, 3, 4, 5, 6, 8, 10])
+@pytest.mark.parametrize("share", [1, 3, 6, 10])
 def test_beyond_the_range_it_is_the_right_pose_or_an_error(share: int) -> None:
     # Up to 45 mm along each axis and 60 degrees, by jumps from anywhere to anywhere.
-    wanted = poses(1500, 4.5e-3 * share, 6.0 * share, seed=share)
+    wanted = poses(400, 4.5e-3 * share, 6.0 * share, seed=share)
     tracker = PoseTracker(beams())
     for pose, spots in zip(wanted, beams().spots(wanted)):
         near = np.linalg.norm(pose[:3]) < FARTHEST and np.linalg.norm(pose[3:]) < MOST_TURNED
@@ -68,7 +70,7 @@ def test_beyond_the_range_it_is_the_right_pose_or_an_error(share: int) -> None:
                 tracker(spots.tolist())
 
 
-@pytest.mark.parametrize("count", [8, pytest.param(30, marks=pytest.mark.study)])
+@pytest.mark.parametrize("count", [4, pytest.param(30, marks=pytest.mark.study)])
 def test_of_all_poses_with_the_same_spots_one_is_near(count: int) -> None:
     # Newton on the full equations, from anywhere, finds no second pose within the limits.
     random, sensor, others = np.random.default_rng(3), beams(), 0
@@ -148,13 +150,11 @@ def test_fast_spots_are_the_spots() -> None:
     np.testing.assert_allclose(fast.spots(turned.tolist()), beams().spots(turned), rtol=0, atol=2e-16)
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300])
-@pytest.mark.parametrize("axis", range(6))
-def test_a_pose_that_is_none_has_no_spots(value: float, axis: int) -> None:
-    pose = [value if axis == bent else 0.0 for bent in range(6)]
-    for measure in (FastBeams(beams()).spots, SpotReader(beams(), QUANTUM), SpotSensor(beams=beams()).start()):
+@pytest.mark.parametrize("measure", [FastBeams(beams()).spots, SpotReader(beams(), QUANTUM), SpotSensor().start()])
+def test_a_pose_that_is_none_has_no_spots(measure: Any) -> None:
+    for value, axis in itertools.product((math.nan, math.inf, -math.inf, 1e300), range(6)):
         with pytest.raises(SensingError, match="no spots were found for the pose"):
-            measure(pose)
+            measure([value if axis == bent else 0.0 for bent in range(6)])
 
 
 def test_a_beam_along_its_diode_has_no_spot() -> None:
@@ -187,7 +187,7 @@ def test_a_sensor_is_a_reader_and_a_tracker_bit_for_bit(noise: float) -> None:
 
 def test_a_readers_steps_are_those_of_rint() -> None:
     reader, fast = SpotReader(beams(), QUANTUM), FastBeams(beams())
-    for pose in poses(2000, 9e-3, 12.0).tolist():
+    for pose in poses(500, 9e-3, 12.0).tolist():
         assert reader(pose) == stepped(np.array(fast.spots(pose))).tolist()
     assert [half + 1.5 * 2.0**52 - 1.5 * 2.0**52 for half in (-1.5, -0.5, 0.5, 2.5)] == [-2.0, 0.0, 0.0, 2.0]
 

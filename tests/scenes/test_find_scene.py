@@ -217,48 +217,32 @@ def test_a_broken_package_breaks_its_own_scenes_alone(installed: Callable[..., N
 ELSEWHERE = """
 import json, pickle, sys
 from maglev_mj.scenes.run import run
-scene = pickle.load(sys.stdin.buffer)
-figures = run(scene, plant="exact").figures
-changed = scene.replace(**json.loads(sys.argv[1]))
-told = {"cls": type(scene).__name__, "name": scene.name, "values": scene.as_json(), "changed": changed.as_json()}
-print(json.dumps({**told, "figures": {name: float(value) for name, value in figures.items()}}))
+for scene, changes in pickle.load(sys.stdin.buffer):
+    figures = {name: float(value) for name, value in run(scene, plant="exact").figures.items()}
+    changed = scene.replace(**changes).as_json()
+    print(json.dumps([type(scene).__name__, scene.name, scene.as_json(), changed, figures]))
 """
 
 
-def elsewhere(scene: Scene, folder: Path, **changes: Any) -> dict[str, Any]:
-    """Return the scene found by a process in another folder."""
-    command = [sys.executable, "-P", "-c", ELSEWHERE, json.dumps(changes)]
-    done = subprocess.run(command, input=pickle.dumps(scene), capture_output=True, cwd=folder, timeout=60)
-    assert done.returncode == 0, done.stderr.decode()
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
-
-
-@pytest.mark.parametrize(
-    ("scene", "changes"),
-    [(Drop(height=2e-3, force_limit=60.0), {"height": 1e-3}), (StickSlip(axis="ry", v_min=0.2), {"axis": "x"})],
-    ids=["drop", "stick-slip"],
-)
-def test_a_scene_is_the_same_in_another_process(scene: Scene, changes: dict[str, Any], tmp_path: Path) -> None:
-    told = elsewhere(scene, tmp_path, **changes)
-    assert (told["cls"], told["name"], told["values"]) == (type(scene).__name__, scene.name, scene.as_json())
-    assert told["changed"] == scene.replace(**changes).as_json()  # what was derived is derived anew there too
-    assert told["figures"] == {name: float(value) for name, value in run(scene, plant="exact").figures.items()}
-
-
-def test_a_scene_of_a_file_is_the_same_in_another_process(
-    push: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # Which was given by a path of this process's folder, and has several scenes.
+def test_scenes_are_the_same_in_another_process(push: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # One of them was given by a path of this process's folder, which has several scenes.
     push.write_text(TWO)
     monkeypatch.chdir(push.parent)
-    scene = find_scene("my_push.py:Pull")(away=2e-3)  # type: ignore[call-arg]
+    scenes: list[tuple[Scene, dict[str, Any]]] = [
+        (Drop(height=2e-3, force_limit=60.0), {"height": 1e-3}),
+        (StickSlip(axis="ry", v_min=0.2), {"axis": "x"}),
+        (find_scene("my_push.py:Pull")(away=2e-3), {"away": 3e-3}),  # type: ignore[call-arg]
+    ]
     folder = tmp_path / "elsewhere"
     folder.mkdir()
-    told = elsewhere(scene, folder, away=3e-3)
-    assert (told["cls"], told["values"]) == ("Pull", scene.as_json())
-    assert told["changed"]["twice"] == 6e-3
-    assert told["figures"] == {name: float(value) for name, value in run(scene, plant="exact").figures.items()}
+    command = [sys.executable, "-P", "-c", ELSEWHERE]
+    done = subprocess.run(command, input=pickle.dumps(scenes), capture_output=True, cwd=folder, timeout=60)
+    assert done.returncode == 0, done.stderr.decode()
+    for (scene, changes), line in zip(scenes, done.stdout.splitlines(), strict=True):
+        cls, name, values, changed, figures = json.loads(line)
+        assert (cls, name, values) == (type(scene).__name__, scene.name, scene.as_json())
+        assert changed == scene.replace(**changes).as_json()  # what was derived is derived anew there too
+        assert figures == {name: float(value) for name, value in run(scene, plant="exact").figures.items()}
 
 
 def test_a_copy_of_a_scene_derives_anew_as_the_scene_does() -> None:

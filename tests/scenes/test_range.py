@@ -54,7 +54,7 @@ def test_the_furthest_of_a_trace_lies_between_its_knots_too() -> None:
 LIMITS = [8.0, 20.0, 26.0, 27.0, 60.0, None]
 
 
-@pytest.mark.parametrize(("limit", "gains"), sweep(LIMITS, [(3000.0, 40.0), (6000.0, 80.0), (9000.0, 60.0)], every=3))
+@pytest.mark.parametrize(("limit", "gains"), sweep(LIMITS, [(6000.0, 80.0), (3000.0, 40.0), (9000.0, 60.0)], every=4))
 def test_a_drop_says_when_it_leaves_the_range(limit: float | None, gains: tuple[float, float]) -> None:
     # By force limit and gains, with the pulse and without, one phase and several.
     drop = Drop(force_limit=limit, stiffness=gains[0], damping=gains[1], duration=0.3)
@@ -64,12 +64,12 @@ def test_a_drop_says_when_it_leaves_the_range(limit: float | None, gains: tuple[
     left = outside([one.trace for one in results.values()])
     said = remark(str(Variants(results).table()))
     assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
-    sweeps = {label: run_phases(one, 8, plant="exact") for label, one in zip(labels, variants, strict=True)}
+    sweeps = {label: run_phases(one, 4, plant="exact") for label, one in zip(labels, variants, strict=True)}
     said = remark(str(Variants(results, sweeps).table())) or ""
     for label, one in zip(labels, variants, strict=True):
-        phases = [run(one, plant="exact", phase=phase / 8).trace for phase in range(8)]
+        phases = [run(one, plant="exact", phase=phase / 4).trace for phase in range(4)]
         count = sum(outside(phases))
-        found = re.search(rf"{label} [0-9.]+ mm \((\d) of 8 phases\)", said)
+        found = re.search(rf"{label} [0-9.]+ mm \((\d) of 4 phases\)", said)
         assert (int(found[1]) if found else 0) == count
 
 
@@ -80,9 +80,9 @@ def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
             assert (remark(str(Variants({"drop": result}).table())) is not None) == left
 
 
-@pytest.mark.parametrize("change", [{}, {"height": 0.0046}, {"force_limit": 5.5}, {"press": 40.0}])
+@pytest.mark.parametrize("change", sweep([{}, {"height": 0.0046}, {"force_limit": 5.5}, {"press": 40.0}], every=2))
 def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None:
-    variants = [Press(hits=2, **change).replace(pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
+    variants = [Press(hits=1, **change).replace(pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
     labels = ["with pulse", "without pulse"]
     results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
     said = remark(str(Variants(results).table()))
@@ -99,7 +99,7 @@ def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None
 def test_stick_slip_says_when_it_leaves_the_range_on_any_axis(axis: str) -> None:
     # Targets around the end of the range, in m and rad.
     reach, kind = RANGE[AXES.index(axis)], []
-    for share in (0.5, 0.9, 0.97, 1.0, 1.03, 1.08, 1.15, 1.5, -0.9, -1.5):
+    for share in (0.9, 1.0, 1.03, 1.15, -0.9, -1.5):
         result = run(StickSlip(axis=axis, target=share * reach), plant="exact")
         said = remark(str(Variants({"stick-slip": result}).table()))
         assert (said is not None) == outside([result.trace])[0]
@@ -127,13 +127,9 @@ def test_a_force_beyond_the_devices_is_told_if_it_acted(knot: int, told: bool) -
 def test_commands_say_it_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     for arguments, words in (
         (["drop", "--force-limit", "20"], "range of 4.5 mm: pulse 220 further 5.4"),
-        (["drop", "--force-limit", "20", "--pulse", "0", "--phases", "4"], "range of 4.5 mm: no pulse 5."),
-        (["press", "--force-limit", "5.5", "--hits", "1"], "range of 4.5 mm: with pulse"),
         (["stick-slip", "--axis", "rz", "--target", str(math.radians(7.0))], "range of 6 deg: stick-slip 6."),
     ):
         assert cli.main([*arguments, "--plant", "exact"]) == 0
         (line,) = [line for line in capsys.readouterr().out.splitlines() if "Beyond" in line]
         assert words in line and len(line) <= 120
-    for command in ("drop", "press", "stick-slip"):
-        assert cli.main([command, "--plant", "exact"]) == 0
-        assert "Beyond" not in capsys.readouterr().out
+    assert cli.main(["stick-slip", "--plant", "exact"]) == 0 and "Beyond" not in capsys.readouterr().out

@@ -20,17 +20,18 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import STOCK, figures_named
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.free import LetGo, SixAxes, Twist
-from maglev_mj.scenes.names import BUILT_IN
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Figure, RunResult, figure
 from maglev_mj.scenes.run import figures_of, run, run_phases
 from maglev_mj.scenes.scene import Scene, Start
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import GRAVITY, Spec
+from tests.all_of import SCENES
+from tests.sweeps import sweep
 
 MASS = Spec.moving_mass.value
 WEIGHT = (0.0, 0.0, MASS * GRAVITY, 0.0, 0.0, 0.0)
-PHASES = np.random.default_rng(16).uniform(0.0, 1.0, 5)
+PHASES = np.random.default_rng(16).uniform(0.0, 1.0, 3)
 SHORT = Press(hits=1, interval=0.1, duration=0.4)
 
 
@@ -220,7 +221,7 @@ def test_what_laws_tell_is_kept_with_each_sample() -> None:
     assert single.samples["position"].shape == (61, 6) and single.samples["stuck"].shape == (61, 1)
     assert single.samples["stuck"].dtype == bool
     batch = run(StickSlip(), plant="exact", phase=PHASES)
-    assert batch.samples["stick_position"].shape == (60, 1, 5)
+    assert batch.samples["stick_position"].shape == (60, 1, 3)
     for device, phase in enumerate(PHASES.tolist()):
         one, alone = batch[device], run(StickSlip(), plant="exact", phase=phase)
         count = len(alone.sample_time)
@@ -312,9 +313,8 @@ SWITCHED: Mapping[str, Any] = {
 }
 
 
-@pytest.mark.parametrize("gains", SWITCHED.values(), ids=SWITCHED)
-@pytest.mark.parametrize("scene", [Drop(duration=0.2), SHORT], ids=["drop", "press"])
-def test_a_batch_is_its_runs_to_rounding(scene: Scene, gains: Any) -> None:
+@pytest.mark.parametrize(("gains", "scene"), sweep(SWITCHED.values(), [Drop(duration=0.2), SHORT], every=3))
+def test_a_batch_is_its_runs_to_rounding(gains: Any, scene: Scene) -> None:
     # Where one device has a pulse all have a knot, and a way in two parts rounds differently.
     changed = scene.replace(**gains)
     batch = run(changed, plant="exact", phase=PHASES)
@@ -333,7 +333,7 @@ def test_a_batch_is_its_runs_to_rounding(scene: Scene, gains: Any) -> None:
 def test_figures_of_ones_own_are_swept_whether_they_take_a_batch_or_not() -> None:
     swept = run_phases(Fall(duration=0.012), PHASES, plant="exact")
     assert list(swept.figures) == ["half_fallen", "knots", "low", "final_position"]
-    assert all(values.shape == (5,) for values in swept.figures.values())
+    assert all(values.shape == (3,) for values in swept.figures.values())
     np.testing.assert_allclose(swept.figures["half_fallen"], 0.25 * GRAVITY * 0.012**2, rtol=1e-12)
     assert np.isin(swept.figures["knots"], range(2, 9)).all()
     on_engine = run_phases(Fall(duration=0.012), PHASES, plant="mujoco")
@@ -392,8 +392,7 @@ def test_phases_are_run_in_parts_and_told_of() -> None:
     assert done == [(1, 2), (2, 2)]
 
 
-@pytest.mark.parametrize("plant", ["exact", "mujoco"])
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize(("name", "plant"), sweep(SCENES, ["exact", "mujoco"], every=2))
 def test_every_scene_runs_on_both_plants(name: str, plant: str) -> None:
     scene = find_scene(name)()
     result = run(scene, plant=plant, phase=0.4)

@@ -23,6 +23,7 @@ from maglev_mj.spec import RANGE
 from maglev_mj.theory import inertia_of, largest_stable_stiffness, stability
 from maglev_mj.views.readings import STABILITY
 from maglev_mj.views.window.screen import Plots
+from tests.sweeps import sweep
 from tests.theory.test_linearise import WEIGHTS, Detent, Echo
 
 ANGLES = dict.fromkeys(("rx", "ry", "rz"), float(np.radians(6.0)))
@@ -46,10 +47,9 @@ def test_walls_that_are_none_are_refused(walls: Any, says: str) -> None:
         Joystick.from_json({"walls": walls})
 
 
-@pytest.mark.parametrize("name", ["joystick", "table", "box", "corner"])
 @pytest.mark.parametrize(("axis", "reach"), [*dict.fromkeys("xyz", 0.0045).items(), *ANGLES.items()])
-def test_an_edge_is_within_the_workspace(name: str, axis: str, reach: float) -> None:
-    cls = find_scene(name)
+def test_an_edge_is_within_the_workspace(axis: str, reach: float) -> None:
+    cls = Joystick
     for normal in (1, -1):
         for edge in (-reach, reach):
             assert cls.from_json({"walls": [[axis, normal, edge]]}).as_json()["walls"] == ((axis, normal, edge),)
@@ -86,9 +86,7 @@ class Push(Law):
         return state, pulse if self._pulsed else None
 
 
-@pytest.mark.parametrize("axis", AXES)
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("limit", [STEP_FORCE, 0.5])
+@pytest.mark.parametrize(("axis", "sign", "limit"), sweep(AXES, [1.0, -1.0], [STEP_FORCE, 0.5], every=3))
 def test_a_step_of_force_is_at_most_the_limit(axis: str, sign: float, limit: float) -> None:
     # On every axis, held or in a pulse, from whatever acts now; the pose counts, the speed does not.
     most, unit = (limit, "N") if axis in "xyz" else (0.05 * limit, "N m")
@@ -137,10 +135,11 @@ def test_walls_of_the_settings_take_the_place_of_the_scenes_own(name: str) -> No
     assert cls.from_json(json.loads(json.dumps(scene.as_json()))) == scene
 
 
-@pytest.mark.parametrize("period", [0.005, 0.001])
-@pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004])
-@pytest.mark.parametrize("name", ["joystick", "table", "box", "corner"])
-def test_settings_are_refused_from_the_boundary_of_theory_on(name: str, period: float, delay: float) -> None:
+@pytest.mark.parametrize(
+    ("name", "delay", "period"),
+    sweep(["joystick", "table", "box", "corner"], [0.0, 0.0015, 0.004], [5e-3, 1e-3], every=3),
+)
+def test_settings_are_refused_from_the_boundary_of_theory_on(name: str, delay: float, period: float) -> None:
     # Just below the largest stable stiffness they may be had, just above they may not, with the figures of theory.
     chosen = find_scene(name)().replace(period=period, delay=delay, pulse=False)
     assert isinstance(chosen, InteractiveScene)
@@ -166,7 +165,7 @@ def test_a_scene_is_checked_with_another_delay_or_flotor() -> None:
         assert (unstable_loop(Drop(), inertia=[mass] * 3 + [1e-3] * 3) is None) is stable
 
 
-@pytest.mark.parametrize("count", [30, pytest.param(100, marks=pytest.mark.study)])
+@pytest.mark.parametrize("count", [16, pytest.param(100, marks=pytest.mark.study)])
 def test_every_legal_scene_is_judged(count: int) -> None:
     draw, stable = random.Random(3), 0
     for _ in range(count):
@@ -230,12 +229,12 @@ def test_no_scene_warns_as_it_is(name: str) -> None:
 
 
 def test_a_scene_that_may_be_unstable_warns_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 100)
-    monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:188])
-    assert stability_warning(Detents()) is None
+    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 80)
+    monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:100])
     wrong = Detents(stiffness=9870.0)
-    assert stability_warning(wrong) == f"detents is unstable: {unstable_loop(wrong)}"
-    assert "have the largest root modulus 1.0308, which must be below 1" in str(stability_warning(wrong))
+    warned = str(stability_warning(wrong))
+    assert warned == f"detents is unstable: {unstable_loop(wrong)}"
+    assert "have the largest root modulus 1.0308, which must be below 1" in warned
     unknown = stability_warning(Echoing(stiffness=1000.0))
     assert unknown is not None and "\n" not in unknown
     refused = "echoing may be unstable: it is not known whether the scene would be stable; not judged at "
@@ -263,7 +262,7 @@ class Slipped(Detents):
     [
         pytest.param({}, INERTIA, marks=pytest.mark.study),
         pytest.param({"mass": None, "inertia": None, "model": None}, INERTIA, marks=pytest.mark.study),
-        ({"mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:])),
+        pytest.param({"mass": 2.0}, (2.0, 2.0, 2.0, *INERTIA[3:]), marks=pytest.mark.study),
         pytest.param({"inertia": [1e-3, 2e-3, 3e-3]}, (*INERTIA[:3], 1e-3, 2e-3, 3e-3), marks=pytest.mark.study),
         pytest.param({"model": "drop"}, INERTIA, marks=pytest.mark.study),
         ({"model": "HEAVY", "inertia": [1e-3, 2e-3, 3e-3]}, (0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3)),
@@ -303,7 +302,6 @@ def test_the_stability_plot_shows_gains_only_where_all_laws_state_them() -> None
         return title, int(np.count_nonzero(figure.linepnt))
 
     assert shown(Detents(stiffness=9870.0)) == ("x: largest root 1.031 UNSTABLE", 0)
-    assert shown(Detents(stiffness=4000.0)) == ("x: largest root 0.9147 stable", 0)
     assert shown(Joystick(stiffness=4000.0)) == ("stable: 42 % of the boundary", 5)
     assert shown(Detents(period=0.001, delay=0.05))[0] == "stability not known"
 
