@@ -185,31 +185,38 @@ def test_a_wall_with_a_force_limit_pushes_no_harder_in_its_pulses() -> None:
     assert np.abs(held[:, 1:3] + pulse[:, 1:3])[pulse[:, 1:3] != 0.0].max() == pytest.approx(0.4, rel=1e-12)
 
 
-REFUSED = [
-    (name, one.name, dict(one.metadata.get("gain") or one.metadata["setting"]))
-    for name, law in ALONE.items()
-    for one in fields(law)
-    if {"gain", "setting"} & one.metadata.keys()
+@pytest.mark.parametrize("estimate", VELOCITIES, ids=lambda one: type(one).__name__)
+def test_a_velocity_estimate_of_a_ramp_is_its_slope_on_every_axis(estimate: VelocityEstimator) -> None:
+    slopes, state = np.array([0.01, -0.02, 0.03, 0.1, -0.2, 0.3]), None
+    for tick in range(80):
+        velocity, state = estimate((slopes * (PERIOD * tick) + 1e-3).tolist(), state, PERIOD)
+        assert tick > 0 or not np.any(velocity)
+    np.testing.assert_allclose(velocity, slopes, rtol=1e-9)
+
+
+ANY = {"lower", "upper", "target"}
+ABOVE_ZERO = {"breakaway", "v_min", "period", "inertia", "slow", "stribeck", "coulomb", "elastic", "stick"}
+TOO_MUCH = {"pole": 1.0, "elastic": 1.0, "stick": 1.0, "coulomb": 1.0 + 1e-9}
+INFINITE = {("Wall", "lower"), ("Wall", "upper"), ("Wall", "force_limit")}
+NUMBERS = [
+    (name, one.name) for name, law in ALONE.items() for one in fields(law) if {"gain", "setting"} & one.metadata.keys()
 ]
 
 
-def test_a_gain_outside_its_bounds_is_refused_with_the_value_by_every_law() -> None:
-    assert len(REFUSED) > 50
-    for law, name, bounds in REFUSED:
-        values = [math.nan, "stiff"] + [math.inf] * bounds.get("finite", True)
-        if (lowest := bounds.get("above")) is not None:
-            values += [lowest]
-        elif math.isfinite(lowest := bounds.get("at_least", -math.inf)):
-            values += [lowest - 1.0]
-        values += [bounds["below"]] if "below" in bounds else []
-        for value in values:
+@pytest.mark.parametrize("law", ALONE)
+def test_a_number_outside_its_bounds_is_refused_with_the_value(law: str) -> None:
+    for name in (own for of, own in NUMBERS if of == law):
+        above = name in ABOVE_ZERO or (name == "stiffness" and law in FRICTION)
+        bad = [math.nan, "stiff", *([] if name in ANY else [0.0 if above else -1e-9]), TOO_MUCH.get(name, math.nan)]
+        for value in [*bad, *([] if (law, name) in INFINITE else [math.inf])]:
             with pytest.raises(ParameterError, match=rf"{name} .*not ") as refused:
                 replace(ALONE[law], **{name: value})
             assert (repr(value) if isinstance(value, str) else f"{value:g}") in str(refused.value)
-    for law in ALONE.values():
-        for axes, words in (("q", "axis must be one of x, y, z, rx, ry, rz, not 'q'"), (("x", "x"), "different names")):
-            with pytest.raises(ParameterError, match=words):
-                replace(law, axes=axes)
+        if not above and name not in ANY:
+            replace(ALONE[law], **{name: 0.0})
+    for axes, words in (("q", "axis must be one of x, y, z, rx, ry, rz, not 'q'"), (("x", "x"), "different names")):
+        with pytest.raises(ParameterError, match=words):
+            replace(ALONE[law], axes=axes)
 
 
 # -- plants ----------------------------------------------------------------------------------------------

@@ -311,20 +311,6 @@ def test_springs_dampers_and_fluids_of_a_model_act() -> None:
     assert falls_in(spec) > 0.1 * free  # the handle falls still
 
 
-def test_both_plants_take_a_device_of_ones_own_through_the_same_drop(tmp_path: Path) -> None:
-    path = own_model(tmp_path, *HEAVIER)
-    moved = []
-    kinds: tuple[Any, ...] = (MuJoCoPlant, ExactPlant)
-    owns: tuple[dict[str, Any], ...] = ({}, {"mass": 0.8, "inertia": [1e-3, 1e-3, 9e-4]})
-    for kind in kinds:
-        for own in owns:
-            plant = kind(TIMING, model=path, pose=[0, 0, 3e-3, 0, 0, 0], **own)
-            moved.append(drive(plant, controller(), 40).pose)
-    np.testing.assert_allclose(moved[0], moved[2], atol=1e-13)
-    np.testing.assert_allclose(moved[1], moved[3], atol=1e-13)
-    assert abs(moved[0][2] - moved[1][2]) > 1e-6
-
-
 def test_own_stops_hold_the_flotor_at_their_own_range(tmp_path: Path) -> None:
     path = own_model(tmp_path, *HEAVIER)
     lowest = []
@@ -422,6 +408,8 @@ def test_what_an_option_needs_of_a_model_is_named(tmp_path: Path) -> None:
         MuJoCoPlant(model=tmp_path / "nothing.xml")
     with pytest.raises(ModelError, match="model must be one of drop, maglev, scene, or an MJCF file, not 'mine'"):
         ExactPlant(model="mine")
+    with pytest.raises(ParameterError, match="mass must be"):
+        load_model("drop", mass=-1.0)
     (tmp_path / "broken.xml").write_text("<mujoco><nonsense/></mujoco>", encoding="utf-8")
     with pytest.raises(MaglevError, match=r"model 'broken.xml' cannot be used: .*nonsense"):
         MuJoCoPlant(model=tmp_path / "broken.xml")

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from maglev_mj import Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import Array, Component, rotation_matrix
-from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant
+from maglev_mj.plants import SampledPlant
 from maglev_mj.plants.hand import (
     HANDS,
     GuidedHand,
@@ -150,20 +150,6 @@ def test_a_recorded_hand_gives_the_same_motion_bit_for_bit(kind: Any) -> None:
     first = motion(wandering)
     assert np.abs(first).max() > 0.003
     assert (motion(RecordedHand(wrenches)) == first).all()
-
-
-def test_a_batch_takes_a_hand_like_one_device() -> None:
-    start = np.array([[0.001, 0.0, 0.0, 0.02, 0.0, 0.01], [0.0, 0.002, 0.0, 0.0, -0.03, 0.0]])
-
-    def push(tick: int, time: Component, state: object) -> list[float]:
-        return [0.4, 0.1, -0.2, 1e-3, 0.0, -1e-3]
-
-    batch = poses(MuJoCoBatchPlant(TIMING, pose=start, gravity=0.0, hand_force=push), idle(), 12)
-    exact = poses(ExactPlant(TIMING, pose=start, gravity=0.0, hand_force=push), idle(), 12)
-    for device in range(2):
-        alone = poses(MuJoCoPlant(TIMING, pose=start[device], gravity=0.0, hand_force=push), idle(), 12)
-        assert_allclose(batch[:, device], alone, atol=1e-15)
-        assert_allclose(exact[:, device, :3], alone[:, :3], atol=1e-14)
 
 
 PUBLISHED_RANGE = {

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj import Command, Controller, Hold, MuJoCoPlant, Timing, Wall, drive
+from maglev_mj import Controller, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, quaternion
 from maglev_mj.plants import model
@@ -117,17 +117,9 @@ def test_range_is_a_stop_in_the_device() -> None:
 
 
 def test_driver_bandwidth_is_that_of_the_text(device: Device) -> None:
-    # 2 kHz (section 2), where Table 1 says more than 3 kHz: the gain of the compiled filter at 2 kHz is -3 dB.
+    # 2 kHz (section 2), where Table 1 says more than 3 kHz; what such a lag does is in test_devices.py.
     assert device.driver_time_constant == DRIVER_TIME_CONSTANT
-    period = 5e-6
-    plant = MuJoCoPlant(Timing(period=period, delay=0.0), driver_lag=True, gravity=0.0, record=True)
-    for tick in range(2000):
-        plant.read()
-        force = math.sin(2.0 * math.pi * SPEC.driver_bandwidth.value * tick * period)
-        plant.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))
-    trace = plant.trace()
-    settled = trace.wrench[trace.time > 5e-3, 2]
-    assert settled.max() == pytest.approx(math.sqrt(0.5), rel=0.01)
+    assert 2.0 * math.pi * SPEC.driver_bandwidth.value * DRIVER_TIME_CONSTANT == pytest.approx(1.0, rel=1e-12)
 
 
 def test_closed_loop_position_response() -> None:
@@ -267,21 +259,6 @@ def test_every_scene_runs_with_noise_and_without_a_warning(name: str) -> None:
         mujoco.mj_step(compiled, data)
     assert not data.warning.number.any()
     assert np.isfinite(data.qpos).all()
-
-
-def test_unknown_and_broken_models_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ModelError, match="model must be one of drop, maglev, scene, or an MJCF file, not 'nothing'"):
-        model_path("nothing")
-    with pytest.raises(ParameterError, match="mass must be"):
-        load_model("drop", mass=-1.0)
-    text = model_path("maglev").read_text(encoding="utf-8")
-    monkeypatch.setattr(model, "MODELS", tmp_path)
-    (tmp_path / "bad.xml").write_text(text.replace('name="vertical1"', 'name="upright"'), encoding="utf-8")
-    with pytest.raises(ModelError, match=r"model 'bad' cannot be used: .*vertical1"):
-        load_model("bad")
-    (tmp_path / "worse.xml").write_text("<mujoco><nonsense/></mujoco>", encoding="utf-8")
-    with pytest.raises(ModelError, match=r"model 'worse' cannot be used: .*nonsense"):
-        load_model("worse")
 
 
 # -- no more than a scene needs --------------------------------------------------------------------------

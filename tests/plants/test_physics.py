@@ -23,13 +23,6 @@ def restitution(ratio: float) -> float:
     return math.exp(-2.0 * math.pi * ratio / math.sqrt(1.0 - ratio**2))
 
 
-def test_restitution_formula_not_the_remark() -> None:
-    # The paper's remark "r < 0.2 for rho > 0.1" does not follow from its formula; the formula holds.
-    assert restitution(0.1) == pytest.approx(0.532, abs=5e-4)
-    assert restitution(0.248) == pytest.approx(0.2, abs=1e-3)
-    assert restitution(0.0) == 1.0
-
-
 def test_the_analog_wall_refuses_times_that_do_not_ascend() -> None:
     with pytest.raises(ParameterError, match=r"time must be .* ascending"):
         drop_analog(np.array([0.4, 0.1]))

@@ -263,24 +263,6 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
 
 
 @pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
-def test_a_list_that_is_used_again_is_a_new_command(kind: Any) -> None:
-    places = []
-    for fresh in (True, False):
-        plant, force = kind(gravity=0.0), [0.0] * 6
-        for tick in range(6):
-            plant.read()
-            force[2] = float(tick)
-            plant.write(Command(list(force) if fresh else force))
-        places.append(plant.read().position[2])
-    assert places[0] == places[1] > 8e-4
-    plant = kind(gravity=0.0)
-    for _ in range(3):  # an array will do as well
-        plant.read()
-        array: Any = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-        plant.write(Command(array))
-
-
-@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
 def test_what_is_done_to_a_sample_does_not_move_the_flotor(kind: Any) -> None:
     plant = kind(gravity=0.0)
     plant.read().position[2] = 1.0

@@ -80,18 +80,6 @@ def test_drop_means_what_it_says(changes: dict[str, Any], plant: str) -> None:
     np.testing.assert_allclose(series["force"], expected_force, rtol=0.0, atol=1e-6)
 
 
-def test_json_has_what_is_promised() -> None:
-    data = run(Drop()).as_json()
-    assert list(data) == ["parameters", "time", "z", "force", "summary"]
-    assert data["time"] == [round(k * 1e-3, 9) for k in range(401)]
-    assert len(data["z"]) == len(data["force"]) == 401
-    assert data["z"][0] == 0.0045
-    assert data["force"][0] == 0.0
-    assert set(data["summary"]) == {"penetration", "rebound", "peak_force", "settling_time", "final_z"}
-    assert data["parameters"]["stiffness"] == 6000.0
-    assert data["summary"]["final_z"] == pytest.approx(data["z"][-1])
-
-
 def test_summary_is_that_of_a_fine_grid() -> None:
     for phase in (0.0, 0.3, 0.7):
         result = run(Drop(), plant="exact", phase=phase)

@@ -14,7 +14,7 @@ import pytest
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants.trace import Trace
-from maglev_mj.scenes.figures import HIT_FIGURES, PressSummary, summarise_press
+from maglev_mj.scenes.figures import HIT_FIGURES, summarise_press
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Phases, RunResult
 from maglev_mj.scenes.run import run, run_phases
@@ -191,23 +191,6 @@ def test_in_a_soft_grip_a_pulse_that_stops_the_flotor_does_not_throw_it_back(pha
     stopping, without = (swept(SOFT.replace(pulse=pulse), phases).figures for pulse in (140.0, 0.0))
     assert (stopping["contacts"] == 1.0).all()
     assert 0.0 < (stopping["penetration"] > without["penetration"]).mean() < 0.2
-
-
-def test_json_holds_the_run() -> None:
-    result = exact(SHORT)
-    data = json.loads(json.dumps(result.as_json(), allow_nan=False))
-    assert data["parameters"] == {"plant": "exact", "phase": 0.0, **SHORT.as_json()}
-    assert list(data) == ["parameters", "time", "z", "force", "target", "summary"]
-    assert all(len(data[name]) == 1601 for name in ("time", "z", "force", "target"))
-    assert data["z"] == result.series()["z"].tolist()
-    assert list(data["summary"]) == list(PressSummary._fields)
-    assert data["summary"]["penetration"] == result.figures["penetration"].tolist()
-    sweep = swept(SHORT, 3)
-    rows = json.loads(json.dumps(sweep.as_json(), allow_nan=False))
-    assert [row["phase"] for row in rows["phases"]] == [0.0, 1 / 3, 2 / 3]
-    second = [row["penetration"][1] for row in rows["phases"]]
-    assert rows["median"]["penetration"][1] == pytest.approx(np.median(second))
-    assert rows["percentile_95"]["penetration"][1] == pytest.approx(np.percentile(second, 95))
 
 
 @pytest.mark.parametrize(

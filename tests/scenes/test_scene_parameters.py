@@ -15,7 +15,6 @@ from maglev_mj.parameters import Parameters, param
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.scenes.names import BUILT_IN
-from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import RESERVED, Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 
@@ -114,14 +113,6 @@ def test_derived_defaults_of_the_scenes_follow_what_they_derive_from(axis: str) 
     assert (turned.spring == 1000.0) == (axis == "y")
     kept = StickSlip(spring=1000.0).replace(axis=axis)
     assert kept.spring == 1000.0 and kept.breakaway == turned.breakaway
-
-
-def test_a_press_lasts_until_a_second_after_its_last_stroke_unless_it_was_told() -> None:
-    press = Press()
-    assert press.duration == press.down + 1.0
-    changed = press.replace(hits=2, interval=0.5)
-    assert changed.duration == pytest.approx(0.005 + 2.75 * 0.5 + 1.0)
-    assert Press(duration=4.0).replace(hits=2).duration == 4.0
 
 
 def test_a_copy_checks_what_is_changed_or_derived_and_what_holds_for_several() -> None:

@@ -252,15 +252,6 @@ def test_series_are_on_a_grid_up_to_the_end() -> None:
             result.series(step)
 
 
-def test_json_names_how_it_was_run_first() -> None:
-    data = run(Fall(), plant="exact", phase=0.25).as_json()
-    assert list(data) == ["parameters", "time", "position", "velocity", "force", "summary"]
-    assert list(data["parameters"]) == ["plant", "phase", "period", "delay", "duration"]
-    assert (data["parameters"]["plant"], data["parameters"]["phase"]) == ("exact", 0.25)
-    assert list(run(Twist(), plant="exact").as_json()["parameters"])[:2] == ["plant", "period"]  # no phase
-    assert list(data["summary"]) == ["half_fallen", "knots", "low", "final_position"]
-
-
 def test_plain_values_are_what_json_knows() -> None:
     given = {"a": np.float64(1.5), "b": math.nan, "c": np.array([1.0, math.inf]), "d": np.int64(3), "e": np.True_}
     assert plain({**given, "f": "x", "g": None, "h": True}) == {
@@ -396,8 +387,14 @@ def test_phases_are_run_in_parts_and_told_of() -> None:
 def test_every_scene_runs_on_both_plants(name: str, plant: str) -> None:
     scene = find_scene(name)()
     result = run(scene, plant=plant, phase=0.4)
-    data = result.as_json()
-    assert set(data["summary"]) == set(scene.figures) and len(data["time"]) > 40
+    data, timed = result.as_json(), result.series()
+    how = {"plant": plant, "phase": 0.4} if scene.takes_phase else {"plant": plant}
+    assert list(data)[: len(timed) + 1] == ["parameters", *timed] and list(data)[-1] == "summary"
+    assert list(data["parameters"])[: len(how)] == [*how] and data["parameters"] == plain({**how, **scene.as_json()})
+    time = [round(one, 9) for one in timed.pop("time").tolist()]
+    assert data["time"] == time and len(time) > 40
+    assert all(data[name] == plain(values) for name, values in timed.items())
+    assert list(data["summary"]) == list(scene.figures) and data["summary"] == plain(dict(result.figures))
     assert result.trace.time[-1] == pytest.approx(scene.end)
     assert AXES[AXES.index(scene.axis)] == scene.axis and scene.describe()
     assert next(iter(scene.variants().values())) == scene
