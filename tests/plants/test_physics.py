@@ -1,4 +1,4 @@
-"""Closed forms: restitution, momentum, energy, eigenvalues, analog wall."""
+"""Closed forms: restitution, momentum, analog wall."""
 
 from __future__ import annotations
 
@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
+from maglev_mj import AXES, Controller, ExactPlant, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ParameterError
 from maglev_mj.spec import INERTIA
 from maglev_mj.theory.ideal import analog_wall
 from tests.sweeps import sweep
-from tests.theory.closed_loop import largest_modulus, pd_matrix
 
 M, G, T = 0.7, 9.81, 0.005
 
@@ -75,36 +74,6 @@ def test_pulse_with_the_stopping_gain_stops_the_flotor(axis: str, side: int, pla
     assert abs(speed) < tolerance
     impulse = force[start] * width
     assert impulse == pytest.approx(side * inertia * 0.15, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("stiffness", "damping", "delay", "modulus"),
-    [(6000.0, 80.0, 0.005, 1.082), (6000.0, 80.0, 0.0015, 0.877), (4045.0, 59.4, 0.005, 1.0)],
-)
-def test_growth_of_the_simulated_wall_is_its_largest_eigenvalue(
-    stiffness: float, damping: float, delay: float, modulus: float
-) -> None:
-    # A two-sided PD on the exact plant follows the matrix power step by step, stable or not.
-    assert largest_modulus(stiffness, damping, period=T, delay=delay, mass=M) == pytest.approx(modulus, abs=5e-4)
-    plant = ExactPlant(Timing(period=T, delay=delay), pose=[0, 0, 1e-6, 0, 0, 0], gravity=0.0)
-    hold = Hold(axes="z", stiffness=stiffness, damping=damping)
-    controller = Controller([hold], period=T)
-    matrix = pd_matrix(stiffness, damping, period=T, delay=delay, mass=M)
-    # at the first sample x[-1] = x[0] and nothing is on its way
-    state = np.zeros(len(matrix))
-    state[0] = state[2] = 1e-6
-    for _ in range(100):
-        sample = plant.read()
-        assert sample.position[2] == pytest.approx(state[0], rel=1e-9, abs=1e-18)
-        plant.write(controller.step(sample))
-        state = matrix @ state
-
-
-def test_the_paper_s_characteristic_polynomial_is_the_case_of_one_sample_delay() -> None:
-    for stiffness, damping in ((3900.0, 60.0), (1000.0, 20.0), (6000.0, 80.0)):
-        cp, cv = T**2 * stiffness / (2 * M), T * damping / (2 * M)
-        roots = np.abs(np.roots([1.0, -2.0, 1.0 + cp + cv, cp, -cv])).max()
-        assert largest_modulus(stiffness, damping, period=T, delay=T, mass=M) == pytest.approx(roots, rel=1e-9)
 
 
 def drop_analog(time: np.ndarray[Any, np.dtype[np.float64]], **changes: float) -> Any:
