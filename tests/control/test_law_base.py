@@ -60,17 +60,19 @@ class Leaky(AxisLaw):
         return -self.rate * area, area
 
 
-@pytest.mark.parametrize("law", [*LAWS, "Detent", "Leaky", "coupled"])
+OWN: dict[str, Law] = {
+    "Detent": DETENT,
+    "Leaky": Leaky(),
+    "Bias": Bias([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]),
+    "coupled": StickSlip(axes=("x", "y"), v_min=0.01, coupled=True, **FRICTION),
+    "Wall": LAWS["Wall"][0],
+    "LuGre": LAWS["LuGre"][0],
+}
+
+
+@pytest.mark.parametrize("law", OWN)
 def test_a_law_is_the_same_alone_and_in_a_batch(law: str) -> None:
-    own: dict[str, list[Law]] = {
-        "Detent": [DETENT],
-        "Leaky": [Leaky()],
-        "Bias": [Bias([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])],
-        "PassivityController": [],  # gives nothing alone
-        "coupled": [StickSlip(axes=("x", "y"), v_min=0.01, coupled=True, **FRICTION)],
-    }
-    for one in own.get(law, LAWS.get(law, [])):
-        check_law(one)
+    check_law(OWN[law])
 
 
 def test_gains_may_differ_by_axis_and_by_device() -> None:

@@ -130,15 +130,15 @@ def test_the_observer_wall_is_several_times_stiffer_with_errors_of_20_percent_to
 @pytest.mark.parametrize("limits", [(8.0,), pytest.param((8.0, 10.0, 20.0, 60.0), marks=pytest.mark.study)])
 def test_saturation_throws_the_observer_wall_out_unless_its_model_knows_the_limit(limits: tuple[float, ...]) -> None:
     # It settles from low drops only; the region grows with the limit; the PD wall settles from anywhere.
-    heights = np.array([3e-4, 1e-3, 2e-3, 3e-3, 4.5e-3])
+    heights = np.array([3e-4, 3e-3, 4.5e-3])
     stiff = {"stiffness": 27097.0, "damping": 238.0}
 
     def settles(law: Law, limit: float) -> list[bool]:
         swing = limited_drop(heights[:, None], law, np.arange(4) / 4, force_limit=limit).swing
         return [bool(one < 1e-6) for one in swing.max(axis=1)]
 
-    assert settles(observer(**stiff), 60.0) == [True, True, True, True, False]
-    assert sum(settles(observer(**stiff), 20.0)) < 4
+    assert settles(observer(**stiff), 60.0) == [True, True, False]
+    assert sum(settles(observer(**stiff), 20.0)) < 2
     assert all(settles(observer(**stiff, force_limit=60.0), 60.0))
     paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
     for limit in limits:  # the weight is 6.9 N

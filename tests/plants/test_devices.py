@@ -48,7 +48,7 @@ CHOICES = [("stops", True), ("force_falloff", 0.1), ("driver_lag", True), ("flex
     sweep(
         [dict(chosen) for count in range(4) for chosen in itertools.combinations(CHOICES, count)],
         ["rk4", "corrected"],
-        every=4,
+        every=6,
     ),
 )
 def test_every_combination_of_options_runs_and_is_metered(options: dict[str, Any], integrator: str) -> None:

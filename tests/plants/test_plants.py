@@ -235,6 +235,7 @@ def test_bad_parameters_are_refused_with_the_value() -> None:
         ({"pose": np.zeros((3, 6)), "twist": np.zeros((2, 6))}, "must fit one batch"),
         ({"pose": 0.001}, r"pose and twist must be \(..., 6\)"),
         ({"pose": [0.001]}, r"pose and twist must be \(..., 6\)"),
+        ({"wrench": math.inf}, "wrench must be finite and a number everywhere, not inf"),
         ({"wrench_limit": np.ones((3, 6))}, r"wrench_limit must be a number or have the shape \(6,\), not \(3, 6\)"),
     ]
     for door, words in shapes:

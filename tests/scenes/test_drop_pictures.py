@@ -96,7 +96,7 @@ def test_laws_of_ones_own_have_lines_of_their_own_beside_published_ones(draw: An
         assert [panel.get_title(loc="left") for panel in figure.axes] == [""] * len(figure.axes)
 
 
-@pytest.mark.parametrize("draw", sweep([time_series, phase_plane, series, spread, figure_6], every=2))
+@pytest.mark.parametrize("draw", sweep([time_series, phase_plane, series, spread, figure_6], every=4))
 def test_eight_variants_differ_in_their_dashes_and_so_without_colour(draw: Any) -> None:
     scene = Press(hits=1) if draw is figure_6 else DROP.replace(duration=0.1)
     pulses = {f"pulse {pulse:g}": scene.replace(pulse=pulse) for pulse in (220.0, 140.0, 100.0, 60.0)}
@@ -140,7 +140,7 @@ def test_bands_reach_as_far_as_the_drop_at_any_phase() -> None:
             assert len(outline.vertices) < 9000
 
 
-@pytest.mark.parametrize(("draw", "phase"), sweep([time_series, phase_plane], [PHASE, 0.06, 0.9], every=3))
+@pytest.mark.parametrize(("draw", "phase"), sweep([time_series, phase_plane], [PHASE, 0.06, 0.9], every=4))
 def test_pictures_name_their_phase_and_how_deep_it_is(draw: Any, phase: float) -> None:
     figure = draw(drops(DROP, phase))
     depth = run(DROP, plant="exact", phase=phase).figures["penetration"]
@@ -164,7 +164,7 @@ def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
 )
 def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int) -> None:
     drop = DROP.replace(**changes)
-    figures = [time_series(drops(drop)), phase_plane(drops(drop))]
+    figures = [time_series(drops(drop, bands=3)), phase_plane(drops(drop, bands=3))]
     assert [len(figure.axes) for figure in figures] == [2 * columns, columns]
     for figure in figures:
         has_analog = any(ANALOG in lines(panel) for panel in figure.axes)

@@ -304,7 +304,7 @@ SWITCHED: Mapping[str, Any] = {
 }
 
 
-@pytest.mark.parametrize(("gains", "scene"), sweep(SWITCHED.values(), [Drop(duration=0.2), SHORT], every=3))
+@pytest.mark.parametrize(("gains", "scene"), sweep(SWITCHED.values(), [Drop(duration=0.2), SHORT], every=6))
 def test_a_batch_is_its_runs_to_rounding(gains: Any, scene: Scene) -> None:
     # Where one device has a pulse all have a knot, and a way in two parts rounds differently.
     changed = scene.replace(**gains)
