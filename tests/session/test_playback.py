@@ -202,9 +202,6 @@ def test_what_a_recording_cannot_be_changed_to(replay: Replay, given: dict[str, 
     with pytest.raises(ParameterError, match=said):
         replay.change(given)
     assert replay.snapshot().time == 0.0
-
-
-def test_an_action_that_a_recording_does_not_have(replay: Replay) -> None:
     with pytest.raises(ParameterError, match=r"action must be one of pause, step.* not 'wall'"):
         replay.act("wall")
 

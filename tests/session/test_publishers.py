@@ -169,16 +169,6 @@ def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch
     assert asks.answers == [asks.snapshots[-1].since]
 
 
-def test_period_and_delay_of_settings_are_the_devices(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
-    asks = Asks(Joystick(stiffness=3000.0, period=0.001, delay=0.02))
-    flown, plant = flight(publishers=[asks])
-    with plant:
-        assert flown.run(0.3).ticks == 60
-    assert asks.snapshots[-1].scene == Joystick(stiffness=3000.0, period=plant.period, delay=plant.delay)
-    assert asks.answers == [asks.snapshots[-1].since]
-
-
 def broken(position: Any, velocity: Any) -> Any:
     raise ValueError("no")
 
@@ -197,14 +187,15 @@ class Failing(Joystick):
         return [*super().own_laws(), as_law(broken)]
 
 
-def test_a_set_is_told_the_mass_of_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mass_period_and_delay_of_settings_are_the_devices(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Publishers.__init__, "__defaults__", ((), slow()))
-    asks = Asks()
+    asks = Asks(Joystick(stiffness=3000.0, period=0.001, delay=0.02))
     flown, plant = flight(publishers=[asks])
     with plant:
-        flown.run(0.2)
-    known = plant.calibration
-    assert asks.snapshots[-1].inertia == [*[known.mass] * 3, *known.inertia]
+        assert flown.run(0.3).ticks == 60
+    last, known = asks.snapshots[-1], plant.calibration
+    assert last.scene == Joystick(stiffness=3000.0, period=plant.period, delay=plant.delay)
+    assert asks.answers == [last.since] and last.inertia == [*[known.mass] * 3, *known.inertia]
 
 
 def test_the_delay_that_is_told_is_the_usual_one(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,7 +212,7 @@ def test_the_delay_that_is_told_is_the_usual_one(monkeypatch: pytest.MonkeyPatch
             return sample
 
         monkeypatch.setattr(plant, "read", noted)
-        flown.run(1.5)
+        flown.run(0.7)
     last = [delay for tick, delay in measured if tick < asks.snapshots[-1].tick and delay == delay][-100:]
     assert asks.snapshots[-1].delay == pytest.approx(np.median(last), abs=2e-5)
     assert plant.delay + 1e-4 < np.median(last) < max(last) - 1e-4

@@ -14,7 +14,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Joystick
-from maglev_mj.session import TIME_SCALES, Note, Pacer, Session, changed
+from maglev_mj.session import Note, Pacer, Session, changed
 from maglev_mj.views.readings import Banner, banner
 
 FRAME = 1.0 / 60.0
@@ -25,7 +25,7 @@ def made(scene: Scene | None = None, **options: Any) -> Session:
     return Session(scene, pacer=Pacer(budget=60.0, patience=3600.0), **options)
 
 
-@pytest.mark.parametrize("axis", [0, 4])
+@pytest.mark.parametrize("axis", [4, pytest.param(0, marks=pytest.mark.study)])
 def test_a_change_keeps_the_force_until_the_next_answer_acts(axis: int) -> None:
     # At rest under a hand, 4 ms of every period pass under the force of before the change.
     hand = SpringHand(target=[(0.01 if axis < 3 else 0.3) * (place == axis) for place in range(6)])
@@ -44,13 +44,13 @@ def test_a_change_keeps_the_force_until_the_next_answer_acts(axis: int) -> None:
 def test_changes_in_quick_succession_act_together() -> None:
     # A slider that is dragged at 50 Hz makes ten controllers a second, and the last value is in force at the end.
     session, begun = made(Joystick()), set()
-    for frame in range(100):
+    for frame in range(50):
         session.change({"stiffness": 3000.0 + frame})
         session.tick(0.02)
         begun.add(session.snapshot().since)
-    assert len(begun) == pytest.approx(2.0 / 0.1, abs=2)
+    assert len(begun) == pytest.approx(1.0 / 0.1, abs=2)
     session.tick(0.1)
-    assert session._stretch.scene == session.snapshot().scene == Joystick(stiffness=3099.0)
+    assert session._stretch.scene == session.snapshot().scene == Joystick(stiffness=3049.0)
 
 
 @pytest.mark.parametrize(
@@ -153,7 +153,7 @@ def test_a_step_is_made_with_what_was_changed_just_before() -> None:
         assert session._stretch.scene == now.scene == Joystick(stiffness=stiffness) and now.since == now.tick - 1
 
 
-@pytest.mark.parametrize("scale", TIME_SCALES)
+@pytest.mark.parametrize("scale", [0.002, 0.5])
 def test_slow_motion_is_simulated_time_over_real_time(scale: float) -> None:
     session = made(Joystick(period=0.001, delay=0.0005))
     session.change({"time_scale": scale})
@@ -172,11 +172,11 @@ def test_the_hand_pulls_as_stiffly_as_it_is_set() -> None:
 
 def test_stops_do_nothing_away_from_them() -> None:
     session = made(Joystick(wall=False), hand=SpringHand(target=[9e-3, *[0.0] * 5], stiffness=2000.0))
-    session.tick(2.0)
+    session.tick(0.5)
     assert session.snapshot().stops[0] < -0.5
     session.hand.target = None
     session.act("centre")
-    session.tick(1.0)
+    session.tick(0.2)
     assert not session.snapshot().stops.any()
 
 
