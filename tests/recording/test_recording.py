@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -43,38 +42,6 @@ def test_a_fault_of_another_run_is_no_event_of_a_recording() -> None:
     with pytest.raises(DivergenceError):
         run_variants({"diverges": runs["diverges"]}, plant="exact", recording=recorded(file))
     assert len(file.recording.events) == 1 and file.recording.events[0].startswith("fault: ")
-
-
-def cut(path: Path) -> None:
-    path.write_bytes(path.read_bytes()[:4000])
-
-
-def text(path: Path) -> None:
-    path.write_text("not a recording")
-
-
-def another(path: Path) -> None:
-    path.write_bytes(path.read_bytes().replace(b'"version": 1', b'"version": 9', 1))
-
-
-def older(path: Path) -> None:
-    np.savez(path.with_suffix(".npz"), header=np.array("{}"))
-    path.write_bytes(path.with_suffix(".npz").read_bytes())
-
-
-def missing(path: Path) -> None:
-    path.unlink()
-
-
-@pytest.mark.parametrize("spoil", [cut, text, another, older, missing])
-def test_a_file_that_is_no_recording_is_one_line(spoil: Callable[[Path], None], tmp_path: Path, capsys: Any) -> None:
-    path = tmp_path / "run.maglev"
-    record_run(Drop(), plant="exact").save(path)
-    spoil(path)
-    assert main(["replay", str(path), "--check"]) == 2
-    said = capsys.readouterr().err
-    assert len(said.splitlines()) == 1
-    assert "recording" in said
 
 
 def test_a_setup_that_is_not_known_is_refused() -> None:
@@ -153,18 +120,6 @@ def test_a_clip_keeps_the_colour_of_a_small_mark(tmp_path: Path) -> None:
     assert np.abs(seen - green).max() < 20
 
 
-def test_what_is_wrong_with_a_file_goes_into_exports_of_it(tmp_path: Path, capsys: Any) -> None:
-    assert main(["drop", "--plant", "exact", "--record", str(tmp_path / "run.maglev")]) == 0
-    data = (tmp_path / "run.maglev").read_bytes()
-    (tmp_path / "cut.maglev").write_bytes(data[:-700])
-    assert main(["export", str(tmp_path / "cut.maglev"), "--to", "csv"]) == 0
-    assert "not closed: read to 0.4 s" in capsys.readouterr().out
-    assert json.loads((tmp_path / "cut.csv.json").read_text())["damage"] == "not closed: read to 0.4 s"
-    Recording.load(tmp_path / "cut.maglev").save(tmp_path / "saved.maglev")
-    assert main(["replay", str(tmp_path / "saved.maglev"), "--check"]) == 1
-    assert "not closed: read to 0.4 s" in capsys.readouterr().out
-
-
 def test_each_gap_of_a_slow_session_is_its_own_ticks(tmp_path: Path) -> None:
     # One tick a frame is all that the budget allows, of ten, of six, of ten: the others are given up.
     session = Session(record=tmp_path / "run.maglev", pacer=Pacer(budget=1e-9, patience=0.0))
@@ -175,20 +130,6 @@ def test_each_gap_of_a_slow_session_is_its_own_ticks(tmp_path: Path) -> None:
     (stretch,) = recording.stretches
     assert list(stretch.gaps) == [(1, 9), (2, 5), (3, 9)]
     assert list(recording.events) == [f"missed: {count} ticks were given up: too slow" for count in (9, 5, 9)]
-
-
-OTHERS = {
-    b"a text": "it is not a journal",
-    b"\x89MCAP0\r\n": "it is not a journal, but MCAP or .npz: maglev_mj 0.2",
-}
-
-
-@pytest.mark.parametrize("start", OTHERS)
-def test_what_is_no_recording_is_called_none(start: bytes, tmp_path: Path, capsys: Any) -> None:
-    path = tmp_path / "text.maglev"
-    path.write_bytes(start)
-    assert main(["analyse", str(path)]) == 2
-    assert f"is not a whole recording: {OTHERS[start]}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])

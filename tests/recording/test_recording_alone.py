@@ -24,7 +24,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.plants import ExactPlant, SampledPlant, Timing
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.recording import InvalidRecordingError, MemoryFile, Recording, open_recording
+from maglev_mj.recording import InvalidRecordingError, MemoryFile, Recording, RecordingError, open_recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.find import _module_of_text, find_scene
 from maglev_mj.session import Pacer, Session
@@ -32,7 +32,9 @@ from maglev_mj.session.replay import Replay, rebuild, write_run
 from maglev_mj.versions import MODELS, differences, hash_of, versions
 from tests.all_of import DELAY, LAWS, PERIOD, PLANTS, START, TIMING, controller_of
 from tests.golden.outputs import HERE
+from tests.processes import run_here
 from tests.recorded import Part, journal_of, numbers_in, parts_in, some_of
+from tests.sweeps import sweep
 
 TICKS = 80
 
@@ -68,7 +70,6 @@ def say(capsys: Any) -> Callable[..., tuple[int, str, str]]:
     ("plant", "names"),
     [
         ("exact", tuple(LAWS)),
-        ("mujoco", ("StickSlip",)),
         ("exact, with options", ("Wall",)),
         ("mujoco, with options", ("PassivityController",)),
         # laws do not depend on plants
@@ -79,7 +80,7 @@ def test_a_script_s_recording_is_checked_analysed_and_shown(
     plant: str, names: tuple[str, ...], tmp_path: Path, say: Any
 ) -> None:
     path = tmp_path / "run.maglev"
-    ticks = 25
+    ticks = 12
     record(path, [plant], names, ticks=ticks)
     status, said, wrong = say("replay", str(path), "--check")
     assert (status, wrong) == (0, ""), said
@@ -116,7 +117,7 @@ def other(name: Any, old: Any) -> Any:
     return old + 1 if name in COUNTS else old * (1e5 if name in THRESHOLDS else 1.07)
 
 
-def unseen(plant: str, names: list[str], part: str, every: int) -> tuple[list[str], int]:
+def unseen(plant: str, names: list[str], part: str, every: int, ticks: int = TICKS) -> tuple[list[str], int]:
     """Return undetected changes of a setup's values, and the number tried.
 
     Of one number of each n-th field; of all numbers for n = 0.
@@ -124,7 +125,7 @@ def unseen(plant: str, names: list[str], part: str, every: int) -> tuple[list[st
     file, missed, tried = MemoryFile(), [], 0
     for law in names:
         made, controller = PLANTS[plant](), controller_of(law)
-        drive(made, controller, ticks=TICKS, record=file.begin(made, controller))
+        drive(made, controller, ticks=ticks, record=file.begin(made, controller))
     for law, stretch in zip(names, file.recording.stretches, strict=True):
         places = [
             place
@@ -172,7 +173,7 @@ def test_a_changed_gain_is_found(every: int, least: int) -> None:
     ],
 )
 def test_a_changed_option_of_a_plant_is_found(plant: str, every: int, least: int) -> None:
-    missed, tried = unseen(plant, ["Hold"], "plant", every)
+    missed, tried = unseen(plant, ["Hold"], "plant", every, TICKS if every == 0 else 25)
     assert tried > least and [name for name in missed if not WITHOUT_EFFECT.search(name)] == []
 
 
@@ -205,10 +206,10 @@ if __name__ == "__main__":
     Path("executed").write_text(__name__)
     laws = [Magnet(axes=("x", "z"), stiffness=300.0), lift]
     file = open_recording(Path(sys.argv[1]), wait=True)
-    for _ in range(STRETCHES):
+    for _ in range(2):
         plant = MuJoCoPlant(Timing(period=0.001, delay=0.0015), pose=[0.001, 0.0, 0.001, 0.0, 0.0, 0.0])
         controller = Controller(laws, period=0.001)
-        drive(plant, controller, ticks=60, record=file.begin(plant, controller))
+        drive(plant, controller, ticks=30, record=file.begin(plant, controller))
     file.close()
 """
 
@@ -220,9 +221,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def run_script(folder: Path, name: str, stretches: int = 1) -> None:
+def run_script(folder: Path, name: str) -> None:
     """Record by a script with a law of its own, which leaves a mark when executed."""
-    text = SCRIPT.replace("SQUARE", "4.0").replace("STRETCHES", str(stretches))
+    text = SCRIPT.replace("SQUARE", "4.0")
     (folder / "script.py").write_text(text)
     (folder / name).write_bytes(run_of(text, name))
 
@@ -417,46 +418,50 @@ HOSTILE: Mapping[str, Change] = {
 OF_OWN_CODE = ("a module's function", "a file elsewhere", "own code as plant", "an own estimate", "a dotted name")
 
 
-@pytest.mark.parametrize("value", [[], "../evil.py:Evil", None])
-@pytest.mark.parametrize("name", ["scene", "source"])
-@pytest.mark.parametrize("kind", ["run", "device"])
-def test_a_scene_that_is_none_is_shown_or_refused(
-    kind: str, name: str, value: Any, folder: Path, say: Any, capsys: Any
-) -> None:
-    parts = parts_in(kept())
-    capsys.readouterr()
+CASES = sweep(["run", "device"], ["scene", "source"], [[], "../evil.py:Evil", None], every=3)
+
+
+@pytest.mark.parametrize(("kind", "name", "value"), CASES)
+def test_a_scene_that_is_none_is_shown_or_refused(kind: str, name: str, value: Any, folder: Path, say: Any) -> None:
+    parts = deepcopy(kept())
     begun_in(parts).update({"kind": kind, "scene": "mine.py:Mine", "source": DIGEST} | {name: value})
     (folder / "run.maglev").write_bytes(journal_of(parts))
     heard.clear()
-    for typed in (["replay", "--check"], ["analyse"], ["analyse", "--scene", "attached"]):
+    for typed in (["replay", "--check"], ["analyse", "--scene", "attached"]):
         status, _, wrong = say(typed[0], "run.maglev", *typed[1:])
         assert status in (0, 1, 2) and wrong.count("\n") == (status == 2), wrong
-    assert [event for event in heard if event[0] != "open" or "run.maglev" not in str(event[1])] == []
+    assert executed() == []
 
 
-@pytest.mark.parametrize(
-    ("what", "given"),
-    [
-        *((what, ()) for what in HOSTILE),
-        *((what, ("--scene", "attached")) for what in HOSTILE if what in OF_OWN_CODE),
-    ],
-)
-def test_a_hostile_file_executes_nothing_and_is_one_line(
-    what: str, given: Any, folder: Path, say: Any, capsys: Any
-) -> None:
-    # Whatever it names, and even where a person lets the program execute what it holds.
-    parts = parts_in(kept())
+def executed() -> list[tuple[str, Any]]:
+    """Return what was heard besides the file that was read."""
+    return [event for event in heard if event[0] != "open" or "run.maglev" not in str(event[1])]
+
+
+def test_a_hostile_file_executes_nothing_and_is_one_line(folder: Path) -> None:
+    for what, change in HOSTILE.items():
+        parts = deepcopy(kept())
+        change(begun_in(parts))
+        (folder / "run.maglev").write_bytes(journal_of(parts))
+        heard.clear()
+        with pytest.raises(RecordingError) as refused:
+            verify(Recording.load(Path("run.maglev")), rebuild)
+        assert "\n" not in str(refused.value) and len(str(refused.value)) < 400, what
+        assert executed() == [] and [path.name for path in folder.iterdir()] == ["run.maglev"], what
+
+
+@pytest.mark.parametrize("what", OF_OWN_CODE)
+def test_not_even_where_a_person_lets_the_program_execute_what_a_file_holds(what: str, folder: Path, say: Any) -> None:
+    parts = deepcopy(kept())
     for command in ("replay", "analyse"):  # the program's own code is loaded
         program.parse([command, "run.maglev"])
-    capsys.readouterr()
     HOSTILE[what](begun_in(parts))
     (folder / "run.maglev").write_bytes(journal_of(parts))
     heard.clear()
-    status, said, wrong = say("replay", "run.maglev", "--check", *given)
-    assert (status, said) == (2, "") and wrong.count("\n") == 1 and len(wrong) < 400, wrong
+    status, output, wrong = say("replay", "run.maglev", "--check", "--scene", "attached")
+    assert (status, output) == (2, "") and wrong.count("\n") == 1 and len(wrong) < 400, wrong
     assert say("analyse", "run.maglev")[0] in (0, 2)
-    assert [event for event in heard if event[0] != "open" or "run.maglev" not in str(event[1])] == []
-    assert [path.name for path in folder.iterdir()] == ["run.maglev"]
+    assert executed() == [] and [path.name for path in folder.iterdir()] == ["run.maglev"]
 
 
 def begun_in(parts: list[Part]) -> dict[str, Any]:
@@ -477,8 +482,8 @@ sys.addaudithook(hear)
 
 
 @cache
-def kept() -> bytes:
-    """Return a recording of a script with typed commands."""
+def kept() -> list[Part]:
+    """Return the parts of a script's recording; the code that reads it is loaded."""
     import tempfile
 
     with tempfile.TemporaryDirectory() as place:
@@ -486,9 +491,9 @@ def kept() -> bytes:
         file, plant, controller = open_recording(path), PLANTS["mujoco"](), controller_of("Hold")
         drive(plant, controller, ticks=20, record=file.begin(plant, controller))
         file.close()
-        for command in (["replay", "--check"], ["analyse"]):
-            assert main([*command, str(path)]) == 0
-        return path.read_bytes()
+        for command in (["replay", str(path), "--check"], ["analyse", str(path)]):
+            assert run_here(*command).status == 0
+        return parts_in(path.read_bytes())
 
 
 # a recording of other code
@@ -514,7 +519,7 @@ def of_other_code(monkeypatch: pytest.MonkeyPatch, path: Path) -> str:
     return differences(Recording.load(path).stretches[0].setup["versions"], now)
 
 
-@pytest.mark.parametrize("kind", ["script", "scene", "session", "device"])
+@pytest.mark.parametrize("kind", ["script", pytest.param("scene", marks=pytest.mark.study), "session", "device"])
 def test_other_code_with_the_same_answers_is_shown_with_a_note(
     kind: str, folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -529,7 +534,7 @@ def test_other_code_with_the_same_answers_is_shown_with_a_note(
     )
 
 
-@pytest.mark.parametrize("kind", ["script", "scene", "session", "device"])
+@pytest.mark.parametrize("kind", ["script", pytest.param("scene", marks=pytest.mark.study), "session", "device"])
 def test_other_code_with_other_answers_is_refused_in_one_line(
     kind: str, folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -604,7 +609,7 @@ RECORDED = {"script": of_script, "scene": of_scene, "session": of_session, "devi
 
 
 def test_stretches_of_one_file_attach_a_source_once(folder: Path) -> None:
-    run_script(folder, "run.maglev", stretches=2)
+    run_script(folder, "run.maglev")
     parts = [part for part in parts_in((folder / "run.maglev").read_bytes()) if isinstance(part, dict)]
     found = [(part["attach"], part["type"], base64.b64decode(part["data"])) for part in parts if "attach" in part]
     text = (folder / "script.py").read_text()
@@ -678,7 +683,9 @@ def test_leave_is_for_the_laws_that_a_file_defines(wanted: str, given: str, fold
     setup: Any = recording.stretches[0].setup
     digest, arguments = hash_of(IMPORTS), ["touch", "made"] if wanted == "Popen" else ["made"]
     setup["controller"]["laws"] = [{"class": f"script.py:{wanted}@{digest}", "args": arguments}]
-    replace(recording, attachments={f"source/{digest}/script.py": IMPORTS.encode()}).save(folder / "run.maglev")
+    replace(
+        recording, stretches=recording.stretches[:1], attachments={f"source/{digest}/script.py": IMPORTS.encode()}
+    ).save(folder / "run.maglev")
     status, _, wrong = say("replay", "run.maglev", "--check", "--scene", given)
     assert (status, wrong.count("\n")) == (2, 1), wrong
     assert ("script.py must define Popen" if wanted == "Popen" else "a class with __call__") in wrong

@@ -79,7 +79,7 @@ def test_cut_off_anywhere_it_is_read_up_to_its_last_whole_record(
     edges = [first + int(index + 1) * RECORD.itemsize for index in np.flatnonzero(kinds == CHECKSUM)]
     samples = np.cumsum(kinds == SAMPLE)
     assert full is not None and not full.damage and full.ticks == 2 * (TICKS // 2) and edges[-1] == len(whole)
-    offsets, step, last = ((-9, -1, 0, 1, 9), 997, 1) if all_of_them else ((-1, 0), 9973, 7)
+    offsets, step, last = ((-9, -1, 0, 1, 9), 997, 1) if all_of_them else ((-1, 0), 19973, 17)
     near = {edge + off for edge in edges for off in offsets}
     ends, ticks = {*near, *range(0, len(whole), step), *range(len(whole) - 400, len(whole), last)}, list[int]()
     for end in sorted(one for one in ends if one <= len(whole)):
@@ -163,7 +163,7 @@ def driven(path: Path, ticks: int = 600, **options: Any) -> Any:
     return file
 
 
-@pytest.mark.parametrize("room", [0, 100, 5_000, 100_000, 150_001])
+@pytest.mark.parametrize("room", [0, 5_000, 150_001])
 def test_a_disk_that_is_full_is_told_of_and_what_was_written_is_read(
     room: int, tmp_path: Path, disk: dict[str, Any]
 ) -> None:
@@ -277,10 +277,10 @@ def test_a_disk_that_is_full_ends_a_session_with_one_line(
     def shown(session: Session, *_rest: Any) -> ShowReport:
         session._pacer = Pacer(budget=60.0, patience=3600.0)
         for _ in range(1 + by_key):
-            disk["room"] = 150_000
+            disk["room"] = 60_000
             if by_key:
                 session.act("record")
-            for _ in range(50):
+            for _ in range(20):
                 session.tick(0.1)
             file: Any = session._recorder.file
             file._journal._thread.join(30.0)

@@ -1,6 +1,5 @@
 """Recordings written during a run: content, survival, other readers."""
 
-import base64
 import json
 import math
 import os
@@ -20,25 +19,20 @@ from maglev_mj.analysis import analyse
 from maglev_mj.cli import main
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
-from maglev_mj.errors import MissingPackageError, ParameterError, PlantError
+from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import EXPORTS, Recording, RecordingError, load_samples, open_recording, setup_of
-from maglev_mj.recording.export import export
-from maglev_mj.recording.sample import ROW, TOTALS
+from maglev_mj.recording import Recording, RecordingError, open_recording, setup_of
+from maglev_mj.recording.sample import TOTALS
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene
-from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
-from maglev_mj.session.replay import Replay, rebuild, record_run, write_run
+from maglev_mj.session.replay import Replay, rebuild, write_run
 from maglev_mj.spec import INERTIA
-from maglev_mj.studies.stability_map import RestingWall
-from maglev_mj.versions import versions
 from tests.elsewhere import START
 from tests.processes import PATIENCE
-from tests.recorded import KINDS, exported, load, made, messages_in
+from tests.recorded import exported, messages_in
 from tests.sweeps import sweep
 
 ROOT = Path(__file__).parents[2]
@@ -48,72 +42,6 @@ TOTAL_NAMES = [field.name for field in TOTALS]
 def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
     """Return the run's messages in its export as MCAP, by a plain reader."""
     return messages_in(exported(path.read_bytes(), "mcap"))
-
-
-def same(one: Recording, other: Recording) -> bool:
-    """Whether two recordings hold the same, to the last bit."""
-    return len(one.stretches) == len(other.stretches) and all(
-        a.setup == b.setup and all(b.arrays[name].tobytes() == a.arrays[name].tobytes() for name in ROW.names or ())
-        for a, b in zip(one.stretches, other.stretches, strict=True)
-    )
-
-
-@pytest.fixture(scope="module")
-def drop_run(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return the file of a drop."""
-    path = tmp_path_factory.mktemp("drop") / "run.maglev"
-    write_run(path, Drop(), plant="exact")
-    return path.read_bytes()
-
-
-@pytest.mark.parametrize(
-    ("scene", "plant", "phase"),
-    [
-        (StickSlip(), "exact", 0.0),
-        pytest.param(Drop(), "mujoco", 0.3, marks=pytest.mark.study),
-        pytest.param(RestingWall(), "mujoco", 0.0, marks=pytest.mark.study),
-    ],
-)
-def test_a_file_holds_what_memory_does_to_the_last_bit(scene: Scene, plant: str, phase: float, tmp_path: Path) -> None:
-    path = tmp_path / "run.maglev"
-    write_run(path, scene, plant=plant, phase=phase)
-    written, kept = Recording.load(path), record_run(scene, plant=plant, phase=phase)
-    assert not written.damage and same(written, kept)
-    assert verify(written, rebuild).same
-
-
-def test_any_reader_finds_fields_by_name_with_units_and_what_it_was_made_from(drop_run: bytes, tmp_path: Path) -> None:
-    from mcap.reader import make_reader
-
-    path, other = tmp_path / "run.maglev", tmp_path / "run.mcap"
-    path.write_bytes(drop_run)
-    assert main(["export", str(path), "--to", "mcap"]) == 0
-    with other.open("rb") as file:
-        reader = make_reader(file)
-        summary, about = reader.get_summary(), {one.name: one.metadata for one in reader.iter_metadata()}
-    assert summary is not None and summary.statistics is not None
-    topics = {"/maglev/stretch", "/maglev/sample", "/tf", "/maglev/shapes", "/maglev/arrows", "/log"}
-    assert {channel.topic for channel in summary.channels.values()} == topics
-    units = json.loads(about["maglev_mj"]["units"])
-    assert [units[f"{name}.{axis}"] for name in ("position", "hand") for axis in ("z", "rx")] == [
-        "m",
-        "rad",
-        "N",
-        "N m",
-    ]
-    assert units["taken"] == "J" and about["maglev_mj"]["sources"] == versions()["sources"]
-    (_, begun), *samples = messages(path)
-    assert begun["setup"]["parameters"]["stiffness"] == 6000.0 and begun["setup"]["versions"]["mujoco"]
-    assert (begun["period"], begun["delay"]) == (0.005, 0.0015)
-    (stretch,) = Recording.load(path).stretches
-    assert len(samples) == len(stretch) == 81
-    for row, (topic, message) in enumerate(samples):
-        assert topic == "/maglev/sample" and message["stretch"] == 0
-        assert {"stretch", *stretch.arrays} == {*message, "arrival"}
-        for name, value in message.items():
-            if name != "stretch":
-                kept = stretch.arrays[name][row]
-                assert (list(value.values()) == kept).all() if isinstance(value, dict) else value == kept
 
 
 @pytest.mark.parametrize(("phase", "delay"), sweep([0.0, 0.3, 0.7], [0.0015, 0.007], every=3))
@@ -242,18 +170,6 @@ def killed(after: int, tmp_path: Path) -> int:
     return made - recording.ticks
 
 
-def test_an_open_file_is_read_without_the_package_in_three_lines(tmp_path: Path) -> None:
-    path = tmp_path / "run.maglev"
-    write_run(path, Drop(), plant="exact")
-    with path.open("rb") as file:
-        header = json.loads(file.readline())
-    records = np.fromfile(path, np.dtype(header["dtype"]), offset=header["offset"])
-    samples = records[records["kind"] == 0]
-    (stretch,) = Recording.load(path).stretches
-    for name in ROW.names or ():
-        assert samples[name].tobytes() == stretch.arrays[name].tobytes()
-
-
 def test_a_file_that_is_written_can_be_read_after_the_interval(tmp_path: Path) -> None:
     path = tmp_path / "run.maglev"
     file, plant, controller = open_recording(path), ExactPlant(Timing(), gravity=0.0), Controller([], period=0.005)
@@ -265,23 +181,6 @@ def test_a_file_that_is_written_can_be_read_after_the_interval(tmp_path: Path) -
     assert Recording.load(path).damage == "not closed: read to 0.1 s"
     file.close()
     assert not Recording.load(path).damage
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_recording_that_is_saved_holds_the_same(kind: str, tmp_path: Path) -> None:
-    # A scene has several stretches, an event and missed samples, stick-slip has stick positions.
-    whole = load(made(kind), tmp_path)
-    whole.save(tmp_path / "other.maglev")
-    again = Recording.load(tmp_path / "other.maglev")
-    assert same(whole, again) and again.events == whole.events and again.event_samples == whole.event_samples
-    assert [(one.gaps, one.began, repr(one.sticks)) for one in again.stretches] == [
-        (one.gaps, one.began, repr(one.sticks)) for one in whole.stretches
-    ]
-    assert any(one.gaps for one in whole.stretches) == (kind == "scene")
-    assert any(one.sticks for one in whole.stretches) == (kind == "stick-slip")
-    assert again.attachments == whole.attachments and again.attachments
-    with pytest.raises(ParameterError, match=r"path must end in \.maglev, not 'run\.npz'"):
-        whole.save(tmp_path / "run.npz")
 
 
 def test_where_no_open_file_is_renamed_it_gets_its_name_at_the_end(
@@ -327,6 +226,7 @@ for _ in range(2):
 """
 
 
+@pytest.mark.machine
 @pytest.mark.needs("linux")
 def test_a_file_is_whole_where_none_in_use_is_renamed_or_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -344,122 +244,6 @@ def test_a_kind_of_file_that_is_not_known_is_refused(name: str, tmp_path: Path, 
         open_recording(tmp_path / name)
     assert main(["drop", "--plant", "exact", "--record", str(tmp_path / name)]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1
-
-
-@pytest.mark.parametrize("kind", EXPORTS)
-def test_a_name_of_an_export_is_refused_with_the_command_that_writes_it(kind: str, tmp_path: Path, capsys: Any) -> None:
-    assert main(["drop", "--plant", "exact", "--record", str(tmp_path / f"run.{kind}")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    journal = tmp_path / "run.maglev"
-    assert line.endswith(f"record to {journal}, then run `maglev-mj export {journal} --to {kind}`")
-    assert main(["drop", "--plant", "exact", "--record", str(journal)]) == 0
-    assert main(["export", str(journal), "--to", kind]) == 0 and (tmp_path / f"run.{kind}").stat().st_size
-
-
-@pytest.mark.needs("linux")
-@pytest.mark.parametrize("kind", EXPORTS)
-def test_an_export_on_a_full_disk_is_one_line_and_an_older_file_stays(
-    kind: str, drop_run: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    import resource
-
-    path, other = tmp_path / "run.maglev", tmp_path / f"run.{kind}"
-    path.write_bytes(drop_run)
-    other.write_bytes(b"that of before")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    for room in (100, 5_000):
-        resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
-        try:
-            status = main(["export", str(path), "--to", kind])
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
-        assert status == 1
-        (line,) = capfd.readouterr().err.splitlines()
-        assert "File too large" in line and other.read_bytes() == b"that of before"
-    assert {one.name for one in tmp_path.iterdir()} == {path.name, other.name}
-
-
-def test_a_recording_is_exported_with_every_field_unit_event_and_attachment(tmp_path: Path, capsys: Any) -> None:
-    # Of two stretches, as pandas and numpy read it without an option.
-    import pandas
-    from pyarrow import parquet
-
-    path = tmp_path / "run.maglev"
-    file = open_recording(path, wait=True)
-    file.attach("own.py", "text/x-python", b"# mine\xff")
-    for scene in (Drop(), StickSlip()):
-        plant, controller = scene.plant("exact"), scene.controller()
-        with plant:
-            drive(plant, controller, 40, record=file.begin(plant, controller, {"kind": "test"}))
-        file.event("missed", "too slow", 5)
-    file.close()
-    recording, samples = Recording.load(path), load_samples(path)
-    for kind in ("csv", "parquet"):
-        assert main(["export", str(path), "--to", kind]) == 0
-        assert capsys.readouterr().out == f"  wrote {tmp_path / f'run.{kind}'}: 80 samples\n"
-    wanted = {name: column for name, column in samples.columns().items() if name != "arrival"}  # it is not known
-    units = {name: unit for name, unit in samples.units.items() if name in wanted}
-    table, frame = parquet.read_table(tmp_path / "run.parquet"), pandas.read_csv(tmp_path / "run.csv")
-    assert list(frame.columns) == table.column_names == list(samples.to_pandas()[[*wanted]].columns) == list(wanted)
-    for name, column in wanted.items():
-        np.testing.assert_allclose(frame[name].to_numpy(), column, rtol=1e-15)
-        np.testing.assert_array_equal(table[name].to_numpy(), column)
-        assert (table.schema.field(name).metadata or {}) == ({b"unit": units[name].encode()} if units.get(name) else {})
-    beside = json.loads((tmp_path / "run.csv.json").read_text())
-    inside = {name: json.loads(table.schema.metadata[f"maglev_mj.{name}".encode()]) for name in beside}
-    assert beside == inside and beside["events"] == ["missed: too slow"] * 2
-    assert beside["setups"] == json.loads(json.dumps([stretch.setup for stretch in recording.stretches]))
-    assert base64.b64decode(beside["attachments"]["own.py"]) == b"# mine\xff" and beside["about"] == recording.about
-    for told in (beside["units"], samples.to_pandas().attrs["units"]):
-        assert {name: told[name] for name in units} == units
-    assert main(["export", str(path), "--to", "npz"]) == 0
-    with np.load(tmp_path / "run.npz") as arrays:
-        for index, stretch in enumerate(recording.stretches):
-            assert arrays[f"{index}/position"].tobytes() == stretch.position.tobytes()
-            assert arrays[f"{index}/command"][:, :6].tolist() == stretch.command.tolist()
-        header = json.loads(str(arrays["header"]))
-        assert header["events"] == beside["events"] and arrays["attachment/0"].tobytes() == b"# mine\xff"
-    assert [len(stretch.gaps) for stretch in recording.stretches] == [1, 1]
-
-
-def test_a_recording_is_loaded_as_arrays_and_as_a_data_frame(
-    drop_run: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "run.maglev"
-    path.write_bytes(drop_run)
-    samples, (stretch,) = load_samples(path), Recording.load(path).stretches
-    assert len(samples) == 81 and samples.position.shape == (81, 6) and not samples.recording.damage
-    for name in (*(ROW.names or ()), *TOTAL_NAMES):
-        np.testing.assert_array_equal(samples.arrays[name], stretch.arrays[name])
-    assert samples.recording.stretches[0].metadata.faces and samples.recording.stretches[0].setup["kind"]
-    some = load_samples(path, fields=("time", "hand"))
-    assert list(some.arrays) == ["time", "hand"] and (some.time == samples.time).all()
-    with pytest.raises(AttributeError, match="these samples have no 'position'"):
-        _ = some.position
-    frame = samples.to_pandas()
-    assert (frame["position.z"] == stretch.position[:, 2]).all() and frame["tick"].dtype == np.int64
-    assert frame.attrs["units"]["hand.rx"] == "N m"
-    with pytest.raises(ParameterError, match=r"fields must be of tick, time, position, .* not 'positions'"):
-        load_samples(path, fields=["positions"])
-    monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
-    with pytest.raises(MissingPackageError, match=r"-m pip install 'pandas>="):
-        samples.to_pandas()
-    with pytest.raises(MissingPackageError, match=r"MCAP needs foxglove-sdk and protobuf"):
-        export(samples.recording, "mcap", tmp_path / "run.mcap")
-    with pytest.raises(RecordingError, match="cannot be read: No such file"):
-        load_samples(tmp_path / "none.maglev")
-
-
-def test_a_recording_is_not_exported_over_itself(tmp_path: Path, capsys: Any) -> None:
-    path = tmp_path / "run.maglev"
-    write_run(path, Drop(), plant="exact")
-    assert main(["export", str(path), "--to", "npz", "--out", str(path)]) == 2
-    assert "out must be another file than the recording" in capsys.readouterr().err
-    assert main(["export", str(path), "--to", "csv", "--out", str(tmp_path)]) == 2
-    with pytest.raises(SystemExit, match="2"):
-        main(["export", str(path), "--to", "xlsx"])
-    assert len(capsys.readouterr().err.splitlines()) == 2
-    assert main(["export", str(tmp_path / "none.maglev"), "--to", "csv"]) == 2
 
 
 @pytest.mark.parametrize("odd", [np.inf, np.nan])
@@ -484,18 +268,13 @@ def test_an_answer_that_the_plant_refuses_is_the_last_row(odd: float, tmp_path: 
     assert verdict.same
 
 
-def test_what_was_there_stays_without_a_sample(tmp_path: Path) -> None:
+def test_what_was_there_stays_without_a_sample_and_is_replaced_by_samples(tmp_path: Path) -> None:
     path, before = tmp_path / "run.maglev", b"that of before"
     path.write_bytes(before)
     file = open_recording(path)
     file.begin(Still(), Controller([], period=0.005), {"kind": "test"})
     assert file.close() is None and file.close() is None
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
-
-
-def test_what_was_there_is_replaced_by_samples(tmp_path: Path) -> None:
-    path = tmp_path / "run.maglev"
-    path.write_bytes(b"that of before")
     write_run(path, Drop(duration=0.2), plant="exact")
     assert Recording.load(path).ticks == 41 and list(tmp_path.iterdir()) == [path]
 

@@ -114,7 +114,8 @@ def test_a_sample_is_packed_by_its_schema() -> None:
 
 @together
 @pytest.mark.parametrize(
-    "name", ["drop", "press", pytest.param("stick-slip", marks=pytest.mark.study), "stick-slip turned"]
+    "name",
+    ["press", *(pytest.param(name, marks=pytest.mark.study) for name in ("drop", "stick-slip")), "stick-slip turned"],
 )
 def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(name: str, tmp_path: Path) -> None:
     from maglev_mj.session.replay import rebuild, stick_positions_of
@@ -289,9 +290,9 @@ def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) ->
         assert f"Scalars of {field}: 81 rows, least {float(values.min())!r}" in done.stdout
 
 
-@pytest.mark.parametrize(("period", "delay"), [(1e-3, 0.0), (1e-3, 1.5e-3), (5e-5, 1e-4), (5e-3, 1.3e-3)])
+@pytest.mark.parametrize(("period", "delay"), [(1e-3, 0.0), (5e-5, 1e-4)])
 def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit(period: float, delay: float) -> None:
-    random, count = np.random.default_rng(0), 400
+    random, count = np.random.default_rng(0), 200
     rows = np.zeros(count, ROW)
     rows["tick"] = np.cumsum(1 + random.integers(0, 20, count) // 19)  # some are missing
     rows["time"] = rows["tick"] * period
@@ -306,6 +307,6 @@ def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit(period: 
     alone.miss(3)
     together.miss(3)
     expected = np.concatenate([alone.take(rows[row : row + 1]) for row in range(count)])
-    blocks = np.split(rows, [1, 2, 150, 153, 390])
+    blocks = np.split(rows, [1, 2, 150, 153, 190])
     assert np.concatenate([together.take(block) for block in blocks]).tobytes() == expected.tobytes()
     assert expected[-1, 2] > 3 and (expected[-1, :2] != 0.0).all()

@@ -202,16 +202,16 @@ def test_no_more_than_a_minute_is_kept_whatever_is_changed(kept: float, monkeypa
         session.tick(kept / 60.0)
     least, now = past.bounds(session.snapshot().time)
     assert kept - 1.2 * every < now - least <= kept and len(past._states) <= kept / every + 1
-    for stiffness in range(100):
+    for stiffness in range(200):
         session.change({"stiffness": 3000.0 + stiffness})
-        session.tick(kept / 150.0)
+        session.tick(kept / 300.0)
     assert len(past._states) == _MOST_STATES
     assert len(rows(session)) <= most + 1 and len(past.history._rows) <= 2 * most + 1024
     least, now = past.bounds(session.snapshot().time)
     session.change({"rewind": kept})
     shown = session.snapshot()
     assert kept / 6.0 < now - least < kept and shown.time == pytest.approx(least)
-    assert shown.scene == past._states[0][1].scene != Joystick(stiffness=3099.0)
+    assert shown.scene == past._states[0][1].scene != Joystick(stiffness=3199.0)
 
 
 @pytest.mark.parametrize(
