@@ -23,7 +23,11 @@ class Free(Scene):
         return [Bias((0.0, 0.0, INERTIA[0] * 9.81, 0.0, 0.0, 0.0))]
 
 
-@pytest.mark.parametrize("scene", BUILT_IN)
+SHORT = ("drop", "wall", "stick-slip")  # the longest episodes are studies
+SCENES = [pytest.param(scene, marks=[] if scene in SHORT else pytest.mark.study) for scene in BUILT_IN]
+
+
+@pytest.mark.parametrize("scene", SCENES)
 def test_every_scene_passes_the_check_and_a_batch_goes_as_one_device(scene: str) -> None:
     single = gymnasium.make("maglev_mj/Scene-v0", scene=scene, axes=["z", "rx"])
     check_env(single.unwrapped, skip_render_check=True)  # warnings are errors

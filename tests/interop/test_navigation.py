@@ -76,16 +76,15 @@ def test_the_default_give_is_that_of_the_friction_on_every_axis() -> None:
 
 
 @pytest.mark.parametrize("friction", [True, False])
-@pytest.mark.parametrize("seed", range(2))
-def test_the_slave_never_jumps_whatever_the_hand_does(seed: int, friction: bool) -> None:
+def test_the_slave_never_jumps_whatever_the_hand_does(friction: bool) -> None:
     # Each increment is its mode's to the last bit: the flotor's way, or that of the rate.
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(0)
     chosen = Navigation(scale=random.uniform(0.2, 5.0, 6), gain=random.uniform(1.0, 30.0, 6))
     edge, scale, gain, give = (np.asarray(one) for one in (chosen.edge, chosen.scale, chosen.gain, chosen.give))
     navigator, seen = Navigator(chosen), set()
     pose, anchors, total = np.zeros(6), np.zeros(6), np.zeros(6)
     navigator.move(pose, anchors if friction else None, 0.0)
-    for _ in range(2000):
+    for _ in range(800):
         before = pose
         pose = np.clip(pose + random.normal(0.0, 0.2, 6) * edge, -1.8 * edge, 1.8 * edge)
         anchors = np.where(random.random(6) < 0.5, pose - random.uniform(-1.0, 1.0, 6) * give, np.nan)
@@ -211,7 +210,7 @@ def pushed(
 
 @pytest.mark.parametrize(
     ("target", "press", "release", "forces"),
-    sweep([0.0042, 0.0050, -0.0046], [0.0003, 0.001], [1.0, 1.0025, 1.005, 1.0075, 1.011], [True, False], every=5),
+    sweep([0.0042, 0.0050, -0.0046], [0.0003, 0.001], [1.0, 1.0025, 1.005, 1.0075, 1.011], [True, False], every=8),
 )
 def test_a_hand_that_lets_go_beyond_the_edge_leaves_the_slave_where_it_is(
     target: float, press: float, release: float, forces: bool
@@ -251,7 +250,7 @@ def test_without_friction_a_slave_by_position_is_returned_when_the_hand_lets_go(
     assert after > 0.9 * before if friction else abs(after) < 0.01 * before
 
 
-@pytest.mark.parametrize("target", [0.0055, -0.007])
+@pytest.mark.parametrize("target", [-0.007, pytest.param(0.0055, marks=pytest.mark.study)])
 def test_a_hand_that_holds_against_a_wall_goes_on_with_the_rate_until_it_lets_go(target: float) -> None:
     # The wall at 3.5 mm holds the flotor, and the friction's spring alone would tell nothing.
     run = pushed(Push(target, 0.0, 1.0), Joystick(friction=True, wall=True))

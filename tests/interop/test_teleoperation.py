@@ -9,7 +9,7 @@ import teleoperate
 from maglev_mj import Controller, ExactPlant, Timing, drive, judge, largest_stable_stiffness, run, stability
 from maglev_mj.frames import Array
 
-RATES = (200, 1000)
+RATES = (200, pytest.param(1000, marks=pytest.mark.study))
 
 
 def growth(rate: int, share: float) -> tuple[float, float]:
