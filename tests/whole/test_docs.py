@@ -27,7 +27,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import maglev_mj
 from maglev_mj.bridge import State, Twin, TwinParameters
@@ -185,7 +187,8 @@ def test_the_scene_of_ones_own_is_made_as_the_page_says(tmp_path: Path) -> None:
     command += ["--size", "320x200"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, "wrote shaft.png\n", "")
-    assert (tmp_path / "shaft.png").stat().st_size > 10_000
+    picture = imread(tmp_path / "shaft.png")
+    assert picture.shape[:2] == (200, 320) and len(np.unique(picture.reshape(200 * 320, -1), axis=0)) > 400  # colours
 
 
 def written_commands(page: str) -> Iterator[str]:
