@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from maglev_mj.plants import engine_warnings_silenced
@@ -94,7 +95,7 @@ class Run:
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
-    one = Run(Session(folder=tmp_path_factory.mktemp("recordings")))
+    one = Run(Session(folder=tmp_path_factory.mktemp("recordings")), token="a-token-of-some-length")
     yield one
     one.close()
 
@@ -105,9 +106,9 @@ def browser() -> Iterator[Any]:
         yield found
 
 
-def blank(browser: Any, script: str, **options: Any) -> Any:
+def blank(context: Any, script: str) -> Any:
     """Return an empty tab, with a script for its pages."""
-    tab = browser.new_context(**options).new_page()
+    tab = context.new_page()
     tab.set_default_timeout(1000.0 * PATIENCE)
     tab.add_init_script(script)
     return tab
@@ -115,7 +116,7 @@ def blank(browser: Any, script: str, **options: Any) -> Any:
 
 def opened(browser: Any, run: Run, **options: Any) -> Any:
     """Return a tab that shows the scene."""
-    tab = blank(browser, UNDRAWN, **{"viewport": SIZE, "device_scale_factor": 0.25, **options})
+    tab = blank(browser.new_context(**{"viewport": SIZE, "device_scale_factor": 0.25, **options}), UNDRAWN)
     tab.goto(run.url, wait_until="domcontentloaded")
     tab.wait_for_selector("text=joystick")
     tab.add_style_tag(content=".mantine-Notifications-root{display:none}")  # that it draws by software is known
@@ -148,10 +149,28 @@ def await_hold(run: Run) -> None:
 
 
 def press(tab: Any, run: Run) -> tuple[float, float]:
-    """Press the knob with a moving mouse, once the page shows by its cursor that the mouse came over it.
+    """Take hold of the knob at rest, seen from home; return where it was pressed [px].
 
-    A drag that misses the knob would turn the view. A click alone does not take hold.
+    An arrow key that moves a slider turns the view, too, by as much as its press lasts: far on a busy machine.
     """
+    away, _ = placed("home", 1, 1)
+    right = np.array([-away[1], away[0]]) / np.hypot(*away[:2])
+    while True:
+        x, y, target = take_hold(tab, run)
+        if target @ right > 0.9 * np.linalg.norm(target):
+            return x, y
+        tab.mouse.up()
+        run.until(lambda shown: shown.target is None)
+        tab.get_by_role("button", name="home", exact=True).click()
+
+
+def take_hold(tab: Any, run: Run) -> tuple[float, float, Any]:
+    """Pull the knob a little; return where it was pressed [px] and the target on the table [m], (2,).
+
+    It is pressed once the page shows by its cursor that the mouse came over it, for a drag that misses it would turn
+    the view. A click alone does not take hold.
+    """
+    run.until(lambda shown: np.abs(shown.pose).max() < 5e-4)
     x, y = knob(tab, run)
     end = time.monotonic() + PATIENCE
     for above, cursor in (60.0, "auto"), (0.0, "pointer"):  # that of an earlier size of the page may still be there
@@ -160,15 +179,15 @@ def press(tab: Any, run: Run) -> tuple[float, float]:
             tab.mouse.move(x + 2, y - above)
             tab.mouse.move(x, y - above)
     tab.mouse.down()
-    tab.mouse.move(x + 6, y, steps=3)
-    run.until(lambda shown: shown.target is not None)
-    return x, y
+    shown = pull(tab, run, x + 6, y, lambda shown: shown.target is not None and np.linalg.norm(shown.target[:2]) > 2e-3)
+    assert shown.target is not None
+    return x, y, np.array(shown.target[:2])
 
 
 def pull(tab: Any, run: Run, x: float, y: float, done: Callable[[Snapshot], Any]) -> Snapshot:
     """Pull the knob to a position until a condition holds.
 
-    On a busy machine a browser loses hold of it now and then.
+    On a busy machine the hand lets go of it now and then, until the mouse moves.
     """
     end = time.monotonic() + PATIENCE
     while not done(shown := run.shown):
@@ -218,29 +237,6 @@ def test_the_knob_is_pulled_into_the_wall_which_stops_it(run: Run, tab: Any) -> 
     tab.mouse.up()
     let_go = run.until(lambda shown: shown.target is None and not shown.hand.any())
     assert let_go.state == "running"
-
-
-def test_a_finger_pulls_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: Any, tab: Any) -> None:
-    phone = opened(browser, run, viewport={"width": 390, "height": 500}, has_touch=True, is_mobile=True)
-    assert phone.evaluate("document.documentElement.scrollWidth") <= 390
-    touch = phone.context.new_cdp_session(phone)
-    x, y = knob(phone, run)
-    touched, end = False, time.monotonic() + PATIENCE
-    while not run.shown.hand.any():
-        assert time.monotonic() < end
-        if run.shown.target is None:
-            if touched:
-                touch.send("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
-            touched = True
-            touch.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [{"x": x, "y": y}]})
-        for step in range(1, 5):
-            points = [{"x": x + 5.0 * step, "y": y}]
-            touch.send("Input.dispatchTouchEvent", {"type": "touchMove", "touchPoints": points})
-        await_hold(run)
-    phone.context.close()
-    run.until(lambda shown: shown.target is None and not shown.hand.any())
-    press(tab, run)  # another can take hold
-    tab.mouse.up()
 
 
 def test_a_recording_of_a_drag_runs_again_bit_for_bit(run: Run, tab: Any) -> None:
@@ -307,25 +303,30 @@ WIDTHS = (1400, 304, 324, 420), (900, 304, 324, 420), (700, 0, 320, 420), (390, 
 """Width of the page, widths of its panels, and height of the scene between them [px]."""
 
 
-def test_at_any_width_the_device_is_seen_between_the_panels(run: Run, browser: Any) -> None:
-    tab = opened(browser, run, viewport={"width": 1400, "height": 420})
+def test_at_any_width_the_device_is_seen_between_the_panels(run: Run, tab: Any) -> None:
     for width, left, right, height in WIDTHS:
-        tab.set_viewport_size({"width": width, "height": 420})
-        tab.wait_for_function(
-            """([x, width, height]) => {
-                const box = [...document.querySelectorAll("canvas")].at(-1).getBoundingClientRect();
-                return [box.x - x, box.y, box.width - width, box.height - height].every((off) => Math.abs(off) < 8);
-            }""",
-            arg=[left, width - left - right, height],
-        )
+        resized(tab, width, [left, width - left - right, height])
         press(tab, run)  # the knob is drawn where the camera of this width has it
         tab.mouse.up()
         run.until(lambda shown: shown.target is None)
-    tab.context.close()
+    tab.set_viewport_size(SIZE)
 
 
-def test_on_a_phone_the_stop_is_in_reach_and_all_is_for_a_finger(run: Run, browser: Any) -> None:
+def resized(tab: Any, width: int, box: list[int]) -> None:
+    """Change a page's width, and wait until the scene has a left edge, a width and a height [px]."""
+    tab.set_viewport_size({"width": width, "height": 420})
+    tab.wait_for_function(
+        """([x, width, height]) => {
+            const box = [...document.querySelectorAll("canvas")].at(-1).getBoundingClientRect();
+            return [box.x - x, box.y, box.width - width, box.height - height].every((off) => Math.abs(off) < 8);
+        }""",
+        arg=box,
+    )
+
+
+def test_on_a_phone_all_is_for_a_finger_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: Any, tab: Any) -> None:
     phone = opened(browser, run, viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
+    assert phone.evaluate("document.documentElement.scrollWidth") <= 390
     phone.locator("[role=slider]").last.scroll_into_view_if_needed()
     stop = phone.get_by_role("button", name="emergency stop", exact=True)
     box = stop.bounding_box()
@@ -342,7 +343,33 @@ def test_on_a_phone_the_stop_is_in_reach_and_all_is_for_a_finger(run: Run, brows
     phone.wait_for_selector("[role=alert]:has-text('press centre')")  # drawn with it, the panel moves its buttons
     phone.get_by_role("button", name="centre", exact=True).click()
     run.until(lambda shown: shown.state == "running")
+    touch(phone, run)
     phone.context.close()
+    run.until(lambda shown: shown.target is None and not shown.hand.any())
+    press(tab, run)  # another can take hold
+    tab.mouse.up()
+
+
+def touch(phone: Any, run: Run) -> None:
+    """Pull the knob with a finger until the hand's force is felt."""
+    finger = phone.context.new_cdp_session(phone)
+
+    def event(kind: str, *points: tuple[float, float]) -> None:
+        places = [{"x": x, "y": y} for x, y in points]
+        finger.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": places})
+
+    x, y = knob(phone, run)
+    touched, end = False, time.monotonic() + PATIENCE
+    while not run.shown.hand.any():
+        assert time.monotonic() < end
+        if run.shown.target is None:
+            if touched:
+                event("End")
+            touched = True
+            event("Start", (x, y))
+        for step in range(1, 5):
+            event("Move", (x + 5.0 * step, y))
+        await_hold(run)
 
 
 NO_WEBGL = """
@@ -353,22 +380,21 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 """
 
 
-def test_without_webgl_and_after_the_token_has_left_the_address_all_but_the_picture_works(browser: Any) -> None:
-    run = Run(Session(), token="a-token-of-some-length")
-    try:
-        tab = blank(browser, NO_WEBGL)
-        tab.goto(run.url, wait_until="domcontentloaded")
-        for _ in range(2):
-            tab.wait_for_selector("text=no WebGL")
-            tab.wait_for_selector("text=joystick")
-            assert tab.url == run.url.split("?")[0] and tab.title() == "maglev-mj"
-            tab.reload(wait_until="domcontentloaded")
-        tab.locator("[role=slider]").nth(1).focus()
-        tab.keyboard.press("ArrowRight")
-        run.until(lambda shown: stiffness(shown) > 6000.0)
-        tab.get_by_role("button", name="emergency stop", exact=True).click()
-        run.until(lambda shown: shown.state == "stopped")
-        tab.wait_for_selector("[role=alert]:has-text('STOPPED')")
-        tab.context.close()
-    finally:
-        run.close()
+def test_without_webgl_and_after_the_token_has_left_the_address_all_but_the_picture_works(run: Run, tab: Any) -> None:
+    address = run.url.split("?")[0]
+    assert tab.url == address != run.url  # the browser that has shown the token keeps it as a cookie
+    other = blank(tab.context, NO_WEBGL)
+    other.goto(address, wait_until="domcontentloaded")
+    other.wait_for_selector("text=no WebGL")
+    other.wait_for_selector("text=joystick")
+    assert other.url == address and other.title() == "maglev-mj"
+    before = stiffness(run.shown)
+    other.locator("[role=slider]").nth(1).focus()
+    other.keyboard.press("ArrowRight")
+    run.until(lambda shown: stiffness(shown) > before)
+    other.get_by_role("button", name="emergency stop", exact=True).click()
+    run.until(lambda shown: shown.state == "stopped")
+    other.wait_for_selector("[role=alert]:has-text('STOPPED')")
+    other.get_by_role("button", name="centre", exact=True).click()
+    run.until(lambda shown: shown.state == "running")
+    other.close()
