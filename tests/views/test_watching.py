@@ -7,7 +7,7 @@ import multiprocessing
 import os
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import Pipe
@@ -21,21 +21,25 @@ import glfw
 import numpy as np
 import pytest
 
+from maglev_mj.cli.peripherals import PageOptions
 from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import Turn, param
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.recording import Recording
+from maglev_mj.recording import Recording, Stretch
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
-from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Session, Snapshot, device_actions
+from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Session, Snapshot, SnapshotSource, device_actions
 from maglev_mj.views.viewer_process import Inbox, RemoteSession, RemoteViewer, show_remotely
 from maglev_mj.views.window.keys import keys_of
 from maglev_mj.views.window.window import show
-from tests.processes import PATIENCE, Program, started
+from tests.processes import ADDRESS, PATIENCE, Program, said_by, started, twin
 from tests.views.virtual_screen import VirtualScreen, waited
 
 SIZE = 600, 450
 """Size of the screen [px], which software draws."""
+
+FRAME = 0.25
+"""Time of a frame on a slow screen [s]."""
 
 
 def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() -> None:
@@ -130,25 +134,15 @@ def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
     viewer.close()
 
 
+WEAK = "--as-written", "--anyway", "--stiffness", "2000", "--damping", "30"
+"""Options of a flight whose walls are stable up to 8 ms, which a busy machine's line needs."""
+
+
 @contextmanager
-def flying(screen: VirtualScreen, folder: Path, look: str, *options: str) -> Iterator[tuple[Program, Program, int]]:
-    """Yield a twin, its host in flight, and the window of one of them."""
-    views = {name: ["--view"] if name == look else [] for name in ("twin", "bridge")}
-    address = ["--listen", "udp://127.0.0.1:0", "--watchdog", "1"]
-    with started("twin", *address, *views["twin"], env=screen.environment) as twin:
-        place = twin.wait_for(r"udp://\S+:\d+")
-        with started(
-            "bridge",
-            place,
-            "--as-written",
-            "--anyway",
-            *("--stiffness", "2000", "--damping", "30"),  # bear 8 ms, which a busy machine's line needs
-            "--out",
-            str(folder),
-            *options,
-            *views["bridge"],
-            env=screen.environment,
-        ) as host:
+def flying(screen: VirtualScreen, record: Path) -> Iterator[tuple[Program, Program, int]]:
+    """Yield a twin, its host in flight, and the twin's window."""
+    with started("twin", "--listen", "udp://127.0.0.1:0", "--watchdog", "1", "--view", env=screen.environment) as twin:
+        with started("bridge", twin.wait_for(ADDRESS), *WEAK, "--seconds", "600", "--record", str(record)) as host:
             window = screen.window("MuJoCo")
             host.wait_for("takes off")
 
@@ -163,21 +157,24 @@ def flying(screen: VirtualScreen, folder: Path, look: str, *options: str) -> Ite
 
 
 @pytest.mark.needs("screen", "xdotool")
-def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_path: Path) -> None:
+def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin_and_escape_there_cuts_the_currents(
+    tmp_path: Path,
+) -> None:
     record = tmp_path / "run.maglev"  # which is read while it is written
-    with VirtualScreen(*SIZE) as screen:
-        with flying(screen, tmp_path, "twin", "--seconds", "60", "--record", str(record)) as (twin, host, window):
-            for _ in range(8):  # a busy machine's window takes long to draw, and misses a drag
-                time.sleep(1.0)
-                _pull(screen, window)
-                (stretch,) = Recording.load(record).stretches
-                if np.abs(stretch.position[:, :3]).max() > 3.5e-3:
-                    break
-            landed = host.end()
-            assert landed.status == 0, landed
-            ended = twin.end()
-            assert ended.status == 0 and "faults: none" in ended.output
-    (stretch,) = Recording.load(record).stretches
+    with VirtualScreen(*SIZE) as screen, flying(screen, record) as (twin, host, window):
+        waited(lambda: _recorded(record) is not None, PATIENCE)
+        _pull(screen, window, lambda: _depth(record) > 3.6e-3)
+
+        def cut() -> bool:
+            screen.xdotool("key", "Escape")  # a window that is not drawn yet misses it
+            return host.child.poll() is not None
+
+        waited(cut, PATIENCE)
+        stopped = host.end(None)
+        assert stopped.status == 1 and "ESTOP: " in stopped.output + stopped.errors
+        assert "fault, faults: ESTOP" in twin.end().output
+    stretch = _recorded(record)
+    assert stretch is not None
     far = int(np.argmax(np.abs(stretch.position[:, :3]).max(axis=1)))
     axis = int(np.argmax(np.abs(stretch.position[far, :3])))
     within = np.abs(stretch.position[:, axis]) > 3.5e-3
@@ -188,21 +185,35 @@ def test_the_wall_that_a_host_renders_is_felt_through_the_mouse_of_the_twin(tmp_
     assert pushed * place < 0.0 and abs(pushed) > 1.2
 
 
-@pytest.mark.needs("screen", "xdotool")
-@pytest.mark.parametrize("look", ["bridge", pytest.param("twin", marks=pytest.mark.study)])
-def test_escape_in_a_window_cuts_the_currents(look: str, tmp_path: Path) -> None:
-    with VirtualScreen(*SIZE) as screen, flying(screen, tmp_path, look) as (twin, host, _window):
-        screen.xdotool("mousemove", 200, 200)
+def _recorded(path: Path) -> Stretch | None:
+    """Return what is recorded so far."""
+    stretches = Recording.load(path).stretches if path.exists() else []
+    return stretches[0] if stretches else None
 
-        def cut() -> bool:
-            screen.xdotool("key", "Escape")  # a window that is not drawn yet misses it
-            time.sleep(0.3)
-            return host.child.poll() is not None
 
-        waited(cut, PATIENCE)
-        stopped = host.end(None)
-        assert stopped.status == 1 and "ESTOP: " in stopped.output + stopped.errors
-        assert "fault, faults: ESTOP" in twin.end().output
+def _depth(path: Path) -> float:
+    """Return the largest displacement held over the last half second [m]; 0 before."""
+    stretch = _recorded(path)
+    if stretch is None or len(stretch) < 100:
+        return 0.0
+    return float(np.abs(np.median(stretch.position[-100:, :3], axis=0)).max())
+
+
+def stopping(source: SnapshotSource) -> None:
+    """Show a flight, and stop it once it has begun: a window that needs no screen."""
+    while True:
+        source.tick(0.0)
+        if source.snapshot().tick:
+            source.act(EMERGENCY_STOP)
+        time.sleep(0.05)
+
+
+@pytest.mark.machine
+def test_an_emergency_stop_in_a_hosts_window_cuts_the_currents(tmp_path: Path) -> None:
+    with twin("--watchdog", "1") as (device, address), patch.object(PageOptions, "front", lambda *_, **__: stopping):
+        status, said = said_by("bridge", address, *WEAK, "--seconds", "60", "--out", str(tmp_path), "--view")
+        assert status == 1 and "ESTOP: " in said, said
+        assert "fault, faults: ESTOP" in device.end().output
 
 
 class ViewerHere(RemoteViewer):
@@ -299,23 +310,34 @@ def test_a_folder_that_takes_no_recording_ends_no_session() -> None:
     session.close()
 
 
-def _pull(screen: VirtualScreen, window: int) -> None:
-    """Pull the handle by mouse until at a wall.
+def _pull(screen: VirtualScreen, window: int, done: Callable[[], bool]) -> None:
+    """Pull the handle by mouse until a condition holds.
 
-    A window's camera and first frames take their time.
+    A window's camera and first frames take their time: a drag that has come before is repeated.
     """
-    screen.xdotool("windowfocus", window)
     left, top, width, height = _place(screen, window)
     x, y = left + width // 2, top + height // 3
-    screen.xdotool("mousemove", x, y)
-    screen.xdotool("keydown", "ctrl")
-    screen.xdotool("mousedown", 3)
-    for step in range(25):
-        screen.xdotool("mousemove", x + 10 * step, y)
-        time.sleep(0.1)
-    time.sleep(1.5)
-    screen.xdotool("mouseup", 3)
-    screen.xdotool("keyup", "ctrl")
+
+    def pulled() -> bool:
+        screen.xdotool("mousemove", x, y, "keydown", "ctrl", "mousedown", 3)
+        time.sleep(FRAME)
+        for step in range(25):
+            screen.xdotool("mousemove", x + 10 * step, y)
+            time.sleep(FRAME / 2.0)
+            if done():
+                break
+        held = done() or waits(done, 4.0)
+        screen.xdotool("mouseup", 3, "keyup", "ctrl")
+        return held
+
+    waited(pulled, 2.0 * PATIENCE)
+
+
+def waits(done: Callable[[], bool], seconds: float) -> bool:
+    """Return True once a condition holds, False after some time."""
+    with suppress(AssertionError):
+        return bool(waited(done, seconds))
+    return False
 
 
 def _place(screen: VirtualScreen, window: int) -> tuple[int, int, int, int]:

@@ -16,6 +16,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from maglev_mj import record_run
 from maglev_mj.colours import BAD, GOOD, HAND, STOP
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, rotation_matrix
@@ -25,6 +26,7 @@ from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import CENTRING, Joystick
 from maglev_mj.session import Note, Pacer, Session, Snapshot, TourLine, device_actions
+from maglev_mj.session.replay import Replay
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
 from maglev_mj.views.readings import STABILITY, SteadyRange, banner, fitted_range, margin, met_stops
 from maglev_mj.views.window.keys import AXIS, KEYS, MAGNIFY, help_rows
@@ -619,3 +621,34 @@ def test_what_a_key_may_not_do_is_a_note_and_not_the_end(shot: Snapshot) -> None
     window._pressed.put(glfw.KEY_F1)  # the engine's own help is on now
     window._press_keys()
     assert not window._screen.draw(shot, Area(0, 0, 1280, 800), 100).texts
+
+
+def test_a_recording_is_searched_by_keys() -> None:
+    replay = Replay(record_run(Drop(duration=3.995), plant="exact"))
+    window: Any = _Window.__new__(_Window)
+    window.__dict__ |= {"_session": replay, "_screen": Screen(), "_note": Note(), "_pressed": SimpleQueue()}
+
+    def press(*keys: str) -> Snapshot:
+        for key in keys:
+            window._pressed.put(getattr(glfw, f"KEY_{key}"))
+        window._press_keys()
+        replay.tick(0.0)
+        return replay.snapshot()
+
+    assert press("SPACE").state == "paused"
+    for keys, time in (
+        (["HOME"], 0.0),
+        (["UP", "UP"], 0.4),
+        (["RIGHT", "RIGHT", "RIGHT"], 0.415),
+        (["LEFT"], 0.41),
+        (["DOWN"], 0.21),
+        (["END"], 3.995),
+    ):
+        assert press(*keys).time == pytest.approx(time)
+    shown = press("EQUAL", "9")
+    assert shown.time_scale == 2.0 and shown.notes == ["REPLAY"]
+    shown = press("6", "SLASH", "ENTER", "ESCAPE")  # of a scene: they do nothing here
+    assert shown.time == pytest.approx(3.995) and not window._note.lines
+    assert press("HOME", "SPACE").state == "running"
+    replay.tick(10.0)
+    assert press().state == "paused" and press().time == pytest.approx(3.995)

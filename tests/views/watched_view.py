@@ -15,6 +15,7 @@ from unittest.mock import patch
 
 from maglev_mj.cli import main
 from maglev_mj.session import Publisher, Publishers, Snapshot
+from maglev_mj.views.window import window
 
 
 class Lines:
@@ -48,5 +49,6 @@ if __name__ == "__main__":
         """Begin with the file as a further publisher."""
         begin(self, [*publishers, file], **options)
 
-    with patch.object(Publishers, "__init__", watched):
+    # its window waits far longer than any test for a thread that does not end
+    with patch.object(Publishers, "__init__", watched), patch.object(window, "_PATIENCE", 600.0):
         sys.exit(main(["view", *sys.argv[2:]]))
