@@ -12,6 +12,7 @@ import pytest
 from maglev_mj.errors import ParameterError
 from maglev_mj.views.window import backend
 from maglev_mj.views.window.backend import DisplayError, drawing_library
+from tests.processes import run_here
 
 RENDER = "render drop --out a.png --size 160x160 --seconds 0.02"
 
@@ -42,8 +43,7 @@ def run(arguments: list[str], folder: Any, word: str, **more: str) -> tuple[int,
 
 
 @pytest.mark.needs("linux")
-@pytest.mark.parametrize("command", ["drop --phases 2", "stability", RENDER])
-@pytest.mark.parametrize("word", ["foo", "wgl", "cgl"])
+@pytest.mark.parametrize(("command", "word"), [("drop --phases 2", "foo"), ("stability", "wgl"), (RENDER, "cgl")])
 def test_a_word_that_the_engine_does_not_know_here_is_one_line(command: str, word: str, tmp_path: Any) -> None:
     status, told = say(command, tmp_path, word)
     name = command.split()[0]
@@ -71,8 +71,9 @@ def test_a_chosen_library_that_is_not_here_stops_what_draws_alone(word: str, tmp
     assert told.startswith(f"maglev-mj render: pictures by {word} need on Debian `apt install lib"), told
 
 
-def test_drawing_that_is_turned_off_is_said(tmp_path: Any) -> None:
-    status, told = say(RENDER, tmp_path, "off")
+def test_drawing_that_is_turned_off_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MUJOCO_GL", "off")
+    status, _, told = run_here(*RENDER.split())
     assert status == 1 and told.startswith("maglev-mj render: MUJOCO_GL=off turns drawing off: unset it"), told
 
 

@@ -23,6 +23,7 @@ from maglev_mj.views.page.panel import control
 from maglev_mj.views.readings import FORCES, STABILITY, Charts
 from maglev_mj.views.window import screen as window_plots
 from maglev_mj.views.window.screen import status_rows
+from tests.sweeps import sweep as cases
 
 SHORT: dict[str, Any] = {"duration": 0.02}
 ALONG = "quantize", "spring", "target", "stiffness", "damping", "breakaway", "v_min"
@@ -94,7 +95,7 @@ def texts_of(drawn: Any) -> Iterator[str]:
             yield from (text.get_text() for text in panel.get_legend().get_texts())
 
 
-@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("axis", cases(AXES, every=5))
 def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
     whole = StickSlip(axis=axis)
     scene = whole.replace(**SHORT)
