@@ -41,6 +41,7 @@ from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.session.access import ListenError, check_origin, listen
 from maglev_mj.session.pacing import Due
+from maglev_mj.session.replay import ACTIONS
 from maglev_mj.views.page.page import Door, Page, PageServer
 from maglev_mj.views.page.panel import Choice, Control, Slider, control
 from maglev_mj.views.page.plots import drawn, ticks
@@ -456,6 +457,16 @@ def test_a_page_that_only_watches_has_neither_hand_nor_sliders() -> None:
     with served() as server:
         page = Page(server, Recorder(snapshot), drag=True, settings=True)
         assert page._grab is not None and len(page._panel._followed) > 5 and page._stage.knob._impl.drag_cb
+
+
+def test_the_page_of_a_recording_has_a_slider_of_its_time_and_a_button_for_each_action() -> None:
+    source = Recorder(Snapshot(scene=Joystick(), duration=4.0, time=1.0, actions=ACTIONS))
+    with served() as server:
+        page = Page(server, source, drag=False, settings=False)
+        made = page._panel._time
+        assert made is not None and (made.name, made.handle.value, made.value(made.handle.max)) == ("time", 1.0, 4.0)
+        groups = [each for each in page._panel._buttons._children.values() if hasattr(each, "options")]
+        assert sorted(name for each in groups for name in each.options) == sorted(ACTIONS)
 
 
 @pytest.mark.parametrize("watch", [True, False])

@@ -1,44 +1,28 @@
-"""The tour and a recording in a real browser."""
+"""The tour in a real browser."""
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from maglev_mj.plants.hand import SpringHand
-from maglev_mj.recording import Recording
-from maglev_mj.session import Pacer, Session
-from maglev_mj.session.replay import Replay
+from maglev_mj.session import Session
 from maglev_mj.session.tour import Tour
-from tests.views.browser import chromium
-from tests.views.test_web_browser import UNSEEN, Run, opened, press, pull
+from tests.views.test_web_browser import Run, browser, opened, press, pull
 
 pytestmark = pytest.mark.needs("browser")
-
+__all__ = ["browser"]  # a fixture
 
 STIFFNESS, DAMPING, _, DELAY = range(4)
 """Places of the sliders."""
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium(UNSEEN) as found:
-        yield found
-
-
-@contextmanager
-def page_of(browser: Any, source: Any, **options: Any) -> Iterator[tuple[Run, Any]]:
-    run = Run(source, **options)
-    try:
-        tab = opened(browser, run)
-        yield run, tab
-        tab.context.close()
-    finally:
-        run.close()
+@pytest.fixture
+def run() -> Iterator[Run]:
+    one = Run(Tour(Session()))
+    yield one
+    one.close()
 
 
 def done(number: int) -> Callable[[Any], bool]:
@@ -90,45 +74,19 @@ def turned(run: Run, tab: Any, index: int, so: Callable[[Any], Any]) -> None:
 
 
 @pytest.mark.study  # a minute and a half of drags by software drawing
-def test_the_tour_is_done_in_a_browser(browser: Any) -> None:
-    with page_of(browser, Tour(Session())) as (run, tab):
-        for number, force, stride in ((1, 0.4, 4), (2, 2.2, 4), (3, 2.2, 60), (4, 0.6, 4)):  # the third hits fast
-            begun(run, tab, number)
-            held(run, tab, number, force, stride)
-        begun(run, tab, 5)
-        turned(run, tab, STIFFNESS, done(5))
-        begun(run, tab, 6)
-        held(run, tab, 6, 2.5)
-        begun(run, tab, 7)
-        turned(run, tab, DELAY, lambda shown: shown.scene.delay > 0.0039)
-        held(run, tab, 7, 2.5)
-        begun(run, tab, 8)
-        turned(run, tab, DAMPING, lambda shown: shown.scene.damping > 38.0)
-        held(run, tab, 8, 2.5)
-        tab.wait_for_selector("text=That was the tour")
-
-
-@pytest.mark.study
-def test_a_recording_is_searched_in_a_browser(browser: Any, tmp_path: Path) -> None:
-    record = tmp_path / "run.maglev"
-    session = Session(hand=SpringHand(target=[4e-3, 0, 0, 0, 0, 0]), record=record, pacer=Pacer(budget=60.0))
-    for _ in range(40):
-        session.tick(0.1)
-    session.close()
-    with page_of(browser, Replay(Recording.load(record)), drag=False, settings=False) as (run, tab):
-        for name, so in (
-            ("pause", lambda shown: shown.state == "paused"),
-            ("start", lambda shown: shown.time == 0.0),
-            ("skip forward", lambda shown: shown.time == pytest.approx(0.2)),
-            ("step back", lambda shown: shown.time == pytest.approx(0.195)),
-            ("loop", lambda shown: shown.notes == ["REPLAY"]),
-            ("faster", lambda shown: shown.time_scale == 2.0),
-        ):
-            tab.get_by_role("button", name=name, exact=True).click()
-            run.until(so)
-        slider = tab.locator("[role=slider]").first
-        slider.focus()
-        tab.keyboard.press("End")
-        run.until(lambda shown: shown.time == pytest.approx(3.995))
-        assert tab.locator("[role=slider]").count() == 1
-        assert tab.get_by_role("button", name="emergency stop").count() == 0
+def test_the_tour_is_done_in_a_browser(browser: Any, run: Run) -> None:
+    tab = opened(browser, run)
+    for number, force, stride in ((1, 0.4, 4), (2, 2.2, 4), (3, 2.2, 60), (4, 0.6, 4)):  # the third hits fast
+        begun(run, tab, number)
+        held(run, tab, number, force, stride)
+    begun(run, tab, 5)
+    turned(run, tab, STIFFNESS, done(5))
+    begun(run, tab, 6)
+    held(run, tab, 6, 2.5)
+    begun(run, tab, 7)
+    turned(run, tab, DELAY, lambda shown: shown.scene.delay > 0.0039)
+    held(run, tab, 7, 2.5)
+    begun(run, tab, 8)
+    turned(run, tab, DAMPING, lambda shown: shown.scene.damping > 38.0)
+    held(run, tab, 8, 2.5)
+    tab.wait_for_selector("text=That was the tour")
