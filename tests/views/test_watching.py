@@ -5,7 +5,6 @@ A wall felt through the mouse too.
 
 import multiprocessing
 import os
-import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -224,13 +223,13 @@ class ViewerHere(RemoteViewer):
         window: The session behind the window.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, watch: bool = False) -> None:
         line, far = Pipe()
         received = lambda: [line.recv() for _ in iter(line.poll, False)]  # noqa: E731
         self.sent, self.window = list[Snapshot](), RemoteSession(far, Snapshot(scene=scene))
         front = SimpleNamespace(received=received, ended=False, ready=True, send=self.sent.append)
         with patch("maglev_mj.views.viewer_process.SideProcess", return_value=front):
-            super().__init__(Snapshot(scene=scene), show)
+            super().__init__(Snapshot(scene=scene), show, watch=watch)
         self._inbox = Inbox(0.0)
 
 
@@ -315,36 +314,23 @@ def _pull(screen: VirtualScreen, window: int, done: Callable[[], bool]) -> None:
 
     A window's camera and first frames take their time: a drag that has come before is repeated.
     """
-    left, top, width, height = _place(screen, window)
-    x, y = left + width // 2, top + height // 3
+    geometry = dict(line.split("=") for line in screen.xdotool("getwindowgeometry", "--shell", window).split())
+    left, top, width, height = (int(geometry[name]) for name in ("X", "Y", "WIDTH", "HEIGHT"))
+    x, y = left + min(width, SIZE[0]) // 2, top + min(height, SIZE[1]) // 3
 
     def pulled() -> bool:
         screen.xdotool("mousemove", x, y, "keydown", "ctrl", "mousedown", 3)
-        time.sleep(FRAME)
-        for step in range(25):
-            screen.xdotool("mousemove", x + 10 * step, y)
-            time.sleep(FRAME / 2.0)
-            if done():
-                break
-        held = done() or waits(done, 4.0)
-        screen.xdotool("mouseup", 3, "keyup", "ctrl")
-        return held
+        try:
+            for step in range(50):  # to a place well within the wall, and held there
+                time.sleep(FRAME / 2.0)
+                screen.xdotool("mousemove", x + 10 * min(step, 25), y)
+                if done():
+                    return True
+            return False
+        finally:
+            screen.xdotool("mouseup", 3, "keyup", "ctrl")
 
     waited(pulled, 2.0 * PATIENCE)
-
-
-def waits(done: Callable[[], bool], seconds: float) -> bool:
-    """Return True once a condition holds, False after some time."""
-    with suppress(AssertionError):
-        return bool(waited(done, seconds))
-    return False
-
-
-def _place(screen: VirtualScreen, window: int) -> tuple[int, int, int, int]:
-    text = screen.xdotool("getwindowgeometry", window)
-    left, top = map(int, re.findall(r"Position: (-?\d+),(-?\d+)", text)[0])
-    width, height = map(int, re.findall(r"Geometry: (\d+)x(\d+)", text)[0])
-    return left, top, min(width, SIZE[0]), min(height, SIZE[1])
 
 
 def test_a_flood_of_requests_delays_no_tick_and_no_emergency_stop() -> None:

@@ -47,8 +47,9 @@ from maglev_mj.views.page.panel import Choice, Control, Slider, control
 from maglev_mj.views.page.plots import drawn, ticks
 from maglev_mj.views.page.stage import Grab, glb, solid
 from maglev_mj.views.readings import Chart, Line
-from maglev_mj.views.viewer_process import SILENCE, Glide, Inbox, RemoteSession, RemoteViewer
+from maglev_mj.views.viewer_process import SILENCE, Glide, RemoteSession
 from tests.processes import PATIENCE, started
+from tests.views.test_watching import ViewerHere
 
 TOKEN = "a-token-of-some-length"
 VERSION = [Subprotocol(f"viser-v{viser.__version__}")]
@@ -472,26 +473,13 @@ def test_the_page_of_a_recording_has_a_slider_of_its_time_and_a_button_for_each_
 @pytest.mark.parametrize("watch", [True, False])
 def test_nothing_but_an_emergency_stop_is_taken_from_a_page_of_a_real_device(watch: bool) -> None:
     # Whatever its process sends.
-    line, far = Pipe()
-    viewer: Any = RemoteViewer.__new__(RemoteViewer)
-    front = SimpleNamespace(received=lambda: [line.recv() for _ in iter(line.poll, False)], ended=False)
-    stopped: list[int] = []
-    viewer.__dict__ |= {
-        "_front": front,
-        "_open": True,
-        "_scene": Joystick(),
-        "_watch": watch,
-        "_glide": Glide(),
-        "_inbox": Inbox(0.0),
-        "hand": SpringHand(),
-        "on_emergency": lambda: stopped.append(1),
-    }
-    page = RemoteSession(far, Snapshot(scene=Joystick()))
-    page.hand.target = [1e-3] * 6
-    page.tick(0.0)
-    page.act(EMERGENCY_STOP)
-    page.change({"stiffness": 3000.0})
-    page.act("wall")
+    viewer, stopped = ViewerHere(Joystick(), watch=watch), list[int]()
+    viewer.on_emergency = lambda: stopped.append(1)
+    viewer.window.hand.target = [1e-3] * 6
+    viewer.window.tick(0.0)
+    viewer.window.act(EMERGENCY_STOP)
+    viewer.window.change({"stiffness": 3000.0})
+    viewer.window.act("wall")
     request = viewer.take()
     assert stopped == [1]
     assert (request is None) == watch and (viewer.hand.target is None) == watch
@@ -621,65 +609,71 @@ def test_the_first_browser_has_the_hand_and_one_that_does_not_answer_loses_it(
         until(page, lambda: source.hand.target is None)
 
 
+def grab_of(aimed: list[Any], server: Any = None) -> Grab:
+    """Return a grab of a knob by browsers that answer late."""
+    knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
+    grab = Grab(server, knob, aimed.append)
+    if server is None:
+        grab._ask = lambda client: asyncio.sleep(10.0)  # type: ignore[method-assign]
+    return grab
+
+
+def drag(phase: str, client: int = 1, end: Any = (0.0, 0.0, 0.08), modifier: str | None = None) -> Any:
+    """Return a browser's event, of a drag from the knob's place."""
+    place = np.array([0.0, 0.0, 0.08])
+    return SimpleNamespace(
+        phase=phase, client_id=client, modifier=modifier, start_position=place, end_position=np.array(end)
+    )
+
+
 def test_a_browser_that_is_gone_without_a_word_has_no_hand() -> None:
     # The end of its drag is lost where it comes after its connection.
-    aimed: list[object] = []
-    knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
-    server = SimpleNamespace(_websock_server=SimpleNamespace(_live_connections={}))
-    place = (0.0, 0.0, 0.08)
-    start = SimpleNamespace(phase="start", client_id=1, modifier=None, start_position=place, end_position=place)
+    aimed: list[Any] = []
 
-    async def drag() -> None:
-        grab = Grab(server, knob, aimed.append)
-        await grab._dragged(start)
+    async def drags() -> None:
+        grab = grab_of(aimed, SimpleNamespace(_websock_server=SimpleNamespace(_live_connections={})))
+        await grab._dragged(drag("start"))
         await asyncio.sleep(0.05)
         assert aimed[-1] is None
-        await grab._dragged(SimpleNamespace(**vars(start) | {"client_id": 2}))
+        await grab._dragged(drag("start", 2))
         assert aimed[-1] is not None  # the next one has it
 
-    asyncio.run(drag())
+    asyncio.run(drags())
 
 
 def test_another_browser_neither_moves_nor_drops_the_knob_that_is_held() -> None:
-    aimed: list[object] = []
-    knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
-    event = {"modifier": None, "start_position": np.zeros(3), "end_position": np.ones(3)}
+    aimed: list[Any] = []
 
-    async def drag() -> None:
-        grab = Grab(SimpleNamespace(), knob, aimed.append)
-        grab._ask = lambda client: asyncio.sleep(10.0)  # type: ignore[method-assign]
-        await grab._dragged(SimpleNamespace(phase="start", client_id=1, **event))
+    async def drags() -> None:
+        grab = grab_of(aimed)
+        await grab._dragged(drag("start"))
         said = len(aimed)
         for phase in ("start", "move", "end"):
-            await grab._dragged(SimpleNamespace(phase=phase, client_id=2, **event))
+            await grab._dragged(drag(phase, 2))
         assert len(aimed) == said and aimed[-1] is not None
-        await grab._dragged(SimpleNamespace(phase="end", client_id=1, **event))
+        await grab._dragged(drag("end"))
         assert aimed[-1] is None
 
-    asyncio.run(drag())
+    asyncio.run(drags())
 
 
 def test_a_drag_with_shift_tilts_about_the_centre() -> None:
     aimed: list[Any] = []
-    knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
-    place, moved = np.array([0.0, 0.0, 0.08]), np.array([1e-3, -2e-3, 0.0])
+    moved = np.array([1e-3, -2e-3, 0.0])
 
-    async def drag(modifier: str | None) -> None:
-        grab = Grab(SimpleNamespace(), knob, aimed.append)
-        grab._ask = lambda client: asyncio.sleep(10.0)  # type: ignore[method-assign]
+    async def drags(modifier: str | None) -> None:
+        grab = grab_of(aimed)
         grab.pose = np.array([1e-3, 0.0, 2e-3, 0.01, 0.0, 0.0])
-        for phase, end in (("start", place), ("move", place + moved), ("end", place + moved)):
-            await grab._dragged(
-                SimpleNamespace(phase=phase, client_id=1, modifier=modifier, start_position=place, end_position=end)
-            )
+        for phase, way in (("start", 0.0), ("move", 1.0), ("end", 1.0)):
+            await grab._dragged(drag(phase, 1, [0.0, 0.0, 0.08] + way * moved, modifier))
 
-    asyncio.run(drag("shift"))
+    asyncio.run(drags("shift"))
     assert aimed[-1] is None and aimed[1] == pytest.approx([1e-3, 0.0, 2e-3, 0.01, 0.0, 0.0])
     # the knob's displacement is the rotation times its place on the handle: r x g = moved, across the handle
     turn = np.array(aimed[2][3:]) - [0.01, 0.0, 0.0]
     assert aimed[2][:3] == pytest.approx([1e-3, 0.0, 2e-3]) and turn @ GRIP == pytest.approx(0.0, abs=1e-12)
     np.testing.assert_allclose(np.cross(turn, GRIP), moved, atol=1e-12)
-    asyncio.run(drag(None))
+    asyncio.run(drags(None))
     assert aimed[-2] == pytest.approx([2e-3, -2e-3, 2e-3, 0.01, 0.0, 0.0])
 
 
