@@ -176,10 +176,10 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
         screen.xdotool("key", "F10")
         waited(lambda: list(folder.glob("*.maglev")), PATIENCE)
         screen.xdotool("mousemove", *middle, "mousedown", 1)
-        time.sleep(1.5)  # a slow frame that sees the press with the first move takes the drag for shorter
+        # a slow frame that sees the press with the first move takes the drag for shorter
+        scene.until(lambda snapshot: bool(snapshot["held"]))
         for step in range(1, 5):
             screen.xdotool("mousemove", middle[0] + DRAG * step // 4, middle[1])
-            time.sleep(0.2)
         places: deque[Array] = deque(maxlen=2)
 
         def at_rest(snapshot: dict[str, Any]) -> bool:
@@ -200,7 +200,7 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
         screen.xdotool("mousemove", aside[0] + 20, aside[1], "mouseup", 1)
         scene.until(lambda snapshot: not held(snapshot), round(0.5 * RATE))
         screen.xdotool("keydown", "ctrl", "mousemove", *aside, "mousedown", 3)  # the engine's own hand
-        time.sleep(1.0)
+        scene.until(lambda snapshot: bool(snapshot["held"]))
         screen.xdotool("mousemove", aside[0] + DRAG, aside[1])
         scene.until(held)
         screen.xdotool("mouseup", 3, "keyup", "ctrl", "key", "Page_Down")

@@ -2,7 +2,7 @@
 
     python tests/views/watched_view.py FILE SCENE [options of view]
 
-A line has tick, state, scene, pose, wrench of the hand and all parameters.
+A line has tick, state, scene, pose, whether the hand holds the knob, its wrench, and all parameters.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Lines:
     def show(self, snapshot: Snapshot) -> None:
         """Write a line."""
         seen = {"tick": snapshot.tick, "pose": snapshot.pose.tolist(), "hand": snapshot.hand.tolist()}
-        named = {"scene": snapshot.scene.name, "state": snapshot.state}
+        named = {"scene": snapshot.scene.name, "state": snapshot.state, "held": snapshot.target is not None}
         self._file.write(json.dumps({**snapshot.scene.as_json(), **named, **seen}) + "\n")
 
     def close(self) -> None:
