@@ -23,3 +23,8 @@ def sweep(*axes: Iterable[Any], every: int) -> list[Any]:
         )
         for case in product(*numbered)
     ]
+
+
+def further(*cases: Any) -> list[Any]:
+    """Return cases for the studies, beside those of the gate; a tuple has a value for each name."""
+    return [pytest.param(*(case if isinstance(case, tuple) else (case,)), marks=pytest.mark.study) for case in cases]

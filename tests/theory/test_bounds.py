@@ -8,6 +8,7 @@ from maglev_mj.plants.hand import Hand
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory import boundary as bounds
 from maglev_mj.theory import largest_stable_stiffness, stiffest_wall
+from tests.sweeps import further
 
 T, M = 0.005, 0.7
 
@@ -65,7 +66,7 @@ def test_how_optimistic_in_figures() -> None:
     assert bounds.gil(5.0, period=T, delay=T) / exact == pytest.approx(1.0415, abs=1e-3)
 
 
-@pytest.mark.parametrize(("stiffness", "damping"), [(6000.0, 80.0), (4000.0, 60.0), (2000.0, 30.0)])
+@pytest.mark.parametrize(("stiffness", "damping"), [(4000.0, 60.0), *further((6000.0, 80.0), (2000.0, 30.0))])
 def test_friction_by_abbott_and_okamura_silences_the_hum_of_a_coarse_sensor(stiffness: float, damping: float) -> None:
     # Without friction the flotor hums over two steps of the sensor; with the bound's it never does, from any start.
     step = 5e-6
