@@ -34,7 +34,7 @@ from maglev_mj.scenes.figures import perceived_hardness, summarise_bounce
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.rooms import INERTIA, MASS, Joystick
 from maglev_mj.scenes.run import run
-from maglev_mj.scenes.scene import PLANTS, Scene
+from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, record_run, stick_positions_of
@@ -43,6 +43,7 @@ from maglev_mj.views.page import panel, plots
 from maglev_mj.views.readings import Charts
 from maglev_mj.views.window.screen import Plots, status_rows
 from tests.bridge.impaired import ImpairedLine, Impairment
+from tests.sweeps import further
 
 ZERO = (0.0,) * 6
 TOUR = Trajectory(
@@ -102,19 +103,21 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 DROPS: list[dict[str, Any]] = [
-    *({"phase": phase} for phase in (0.0, 0.15, 0.3, 0.5, 0.77, 0.93)),
     {"phase": 0.3, "pulse": 0.0},
-    {"phase": 0.6, "mass": 1.3},
     {"phase": 0.1, "force_limit": 60.0, "carry": True},
-    {"delay": 0.0},
     {"phase": 0.2, "delay": 0.004, "stiffness": 3000.0},  # so late that the next command ends its pulse
-    {"phase": 0.5, "delay": 0.005, "stiffness": 2000.0},
     {"phase": 0.4, "delay": 0.007, "stiffness": 1000.0, "damping": 20.0},
+    *further(
+        *({"phase": phase} for phase in (0.0, 0.15, 0.3, 0.5, 0.77, 0.93)),
+        {"phase": 0.6, "mass": 1.3},
+        {"delay": 0.0},
+        {"phase": 0.5, "delay": 0.005, "stiffness": 2000.0},
+    ),
 ]
 
 
-@pytest.mark.parametrize("changes", DROPS, ids=lambda changes: ",".join(f"{k}={v}" for k, v in changes.items()))
-@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("changes", DROPS)
+@pytest.mark.parametrize("plant", ["exact", *further("mujoco")])
 def test_samples_and_forces_alone_give_the_exact_figures_of_a_drop(plant: str, changes: Mapping[str, Any]) -> None:
     drop, phase = Drop(**{name: value for name, value in changes.items() if name != "phase"}), changes.get("phase", 0.0)
     found = analysed(recorded(drop, plant, phase), rest=drop.rest, simulated=False).recorded
@@ -141,7 +144,7 @@ def test_samples_and_forces_alone_give_the_exact_figures_of_a_drop(plant: str, c
 def test_a_coarse_sensor_costs_no_more_than_its_steps() -> None:
     step = 5e-6
     drop = Drop(quantize=step)
-    for phase in np.arange(8) / 8:
+    for phase in np.arange(3) / 3:
         found = analysed(recorded(drop, phase=phase), rest=drop.rest, simulated=False).recorded
         (face,) = found.figures.faces
         exact = run(drop, plant="exact", phase=phase).trace.until(float(found.motion.trace.time[-1]))
@@ -232,7 +235,7 @@ def test_a_constant_force_is_found_over_samples_that_were_lost() -> None:
     np.testing.assert_allclose(found.unexplained, np.tile(push, (len(found.unexplained), 1)), rtol=1e-8)
 
 
-@pytest.mark.parametrize("hand", ["arm", "fingertip", "stylus"])
+@pytest.mark.parametrize("hand", ["stylus", *further("arm", "fingertip")])
 def test_hits_of_a_hand_are_told_apart_and_its_pull_is_found(hand: str) -> None:
     press = Press(hand=hand)
     found, ran = analysed(recorded(press)).recorded, run(press, plant="exact")
@@ -303,15 +306,16 @@ def check_same(stretch: Stretch) -> None:
     assert comparison.sentence == "the recording and its simulation are the same to the last bit"
 
 
-@pytest.mark.parametrize("scene", [Drop(quantize=5e-6), Press(hits=1), StickSlip()], ids=lambda scene: scene.name)
+@pytest.mark.parametrize(
+    "scene", [Drop(quantize=5e-6), *further(Press(hits=1), StickSlip())], ids=lambda scene: scene.name
+)
 def test_a_simulated_recording_is_its_simulation_bit_for_bit(scene: Scene) -> None:
     check_same(recorded(scene, "mujoco"))
 
 
 def test_a_recorded_session_is_its_simulation_bit_for_bit(session: Path) -> None:
-    first, second = Recording.load(session).stretches
-    check_same(first)
-    check_same(second)
+    _, with_friction = Recording.load(session).stretches
+    check_same(with_friction)
 
 
 def test_how_far_a_changed_recording_is_apart_is_found_to_the_digit() -> None:
@@ -336,6 +340,7 @@ def test_a_device_that_is_as_known_is_followed_to_a_micrometre() -> None:
     assert found.comparison is not None and found.comparison.device
     assert found.comparison.rms[:3].max() < 5e-6
     assert found.comparison.one_step_rms[:3].max() < 2e-6  # the noise of the sensor, and not more
+    assert found.recorded.figures.missed == 0
     quiet = analysed(flown(quantum=0.0, noise=0.0)).comparison
     assert quiet is not None and quiet.one_step_rms[:3].max() < 1e-9
 
@@ -355,14 +360,10 @@ def test_a_device_that_weighs_more_is_found_out_one_sample_ahead() -> None:
     assert "apart (RMS)" in comparison.sentence and "on z at" in comparison.sentence
 
 
-@pytest.mark.parametrize("loss", [0.0, 0.05])
-def test_samples_that_a_device_lost_are_counted_and_bridged(loss: float) -> None:
-    found = analysed(flown(hand=True, loss=loss, quantum=0.0, noise=0.0))
+def test_samples_that_a_device_lost_are_counted_and_bridged() -> None:
+    found = analysed(flown(hand=True, loss=0.05, quantum=0.0, noise=0.0))
     figures = found.recorded.figures
-    if loss:
-        assert 5 < figures.missed <= 400 - figures.samples <= figures.missed + 1  # the first in flight may be lost too
-    else:
-        assert figures.missed == 0
+    assert 5 < figures.missed <= 400 - figures.samples <= figures.missed + 1  # the first in flight may be lost too
     # what nobody recorded is the hand, which did what the walls took
     assert np.isnan(figures.energy.hand).all()
     assert figures.energy.others[0] == pytest.approx(figures.energy.taken[0], rel=0.05)
@@ -414,7 +415,7 @@ def test_what_cannot_be_analysed_is_refused() -> None:
 
 
 @pytest.mark.usefixtures("no_pixels")
-@pytest.mark.parametrize("kind", ["drop", "press", "stick-slip"])
+@pytest.mark.parametrize("kind", ["press", "stick-slip"])
 def test_an_experiment_is_analysed_from_the_command_line(kind: str, tmp_path: Path, capsys: Any) -> None:
     path, folder = tmp_path / "run.maglev", tmp_path / "pictures"
     assert main([kind, "--plant", "exact", "--record", str(path)]) == 0
@@ -433,7 +434,7 @@ def test_an_experiment_is_analysed_from_the_command_line(kind: str, tmp_path: Pa
         assert "there are no walls" in said and "no wall was touched on x" in said
     else:
         assert pictures == {"analysis_run.png", "analysis_contact.png"}
-        assert len(stretch["recorded"]["faces"][0]["contacts"]) == (2 if kind == "drop" else 5)
+        assert len(stretch["recorded"]["faces"][0]["contacts"]) == 5
         assert "no picture of where it sticks" in said
 
 
@@ -469,15 +470,9 @@ def test_a_flight_is_analysed_beside_a_simulated_device(tmp_path: Path, capsys: 
     ("options", "words"),
     [
         (["--from", "3"], "from must be a finite number at least 0 and below 0.3965, not 3.0"),
-        (["--from", "-0.1"], "from must be a finite number at least 0"),
         (["--from", "0.2", "--to", "0.1"], "to must be a finite number above 0.2, not 0.1"),
         (["--from", "0.2", "--to", "0.201"], "from and to must have at least 2 samples between them"),
-        (["--axis", "up"], "axis must be one of x, y, z, rx, ry, rz, not 'up'"),
         (["--axis", "y"], "axis must be one that moves, of z, not 'y'"),
-        (["--stretch", "2"], "stretch must be a finite number at least 1 and at most 1, not 2"),
-        (["--out", __file__], "out must be a folder"),
-        (["--json", "nowhere/a.json"], "json must be a file in a folder that is there"),
-        (["--to", "soon"], "argument --to: must be a number, not 'soon'"),
     ],
 )
 def test_a_wrong_option_is_one_line_and_status_2(
@@ -485,12 +480,8 @@ def test_a_wrong_option_is_one_line_and_status_2(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     record_run(Drop(), plant="exact", phase=0.3).save("run.maglev")
-    try:
-        status = main(["analyse", "run.maglev", *options])
-    except SystemExit as stop:  # argparse's own complaints
-        status = int(str(stop.code))
+    assert main(["analyse", "run.maglev", *options]) == 2
     said = capsys.readouterr().err
-    assert status == 2
     assert len(said.splitlines()) == 1 and words in said
     assert [path.name for path in tmp_path.iterdir()] == ["run.maglev"]
 
@@ -512,25 +503,18 @@ def test_a_file_with_nothing_in_it_is_one_line_and_status_2(tmp_path: Path, caps
     assert main(["analyse", str(tmp_path / "missing.maglev")]) == 2
 
 
-def test_a_flight_is_recorded_with_the_mass_of_its_calibration() -> None:
-    weighed = replace(Calibration.nominal(), mass=0.75, inertia=np.array([1e-3, 2e-3, 3e-3]))
-    twin = Twin(TwinParameters(calibration=weighed), draw=lambda: 7)
-    file = MemoryFile()
-    with RemotePlant(VirtualLink(twin), calibration=weighed) as plant:
-        Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(0.5)
-    metadata = file.recording.stretches[0].metadata
-    assert metadata.inertia.tolist() == [0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3]
-    assert metadata.load[2] == pytest.approx(-0.75 * GRAVITY)
-
-
 @pytest.mark.usefixtures("no_pixels")
 def test_the_hand_on_a_device_is_an_estimate_and_taken_for_none(tmp_path: Path, capsys: Any) -> None:
     path, file = tmp_path / "flight.maglev", open_recording(tmp_path / "flight.maglev", wait=True)
-    with RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7))) as plant:
+    weighed = replace(Calibration.nominal(), mass=0.75, inertia=np.array([1e-3, 2e-3, 3e-3]))
+    twin = Twin(TwinParameters(calibration=weighed), draw=lambda: 7)
+    with RemotePlant(VirtualLink(twin), calibration=weighed) as plant:
         Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(0.5)
     file.close()
     recording = Recording.load(path)
     (stretch,) = recording.stretches
+    assert stretch.metadata.inertia.tolist() == [0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3]
+    assert stretch.metadata.load[2] == pytest.approx(-0.75 * GRAVITY)
     assert np.isfinite(stretch.hand).all() and stretch.hand.any() and not stretch.metadata.hand_recorded
     assert not stretch.known_hand.any() and len(stretch) == 100
     found, before = (analysed(one) for one in (stretch, stretch.replace(hand=0.0)))
