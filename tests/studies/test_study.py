@@ -57,6 +57,13 @@ def shards(path: Path) -> list[Path]:
     return sorted(path.glob("cells-*"))
 
 
+@pytest.fixture(params=[".parquet", ".npz"])
+def suffix(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Return the suffix of shards, with pyarrow or without."""
+    monkeypatch.setattr(recording, "find_spec", lambda name: request.param == ".parquet")
+    return str(request.param)
+
+
 CELLS: list[Cell] = [{"x": x} for x in range(10)]
 
 
@@ -66,10 +73,8 @@ def missing_after(cells: list[Cell]) -> list[Any]:
     return squares(cells)
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
-def test_a_rerun_computes_only_what_is_missing(suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_rerun_computes_only_what_is_missing(suffix: str, tmp_path: Path) -> None:
     path, calls = tmp_path / "record", []
-    monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
 
     def counted(cells: list[Cell]) -> list[Any]:
         calls.append([cell["x"] for cell in cells])
@@ -98,11 +103,7 @@ RESULTS: list[Any] = [
 
 
 @pytest.mark.parametrize("together", [1, 2, 10])
-@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
-def test_every_result_of_json_is_kept_as_it_is(
-    suffix: str, together: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
+def test_every_result_of_json_is_kept_as_it_is(suffix: str, together: int, tmp_path: Path) -> None:
     cells: list[Cell] = [{"index": index} for index in range(len(RESULTS))]
 
     def function(cells: list[Cell]) -> list[Any]:
@@ -121,12 +122,8 @@ def test_results_that_are_no_json_are_refused() -> None:
         run_cells(lambda cells: [{"a": object()}], CELLS[:1])
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.98])
-def test_a_torn_or_changed_shard_is_computed_again(
-    share: float, suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
+@pytest.mark.parametrize("share", [0.5, 0.98])
+def test_a_torn_or_changed_shard_is_computed_again(share: float, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / "record"
     run_cells(squares, CELLS, record=Record(path))
     (shard,) = shards(path)
@@ -138,13 +135,9 @@ def test_a_torn_or_changed_shard_is_computed_again(
     assert kept(path, CELLS).done.all()
 
 
-@pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.study)])
-@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
-def test_a_changed_bit_in_a_shard_is_no_result_and_no_error(
-    suffix: str, step: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.study)])
+def test_a_changed_bit_in_a_shard_is_no_result_and_no_error(suffix: str, step: int, tmp_path: Path) -> None:
     # One bit of every n-th byte, also of the directory, which has the columns' names and no checksum of the format.
-    monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
     run_cells(squares, CELLS, record=Record(tmp_path / "a"))
     (shard,) = shards(tmp_path / "a")
     whole = shard.read_bytes()
@@ -158,11 +151,9 @@ def test_a_changed_bit_in_a_shard_is_no_result_and_no_error(
     assert 0.3 * len(changed) < lost < len(changed)
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
 def test_values_other_than_the_checksum_s_are_no_result(
     suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
     run_cells(lambda cells: [{"half": 0.5 * cell["x"]} for cell in cells], CELLS, record=Record(tmp_path / "a"))
     (shard,) = shards(tmp_path / "a")
     table = recording._read_table(shard)
@@ -298,11 +289,9 @@ def test_two_programs_with_one_record_lose_nothing(tmp_path: Path) -> None:
     assert list(kept(path, CELLS)) == [float(number) for number in range(10)]
 
 
-@pytest.mark.parametrize("suffix", [".parquet", ".npz"])
 def test_a_writing_that_fails_half_way_leaves_the_shard_before_it(
     suffix: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(recording, "find_spec", lambda name: suffix == ".parquet")
     record, write = kept(tmp_path / "record", CELLS), recording._write_table
     record.add(range(5), pack([float(number) for number in range(5)]))
     record.flush()
