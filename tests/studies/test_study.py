@@ -122,7 +122,7 @@ def test_results_that_are_no_json_are_refused() -> None:
         run_cells(lambda cells: [{"a": object()}], CELLS[:1])
 
 
-@pytest.mark.parametrize("share", [0.5, 0.98])
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.98])
 def test_a_torn_or_changed_shard_is_computed_again(share: float, suffix: str, tmp_path: Path) -> None:
     path = tmp_path / "record"
     run_cells(squares, CELLS, record=Record(path))
