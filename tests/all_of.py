@@ -60,7 +60,11 @@ __all__ = [
 ]
 
 SCENES = [*BUILT_IN]
-SENSORS = {"ideal": Sensor(), "coarse": Sensor(quantum=5e-6, noise=2e-5, seed=3), "spots": SpotSensor(quantum=5e-6)}
+SENSORS: Mapping[str, Any] = {
+    "ideal": Sensor(),
+    "coarse": Sensor(quantum=5e-6, noise=2e-5, seed=3),
+    "spots": SpotSensor(quantum=5e-6),
+}
 
 PERIOD, DELAY = 0.002, 0.003
 ALL: dict[str, Any] = {"stiffness": 300.0, "damping": 5.0, "axes": ("x", "y", "z")}
@@ -148,7 +152,7 @@ MOTIONS: Mapping[str, Callable[..., SampledPlant]] = {
 }
 """Ways to compute the motion of one device, all of the same device."""
 
-_COILS = load_model("maglev").coils
+_COILS: Any = load_model("maglev").coils
 UNRECORDED: Mapping[str, Callable[[], SampledPlant]] = {
     "mujoco, batch": lambda: MuJoCoBatchPlant(Timing(**TIMING), pose=np.tile(START["pose"], (2, 1))),
     "exact, coils": lambda: ExactCoilPlant(

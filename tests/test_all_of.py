@@ -33,15 +33,16 @@ from tests.all_of import (
 )
 from tests.sweeps import sweep
 
-ALONE = {name: laws[-1] for name, laws in LAWS.items() if laws}
+ALONE: dict[str, Any] = {name: laws[-1] for name, laws in LAWS.items() if laws}
 """Each law by its name."""
 
-FRICTION = {name: law for name, law in ALONE.items() if isinstance(law, Friction)}
-UPRIGHT = {name: [*values[:3], 0.0, 0.0, 0.0] for name, values in START.items()}
+FRICTION: dict[str, Any] = {name: law for name, law in ALONE.items() if isinstance(law, Friction)}
+UPRIGHT: dict[str, Any] = {name: [*values[:3], 0.0, 0.0, 0.0] for name, values in START.items()}
 
 
 def below(kind: type) -> Iterator[type]:
     """Yield the classes of the package that derive from one."""
+    one: type
     for one in kind.__subclasses__():
         yield from below(one)
         if one.__module__.startswith("maglev_mj."):
@@ -75,18 +76,19 @@ def answers(laws: list[Any], poses: Array, period: float = PERIOD) -> tuple[Arra
     return np.array([command.wrench for command in commands]), np.array([command.pulse for command in commands])
 
 
-def weaker(law: Law, factors: Array) -> Law:
+def weaker(law: Any, factors: Any) -> Any:
     """Return a law with all its gains times each factor, of which there is one for each device."""
     if not isinstance(law, AxisLaw):
         return law
     many = np.asarray(factors)[..., None] * np.ones(len(law.indices))
-    return replace(law, **{name: np.asarray(getattr(law, name)) * many for name in law.per_device})
+    gains: dict[str, Any] = {name: np.asarray(getattr(law, name)) * many for name in law.per_device}
+    return replace(law, **gains)
 
 
 @pytest.mark.parametrize("law", ALONE)
 def test_a_batch_of_devices_with_their_own_gains_answers_as_each_alone_to_the_last_bit(law: str) -> None:
     random, devices, ticks = np.random.default_rng(7), 9, 80
-    factors, phase, rate = random.uniform(0.5, 1.0, devices), *random.uniform([[0], [0.02]], [[6], [0.9]], (2, devices))
+    factors, phase, rate = (random.uniform(*ends, devices) for ends in ((0.5, 1.0), (0.0, 6.0), (0.02, 0.9)))
     turns = phase[:, None] + rate[:, None] * np.arange(ticks)[:, None, None] + np.arange(6)
     poses = 1e-3 * np.sin(turns) * ([1.0] * 3 + [3.0] * 3)
     together = answers([weaker(one, factors) for one in LAWS[law]], poses)
@@ -165,8 +167,7 @@ SLIDING = np.outer(np.sin(np.linspace(0.0, 4.0 * math.pi, 801)), [1e-3, 1e-3, 1e
 
 @pytest.mark.parametrize("law", FRICTION)
 def test_friction_is_at_most_its_breakaway_and_takes_energy_over_a_closed_cycle(law: str) -> None:
-    own = {"stiffness": 300.0, "damping": 0.0, "breakaway": LIMIT}
-    still = replace(FRICTION[law], **own)
+    still = replace(FRICTION[law], stiffness=300.0, damping=0.0, breakaway=LIMIT)
     bound = LIMIT * (1.0 + 1e-9)
     for path in (SLIDING, 1e-4 * np.random.default_rng(3).normal(size=(300, 6))):
         alone = replace(still, bristle_damping=0.0) if law == "LuGre" else still
