@@ -263,7 +263,7 @@ def test_the_energy_gained_is_the_work_of_the_actuators_and_of_gravity(kind: str
         part = Trace(trace.time[:end], trace.pose[:end], trace.twist[:end], trace.wrench[:end])
         heights, speeds = part.pose[[0, -1], 2], part.twist[[0, -1], 2]
         gained = INERTIA[0] * (0.5 * np.diff(speeds**2) + GRAVITY * np.diff(heights))[0]
-        assert actuator_work(part).sum() == pytest.approx(gained, abs=1e-14)
+        assert actuator_work(part).sum() == pytest.approx(gained, abs=1e-15)
     assert plant.work == pytest.approx(gained, abs=1e-12) and gained < -0.01
     assert -watch.energy.sum() == pytest.approx(plant.work, abs=1e-12)
 

@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Timing
+from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing
+from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.safety import Limits, OutputLimiter, ThermalModel
 from maglev_mj.control.timeline import Timeline, recorded_switches, split_delay
 
 T = 0.005
@@ -129,3 +131,40 @@ def test_recorded_commands_switch_as_live_ones_do(delay: float) -> None:
             np.testing.assert_array_equal(acting, force[index] if index >= 0 else 0.0)
             start += duration
     assert start == pytest.approx(60 * T)
+
+
+def test_a_pulse_runs_out_after_an_unanswered_sample_on_every_plant() -> None:
+    # A pulse of 9 ms from 1.5 ms on, and the next samples are not answered.
+    kick = Command([0.0] * 6, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 0.009)
+    times = [0.001, 0.002, 0.0064, 0.0066, 0.0104, 0.0106]
+    for plant in (ExactPlant, MuJoCoPlant):
+        with plant(Timing(period=T, delay=0.0015), gravity=0.0, record=True) as made:
+            made.read()
+            made.write(kick)
+            for _ in range(3):
+                made.read()
+            wrench = made.trace().at(times)[2]
+        assert wrench[:, 2].tolist() == [0.0, 1.0, 1.0, 1.0, 1.0, 0.0]
+    driven = MuJoCoPlant(Timing(period=T, delay=0.0015), gravity=(0.0, 0.0, 0.0))
+    driven.read()
+    driven.drive([0.0] * 6, [1.0, 0, 0, 0, 0, 0], 0.009)
+    seen = []
+    for _ in range(3):
+        driven.read()
+        seen += [(round(duration, 9), currents[0]) for duration, currents in driven.segments]
+    assert seen == [(0.0015, 0.0), (0.0035, 1.0), (0.005, 1.0), (0.0005, 1.0), (0.0045, 0.0)]
+
+
+def test_the_gate_counts_the_heat_of_a_pulse_to_its_end() -> None:
+    # A pulse of one and a half periods whose second half falls on a sample that nobody answered.
+    calibration, limits = Calibration.nominal(), Limits()
+    gate, known = OutputLimiter(calibration.coils, limits, None, T), ThermalModel(limits)
+    held, pulsed = [1.0] * 6, [8.0] * 6
+    gate.passed(held, pulsed, 1.5 * T)
+    gate.stay(3, held)
+    known.add(((T, pulsed), (0.5 * T, pulsed), (0.5 * T, held), (2.0 * T, held)))
+    assert gate.thermal.rises == pytest.approx(known.rises, rel=1e-12)
+    gate.passed(held, pulsed, 1.5 * T)
+    gate.stay(1, [0.0] * 6)  # switched off: that ends it
+    known.add(((T, pulsed), (T, [0.0] * 6)))
+    assert gate.thermal.rises == pytest.approx(known.rises, rel=1e-12)

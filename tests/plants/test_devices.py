@@ -422,3 +422,9 @@ def test_a_twin_has_the_inertia_that_it_truly_has() -> None:
     usual: Any = Twin(TwinParameters()).plant
     np.testing.assert_allclose(other.device.inertia, [1.3e-3, 1.1e-3, 9e-4], rtol=1e-12)
     np.testing.assert_array_equal(usual.device.inertia, load_model().inertia)
+
+
+def test_a_file_that_is_changed_is_read_again(tmp_path: Path) -> None:
+    assert load_model(own_model(tmp_path)).mass == pytest.approx(0.7)
+    path = own_model(tmp_path, *HEAVIER)
+    assert load_model(path).mass == pytest.approx(1.0)

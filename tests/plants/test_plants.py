@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing
-from maglev_mj.control import Wall
+from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing, drive
+from maglev_mj.control import Hold, Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
@@ -392,3 +392,50 @@ def test_recorded_force_under_driver_lag_is_the_actual_one(delay: float) -> None
     np.testing.assert_allclose(trace.wrench[inside, 2], -10.0 * np.expm1(-since / LAG), rtol=1e-12, atol=1e-12)
     # the curve between knots takes the force for constant: off by the step's square over the lag's
     assert np.diff(trace.time).max() <= 0.25 * LAG * (1.0 + 1e-9)
+
+
+@both
+def test_free_fall_is_a_parabola(plant_type: Callable[..., SampledPlant]) -> None:
+    plant = plant_type(Timing(period=T, phase=0.3), pose=[0, 0, 4e-3, 0, 0, 0], record=True)
+    for tick in range(5):
+        sample = plant.read()
+        time = (tick + 0.3) * T
+        assert sample.tick == tick
+        assert sample.time == time
+        assert sample.position[2] == pytest.approx(4e-3 - 0.5 * G * time**2, abs=1e-16)
+    times = np.linspace(0.0, 4.3 * T, 50)
+    pose, twist, _ = plant.trace().at(times)
+    np.testing.assert_allclose(pose[:, 2], 4e-3 - 0.5 * G * times**2, atol=2e-17)
+    np.testing.assert_allclose(twist[:, 2], -G * times, atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", [MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
+def test_recording_changes_nothing(kind: Any) -> None:
+    hold = Hold(axes=("rx", "ry", "rz"), stiffness=[1.0] * 3, damping=[0.05] * 3)
+    last = [
+        drive(
+            kind(pose=[0, 0, 1e-3, 0.02, -0.01, 0.03], twist=[0, 0, 0, 4, -3, 5], gravity=0.0, record=record),
+            Controller([hold], period=0.005),
+            20,
+        ).pose
+        for record in (False, True)
+    ]
+    np.testing.assert_allclose(last[1], last[0], atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
+def test_a_list_that_is_used_again_is_a_new_command(kind: Any) -> None:
+    places = []
+    for fresh in (True, False):
+        plant, force = kind(gravity=0.0), [0.0] * 6
+        for tick in range(6):
+            plant.read()
+            force[2] = float(tick)
+            plant.write(Command(list(force) if fresh else force))
+        places.append(plant.read().position[2])
+    assert places[0] == places[1] > 8e-4
+    plant = kind(gravity=0.0)
+    for _ in range(3):  # an array will do as well
+        plant.read()
+        array: Any = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+        plant.write(Command(array))

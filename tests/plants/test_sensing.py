@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.errors import ModelError, ParameterError, SensingError
-from maglev_mj.frames import rotation_matrix
+from maglev_mj.frames import components, rotation_matrix
 from maglev_mj.plants import SpotSensor
 from maglev_mj.plants.sensor import Beams, beams
 from maglev_mj.spec import Spec
@@ -71,3 +71,9 @@ def test_a_geometry_that_cannot_tell_is_refused() -> None:
         Beams(good.leds[:2], good.directions, good.diodes, good.across)
     with pytest.raises(ParameterError, match="quantum must be"):
         SpotSensor(beams=good, quantum=-1.0)
+
+
+def test_a_batch_is_measured_at_once() -> None:
+    wanted = poses(20)
+    measured = SpotSensor(beams=beams()).start()(components(wanted))
+    np.testing.assert_allclose(np.stack(measured, axis=-1), wanted, atol=1e-13)

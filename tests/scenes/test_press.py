@@ -14,7 +14,7 @@ import pytest
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants.trace import Trace
-from maglev_mj.scenes.figures import HIT_FIGURES, summarise_press
+from maglev_mj.scenes.figures import HIT_FIGURES, PressSummary, summarise_press
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Phases, RunResult
 from maglev_mj.scenes.run import run, run_phases
@@ -221,3 +221,20 @@ def test_parameters_are_stored_as_checked() -> None:
     assert made.duration == pytest.approx(0.005 + 2.75 * 0.5 + 1.0)
     strokes = made.strokes(0.0)
     assert len(strokes) == 3 and made.path(0.0).end == pytest.approx(strokes[-1] + 0.125)
+
+
+def test_json_holds_the_run() -> None:
+    result = exact(SHORT)
+    data = json.loads(json.dumps(result.as_json(), allow_nan=False))
+    assert data["parameters"] == {"plant": "exact", "phase": 0.0, **SHORT.as_json()}
+    assert list(data) == ["parameters", "time", "z", "force", "target", "summary"]
+    assert all(len(data[name]) == 1601 for name in ("time", "z", "force", "target"))
+    assert data["z"] == result.series()["z"].tolist()
+    assert list(data["summary"]) == list(PressSummary._fields)
+    assert data["summary"]["penetration"] == result.figures["penetration"].tolist()
+    sweep = swept(SHORT, 3)
+    rows = json.loads(json.dumps(sweep.as_json(), allow_nan=False))
+    assert [row["phase"] for row in rows["phases"]] == [0.0, 1 / 3, 2 / 3]
+    second = [row["penetration"][1] for row in rows["phases"]]
+    assert rows["median"]["penetration"][1] == pytest.approx(np.median(second))
+    assert rows["percentile_95"]["penetration"][1] == pytest.approx(np.percentile(second, 95))
