@@ -37,9 +37,8 @@ class Content(NamedTuple):
 
 
 def _of_json(columns: Mapping[str, Any], told: Mapping[str, Any], attachments: Mapping[str, bytes]) -> Content:
-    return Content(
-        columns, *(told[name] for name in ("units", "events", "setups", "about")), attachments, told["damage"]
-    )
+    units, events, setups, about = (told[name] for name in ("units", "events", "setups", "about"))
+    return Content(columns, units, events, setups, about, attachments, told["damage"])
 
 
 def _decoded(told: Mapping[str, Any]) -> dict[str, bytes]:

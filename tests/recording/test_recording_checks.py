@@ -199,10 +199,9 @@ DAMAGED: list[tuple[Damage, str]] = [
     (lambda: b"PK\3\4", "it is not a journal, but MCAP or .npz: maglev_mj 0.2"),
     (lambda: made("drop")[:4000], "it ends within its header"),
     (entry("version", lambda _: 9), "format and version must be maglev_mj journal 1, not maglev_mj journal 9"),
-    *(
-        (entry("offset", lambda _, size=size: size), "the header must be as long as it says")
-        for size in (0, 4095, 8192)
-    ),
+    (entry("offset", lambda _: 0), "the header must be as long as it says"),
+    (entry("offset", lambda _: 4095), "the header must be as long as it says"),
+    (entry("offset", lambda _: 8192), "the header must be as long as it says"),
     (entry("dtype", lambda _: None), "dtype must be an object"),
     (
         entry("dtype", lambda old: {**old, "formats": ["O", *old["formats"][1:]]}),
