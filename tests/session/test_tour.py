@@ -118,6 +118,7 @@ WRONG: list[tuple[int, str, Callable[[User], None]]] = [
     (PUSH, "too gentle", lambda user: user.pull(0.002, 1.0)),
     (PUSH, "a twist", lambda user: user.twist(0.1)),
     (WALL, "not so far", lambda user: user.pull(0.008, 1.0, slowly=0.5)),
+    (WALL, "a twist", lambda user: user.twist(0.5)),
     (WALL, "no wall", then(press("wall"), hit)),
     (PULSE, "slowly", lambda user: user.pull(0.012, 1.0, slowly=2.0)),
     (STICK, "nothing", lambda user: user.wait(1.0)),
