@@ -182,10 +182,10 @@ def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Pa
     run("laws", "--number", "1")
     (tmp_path / "delays.json").write_text(json.dumps({"busy 200": [400, 900], "quiet 200": [400, 900]}))
     run("good", "--number", "1", "--seconds", "0.4")
-    for number in (1, 2):
-        run("takeoffs", "--number", str(number))
+    for takeoffs in (1, 2):
+        run("takeoffs", "--number", str(takeoffs))
         rows = [json.loads(line) for line in (tmp_path / "takeoffs.jsonl").read_text().splitlines()]
-        assert [row["cell"]["seed"] for row in rows] == [110_000, 110_001][:number]
+        assert [row["cell"]["seed"] for row in rows] == [110_000, 110_001][:takeoffs]
     out = run("tables")
     assert "3 flights, 0 exceed" in out and "| sign error |" in out and "| good | 200 | 0.4 | 2 | 0 | 0 |" in out
     assert "0 refused; 1 flights, 0 softened, 0.00 hours; {'landed': 1}" in out
