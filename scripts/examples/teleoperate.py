@@ -22,9 +22,8 @@ class Coupling(Law):
 
     def __call__(self, position, velocity, state, wrench):
         """Answer one sample, and move the robot to the next: the force acts on both a delay later."""
-        scene = self.scene
         DATA.qpos, DATA.qvel, last, held = np.zeros((4, 3)) if state is None else state
-        stretch = np.array(position[:3]) - DATA.qpos / SCALE
+        scene, stretch = self.scene, np.array(position[:3]) - DATA.qpos / SCALE
         force = scene.stiffness * stretch + scene.damping * (stretch - last) / scene.period
         for acting, seconds in ((held, scene.delay), (force, scene.period - scene.delay)):
             DATA.ctrl = SCALE * acting
