@@ -42,7 +42,8 @@ def results() -> dict[str, Result]:
     with pytest.MonkeyPatch.context() as few:  # no figure of it is looked at
         for name, value in {"_POINTS": 16, "_SEEDS": 2, "_LONG": 0.0, "_SHORT": 1e-9}.items():
             few.setattr(levels, name, value)
-        fidelity = measure_fidelity(find_scene("let-go")(duration=0.02), over=Range(phases=1))
+        let_go: Any = find_scene("let-go")
+        fidelity = measure_fidelity(let_go(duration=0.02), over=Range(phases=1))
     return {
         "result": one,
         "trace": one.trace,
