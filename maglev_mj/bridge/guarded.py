@@ -32,13 +32,7 @@ _MOST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 class GuardedPlant:
     """Device behind a connection, watched by guards, without takeoff and landing; see `RemotePlant`.
 
-    Args:
-        link: The wire, or its address; see `open_link`. It is closed with the plant, or if the handshake fails.
-        calibration: Calibration of the device; the device must have its hash.
-        key: Authentication key of the frames; None for none.
-        limits: Limits of the host; the smaller of these and the device's apply.
-        patience: Longest wait for an answer or a sample [s].
-        folder: Folder of the files of last cycles.
+    Arguments and errors are those of `RemotePlant`.
 
     Attributes:
         period: Sample period [s].
@@ -62,12 +56,6 @@ class GuardedPlant:
             touched stop counts as a hand; see `HandObserver`.
         coils: Estimator of the coils' gains in takeoff.
         arrival: Arrival of the last sample, by the link's clock [s].
-
-    Raises:
-        HandshakeError: If no device answers, another host flies it, its version or calibration differs, or its
-            numbers are not sane or do not carry the weight.
-        LinkError: If the link has failed.
-        ParameterError: If a value is outside its bounds, or the host's own limits do not carry the weight.
     """
 
     hand_wrench = property(lambda self: self._hand.wrench)
