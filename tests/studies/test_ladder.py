@@ -14,7 +14,7 @@ import pytest
 
 from maglev_mj import Controller, ExactPlant, MuJoCoPlant, Scene, Start, Timing, drive
 from maglev_mj.cli import main
-from maglev_mj.control import AxisLaw, Bias, Hold, Law, Wall, gain
+from maglev_mj.control import Bias, Hold, Law, Wall
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command
 from maglev_mj.parameters import param
@@ -42,7 +42,6 @@ from maglev_mj.studies.fidelity import (
     measure_steps,
     preset_of,
     run_levels,
-    stepping_name,
     worst_of,
 )
 from maglev_mj.studies.levels import (
@@ -67,7 +66,7 @@ from maglev_mj.studies.levels import (
     screen_levels,
 )
 from maglev_mj.theory.closed_loop import SampledLoop
-from tests.sweeps import further, sweep
+from tests.sweeps import sweep
 
 LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
 
@@ -106,9 +105,6 @@ class Pocket(Scene):
         return [Bias(WEIGHT), walls, Hold.critically_damped(("y", "rx", "ry", "rz"), period=0.005, delay=0.0015)]
 
 
-POINTS, SEEDS = levels._POINTS, levels._SEEDS
-
-
 @pytest.fixture(autouse=True)
 def briefly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Take costs from the runs; screen few cases.
@@ -122,21 +118,14 @@ def briefly(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.setattr(levels, "_SEEDS", 2)
 
 
-def test_4096_cases_are_screened() -> None:
-    assert POINTS * SEEDS == 4096
-
-
 def unseen_distances(result: FidelityResult, count: int) -> Array:
     """Return the chosen model's distances from the whole device in unseen cases [m]."""
     assert result.level is not None and result.cheapest is not None
     scene, best, level = result.preset.scene, result.cheapest, result.level.level
     options = {"integrator": best.integrator, "longest_step": best.step} if level_index(level) else {}
-    return np.array(
-        [
-            distance(run_case(scene, level, case, **options), run_case(scene, LEVELS[-1].name, case))
-            for case in scattered_cases(scene, count, result.over.around, seed=10_000)
-        ]
-    )
+    cases = scattered_cases(scene, count, result.over.around, seed=10_000)
+    pairs = [(run_case(scene, level, case, **options), run_case(scene, LEVELS[-1].name, case)) for case in cases]
+    return np.array([distance(*pair) for pair in pairs])
 
 
 @pytest.mark.study
@@ -148,30 +137,19 @@ def unseen_distances(result: FidelityResult, count: int) -> Array:
     ],
 )
 def test_the_model_recommended_holds_in_cases_never_looked_at(
-    name: str,
-    wall: tuple[float, float] | None,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    name: str, wall: tuple[float, float] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(InteractiveScene, "end", 1.7)  # into contact: a whole script takes three times as long
     preset = preset_of(Pocket() if name == "pocket" else name)
     if wall is not None:
         preset = preset._replace(scene=preset.scene.replace(stiffness=wall[0], damping=wall[1]))
     result = measure_fidelity(preset)
-    assert result.level is not None and result.cheapest is not None and result.screened >= SEEDS
+    assert result.screened in (levels._SEEDS, levels._POINTS * levels._SEEDS)
     furthest = math.inf if result.furthest is None else result.furthest
     found = unseen_distances(result, 24)
-    beyond = int((found > preset.tolerance).sum())
-    with capsys.disabled():
-        gains = "" if wall is None else f"{wall[0]:g}/{wall[1]:g}"
-        step = stepping_name(result.cheapest.integrator, result.cheapest.step)
-        print(
-            f"\n| {name} | {gains} | {preset.tolerance * 1e6:.0f} | {result.level.level}, {step} | "
-            f"{(result.cheapest.missing or 0.0) * MARGIN * 1e6:.3g} | {np.median(found) * 1e6:.3g} | "
-            f"{found.max() * 1e6:.3g} | {beyond} | {furthest * 1e6:.3g} | {result.met_stops} |"
-        )
     # what is expected is no bound: with the present jitter one press of the 648 cases of all scenes is beyond it
-    assert (found > furthest).sum() <= (name == "press") and (beyond <= 2 or result.unscreened)
+    assert (found > furthest).sum() <= (name == "press")
+    assert (found > preset.tolerance).sum() <= 2 or result.unscreened
 
 
 @pytest.mark.study
@@ -191,10 +169,10 @@ def small(name: str, **values: float) -> Preset:
     return preset._replace(scene=preset.scene.replace(duration=0.1, **values))
 
 
-@pytest.mark.parametrize("name", ["drop", "press", "joystick", *further("stick-slip", "six-axes", *INTERACTIVE[1:])])
+@pytest.mark.parametrize("name", ["drop", "joystick"])
 def test_cases_run_together_as_they_do_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(InteractiveScene, "end", 1.1)
-    scene: Any = (small(name) if name not in ("press", *INTERACTIVE) else preset_of(name)).scene
+    scene: Any = (small(name) if name == "drop" else preset_of(name)).scene
     points: list[tuple[Any, float]] = [scene_at(scene, case) for case in scattered_cases(scene, 3, 0.1, seed=1)]
     assert len({(each.stiffness, each.damping) for each, _ in points}) == 3
     assert len({phase for _, phase in points}) == (3 if scene.takes_phase else 1)
@@ -202,15 +180,6 @@ def test_cases_run_together_as_they_do_alone(name: str, monkeypatch: pytest.Monk
     for place, (each, phase) in enumerate(points):
         alone = motion_of(*level_parts(each, "axes", phase=phase)).pose
         np.testing.assert_allclose(together[:, place], alone[: len(together)], atol=1e-12)
-
-
-@pytest.mark.study
-def test_the_screen_finds_jumps_that_few_cases_miss() -> None:
-    scene = Drop(pulse=0.0)
-    worst = screen_levels(scene, 0.1).max(axis=1)
-    # jitter alone, where a sample just meets the wall; a few cases of the whole device see some 60 µm
-    assert worst[level_index("spots")] > 5e-4
-    assert not worst[level_index("filter") :].any() and (np.diff(worst[level_index("falloff") :]) <= 0.0).all()
 
 
 def test_a_jump_is_what_goes_far_beyond_the_median() -> None:
@@ -292,17 +261,7 @@ def test_the_shift_of_the_boundary_is_that_of_the_levels_drivers() -> None:
     assert boundary_shift("closed form", 1e-3, body) == 0.0
 
 
-@pytest.mark.parametrize("boundary", [0.01, *further(1.0)])
-def test_an_integrator_keeps_the_boundary_beside_the_tolerance(boundary: float) -> None:
-    # slow turning asks little of the position, where a raw step of Euler's moves the boundary by 84 %
-    result = measure_fidelity("twist", 2e-5, Range(phases=1, boundary=boundary))
-    best = result.cheapest
-    assert best is not None and best.shift is not None and abs(best.shift) <= boundary
-    cheaper = result.steps[: result.steps.index(best)]
-    assert all(step.shift is None or abs(step.shift) > boundary for step in cheaper)
-
-
-@pytest.mark.parametrize("wall", [(6000.0, 40.0), (6000.0, 80.0), *further(((3000.0, 60.0),))])
+@pytest.mark.parametrize("wall", [(6000.0, 40.0), (6000.0, 80.0)])
 def test_stops_that_the_motion_meets_are_told(wall: tuple[float, float]) -> None:
     scene = Drop(stiffness=wall[0], damping=wall[1], pulse=0.0)
     motions = [run_case(scene, level, itself()) for level in ("jitter", "stops")]
@@ -353,8 +312,8 @@ def test_the_stops_hold_a_flotor_without_currents() -> None:
     assert last[2] == pytest.approx(-4.5e-3, abs=5e-6)
 
 
-@pytest.mark.parametrize("mass", [0.7, 1.4])
-def test_the_handle_swings_at_a_kilohertz(mass: float) -> None:
+def test_the_handle_swings_at_a_kilohertz() -> None:
+    mass = 1.4
     plant = MuJoCoPlant(Timing(), mass=mass, gravity=0.0, flexible=True)
     model = plant.device.model
     model.dof_damping[:] = 0.0
@@ -382,29 +341,47 @@ def test_currents_are_limited_without_coils_as_with_upright_ones() -> None:
     assert plant.write(small).force is small.force
 
 
-def test_a_looser_tolerance_takes_a_lower_level() -> None:
-    tight, loose = measure_fidelity("twist", over=Range(phases=1)), measure_fidelity("twist", 2e-4, Range(phases=1))
-    assert tight.level is not None and loose.level is not None
-    assert tight.level.level == "body" and loose.level.level == "axes"
-    assert tight.cheapest is not None and tight.cheapest.error < 1e-5
+def test_a_looser_tolerance_takes_a_lower_level_unless_it_diverges(monkeypatch: pytest.MonkeyPatch) -> None:
+    tight = measure_fidelity("twist", 1e-5, Range(phases=1, boundary=0.01))
+    assert tight.level is not None and tight.level.level == "body"
+    best = tight.cheapest
+    assert best is not None and best.error < 1e-5
+    # slow turning asks little of the position, where a raw step of Euler's moves the boundary by 84 %
+    assert best.shift is not None and abs(best.shift) <= 0.01
+    cheaper = tight.steps[: tight.steps.index(best)]
+    assert all(step.shift is None or abs(step.shift) > 0.01 for step in cheaper)
+    # the exact plant turns about each axis alone
+    assert tight.screened and tight.unscreened == "the exact plant says nothing on the level body"
+    said = " ".join(str(tight.table()).split())
+    assert "in 0.99 of 1 cases of the whole device alone" in said and "none expected beyond" in said
+
+    loose = measure_fidelity("twist", 2e-4, Range(phases=1))
+    assert loose.level is not None and loose.level.level == "axes"
     assert loose.cheapest is not None and loose.cheapest.integrator == "closed form"
-    for wrong, words in (("moon", "scene must be one of joystick, drop, "), ("twist", "tolerance must be")):
-        with pytest.raises(ParameterError, match=words):
-            measure_fidelity(wrong, math.nan)
-    for over, words in ((Range(share=0.0), "share"), (Range(around=0.6), "around"), (Range(phases=0), "phases")):
-        with pytest.raises(ParameterError, match=words):
-            measure_fidelity("twist", over=over)
 
-
-def test_a_level_that_diverges_in_any_case_is_no_choice(monkeypatch: pytest.MonkeyPatch) -> None:
     def diverged(*given: Any) -> tuple[LevelResult, ...]:
         axes, *others = level_results(*given)
         return (axes._replace(diverged=1), *others)
 
     monkeypatch.setattr("maglev_mj.studies.fidelity.level_results", diverged)
-    result = measure_fidelity("twist", 2e-4, Range(phases=1))
-    assert MARGIN * result.levels[0].missing <= 2e-4  # so that only its divergence forbids it
-    assert result.level is not None and result.level.level == "body"
+    other = measure_fidelity("twist", 2e-4, Range(phases=1))
+    assert MARGIN * other.levels[0].missing <= 2e-4  # so that only its divergence forbids it
+    assert other.level is not None and other.level.level == "body"
+
+
+@pytest.mark.parametrize(
+    ("scene", "tolerance", "over", "words"),
+    [
+        ("moon", None, {}, "scene must be one of joystick, drop, "),
+        ("twist", math.nan, {}, "tolerance must be"),
+        ("twist", None, {"share": 0.0}, "share"),
+        ("twist", None, {"around": 0.6}, "around"),
+        ("twist", None, {"phases": 0}, "phases"),
+    ],
+)
+def test_bad_values_are_refused(scene: str, tolerance: float | None, over: dict[str, Any], words: str) -> None:
+    with pytest.raises(ParameterError, match=words):
+        measure_fidelity(scene, tolerance, Range(**over))
 
 
 def test_a_cost_is_of_a_simulated_second() -> None:
@@ -508,40 +485,29 @@ def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixtur
     assert "hand must have an arm" in capsys.readouterr().err
 
 
-class Branching(AxisLaw):
-    """Wall with an `if`, which arrays do not support."""
-
-    stiffness: float = gain("stiffness", "N/m")
-
-    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
-        """See `AxisLaw`."""
-        return -gains.stiffness * x if x > 0.0 else 0.0
+def test_a_distance_beyond_the_range_is_no_promise() -> None:
+    row = LevelResult("body", "", 0.0, 2e-3, 0.0, 1.0, 0, 0.0, 1.0)
+    step = StepResult("rk4", None, 0.0, 1.0, 0.0, 1e-6)
+    result = FidelityResult(preset_of("drop"), 1e-3, Range(), (itself(),), 4096, 3e-3, 0, (row,), row, (step,), step)
+    assert result.furthest == pytest.approx(MARGIN * 3e-3)  # of the jump
+    assert "none expected beyond 3750 µm, where a sample" in " ".join(str(result.table()).split())
+    for far in (4e-3, math.inf):  # the flotor has 4.5 mm
+        lost = replace(result, jump=far)
+        assert lost.furthest is None and lost.as_json()["furthest"] is None
+        assert "how far others go is not known" in " ".join(str(lost.table()).split())
 
 
 class OneAlone(SixAxes):
-    """Hold the flotor with a law that takes one device."""
-
-    branching: bool = param("with a law that asks `if`; otherwise a function", default=False)
+    """Hold the flotor with a function, which takes one device."""
 
     def laws(self) -> list[Any]:
         """See `Scene`."""
-        if self.branching:
-            return [Branching(axes="x", stiffness=self.stiffness)]
         return [lambda position, velocity: [-self.stiffness * position[0], 0.0, 0.0, 0.0, 0.0, 0.0]]
 
 
-@pytest.mark.parametrize(
-    ("branching", "reason"),
-    [
-        (False, "law <lambda> must be an AxisLaw, or name its gains in per_device"),
-        *further((True, "The truth value of an array")),
-    ],
-)
-def test_laws_that_take_one_device_alone_are_not_screened_and_promise_less(branching: bool, reason: str) -> None:
-    scene = OneAlone(branching=branching, duration=0.02)
-    with pytest.raises(ValueError, match=reason):
-        screen_levels(scene, 0.1)
-    result = measure_fidelity(scene, 1e-3, Range(phases=1))
+def test_laws_that_take_one_device_alone_are_not_screened_and_promise_less() -> None:
+    reason = "law <lambda> must be an AxisLaw, or name its gains in per_device"
+    result = measure_fidelity(OneAlone(duration=0.02), 1e-3, Range(phases=1))
     assert result.unscreened.startswith(reason) and result.screened == 0 and result.furthest is None
     said = " ".join(str(result.table()).split())
     assert f"none on the exact plant, which takes many devices at once: {reason}" in said
@@ -550,26 +516,13 @@ def test_laws_that_take_one_device_alone_are_not_screened_and_promise_less(branc
     assert (data["screened"], data["furthest"], data["unscreened"]) == (0, None, result.unscreened)
 
 
-def test_a_level_that_the_exact_plant_says_nothing_on_promises_less() -> None:
-    result = measure_fidelity("twist", 1e-5, Range(phases=3))
-    assert result.screened and result.unscreened == "the exact plant says nothing on the level body"
-    said = " ".join(str(result.table()).split())
-    assert f"in 0.99 of 3 cases of the whole device alone, as {result.unscreened}, the margin" in said
-    assert result.furthest is not None and "none expected beyond" in said
-    assert "on the exact plant in the same range" in said
-
-
 def test_where_the_level_below_jumps_its_share_of_the_screen_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     screen = np.zeros((len(LEVELS), 40))
     screen[: level_index("filter"), :7] = 1e-3  # so that the filter is needed, of which the exact plant knows nothing
     monkeypatch.setattr("maglev_mj.studies.fidelity.screen_levels", lambda *_: screen)
     result = measure_fidelity(SixAxes(duration=0.02), over=Range(phases=1, around=0.0))
     assert result.level is not None and result.level.level == "filter"
-    told = (
-        "the exact plant says nothing on the level filter (jitter, below it, misses the tolerance in 0.17 of its cases"
-    )
-    assert result.unscreened.startswith(told)
-    assert "in 0.99 of 1 cases of the whole device alone" in " ".join(str(result.table()).split())
+    assert "(jitter, below it, misses the tolerance in 0.17 of its cases" in result.unscreened
 
 
 class Release(Scene):
@@ -590,15 +543,3 @@ def test_a_scene_without_gains_is_screened_over_its_phases_and_seeds() -> None:
     assert screen_levels(Twist(), 0.1).shape == (len(LEVELS), 2)
     seen = screen_levels(Release(), 0.1)
     assert seen.shape == (len(LEVELS), 32) and len(np.unique(seen[level_index("axes")])) >= 16
-
-
-def test_a_distance_beyond_the_range_is_no_promise() -> None:
-    row = LevelResult("body", "", 0.0, 2e-3, 0.0, 1.0, 0, 0.0, 1.0)
-    step = StepResult("rk4", None, 0.0, 1.0, 0.0, 1e-6)
-    result = FidelityResult(preset_of("drop"), 1e-3, Range(), (itself(),), 4096, 3e-3, 0, (row,), row, (step,), step)
-    assert result.furthest == pytest.approx(MARGIN * 3e-3)  # of the jump
-    assert "none expected beyond 3750 µm, where a sample" in " ".join(str(result.table()).split())
-    for far in (4e-3, math.inf):  # the flotor has 4.5 mm
-        lost = replace(result, jump=far)
-        assert lost.furthest is None and lost.as_json()["furthest"] is None
-        assert "how far others go is not known" in " ".join(str(lost.table()).split())
