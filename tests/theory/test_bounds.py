@@ -1,5 +1,8 @@
 """Published bounds, derived again and compared with the exact boundary."""
 
+from functools import partial
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -79,24 +82,30 @@ def test_friction_by_abbott_and_okamura_silences_the_hum_of_a_coarse_sensor(stif
     assert tenth > 0.2 * step
     assert half < step
     assert hum(0.0, stiffness=stiffness, damping=damping, quantum=step).swing[0] > 0.4 * step
-
-
-def test_abbott_okamura_takes_the_weaker_of_its_two() -> None:
-    weak = bounds.abbott_okamura(period=T, physical_damping=1.0, dry_friction=1.0, quantum=5e-6)
+    # the weaker of its two: of friction, and of damping
+    weak = bounds.abbott_okamura(period=T, physical_damping=1.0, dry_friction=1.0, quantum=step)
     assert weak == pytest.approx(2.0 / T)
 
 
-def test_bad_bounds_are_refused() -> None:
-    with pytest.raises(ParameterError, match="period must be above 0"):
-        bounds.gil(5.0, period=0.0, delay=0.0)
-    with pytest.raises(ParameterError, match="physical_damping must be"):
-        bounds.colgate(5.0, period=T, physical_damping=-1.0)
-    with pytest.raises(ParameterError, match="quantum must be above 0"):
-        bounds.abbott_okamura(period=T, physical_damping=1.0, dry_friction=1.0, quantum=0.0)
-
-
-def test_dry_friction_and_damping_below_zero_are_refused() -> None:
-    given = {"period": T, "physical_damping": 1.0, "dry_friction": 0.1, "quantum": 1e-6}
-    for name in ("physical_damping", "dry_friction"):
-        with pytest.raises(ParameterError, match=rf"{name} must be finite and at least 0 everywhere, not -1"):
-            bounds.abbott_okamura(**(given | {name: -1.0}))
+@pytest.mark.parametrize(
+    ("bound", "value", "words"),
+    [
+        (partial(bounds.gil, 5.0, delay=0.0), {"period": 0.0}, "period must be above 0"),
+        (partial(bounds.colgate, 5.0), {"physical_damping": -1.0}, "physical_damping must be"),
+        (bounds.abbott_okamura, {"quantum": 0.0}, "quantum must be above 0"),
+        (
+            bounds.abbott_okamura,
+            {"physical_damping": -1.0},
+            "physical_damping must be finite and at least 0 everywhere",
+        ),
+        (
+            bounds.abbott_okamura,
+            {"dry_friction": -1.0},
+            "dry_friction must be finite and at least 0 everywhere, not -1",
+        ),
+    ],
+)
+def test_bad_bounds_are_refused(bound: Any, value: dict[str, float], words: str) -> None:
+    rest = {"physical_damping": 1.0, "dry_friction": 0.1, "quantum": 1e-6} if bound is bounds.abbott_okamura else {}
+    with pytest.raises(ParameterError, match=words):
+        bound(**({"period": T} | rest | value))

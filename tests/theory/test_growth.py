@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from maglev_mj.control import LowPass, VelocityEstimator, Window
+from maglev_mj.control import LowPass, VelocityEstimator
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
 from maglev_mj.plants import MuJoCoBatchPlant, Timing
@@ -63,17 +63,6 @@ def test_growth_is_the_modulus(count: int) -> None:
     np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
 
 
-@pytest.mark.parametrize("off", [0.06, pytest.param(0.01, marks=pytest.mark.study)])
-def test_a_wall_s_growth_is_that_of_the_wall_alone(off: float) -> None:
-    # Runs end when the last of a batch is decided, of which one that is a little too stiff takes the longest.
-    edge = float(largest_stable_stiffness(80.0, period=T, delay=0.0015))
-    some = walls([2000.0, (1.0 - off) * edge, (1.0 + off) * edge, 2.0 * edge], 80.0)
-    together = measure_growth(some)
-    alone = [measure_growth([wall]) for wall in some]
-    for name in ("stable", "rate", "ticks"):
-        np.testing.assert_array_equal(getattr(together, name), [getattr(one, name)[0] for one in alone])
-
-
 def test_a_run_ends_with_the_block_in_which_the_last_is_decided(monkeypatch: pytest.MonkeyPatch) -> None:
     counts: list[int] = []
 
@@ -89,8 +78,7 @@ def test_a_run_ends_with_the_block_in_which_the_last_is_decided(monkeypatch: pyt
     assert found.stable.all() and last < sum(counts) <= last + 32 < 128
 
 
-@pytest.mark.parametrize(("count", "threads"), [(2, 1), (47, 1), (48, 0)])
-def test_few_walls_are_simulated_on_one_thread(count: int, threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_few_walls_are_simulated_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
 
     def made(*arguments: Any, **keywords: Any) -> MuJoCoBatchPlant:
@@ -98,56 +86,35 @@ def test_few_walls_are_simulated_on_one_thread(count: int, threads: int, monkeyp
         return MuJoCoBatchPlant(*arguments, **keywords)
 
     monkeypatch.setitem(growing._BATCHES, "mujoco", made)
-    assert measure_growth(walls(np.linspace(3000.0, 5000.0, count), 80.0), "mujoco").stable.all()
-    assert asked == [threads]
+    for count in (47, 48):
+        assert measure_growth(walls(np.linspace(3000.0, 5000.0, count), 80.0), "mujoco").stable.all()
+    assert asked == [1, 0]
 
 
-def settles_just_below(boundary: ArrayLike, damping: float, wall: RestingWall, margin: float, **keywords: Any) -> bool:
-    """Return True if walls settle a margin below boundaries and grow a margin above."""
-    k = np.atleast_1d(np.asarray(boundary, dtype=np.float64))
-    gains = [*((1.0 - margin) * k).tolist(), *((1.0 + margin) * k).tolist()]
-    stable = measure_growth([wall.replace(stiffness=gain, damping=damping) for gain in gains], **keywords).stable
-    return bool(stable[: k.size].all() and not stable[k.size :].any())
+class Averaged(RestingWall):
+    """A wall with another velocity estimate."""
 
-
-EXTREME = [
-    "0.6,0,1050",
-    "0.02,28,40",
-    "0.2,10,200,2,800",
-]
+    def velocity_estimator(self) -> VelocityEstimator:
+        return LowPass(50.0)
 
 
 @pytest.mark.parametrize(
-    ("hand", "plant"),
+    ("wall", "damping", "around"),
     [
-        ("arm", "exact"),
-        (EXTREME[2], "exact"),
-        # plants agree on hands: test_agreement
-        *further(*((hand, plant) for plant in ("exact", "mujoco") for hand in (*HANDS, *EXTREME))),
+        (RestingWall(hand="arm"), 70.0, {"hand": "arm"}),
+        (RestingWall(hand="0.2,10,200,2,800"), 70.0, {"hand": "0.2,10,200,2,800"}),
+        (Averaged(), 30.0, {"velocity": LowPass(50.0)}),
+        *further(*((RestingWall(hand=hand), 70.0, {"hand": hand}) for hand in (*HANDS, "0.6,0,1050", "0.02,28,40"))),
     ],
 )
-def test_hands_shift_the_boundary_as_the_map_says(plant: str, hand: str) -> None:
-    # Over the published range: 5 % below the boundary it settles, 5 % above it grows.
-    boundary = largest_stable_stiffness(70.0, period=T, delay=0.0015, hand=get_hand(hand))
-    assert settles_just_below(boundary, 70.0, RestingWall(hand=hand), 0.05, plant=plant)
-
-
-@pytest.mark.parametrize(
-    ("plant", "estimate"),
-    [
-        ("exact", LowPass(50.0)),
-        *further(("exact", Window(3)), ("mujoco", LowPass(50.0)), ("mujoco", Window(3))),
-    ],
-)
-def test_velocity_estimates_shift_the_boundary_as_the_map_says(plant: str, estimate: VelocityEstimator) -> None:
-    class Estimated(RestingWall):
-        """A wall with another velocity estimate."""
-
-        def velocity_estimator(self) -> VelocityEstimator:
-            return estimate
-
-    boundary = largest_stable_stiffness(30.0, period=T, delay=0.0015, velocity=estimate)
-    assert settles_just_below(boundary, 30.0, Estimated(), 0.05, plant=plant)
+def test_hands_and_estimates_shift_the_boundary_as_the_map_says(
+    wall: RestingWall, damping: float, around: dict[str, Any]
+) -> None:
+    # 5 % below the boundary it settles, 5 % above it grows; plants agree on hands: test_agreement.
+    around = {**around, "hand": get_hand(around.get("hand", "none"))}
+    boundary = float(largest_stable_stiffness(damping, period=T, delay=0.0015, **around))
+    two = [wall.replace(stiffness=share * boundary, damping=damping) for share in (0.95, 1.05)]
+    assert measure_growth(two).stable.tolist() == [True, False]
 
 
 @pytest.mark.parametrize(
@@ -185,9 +152,7 @@ def test_a_simulation_in_closed_loop_agrees_with_the_measured_shift(dampings: li
     assert not measure_growth(below, "mujoco").stable.any()
 
 
-@pytest.mark.parametrize(
-    ("mean", "jitter"), [(0.003, 0.002), (0.0034, 0.0015), *further((0.003, 0.0015), (0.0034, 0.001))]
-)
+@pytest.mark.parametrize(("mean", "jitter"), [(0.003, 0.002), (0.0034, 0.0015)])
 def test_random_delay_acts_as_its_mean_and_not_as_its_worst(mean: float, jitter: float) -> None:
     # A third of the delays may be too long; only the mean being too long makes the loop grow, in the plant too.
     k, b = 6000.0, 80.0
@@ -205,12 +170,8 @@ def test_bad_resting_walls_are_refused() -> None:
         measure_growth([RestingWall()], "moon")
     with pytest.raises(ParameterError, match="stiffness must be a finite number above 0"):
         RestingWall(stiffness=0.0)
-    with pytest.raises(ParameterError, match=r"delay must be a finite number at least 0 and at most 0.05, not 0.06"):
-        RestingWall(delay=0.06)
     with pytest.raises(ParameterError, match="integrator must be one of"):
         measure_growth([RestingWall()], "mujoco", integrator="magic")
-    with pytest.raises(ParameterError, match=r"jitter must be at most 0.0015 s at this delay and period, not 0.002"):
-        Timing(delay=0.0015, jitter=0.002)
 
 
 @pytest.mark.parametrize("rate", [0.999, 0.9999, 1.0001, 1.001])
@@ -230,8 +191,10 @@ def test_a_loop_that_no_block_decides_is_judged_by_its_trend(rate: float) -> Non
 
 
 def test_walls_of_several_loops_have_their_own_growth_in_their_own_place() -> None:
+    # Runs end when the last of a batch is decided: others are as they are alone.
     periods = (0.005, 0.004, 0.003, 0.005, 0.004)
     walls = [RestingWall(stiffness=4000.0 * (1 + place), period=period) for place, period in enumerate(periods)]
     found, alone = measure_growth(walls), [measure_growth([wall]) for wall in walls]
-    assert found.rate == pytest.approx([one.rate[0] for one in alone], rel=1e-9) and len(set(found.rate)) == 5
+    assert found.rate.tolist() == [one.rate[0] for one in alone] and len(set(found.rate)) == 5
     assert found.stable.tolist() == [one.stable[0] for one in alone] and len(set(found.stable)) == 2
+    assert found.ticks.tolist() == [one.ticks[0] for one in alone]

@@ -16,19 +16,12 @@ from maglev_mj.control import (
     AdaptiveWindow,
     AxisLaw,
     Bias,
-    Dahl,
-    ElastoPlastic,
-    Friction,
     Gains,
-    HaywardArmstrong,
     Hold,
-    ImplicitCoulomb,
     Law,
     LowPass,
-    LuGre,
     ObserverWall,
     PredictiveWall,
-    SpringReset,
     StickSlip,
     VelocityEstimator,
     Window,
@@ -100,17 +93,7 @@ def closed(stiffness: float, damping: float, **loop: Any) -> float:
 
 
 def exact(law: AxisLaw, start: Any, *, period: float, delay: float, mass: float) -> NDArray[Any]:
-    """Return the roots of a linear law's loop, nearest to 1 first.
-
-    The law is run on unit states.
-
-    Args:
-        law: The law.
-        start: Its state after rest at 0, a number or a tuple.
-        period: Sample period [s].
-        delay: Delay of less than a period [s].
-        mass: Mass [kg].
-    """
+    """Return the roots of a linear law's loop, nearest to 1 first, for a state `start` after rest at 0."""
     size = np.size(start)
     gains: Any = SimpleNamespace(**{name: getattr(law, name) for name in type(law).__annotations__})
 
@@ -134,9 +117,10 @@ def exact(law: AxisLaw, start: Any, *, period: float, delay: float, mass: float)
     return np.asarray(roots[np.argsort(np.abs(roots - 1.0))])
 
 
-def compare(name: str, seed: int) -> None:
-    """Compare both verdicts on a scene with random settings."""
-    random = np.random.default_rng([NAMES.index(name), seed])
+@pytest.mark.parametrize("name", ["joystick", "drop", "corner", *further("press", "table", "box")])
+def test_the_numerical_verdict_is_that_of_the_closed_forms(name: str) -> None:
+
+    random = np.random.default_rng([NAMES.index(name), 0])
     values = dict(
         stiffness=float(10.0 ** random.uniform(2.0, 4.7)),
         damping=float(10.0 ** random.uniform(0.0, 2.6)),
@@ -147,25 +131,12 @@ def compare(name: str, seed: int) -> None:
     )
     scene = find_scene(name)()
     scene = scene.replace(**{one: value for one, value in values.items() if one in scene.as_json()})
-    laws = scene.laws()
-    how: dict[str, Any] = {"delay": scene.delay, "pose": scene.start().pose}
+    laws, how = scene.laws(), {"delay": scene.delay, "pose": scene.start().pose}
     stated = Controller(laws, period=scene.period)
     closed, found = judge(stated, **how), judge(Controller([*laws, silent], period=scene.period), **how)
     assert closed.stated and not found.stated
     assert found.stable is closed.stable, scene
     assert found.modulus == pytest.approx(at_rest(stated, scene.delay), abs=1e-9), scene
-
-
-@pytest.mark.parametrize(
-    ("name", "seeds"),
-    [
-        *((name, range(1)) for name in ("joystick", "drop", "corner")),
-        *(pytest.param(name, range(27), marks=pytest.mark.study) for name in NAMES),
-    ],
-)
-def test_the_numerical_verdict_is_that_of_the_closed_forms(name: str, seeds: range) -> None:
-    for seed in seeds:
-        compare(name, seed)
 
 
 @pytest.mark.parametrize(
@@ -199,35 +170,14 @@ def test_an_estimate_that_is_not_linear_is_linearised() -> None:
     assert near.response[0, 0, 0] == pytest.approx(-1000.0 - 20.0 / (4 * T), rel=1e-6)
 
 
-FRICTIONS = [StickSlip, SpringReset, ImplicitCoulomb, Dahl, LuGre, ElastoPlastic, HaywardArmstrong]
+def test_stuck_friction_is_stable_and_the_controller_left_as_it_is() -> None:
+    law = StickSlip(axes="x", stiffness=3000.0, damping=30.0, breakaway=2.0, v_min=0.005)
+    controller = Controller([law, silent], period=T)
+    before = controller.states
+    assert judge(controller, delay=DELAY).stable is True and controller.states == before
 
 
-def friction(kind: type[Friction], period: float) -> Friction:
-    """Return a law of friction along x with damping of its own, where it has some."""
-    given: dict[str, Any] = {"axes": "x", "stiffness": 3000.0, "damping": 30.0, "breakaway": 2.0}
-    given |= {"period": period} if kind in (ImplicitCoulomb, LuGre) else {}
-    given |= {"v_min": 0.005} if kind is StickSlip else {}
-    given |= {"element_damping": 20.0} if kind is ImplicitCoulomb else {}
-    given |= {"bristle_damping": 10.0} if kind is LuGre else {}
-    return kind(**given)
-
-
-@pytest.mark.parametrize(("kind", "period"), sweep(FRICTIONS, [0.005, 0.001], every=2))
-def test_friction_states_what_is_found_numerically(kind: type[Friction], period: float) -> None:
-    law = friction(kind, period)
-    always, stuck = law.gains()
-    (near,) = linearise(Controller([law], period=period), np.zeros((1, 6)))
-    creep = 2e-3 if issubclass(kind, Dahl | LuGre) else 1e-6
-    assert near.stiffness[0, 0] == pytest.approx(always.stiffness[0] + stuck.stiffness[0], rel=creep)
-    assert near.damping[0, 0] == pytest.approx(always.damping[0] + stuck.damping[0], rel=creep)
-
-
-@pytest.mark.parametrize("kind", [StickSlip, LuGre, *further(*FRICTIONS)])
-def test_stuck_friction_is_stable(kind: type[Friction]) -> None:
-    assert verdict(friction(kind, T), silent).stable is True
-
-
-@pytest.mark.parametrize("stiffness", [9870.0, 8000.0, *further(5000.0, 3000.0, 1000.0)])
+@pytest.mark.parametrize("stiffness", [9870.0, 8000.0])
 def test_detents_are_judged_at_their_bottoms(stiffness: float) -> None:
     # A crest is no place of rest, whatever the wall: set aside, and counted.
     found = verdict(Detent(axes="x", stiffness=stiffness), pose=[2e-4, 0, 0, 0, 0, 0])
@@ -269,20 +219,31 @@ def test_walls_that_state_no_gains_are_judged_inside_their_faces() -> None:
     )
 
 
-def test_a_start_on_an_edge_is_moved_off_it() -> None:
+def test_a_start_on_an_edge_is_moved_off_it_and_jumps_are_counted() -> None:
     # Else each pose of the grid but those along that axis would be a jump.
-    for side in (1.0, -1.0):
-        edge = along_x(lambda x, v, side=side: (side * x < 0.0) * -(3000.0 * x + 50.0 * v))  # type: ignore[misc]
-        found = verdict(edge)
-        assert found.stable is True and 1 <= len(found.jumps) <= 2
-        assert "jumps or bends" in found.remarks[0]
+    found = verdict(along_x(lambda x, v: (x < 0.0) * -(3000.0 * x + 50.0 * v)))
+    assert found.stable is True and 1 <= len(found.jumps) <= 2
+    assert "jumps or bends" in found.remarks[0]
+    relay = along_x(lambda x, v: -0.5 * ((x > 0.0) * 1.0 - (x < 0.0) * 1.0) - 20.0 * v)
+    found = verdict(relay)
+    assert found.stable is True and len(found.jumps) == 1
+    # a force that jumps with the speed jumps wherever the flotor rests: nothing is known
+    coulomb = verdict(along_x(lambda x, v: -0.5 * ((v > 0.0) * 1.0 - (v < 0.0) * 1.0)))
+    assert coulomb.stable is None and len(coulomb.jumps) > 100
+
+
+@pytest.mark.parametrize("period", [0.005, 1e-4])
+def test_displacements_stay_below_the_speed_at_which_friction_slides(period: float) -> None:
+    law = along_x(lambda x, v: (abs(v) < 4e-4) * (-3000.0 * x) - 20.0 * v)
+    (near,) = linearise(Controller([law], period=period), np.zeros((1, 6)))
+    assert near.stiffness[0, 0] == pytest.approx(3000.0) and not near.jumps.any()
 
 
 def test_an_axis_without_stiffness_is_stable() -> None:
     # It may stay anywhere: one root at 1, or two without damping, which are split off.
     others = Hold.critically_damped(AXES[1:], inertia=INERTIA[1:], period=T, delay=DELAY)
     held = at_rest(Controller([others], period=T), DELAY)
-    for force in (lambda x, v: 0.0 * x, lambda x, v: -30.0 * v, lambda x, v: -1e-9 * x - 1e-12 * v):
+    for force in (lambda x, v: -30.0 * v, lambda x, v: -1e-9 * x - 1e-12 * v):
         found = verdict(along_x(force))
         assert found.stable is True and found.modulus == pytest.approx(held, abs=1e-6)
     assert verdict(along_x(lambda x, v: -400.0 * v)).stable is False
@@ -317,21 +278,14 @@ class VirtualMass(AxisLaw):
         return force, (place + 0.001 * speed, speed)
 
 
-@pytest.mark.parametrize(
-    ("mass", "coupling"),
-    [
-        (0.1, (500.0, 5.0)),
-        (1.0, (20000.0, 4.0)),
-        *further((0.3, (2000.0, 20.0)), (1.0, (10000.0, 40.0)), (3.0, (60000.0, 100.0))),
-    ],
-)
-def test_a_virtual_mass_is_judged_without_its_free_motion(mass: float, coupling: tuple[float, float]) -> None:
-    law = VirtualMass(axes="z", mass=mass, stiffness=coupling[0], damping=coupling[1])
-    roots = exact(law, (0.0, 0.0), period=0.001, delay=0.0005, mass=INERTIA[2])
-    assert np.abs(roots[:2] - 1.0).max() < 1e-6  # a double root is known to half of the digits
-    found = judge(Controller([law], period=0.001), delay=0.0005)
-    assert found.modulus == pytest.approx(np.abs(roots[2:]).max(), abs=1e-9) and found.axes == ("z",)
-    assert found.stable is bool(np.abs(roots).max() < 1.0 + 1e-6) and not found.remarks
+def test_a_virtual_mass_is_judged_without_its_free_motion() -> None:
+    for mass, stiffness, damping in ((0.1, 500.0, 5.0), (1.0, 20000.0, 4.0)):
+        law = VirtualMass(axes="z", mass=mass, stiffness=stiffness, damping=damping)
+        roots = exact(law, (0.0, 0.0), period=0.001, delay=0.0005, mass=INERTIA[2])
+        assert np.abs(roots[:2] - 1.0).max() < 1e-6  # a double root is known to half of the digits
+        found = judge(Controller([law], period=0.001), delay=0.0005)
+        assert found.modulus == pytest.approx(np.abs(roots[2:]).max(), abs=1e-9) and found.axes == ("z",)
+        assert found.stable is bool(np.abs(roots).max() < 1.0 + 1e-6) and not found.remarks
 
 
 class Integral(AxisLaw):
@@ -350,6 +304,18 @@ def test_an_integral_is_judged_by_its_own_root(leak: float) -> None:
     roots = exact(law, 0.0, period=T, delay=DELAY, mass=INERTIA[0])
     assert found.stable is True and found.modulus == pytest.approx(np.abs(roots).max(), abs=1e-9)
     assert np.isinf(found.stiffness[0, 0]) == (leak == 0.0)
+
+    class Corner(Integral):
+        """The same at one end of the range only."""
+
+        def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+            area = (0.0 if state is None else state) * (1.0 - gains.leak) + (x < -3e-3) * 0.005 * x
+            return -1000.0 * x - 40.0 * v - 1000.0 * area, area
+
+    if leak == 0.1:
+        there = verdict(Corner(axes="x", leak=leak))
+        assert there.stable is True and not len(there.unknown)
+        assert there.modulus >= np.abs(roots).max() - 1e-9
 
 
 WEIGHTS = np.random.default_rng(0).standard_normal(600)
@@ -372,10 +338,9 @@ class Cave(Echo):
         return near * echo + (1.0 - near) * (-1000.0 * x - 40.0 * v), line
 
 
-@pytest.mark.parametrize("longest", [40, *further(512)])
-def test_an_answer_that_does_not_die_away_is_not_known(longest: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", longest)
-    monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[: longest + 88])
+def test_an_answer_that_does_not_die_away_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("maglev_mj.theory.linearise._LONGEST", 40)
+    monkeypatch.setattr("tests.theory.test_linearise.WEIGHTS", WEIGHTS[:128])
     found = verdict(Echo(axes="x"))
     assert found.stable is None and len(found.unknown) > 100 and "512 samples" in found.remarks[0]
     assert str(found).endswith("not known")
@@ -384,40 +349,9 @@ def test_an_answer_that_does_not_die_away_is_not_known(longest: int, monkeypatch
     assert few.stable is None and few.modulus < 1.0 and 0 < len(few.unknown) < 10
     # what is unstable for certain is said to be
     assert verdict(Echo(axes="y"), Hold(axes="x", stiffness=20000.0, damping=80.0), axes=2).stable is False
-
-
-class Corner(AxisLaw):
-    """Integral action at one end of the range only, with a leak or none."""
-
-    leak: float = gain(default=0.0)
-
-    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
-        area = (0.0 if state is None else state) * (1.0 - gains.leak) + (x < -3e-3) * 0.005 * x
-        return -1000.0 * x - 40.0 * v - 1000.0 * area, area
-
-
-def test_an_answer_that_lasts_at_some_poses_alone_is_waited_for_there() -> None:
-    for leak in (0.0, 0.1):
-        found = verdict(Corner(axes="x", leak=leak))
-        there = exact(Integral(axes="x", leak=leak), 0.0, period=T, delay=DELAY, mass=INERTIA[0])
-        assert found.stable is True and not len(found.unknown)
-        assert found.modulus >= np.abs(there).max() - 1e-9
-
-
-@pytest.mark.parametrize("period", [0.005, 1e-4])
-def test_displacements_stay_below_the_speed_at_which_friction_slides(period: float) -> None:
-    law = along_x(lambda x, v: (abs(v) < 4e-4) * (-3000.0 * x) - 20.0 * v)
-    (near,) = linearise(Controller([law], period=period), np.zeros((1, 6)))
-    assert near.stiffness[0, 0] == pytest.approx(3000.0) and not near.jumps.any()
-
-
-def test_jumps_are_counted_and_no_gains() -> None:
-    relay = along_x(lambda x, v: -0.5 * ((x > 0.0) * 1.0 - (x < 0.0) * 1.0) - 20.0 * v)
-    found = verdict(relay)
-    assert found.stable is True and len(found.jumps) == 1
-    # a force that jumps with the speed jumps wherever the flotor rests: nothing is known
-    coulomb = verdict(along_x(lambda x, v: -0.5 * ((v > 0.0) * 1.0 - (v < 0.0) * 1.0)))
-    assert coulomb.stable is None and len(coulomb.jumps) > 100
+    with np.errstate(invalid="ignore"):
+        (near,) = linearise(Controller([along_x(lambda x, v: np.sqrt(1e-16 - x * x))], period=T), np.zeros((1, 6)))
+    assert near.settled.tolist() == [False, True, True, True, True, True]  # what is not finite is not known
 
 
 def test_laws_of_floats_alone_and_laws_that_mix_devices_are_asked_one_by_one() -> None:
@@ -425,20 +359,6 @@ def test_laws_of_floats_alone_and_laws_that_mix_devices_are_asked_one_by_one() -
     for force in (lambda x, v: -5.0 * math.sin(100.0 * x), lambda x, v: -5.0 * np.sin(100.0 * np.max(x))):
         for near, pose in zip(linearise(Controller([along_x(force)], period=T), poses), poses, strict=True):
             assert near.stiffness[0, 0] == pytest.approx(500.0 * math.cos(100.0 * pose[0]), rel=1e-6)
-
-
-def test_an_answer_that_is_not_finite_is_not_known() -> None:
-    with np.errstate(invalid="ignore"):
-        (near,) = linearise(Controller([along_x(lambda x, v: np.sqrt(1e-16 - x * x))], period=T), np.zeros((1, 6)))
-    assert near.settled.tolist() == [False, True, True, True, True, True]
-
-
-def test_the_controller_is_left_as_it_is() -> None:
-    controller = Controller([StickSlip(axes="x", stiffness=1e3, breakaway=1.0, v_min=0.01)], period=T)
-    before = controller.states
-    judge(controller, delay=DELAY)
-    linearise(controller, np.zeros((1, 6)))
-    assert controller.states == before
 
 
 def test_a_scene_of_any_kind_is_judged() -> None:
@@ -469,20 +389,20 @@ def test_a_stated_gain_below_zero_is_judged_numerically() -> None:
     assert not found.stated and found.stable is False
 
 
-def test_bad_values_are_refused_in_one_line() -> None:
-    controller = Controller([silent], period=T)
-    for how, message in (
+@pytest.mark.parametrize(
+    ("how", "message"),
+    [
         ({"delay": -1.0}, "delay must be"),
         ({"delay": 1.0}, "at most 10 periods"),
         ({"delay": 0.0, "pose": [0.0] * 3}, r"must be \(6,\)"),
         ({"delay": 0.0, "inertia": [0.0] * 6}, "above 0"),
-    ):
-        with pytest.raises(ParameterError, match=message) as caught:
-            judge(controller, **how)
-        assert "\n" not in str(caught.value)
-    batch = Controller([Hold(stiffness=np.ones((3, 6)), damping=0.0)], period=T)
+    ],
+)
+def test_bad_values_are_refused(how: dict[str, Any], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        judge(Controller([silent], period=T), **how)
     with pytest.raises(ParameterError, match="batch shape"):
-        judge(batch, delay=0.0)
+        judge(Controller([Hold(stiffness=np.ones((3, 6)), damping=0.0)], period=T), delay=0.0)
 
 
 def test_a_state_space_needs_python_control(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -545,15 +465,12 @@ def test_python_control_answers_as_the_loop() -> None:
     push = np.eye(6)[:, :1] * np.ones(300)
     moved = responses((loop.matrix, loop.enters, loop.seen, np.zeros((6, 6))), push)
     np.testing.assert_allclose(control.forced_response(plant, inputs=push).outputs, moved, atol=1e-15)
-    past = np.convolve(moved[0], near.response[:, 0, 0])[:300]
-    np.testing.assert_allclose(control.forced_response(law, inputs=moved).outputs[0], past, atol=1e-12)
 
 
-@pytest.mark.parametrize("axis", ["x", "y", "ry"])
-def test_a_hold_on_an_axis_without_a_wall_is_judged_too(axis: str) -> None:
-    laws = [Wall(axes="z", lower=0.0, stiffness=1000.0, damping=40.0), Hold(axes=axis, stiffness=5e4, damping=1.0)]
+def test_a_hold_on_an_axis_without_a_wall_is_judged_too() -> None:
+    laws = [Wall(axes="z", lower=0.0, stiffness=1000.0, damping=40.0), Hold(axes="ry", stiffness=5e4, damping=1.0)]
     found = judge(Controller(laws, period=0.005), delay=DELAY)
-    assert (found.stable, found.axes, found.stated) == (False, (axis,), True)
+    assert (found.stable, found.axes, found.stated) == (False, ("ry",), True)
     # of two that are unstable the worse is named
     worse = [*laws, Hold(axes="z", stiffness=1e9, damping=1.0)]
     assert judge(Controller(worse, period=0.005), delay=DELAY).axes == ("z",)
