@@ -19,13 +19,11 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import perceived_hardness
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run, run_phases
-from maglev_mj.scenes.scene import Scene
 from maglev_mj.spec import GRAVITY
-from maglev_mj.studies.compare import _MARGINS, LAWS, Comparison, compare
+from maglev_mj.studies.compare import _MARGINS, Comparison, compare
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory.boundary import boundary_of, largest_stable_stiffness
 from maglev_mj.theory.closed_loop import SampledLoop, largest_modulus
-from tests.sweeps import further
 
 OWN = """
 from maglev_mj import AxisLaw, Law, gain
@@ -50,9 +48,9 @@ class Other:
 """
 pytestmark = pytest.mark.xdist_group("compare")  # they share what two fixtures ran
 
-BARE = Press(hits=2, pulse=0.0)
+BARE = Press(hits=1, duration=1.0, pulse=0.0)
 PASSIVE = {"stiffness": 6.45 / 0.004, "damping": 0.0, "pulse": 0.0}
-PHASES = 9
+PHASES = 4
 OBSERVER = ObserverWall(axes="z", stiffness=6000.0, damping=80.0, inertia=0.7, period=0.005, delay=0.0015)
 OBSERVED: dict[str, Any] = {"design": lambda stiffness, damping, period: OBSERVER.linear(stiffness, damping)}
 
@@ -71,45 +69,20 @@ def drops() -> Comparison:
 
 @pytest.fixture(scope="module")
 def presses() -> Comparison:
-    return compare(BARE.replace(pulse=220.0), ["pd", "pulse", "colgate"], phases=2)
+    return compare(BARE.replace(pulse=220.0), ["pd", "colgate"], phases=2)
 
 
-def check_figures(found: Comparison, scenes: Mapping[str, Scene]) -> None:
-    """Assert that each law has the figures of its scene alone."""
-    for label, scene in scenes.items():
+def test_figures_are_those_of_single_studies_to_the_last_bit(drops: Comparison, presses: Comparison) -> None:
+    scenes = [(drops, "pd", Drop(pulse=0.0)), (drops, "pulse", Drop()), (presses, "colgate", BARE.replace(**PASSIVE))]
+    for found, label, scene in scenes:
         alone = run_phases(scene, len(found.phases[label].phases), plant="exact").figures
-        shown = found.phases[label].figures.keys() - {"hardness"}
-        assert {name for name in alone if "penetration" in name or "peak_force" in name} <= shown
-        for name in shown:
-            np.testing.assert_array_equal(found.phases[label].figures[name], alone[name])
-
-
-def test_figures_of_drops_are_those_of_single_studies_to_the_last_bit(drops: Comparison) -> None:
-    check_figures(drops, {"pd": Drop(pulse=0.0), "pulse": Drop()})
-
-
-def test_figures_of_presses_are_those_of_single_studies_to_the_last_bit(presses: Comparison) -> None:
-    pulsed = BARE.replace(pulse=220.0)
-    check_figures(presses, {"pd": BARE, "pulse": pulsed, "colgate": pulsed.replace(**PASSIVE)})
-
-
-@pytest.mark.usefixtures("no_margins")
-@pytest.mark.parametrize("scene", ["drop", *further("press")])
-def test_the_command_gives_the_numbers_of_the_scenes_own(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ["--phases", "2", "--plant", "exact", "--json", "-"]
-    assert cli.main([scene, *options]) == 0
-    alone = json.loads(capsys.readouterr().out)["sweep"]["phases"]
-    assert cli.main(["compare", scene, *options, "--law", "pulse", "--law", "half-sample"]) == 0
-    data = json.loads(capsys.readouterr().out)
-    found = [{name: row[name] for name in row if name != "hardness"} for row in data["laws"]["pulse"]["phases"]]
-    assert found == [{name: row[name] for name in found[0]} for row in alone] and data["scene"] == scene
-    assert len(found[0]) >= 5 and all("hardness" in row for row in data["laws"]["pulse"]["phases"])
-    assert data["columns"]["law"] == ["pulse", "half-sample"] == list(data["laws"])
-
-
-def test_hardness_is_that_of_the_motion(drops: Comparison) -> None:
-    trace = run(Drop(pulse=0.0), plant="exact", phase=2 / PHASES).trace
-    assert drops.phases["pd"].figures["hardness"][2] == perceived_hardness(trace, 0.005).extended
+        shown = found.phases[label].figures
+        assert {name for name in alone if "penetration" in name or "peak_force" in name} <= shown.keys()
+        for name in shown.keys() - {"hardness"}:
+            np.testing.assert_array_equal(shown[name], alone[name])
+    phases = [run(Drop(pulse=0.0), plant="exact", phase=place / PHASES) for place in range(PHASES)]
+    hardness = [float(perceived_hardness(one.trace, 0.005).extended) for one in phases]
+    assert drops.phases["pd"].figures["hardness"] == pytest.approx(hardness, rel=1e-12)
 
 
 def check_margin(found: Mapping[str, float], **more: Any) -> None:
@@ -146,13 +119,20 @@ def test_margins_of_predictive_walls_are_those_of_the_exact_closed_loop() -> Non
     assert held["modulus"] == pytest.approx(float(loop.modulus(6000.0, 80.0)), abs=1e-6)
 
 
-def test_a_margin_beyond_tenfold_is_not_given() -> None:
-    assert largest_stable_stiffness(80.0, period=0.005, delay=0.0015, mass=0.7) > 10.0 * 900.0
-    found = compare(Drop(stiffness=900.0, duration=0.1), ["pd"], phases=1).margins["pd"]
-    assert np.isnan(found["margin"]) and np.isnan(found["stiffest"])
-    assert found["modulus"] == pytest.approx(
-        float(largest_modulus(900.0, 80.0, period=0.005, delay=0.0015, mass=0.7)), abs=1e-6
-    )
+def test_a_margin_is_of_the_walls_own_stiffness_and_none_beyond_tenfold() -> None:
+    loop: dict[str, Any] = {"period": 0.005, "delay": 0.0015, "mass": 0.7}
+    stiffest = float(largest_stable_stiffness(80.0, **loop))
+    fixed = partial(Wall, axes="z", lower=0.0, stiffness=9000.0)
+    for stiffness, law in ((900.0, "pd"), (12000.0, "pd"), (3000.0, fixed)):
+        (found,) = compare(Drop(stiffness=stiffness, duration=0.1), {"law": law}, phases=1).margins.values()
+        if law is fixed:
+            assert found["stiffness"] == pytest.approx(9000.0, rel=1e-6) and np.isnan(found["margin"])
+            continue
+        assert found["modulus"] == pytest.approx(float(largest_modulus(stiffness, 80.0, **loop)), abs=1e-6)
+        if stiffness == 900.0:
+            assert stiffest > 10.0 * stiffness and np.isnan([found["margin"], found["stiffest"]]).all()
+        else:
+            assert found["modulus"] > 1.0 and found["margin"] == pytest.approx(stiffest / stiffness, rel=5e-5)
 
 
 class Bang(AxisLaw):
@@ -167,17 +147,8 @@ class Bang(AxisLaw):
 
 def test_a_law_that_jumps_where_it_rests_has_noise_and_no_margin() -> None:
     found = compare(Drop(duration=0.1), [Bang], phases=1).margins["Bang"]
-    assert (
-        found["noise"] > 1.0
-        and np.isnan([found[name] for name in ("stiffness", "modulus", "stiffest", "margin")]).all()
-    )
-
-
-def test_the_margin_of_an_unstable_wall_is_below_one() -> None:
-    found = compare(Drop(stiffness=12000.0, duration=0.1), ["pd"], phases=1).margins["pd"]
-    stiffest = float(largest_stable_stiffness(80.0, period=0.005, delay=0.0015, mass=0.7))
-    assert found["modulus"] > 1.0
-    assert found["margin"] == pytest.approx(stiffest / 12000.0, rel=5e-5)
+    assert found["noise"] > 1.0
+    assert np.isnan([found[name] for name in ("stiffness", "modulus", "stiffest", "margin")]).all()
 
 
 def test_noise_is_that_of_a_flotor_at_rest_in_the_scenes_hand(drops: Comparison, presses: Comparison) -> None:
@@ -189,11 +160,11 @@ def test_noise_is_that_of_a_flotor_at_rest_in_the_scenes_hand(drops: Comparison,
     assert drops.margins["observer"]["noise"] == hum(0.0, law=OBSERVER, stiffness=rest).force.item()
 
 
-def test_a_law_of_ones_own_stands_in_the_place_of_the_wall(own: Path) -> None:
-    laws = compare("drop", ["pd", f"{own}:Mine"], phases=2)
-    for name, values in laws.phases["pd"].figures.items():
+def test_a_law_of_ones_own_stands_in_the_place_of_the_wall(own: Path, drops: Comparison) -> None:
+    laws = compare("drop", [f"{own}:Mine"], phases=PHASES)
+    for name, values in drops.phases["pd"].figures.items():
         np.testing.assert_array_equal(laws.phases["Mine"].figures[name], values)
-    assert laws.margins["pd"] == pytest.approx(laws.margins["Mine"], rel=1e-6)
+    assert drops.margins["pd"] == pytest.approx(laws.margins["Mine"], rel=1e-6)
     kept = laws.phases["Mine"].scene.laws()
     assert type(kept[0]).__name__ == "Mine" and isinstance(kept[1], Hold) and len(kept) == 2
 
@@ -213,18 +184,6 @@ def test_laws_have_the_labels_and_numbers_of_a_mapping() -> None:
     assert (law.stiffness, law.damping, law.pole) == (9000.0, 80.0, 0.4)
 
 
-def test_a_law_whose_stiffness_is_not_the_scenes_has_no_margin() -> None:
-    fixed = partial(Wall, axes="z", lower=0.0, stiffness=9000.0)
-    found = compare(Drop(stiffness=3000.0, duration=0.1), {"fixed": fixed}, phases=1).margins["fixed"]
-    assert found["stiffness"] == pytest.approx(9000.0, rel=1e-6) and np.isnan(found["margin"])
-
-
-@pytest.mark.usefixtures("no_margins")
-def test_an_observer_knows_the_force_limit() -> None:
-    found = compare(Drop(force_limit=60.0), ["observer"], phases=1)
-    assert found.phases["observer"].scene.laws()[0].force_limit == 60.0
-
-
 @pytest.fixture
 def no_margins(monkeypatch: pytest.MonkeyPatch) -> None:
     """Leave out the search of the margins, which takes most of the time."""
@@ -232,9 +191,10 @@ def no_margins(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_margins")
-def test_the_table_fits_and_names_every_law(drops: Comparison, presses: Comparison) -> None:
-    eight = {f"a law called number {place}": "pd" for place in range(8)}
-    for found in (drops, presses, compare(Drop(duration=0.1), eight, phases=2)):
+def test_the_table_names_every_law_and_an_observer_knows_the_force_limit(drops: Comparison) -> None:
+    eight: dict[str, Any] = {f"a law called number {place}": "observer" for place in range(8)}
+    many = compare(Drop(duration=0.1, force_limit=60.0), eight, phases=2)
+    for found in (drops, many):
         lines = str(found.table()).splitlines()
         assert max(map(len, lines)) <= 100
         for label in found.phases:
@@ -242,6 +202,7 @@ def test_the_table_fits_and_names_every_law(drops: Comparison, presses: Comparis
     depths = 1e3 * drops.phases["pd"].figures["penetration"]
     low, middle, high = (f"{value:.2f}" for value in np.percentile(depths, [10, 50, 90]))
     assert f"{middle} ({low} to {high})" in str(drops.table())
+    assert many.phases["a law called number 0"].scene.laws()[0].force_limit == 60.0
 
 
 def test_a_data_frame_has_a_row_for_each_law(drops: Comparison) -> None:
@@ -272,35 +233,36 @@ def test_pictures_tell_eight_laws_apart_with_and_without_colour(tmp_path: Path) 
 
 
 @pytest.mark.usefixtures("no_margins")
-def test_the_command_draws_and_prints(own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    laws = ["--law", "pd", "--law", f"{own}:Mine"]
-    assert cli.main(["compare", "drop", "--stiffness", "4000", *laws, "--phases", "2", "--out", str(tmp_path)]) == 0
-    out = capsys.readouterr().out
+def test_the_command_draws_and_gives_the_numbers_of_the_scenes_own(
+    own: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ["--stiffness", "4000", "--phases", "2", "--plant", "exact", "--json"]
+    assert cli.main(["drop", *options, "-"]) == 0
+    alone = json.loads(capsys.readouterr().out)["sweep"]["phases"]
+    path, laws = tmp_path / "laws.json", ["--law", "pulse", "--law", f"{own}:Mine"]
+    assert cli.main(["compare", "drop", *options, str(path), *laws, "--out", str(tmp_path)]) == 0
+    out, data = capsys.readouterr().out, json.loads(path.read_text())
     assert "a wall of 4000 N/m" in out and "  Mine " in out and "over 2 phases" in out
     assert all(f"wrote {tmp_path / name}.png" in out for name in ("compare_drop", "compare_drop_phases"))
+    rows = data["laws"]["pulse"]["phases"]
+    found = [{name: row[name] for name in row if name != "hardness"} for row in rows]
+    assert found == [{name: row[name] for name in found[0]} for row in alone] and data["scene"] == "drop"
+    assert len(found[0]) >= 5 and all("hardness" in row for row in rows)
+    assert data["columns"]["law"] == ["pulse", "Mine"] == list(data["laws"])
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("drop --law FILE:Other", "law of mine.py must be one of Mine, Needy, not 'Other'"),
-        ("drop --law FILE", "law must be one of its file, but mine.py has Mine, Needy: name one as mine.py:CLASS"),
-        ("drop --law FILE:Needy", "law Needy must have a default for temperature: drop has period, delay, stiffness"),
-        ("drop", "law must be given, each once, and not be none alone"),
-    ],
-)
-def test_laws_of_a_file_that_cannot_be_taken_are_refused_in_one_line(
-    words: str, said: str, own: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["compare", *words.replace("FILE", str(own)).split()]) == 2
-    err = capsys.readouterr().err
-    assert said in err and err.count("\n") == 1
-
-
-def test_laws_in_python_are_checked() -> None:
+def test_laws_that_cannot_be_taken_are_refused_in_one_line(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words, said in (
+        (["--law", f"{own}:Other"], "law of mine.py must be one of Mine, Needy, not 'Other'"),
+        (["--law", str(own)], "law must be one of its file, but mine.py has Mine, Needy: name one as mine.py:CLASS"),
+        (["--law", f"{own}:Needy"], "law Needy must have a default for temperature: drop has period, delay, stiffness"),
+        ([], "law must be given, each once, and not be none alone"),
+    ):
+        assert cli.main(["compare", "drop", *words]) == 2
+        err = capsys.readouterr().err
+        assert said in err and err.count("\n") == 1
     with pytest.raises(ParameterError, match="law must be one of pd"):
         compare("drop", ["pid"])
     held = type("Held", (Drop,), {"laws": lambda scene: [Hold(axes="z", stiffness=scene.stiffness, damping=80.0)]})
     with pytest.raises(ParameterError, match="scene must be one whose first law is a wall"):
         compare(held(), ["pd"])
-    assert set(LAWS) == {"pd", "pulse", "half-sample", "observer", "disturbance-observer", "colgate"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from dataclasses import replace
-from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -151,48 +150,26 @@ def test_no_wall_of_a_dense_scan_is_stiffer_than_the_designed_one(seeds: Iterabl
         assert densely(wall, seed, 300).max() <= needs.modulus * (1.0 + 1e-6), seed
 
 
-FEW: dict[str, Any] = {"mass": (0.995006, 1.397408), "delay": (0.001809, 0.001892)}
+def test_a_wall_is_found_where_few_dampings_admit_one() -> None:
+    # One of a grid of 1000 dampings admits a wall.
+    around: dict[str, Any] = {"mass": (0.995006, 1.397408), "delay": (0.001809, 0.001892)}
+    wall = design_wall(WallRequirements(period=1.0 / 1700.0, hands=["stylus"], **around))
+    assert wall.stiffness == pytest.approx(7534.6, rel=2e-4)
+    assert wall.modulus <= 0.97 * (1.0 + 1e-9)
 
 
-# second: one of a grid of 1000 dampings admits a wall; third: crossings of the limit are 5e-9 beyond it
+# largest least dynamic stiffness of a grid over the gains, by law and hands [N/m]
 @pytest.mark.parametrize(
-    ("around", "stiffness"),
-    [(FEW, 7534.6), *further(({**FEW, "modulus": 0.969}, 5971.8), ({}, 6642.1))],
+    ("law", "hands", "stiffness"),
+    [("pd", ("none",), 3582.0), *further(("pd", tuple(HANDS), 3448.0), ("observer", tuple(HANDS), 8695.0))],
 )
-def test_a_wall_is_found_where_few_dampings_admit_one(around: dict[str, Any], stiffness: float) -> None:
-    needs = WallRequirements(period=1.0 / 1700.0, hands=["stylus"], **around)
-    wall = design_wall(needs)
-    assert wall.stiffness == pytest.approx(stiffness, rel=2e-4)
-    assert wall.modulus <= needs.modulus * (1.0 + 1e-9)
-
-
-# with more delay few gains admit a wall, and the search takes long
-@pytest.mark.parametrize("delay", [0.0015, *(pytest.param(delay, marks=pytest.mark.study) for delay in (0.003, 0.004))])
-def test_the_dynamic_goal_finds_a_wall_where_the_static_one_does(delay: float) -> None:
-    needs = WallRequirements(hands=[LIGHT], delay=(delay,) * 2, modulus=0.999)
-    static, dynamic = (design_wall(needs, goal=goal) for goal in ("static", "dynamic"))
-    assert dynamic.dynamic_stiffness >= static.dynamic_stiffness > 100.0
-    assert dynamic.modulus <= 0.999 * (1.0 + 1e-9)
-
-
-@cache
-def dynamic_wall(law: str, hands: tuple[str, ...]) -> DesignedWall:
-    """Return the wall of the dynamic goal over masses, delays and hands."""
+def test_the_dynamic_goal_is_reached_within_a_few_per_cent(law: str, hands: tuple[str, ...], stiffness: float) -> None:
     needs = WallRequirements(**{**EVERYTHING, "hands": hands}, modulus=1.0)
-    return design_wall(needs, law, goal="dynamic", pole=None if law == "pd" else 0.0)
-
-
-WALLS = [("pd", ("none",)), *(pytest.param(law, tuple(HANDS), marks=pytest.mark.study) for law in ("pd", "observer"))]
-DYNAMIC = {("pd", 1): 3582.0, ("pd", len(HANDS)): 3448.0, ("observer", len(HANDS)): 8695.0}
-"""Largest least dynamic stiffness of a grid over the gains, by law and number of hands [N/m]."""
-
-
-@pytest.mark.xdist_group("dynamic goal")
-@pytest.mark.parametrize(("law", "hands"), WALLS)
-def test_the_dynamic_goal_is_reached_within_a_few_per_cent(law: str, hands: tuple[str, ...]) -> None:
-    wall = dynamic_wall(law, hands)
-    assert wall.dynamic_stiffness == pytest.approx(DYNAMIC[law, len(hands)], rel=0.02)
+    wall = design_wall(needs, law, goal="dynamic", pole=None if law == "pd" else 0.0)
+    assert wall.dynamic_stiffness == pytest.approx(stiffness, rel=0.02)
     assert densely(wall, seed=5).max() <= wall.modulus * (1.0 + 1e-6) < 1.0
+    cases = needs.random(500, seed=11)
+    assert not growing_cases(wall, Contact(force_limit=None), cases, seed=12).any()
 
 
 @pytest.mark.parametrize("gains", [(25731.0, 219.7), pytest.param((24204.0, 209.0), marks=pytest.mark.study)])
@@ -203,17 +180,9 @@ def test_gains_for_each_error_alone_fail_where_errors_come_together(gains: tuple
     wall = replace(wall, stiffness=gains[0], damping=gains[1])
     modulus, case = worst_case(needs, *gains, wall.design)
     assert modulus > 1.009 and case.hand == "arm" and case.mass == pytest.approx(0.84)
-    arms = [Case(0.84, 0.0012, "arm")] * 20
+    arms = [Case(0.84, 0.0012, "arm")] * 5
     assert growing_cases(wall, Contact(force_limit=None), arms).all()
     assert growing_cases(wall, Contact(), arms).all()
-
-
-@pytest.mark.xdist_group("dynamic goal")
-@pytest.mark.parametrize(("law", "hands"), WALLS)
-def test_simulations_of_the_printed_gains_do_not_grow(law: str, hands: tuple[str, ...]) -> None:
-    wall = dynamic_wall(law, hands)
-    cases = wall.requirements.random(500, seed=11)
-    assert not growing_cases(wall, Contact(force_limit=None), cases, seed=12).any()
 
 
 def test_a_pulse_stops_the_lightest_flotor_and_lessens_the_depth() -> None:
@@ -227,22 +196,23 @@ def test_a_pulse_stops_the_lightest_flotor_and_lessens_the_depth() -> None:
         evaluate_wall(design_wall(WallRequirements(), "observer", pole=0.0), braked)
 
 
-def test_bad_requirements_are_refused_with_the_value() -> None:
-    cases: list[tuple[dict[str, Any], str]] = [
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
         ({"mass": (0.8, 0.6)}, "mass must be from a lower to a higher value, not 0.8 to 0.6"),
         ({"delay": (0.0, 0.06)}, "delay must be a finite number at least 0 and at most 0.05, not 0.06"),
         ({"hands": ()}, "hands must be one or more different ones, not none at all"),
         ({"hands": ("arm", "arm")}, "hands must be one or more different ones, not arm, arm"),
         ({"hands": ("fist",)}, "hand must be one of none, arm, stylus, fingertip, or"),
         ({"modulus": 1.01}, "modulus must be a finite number above 0 and at most 1, not 1.01"),
-    ]
-    for options, words in cases:
-        with pytest.raises(ParameterError, match=words):
-            WallRequirements(**options)
-    with pytest.raises(ParameterError, match="law must be one of pd, observer"):
-        design_wall(WallRequirements(), "pid")
-    with pytest.raises(ParameterError, match=r"modulus must be above 0\.5 here: no pd wall"):
-        design_wall(WallRequirements(modulus=0.5))
+        ({"modulus": 0.5}, r"modulus must be above 0\.5 here: no pd wall"),
+        ({"law": "pid"}, "law must be one of pd, observer"),
+    ],
+)
+def test_bad_requirements_are_refused_with_the_value(options: dict[str, Any], words: str) -> None:
+    law = options.pop("law", "pd")
+    with pytest.raises(ParameterError, match=words):
+        design_wall(WallRequirements(**options), law)
 
 
 @pytest.mark.parametrize("drawn", [False, pytest.param(True, marks=pytest.mark.study)])
@@ -266,22 +236,20 @@ def test_a_wall_that_goes_on_ends_with_status_1(capsys: Any) -> None:
 
 def test_a_scene_gives_rate_delay_and_mass(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Of a file too; what is given as an option goes before.
-    text = "from maglev_mj import Scene, param\n\n\nclass Fast(Scene):\n"
-    text += '    period: float = param("period", "s", default=0.002)\n'
-    text += '    delay: float = param("delay", "s", default=0.001)\n\n'
-    text += "    def laws(self):\n        return []\n\n    def plant_options(self):\n        return {'mass': 0.5}\n"
-    (tmp_path / "fast.py").write_text(text)
+    (tmp_path / "fast.py").write_text(
+        "from maglev_mj.scenes.drop import Drop\n\n\nclass Fast(Drop):\n"
+        "    def plant_options(self):\n        return {'mass': 0.5}\n"
+    )
     monkeypatch.chdir(tmp_path)
-    told: list[Any] = []
+    asked: list[Any] = []
 
     def keep(needs: WallRequirements, *_: Any, **__: Any) -> None:
-        told.append(needs)
+        asked.append(needs)
         raise ParameterError("needs must be kept")
 
     monkeypatch.setattr("maglev_mj.cli.studies.design_wall", keep)
-    fast = "--period 0.002 --delay 0.001 --mass 0.5"
-    for words in ("fast.py", fast, "drop", "", "fast.py --mass 0.7 --period 0.005"):
+    given = "--period 0.005 --delay 0.0015 --mass 0.5"
+    for words in ("fast.py", given, "drop", "", "fast.py --mass 0.7 --period 0.004"):
         assert main(["design", *words.split(), "--json", "-"]) == 2
-    assert len(told) == 5
-    assert told[0] == told[1] != told[2] == told[3]
-    assert told[4] not in (told[0], told[2])
+    file, options, drop, none, both = asked
+    assert file == options != drop == none and both not in (file, drop)

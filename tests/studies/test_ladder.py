@@ -72,15 +72,6 @@ LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
 
 
 WALLS = [(6000.0, 80.0), (6000.0, 40.0), (3000.0, 60.0), (2000.0, 40.0), (8000.0, 80.0)]
-NEEDED = {
-    "drop": "steps",
-    "drop-no-pulse": "jitter",
-    "press": "jitter",
-    "stick-slip": "jitter",
-    "twist": "body",
-    "six-axes": "jitter",
-    "let-go": "stops",
-}
 
 
 INTERACTIVE = ("joystick", "table", "box", "corner")
@@ -152,34 +143,36 @@ def test_the_model_recommended_holds_in_cases_never_looked_at(
     assert (found > preset.tolerance).sum() <= 2 or result.unscreened
 
 
-@pytest.mark.study
-@pytest.mark.parametrize("name", COMPARED)
-def test_each_scene_needs_its_level(name: str) -> None:
-    result = measure_fidelity(name)
-    assert result.level is not None and result.level.level == NEEDED[name]
-    index = level_index(result.level.level)
-    # necessary: the level below is off by more than the tolerance with its margin
-    assert MARGIN * result.levels[index - 1].missing > result.tolerance
-    assert result.cheapest is not None and abs(result.cheapest.shift or 0.0) <= result.over.boundary
-
-
 def small(name: str, **values: float) -> Preset:
     """Return a short version of a scene."""
     preset = preset_of(name)
     return preset._replace(scene=preset.scene.replace(duration=0.1, **values))
 
 
-@pytest.mark.parametrize("name", ["drop", "joystick"])
-def test_cases_run_together_as_they_do_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(InteractiveScene, "end", 1.1)
-    scene: Any = (small(name) if name == "drop" else preset_of(name)).scene
+@pytest.mark.study
+@pytest.mark.parametrize(
+    ("name", "level"),
+    [("drop", "steps"), ("twist", "body"), ("let-go", "stops")]
+    + [(name, "jitter") for name in ("drop-no-pulse", "press", "stick-slip", "six-axes")],
+)
+def test_each_scene_needs_its_level(name: str, level: str) -> None:
+    result = measure_fidelity(name)
+    assert result.level is not None and result.level.level == level
+    # necessary: the level below is off by more than the tolerance with its margin
+    assert MARGIN * result.levels[level_index(level) - 1].missing > result.tolerance
+    assert result.cheapest is not None and abs(result.cheapest.shift or 0.0) <= result.over.boundary
+
+
+def test_cases_run_together_as_they_do_alone() -> None:
+    scene = Drop(duration=0.1)
     points: list[tuple[Any, float]] = [scene_at(scene, case) for case in scattered_cases(scene, 3, 0.1, seed=1)]
-    assert len({(each.stiffness, each.damping) for each, _ in points}) == 3
-    assert len({phase for _, phase in points}) == (3 if scene.takes_phase else 1)
+    assert len({(each.stiffness, each.damping) for each, _ in points}) == len({phase for _, phase in points}) == 3
     together = run_together(points, "axes", 0)
     for place, (each, phase) in enumerate(points):
         alone = motion_of(*level_parts(each, "axes", phase=phase)).pose
         np.testing.assert_allclose(together[:, place], alone[: len(together)], atol=1e-12)
+    makers = [partial(level_parts, scene.replace(period=period), "axes") for period in (0.005, 0.002)]
+    assert measure_costs(makers, [2.0, 3.0], 1) == pytest.approx((2.0 / 0.105, 3.0 / 0.102))  # of a simulated second
 
 
 def test_a_jump_is_what_goes_far_beyond_the_median() -> None:
@@ -289,27 +282,17 @@ def test_the_drivers_lag_is_so_much_delay_to_two_micrometres(pulse: float) -> No
     assert np.abs(heights(0.0015, False) - truth).max() > 1e-4  # where it is left out altogether
 
 
-def steady(plant: MuJoCoPlant, force: float, ticks: int = 2) -> float:
-    """Return the acceleration along z under a held force after some ticks [m/s²]."""
-    for _ in range(ticks):
-        plant.read()
-        plant.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))
-    before = plant.state()[1][2]
-    plant.read()
-    return float(plant.state()[1][2] - before) / plant.period
-
-
 @pytest.mark.parametrize(("height", "left"), [(0.0, 1.0), (2.25e-3, 0.975), (-4.5e-3, 0.9)])
 def test_a_coil_loses_force_with_the_square_of_its_stroke(height: float, left: float) -> None:
-    timing = Timing(period=1e-4, delay=0.0)
-    plant = MuJoCoPlant(timing, pose=[0, 0, height, 0, 0, 0], gravity=0.0, force_falloff=0.1)
-    assert steady(plant, 7.0) == pytest.approx(10.0 * left, rel=1e-5)
-
-
-def test_the_stops_hold_a_flotor_without_currents() -> None:
-    plant = MuJoCoPlant(Timing(), stops=True)
-    last = drive(plant, Controller([], period=0.005), 60).pose
-    assert last[2] == pytest.approx(-4.5e-3, abs=5e-6)
+    plant = MuJoCoPlant(Timing(period=1e-4, delay=0.0), pose=[0, 0, height, 0, 0, 0], gravity=0.0, force_falloff=0.1)
+    speeds: list[float] = []
+    for _ in range(3):
+        plant.read()
+        plant.write(Command([0.0, 0.0, 7.0, 0.0, 0.0, 0.0]))
+        speeds.append(float(plant.state()[1][2]))
+    assert (speeds[-1] - speeds[-2]) / plant.period == pytest.approx(10.0 * left, rel=1e-5)
+    stopped = drive(MuJoCoPlant(Timing(), stops=True), Controller([], period=0.005), 60).pose
+    assert stopped[2] == pytest.approx(-4.5e-3, abs=5e-6)  # without currents
 
 
 def test_the_handle_swings_at_a_kilohertz() -> None:
@@ -384,21 +367,6 @@ def test_bad_values_are_refused(scene: str, tolerance: float | None, over: dict[
         measure_fidelity(scene, tolerance, Range(**over))
 
 
-def test_a_cost_is_of_a_simulated_second() -> None:
-    makers = [partial(level_parts, small("drop", period=period).scene, "axes") for period in (0.005, 0.002)]
-    assert measure_costs(makers, [2.0, 3.0], 1) == pytest.approx((2.0 / 0.105, 3.0 / 0.102))
-
-
-def test_all_cases_keep_a_tolerance_only_if_each_does() -> None:
-    shares = {1.0: "100", 4095 / 4096: "99.98", 0.9995: "99.95", 1.0 - 1e-9: "99.99", 0.0: "0"}
-    row = LevelResult("body", "", 0.0, 0.0, 0.0, 1.0, 0, 0.0, 1.0)
-    for share, text in shares.items():
-        rows = (row._replace(keeps=share),)
-        result = FidelityResult(preset_of("drop"), 1e-3, Range(), (itself(),), 4096, 0.0, 0, rows, None, (), None)
-        line = next(line for line in str(result.table()).splitlines() if line.startswith("  body"))
-        assert line.split()[-3] == text
-
-
 def moved(place: float, force: float = 0.0) -> Motion:
     """Return a motion that is nothing but a displacement [m]."""
     return Motion(np.array([[place, 0.0, 0.0, 0.0, 0.0, 0.0]]), np.zeros((1, 6)), force, False, 1.0)
@@ -425,6 +393,21 @@ def test_a_level_changes_what_the_level_below_it_did() -> None:
     assert [row.changes for row in rows] == pytest.approx(changes.tolist(), abs=1e-15)
     assert [row.force for row in rows] == pytest.approx((1e6 * changes).tolist(), abs=1e-9)
     assert [row.worst for row in rows] == pytest.approx((places[-1] - places).tolist(), abs=1e-15)
+
+
+def test_what_is_promised_is_rounded_down_and_never_beyond_the_range() -> None:
+    row = LevelResult("body", "", 0.0, 2e-3, 0.0, 1.0, 0, 0.0, 1.0)
+    step = StepResult("rk4", None, 0.0, 1.0, 0.0, 1e-6)
+    result = FidelityResult(preset_of("drop"), 1e-3, Range(), (itself(),), 4096, 3e-3, 0, (row,), row, (step,), step)
+    assert result.furthest == pytest.approx(MARGIN * 3e-3)  # of the jump
+    assert "none expected beyond 3750 µm, where a sample" in " ".join(str(result.table()).split())
+    for far in (4e-3, math.inf):  # the flotor has 4.5 mm
+        lost = replace(result, jump=far)
+        assert lost.furthest is None and lost.as_json()["furthest"] is None
+        assert "how far others go is not known" in " ".join(str(lost.table()).split())
+    for share, text in {1.0: "100", 4095 / 4096: "99.98", 1.0 - 1e-9: "99.99", 0.0: "0"}.items():
+        table = replace(result, levels=(row._replace(keeps=share),), level=None, steps=(), cheapest=None).table()
+        assert next(line for line in str(table).splitlines() if line.startswith("  body")).split()[-3] == text
 
 
 @pytest.mark.parametrize(("share", "worst"), [(1.0, 4.0), (0.99, 4.0), (0.7, 4.0), (0.5, 3.0), (0.01, 2.0)])
@@ -483,18 +466,6 @@ def test_the_command_answers_for_a_wall_of_ones_own(capsys: pytest.CaptureFixtur
     assert "METAL STOPS of the model in 1 of 1 cases" in said and "32 on the exact plant" in said
     assert main(["fidelity", "press", "--hand", "none"]) == 2
     assert "hand must have an arm" in capsys.readouterr().err
-
-
-def test_a_distance_beyond_the_range_is_no_promise() -> None:
-    row = LevelResult("body", "", 0.0, 2e-3, 0.0, 1.0, 0, 0.0, 1.0)
-    step = StepResult("rk4", None, 0.0, 1.0, 0.0, 1e-6)
-    result = FidelityResult(preset_of("drop"), 1e-3, Range(), (itself(),), 4096, 3e-3, 0, (row,), row, (step,), step)
-    assert result.furthest == pytest.approx(MARGIN * 3e-3)  # of the jump
-    assert "none expected beyond 3750 µm, where a sample" in " ".join(str(result.table()).split())
-    for far in (4e-3, math.inf):  # the flotor has 4.5 mm
-        lost = replace(result, jump=far)
-        assert lost.furthest is None and lost.as_json()["furthest"] is None
-        assert "how far others go is not known" in " ".join(str(lost.table()).split())
 
 
 class OneAlone(SixAxes):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import ExitStack
 from functools import partial
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -16,7 +17,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.find import find_scene, text_of
 from maglev_mj.scenes.names import GROUP
 from maglev_mj.studies import sweep as sweeping
-from maglev_mj.studies.cells import Workers, dask_workers, local_workers, run_cells
+from maglev_mj.studies.cells import dask_workers, local_workers, run_cells
 from maglev_mj.studies.record import Record
 from maglev_mj.studies.sweep import Grid, run_scene_cells, sweep
 
@@ -69,54 +70,46 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_cells_name_the_file_and_what_is_in_it(file: Path) -> None:
-    first = list(Grid(find_scene(str(file))(), GRID, plant="exact"))
-    assert len(first) == 6 and all(cell["scene"].startswith("magnet.py:Magnet@") for cell in first)
-    assert first[1] == first[0] | {"damping": 40.0}
-    elsewhere = file.parent / "other" / "magnet.py"
-    elsewhere.parent.mkdir()
-    elsewhere.write_bytes(file.read_bytes())
-    assert list(Grid(find_scene(str(elsewhere))(), GRID, plant="exact")) == first
-    elsewhere.write_text(FILE.replace("FURTHER", "* 2.0"))
-    changed = Grid(find_scene(str(elsewhere))(), GRID, plant="exact")
-    assert changed[0] == first[0] | {"scene": changed[0]["scene"]} and changed[0]["scene"] != first[0]["scene"]
-
-
 def test_a_changed_file_is_not_what_the_record_has(file: Path, tmp_path: Path) -> None:
-    record = tmp_path / "cells"
+    record, cells = tmp_path / "cells", Grid(find_scene(str(file))(), GRID, plant="exact")
+    assert len(cells) == 6 and all(cell["scene"].startswith("magnet.py:Magnet@") for cell in cells)
+    assert cells[1] == cells[0] | {"damping": 40.0}
     first = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
-    again = sweep(find_scene(str(file)), GRID, plant="exact", record=record)
-    assert (first.resumed, again.resumed) == (0, 6) and again.results == first.results
     file.write_text(FILE.replace("FURTHER", "* 2.0"))
     with pytest.raises(ParameterError, match=r"record must be of this study, not '.*cells', which has other scene$"):
         sweep(find_scene(str(file)), GRID, plant="exact", record=record)
     changed = sweep(find_scene(str(file)), GRID, plant="exact")
     assert first.figure("left").shape == (3, 2)
     np.testing.assert_array_equal(changed.figure("left"), 2.0 * first.figure("left"))
+    elsewhere = file.parent / "other" / "magnet.py"
+    elsewhere.parent.mkdir()
+    elsewhere.write_text(FILE.replace("FURTHER", ""))
+    again = sweep(find_scene(str(elsewhere)), GRID, plant="exact", record=record)
+    assert (first.resumed, again.resumed) == (0, 6) and again.results == first.results
+    file.write_text(FILE.replace("FURTHER", "+ 1 / 0"))
+    found = sweep(find_scene(str(file)), {"damping": [20.0]}, plant="exact")
+    assert found.results == [{"error": "ZeroDivisionError: division by zero"}] and np.isnan(found.figure("left")).all()
 
 
-def run_without_the_file(file: Path, workers: Workers) -> None:
-    """Check that workers without the file give equal results."""
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    "where", ["1", pytest.param("2", marks=pytest.mark.machine), pytest.param("cluster", marks=pytest.mark.machine)]
+)
+def test_workers_run_a_scene_whose_file_is_gone(where: str, file: Path) -> None:
     cls = find_scene(str(file))
     cells, text = Grid(cls(), GRID, plant="exact"), text_of(cls)
     here = sweep(cls, GRID, plant="exact").results
     assert len({result["left"] for result in here}) == 6
     file.unlink()
-    assert run_cells(partial(run_scene_cells, text=text), cells, workers=workers, together=2) == here
+    with ExitStack() as stack:
+        if where == "cluster":
+            from distributed import LocalCluster
 
-
-@pytest.mark.parametrize("count", [1, pytest.param(2, marks=pytest.mark.machine)])
-def test_processes_run_a_scene_whose_file_is_gone(count: int, file: Path) -> None:
-    run_without_the_file(file, local_workers(count))
-
-
-@pytest.mark.machine
-@pytest.mark.filterwarnings("ignore")
-def test_a_cluster_runs_a_scene_whose_file_it_never_had(file: Path) -> None:
-    import distributed
-
-    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster:
-        run_without_the_file(file, dask_workers(cluster.scheduler_address))
+            options: Any = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+            workers = dask_workers(stack.enter_context(LocalCluster(**options)).scheduler_address)
+        else:
+            workers = local_workers(int(where))
+        assert run_cells(partial(run_scene_cells, text=text), cells, workers=workers, together=2) == here
 
 
 @pytest.mark.parametrize("count", ["0", pytest.param("2", marks=pytest.mark.machine)])
@@ -130,21 +123,6 @@ def test_the_command_sweeps_a_file_on_processes(file: Path, count: str, monkeypa
     data = json.loads((file.parent / "all.json").read_text())
     assert data["scene"] == "magnet" and data["varied"] == {"stiffness": [500.0, 1000.0]}
     assert [cell["damping"] for cell in data["cells"]] == [20.0, 20.0]
-
-
-def test_the_help_lists_the_parameters_of_the_scene(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="0"):
-        main(["sweep", str(file), "--help"])
-    said = capsys.readouterr().out
-    assert "  stiffness      stiffness [N/m] (default 1000)\n" in said
-    assert "  plant          mujoco, exact (default mujoco)\n" in said and "  phase          of the samples" in said
-
-
-def test_an_error_of_ones_own_code_is_the_result_of_its_cell(file: Path) -> None:
-    file.write_text(FILE.replace("FURTHER", "+ 1 / 0"))
-    found = sweep(find_scene(str(file)), {"damping": [20.0]}, plant="exact")
-    assert found.results == [{"error": "ZeroDivisionError: division by zero"}]
-    assert np.isnan(found.figure("left")).all()
 
 
 def test_a_file_that_needs_its_neighbour_is_refused_by_a_worker_in_one_line(file: Path) -> None:
@@ -166,26 +144,6 @@ def test_a_scene_of_another_package_goes_by_its_place_and_a_hash(file: Path, mon
     (cell,) = Grid(magnet.Magnet(), {}, plant="exact")
     assert cell["scene"].startswith("magnet:Magnet@") and len(cell["scene"]) == len("magnet:Magnet@") + 16
     assert sweep(magnet.Magnet, {"phase": [0.0]}, plant="exact").results == run_scene_cells([cell])
-
-
-def test_scenes_that_no_file_has_at_its_top_are_refused() -> None:
-    class Local(find_scene("twist")):  # type: ignore[misc]
-        """A scene in a function."""
-
-    with pytest.raises(ParameterError, match="scene must be at the top of a file, so that others can run it"):
-        sweep(Local, {"duration": [0.1]})
-
-
-def test_a_grid_is_refused_before_anything_runs() -> None:
-    twist = find_scene("twist")
-    for vary, words in (
-        ({"phase": [0.1]}, "parameter of twist must be one of plant, period, delay, duration, not 'phase'"),
-        ({"plant": ["moon"]}, "plant must be one of exact, mujoco, not 'moon'"),
-        ({"duration": [0.1, -1.0]}, "duration must be a finite number above 0"),
-        ({"duration": [0.1] * 10010, "period": [0.005] * 10000}, "at most 100000000 cells, not 100100000"),
-    ):
-        with pytest.raises(ParameterError, match=words):
-            sweep(twist, vary)
 
 
 def test_a_large_grid_is_refused_at_its_corners_at_once_and_inside_by_the_worker(file: Path, tmp_path: Path) -> None:
@@ -211,13 +169,25 @@ def test_a_large_grid_is_refused_at_its_corners_at_once_and_inside_by_the_worker
     assert 0 < kept.done.sum() < 3600
 
 
+@pytest.mark.parametrize(
+    ("vary", "words"),
+    [
+        ({"phase": [0.1]}, "parameter of twist must be one of plant, period, delay, duration, not 'phase'"),
+        ({"plant": ["moon"]}, "plant must be one of exact, mujoco, not 'moon'"),
+        ({"duration": [0.1, -1.0]}, "duration must be a finite number above 0"),
+        ({"duration": [0.1] * 10010, "period": [0.005] * 10000}, "at most 100000000 cells, not 100100000"),
+    ],
+)
+def test_a_grid_is_refused_before_anything_runs(vary: dict[str, list[Any]], words: str) -> None:
+    twist = find_scene("twist")
+    with pytest.raises(ParameterError, match=words):
+        sweep(twist, vary)
+    with pytest.raises(ParameterError, match="scene must be at the top of a file, so that others can run it"):
+        sweep(type("Local", (twist,), {"__qualname__": "in.<locals>.Local"}), {"duration": [0.1]})
+
+
 def test_cells_of_a_slice_run_as_those_by_index_derived_parameters_too() -> None:
-    vary: dict[str, list[Any]] = {
-        "axis": ["x", "rx"],
-        "stiffness": [None, 500.0],
-        "plant": ["exact"],
-        "duration": [0.05],
-    }
+    vary = {"axis": ["x", "rx"], "stiffness": [None, 500.0], "plant": ["exact"], "duration": [0.05]}
     grid = Grid(find_scene("stick-slip")(), vary)
     cells = list(grid)
     assert cells[0]["stiffness"] != cells[2]["stiffness"] and cells[1]["stiffness"] == cells[3]["stiffness"] == 500.0
@@ -225,7 +195,11 @@ def test_cells_of_a_slice_run_as_those_by_index_derived_parameters_too() -> None
     assert run_scene_cells(grid[0:4]) == run_scene_cells(cells)
 
 
-def test_a_parameter_with_the_name_of_an_option_is_refused_in_one_line(file: Path, capsys: Any) -> None:
+def test_help_and_refusals_know_the_parameters_of_the_scene(file: Path, capsys: Any) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        main(["sweep", str(file), "--help"])
+    said = capsys.readouterr().out
+    assert "  stiffness      stiffness [N/m] (default 1000)\n" in said and "  phase          of the samples" in said
     file.write_text(FILE.replace("FURTHER", "").replace("damping: float = param", "share: float = param"))
     with pytest.raises(SystemExit, match="2"):
         main(["fidelity", str(file)])

@@ -49,23 +49,7 @@ def press_at_edge(
     period: float = _PERIOD,
     delay: float = _DELAY,
 ) -> Chatter:
-    """Press lightly on the wall; count its braking pulses.
-
-    Args:
-        press: Constant force of the hand towards the wall, weight compensated [N].
-        gates: Approach speeds from which on a pulse is given [m/s], (M,).
-        height: Where it is let go above the edge [m]; None for at rest in the wall.
-        pulse: Further damping in the pulse [N s/m].
-        noise: Standard deviation of the sensor's noise [m].
-        quantum: Its resolution [m].
-        duration: Simulated time [s].
-        phases: Sampling phases, each with noise of its own.
-        period: Sample period [s].
-        delay: Transport delay [s].
-
-    Returns:
-        A figure a gate, (M,) each.
-    """
+    """Press lightly on the wall; count its braking pulses."""
     stiffness, damping, width = 6000.0, 80.0, 0.003
     gate = np.repeat(np.atleast_1d(numbers("gates", gates)), phases)
     phase = np.resize(np.arange(phases) / phases, gate.size)
@@ -93,14 +77,7 @@ def press_at_edge(
 
 
 def random_delay_rate(stiffness: float, damping: float, delays: ArrayLike, loop: LoopKeywords | None = None) -> float:
-    """Return the mean growth a sample under random delays, by the product of the matrices.
-
-    Args:
-        stiffness: Wall stiffness [N/m].
-        damping: Wall damping [N s/m].
-        delays: The delay of each sample's command [s], (K,), all within one period or all in the same later one.
-        loop: Keywords of `SampledLoop` but the delay.
-    """
+    """Return the mean growth a sample under random delays, by the product of the matrices."""
     keywords: LoopKeywords = {**(loop or {}), "delay": delays}
     matrices = SampledLoop(**keywords).matrix(stiffness, damping)
     state, sizes = np.ones(matrices.shape[-1]), []
@@ -113,21 +90,7 @@ def random_delay_rate(stiffness: float, damping: float, delays: ArrayLike, loop:
 
 
 def corner(plant: str, pose: Sequence[float], twist: Sequence[float], *, duration: float = 2.0) -> tuple[Array, Array]:
-    """Throw the flotor into a corner, pulled by a spring.
-
-    Walls at x = 0 and z = 0 and a stop at ry = 0.
-
-    The gains of the stop are those of the walls scaled by inertia, and so is the spring, on all six axes.
-
-    Args:
-        plant: "exact" or "mujoco".
-        pose: Pose at release [m, rad], (6,).
-        twist: Velocity at release [m/s, rad/s], (6,).
-        duration: Simulated time [s].
-
-    Returns:
-        Sampled poses (K, 6), and kinetic energy at the samples [J], (K,).
-    """
+    """Throw the flotor into a corner, pulled by a spring."""
     body = np.array(INERTIA)
     into = np.array([0, 2, 4])
     share = body[into] / _MASS

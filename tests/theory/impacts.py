@@ -85,21 +85,7 @@ def rattle(
     force_limit: float = Spec.largest_vertical_force.value,
     duration: float = 16.0,
 ) -> Rattle:
-    """Throw flotors between two walls, without weight.
-
-    Args:
-        gaps: Distances between the walls [m]; broadcast with `speeds`, `phases` and `starts`.
-        speeds: Speeds at the start [m/s].
-        phases: Sampling phases, in [0, 1).
-        pulse: Further damping in the pulse of 3 ms [N s/m].
-        starts: Positions at the start: 0 in the middle, -1 and 1 at the walls.
-        stiffness: Of both walls [N/m].
-        damping: Of both walls [N s/m].
-        delay: Transport delay [s].
-        period: Sample period [s].
-        force_limit: Of the actuators [N].
-        duration: Simulated time [s].
-    """
+    """Throw flotors between two walls, without weight."""
     shape, (gap, speed, phase, start) = _starts(gaps=gaps, speeds=speeds, phases=phases, starts=starts)
     edge = 0.5 * gap[:, None]
     walls = Wall(
@@ -146,17 +132,7 @@ def limited_drop(
     period: float = _PERIOD,
     duration: float = 4.0,
 ) -> LimitedDrop:
-    """Drop the flotor on a wall under a force limit.
-
-    Args:
-        heights: Drop heights [m]; broadcast with `phases` and `force_limit`.
-        law: The wall, along z; one, or one for each start.
-        phases: Sampling phases, in [0, 1).
-        force_limit: Of the actuators [N].
-        delay: Transport delay [s].
-        period: Sample period [s].
-        duration: Simulated time [s].
-    """
+    """Drop the flotor on a wall under a force limit."""
     shape, (height, phase, limit) = _starts(heights=heights, phases=phases, force_limit=force_limit)
     plant = ExactPlant(
         Timing(period=period, delay=delay, phase=phase),

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import math
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -17,8 +13,8 @@ from maglev_mj.control import LinearController, LowPass, ObserverWall, Window
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants.hand import Hand, get_hand
-from maglev_mj.theory import boundary, is_stable, largest_stable_stiffness, stable_ranges
-from maglev_mj.theory.boundary import boundary_of, first_end, ranges_of, scales, spans, stiffest_of
+from maglev_mj.theory import is_stable, largest_stable_stiffness, stable_ranges
+from maglev_mj.theory.boundary import boundary_of, ranges_of, scales, stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop, pd
 from tests.sweeps import further, sweep
 
@@ -95,15 +91,6 @@ def test_an_island_is_named_and_not_taken() -> None:
     assert largest_stable_stiffness(3.48, **ISLAND) == pytest.approx(2642.258, rel=1e-6)
 
 
-@pytest.mark.parametrize("seed", [*range(300, 304), 357, *further(*range(304, 324))])
-def test_a_crossing_is_good_before_it_is_refined(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    loop = random_loop(random)
-    damping = dampings_of(loop, random, 12)
-    rough, exact = first_end(*spans(loop, damping, 1.0))[0], boundary_of(loop, damping)
-    np.testing.assert_allclose(rough, exact, rtol=1e-5)
-
-
 HELD = "none", "rigid", "published", "lightly damped", "undamped", "heavy"
 
 
@@ -165,11 +152,8 @@ def test_a_stiffest_wall_on_a_jump_is_found_and_named(loop: SampledLoop, stiffne
     assert beside.min() < 0.99 * found.stiffness
     plain = stiffest_of(replace(loop, hand=None))
     assert not plain.on_jump and plain.describe().endswith("N s/m")
-
-
-def test_the_stiffest_wall_of_several_loops_tells_of_each() -> None:
-    found = stiffest_of(SampledLoop(hand=Hand(mass=np.array([50.0, 1.0]), grip_stiffness=1e6)))
-    assert found.on_jump.tolist() == [True, False] and found.stiffness.shape == (2,)
+    several = stiffest_of(SampledLoop(hand=Hand(mass=np.array([50.0, 1.0]), grip_stiffness=1e6)))
+    assert several.on_jump.tolist() == [True, False] and several.stiffness.shape == (2,)
     assert largest_stable_stiffness(delay=np.empty((0, 2))).stiffness.shape == (0, 2)
 
 
@@ -212,72 +196,20 @@ def test_a_maximum_that_is_a_narrow_point_is_found() -> None:
     assert float(stiffest_of(loop).stiffness) >= narrow * (1.0 - 1e-6)
 
 
-def test_the_search_keeps_the_best_damping_that_it_has_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: list[float] = []
-
-    def noise(loop: SampledLoop, dampings: Array, limit: float = 1.0) -> Array:
-        return 2.0 + np.sin(1e13 * dampings)
-
-    def noted(stiffness: Array) -> tuple[Array, None]:
-        seen.extend(stiffness)
-        return stiffness, None
-
-    monkeypatch.setattr(boundary, "spans", lambda *asked: (noise(*asked),))
-    monkeypatch.setattr(boundary, "first_end", noted)
-    monkeypatch.setattr(boundary, "boundary_of", noise)
-    assert float(stiffest_of(SampledLoop()).stiffness) >= max(seen)
-
-
-def told_stiffnesses(count: int) -> list[float]:
-    return [float(stiffest_of(held_loop(seed)).stiffness) for seed in range(count)]
-
-
-@pytest.mark.study
-def test_stiffest_walls_are_those_of_any_kernel() -> None:
-    code = "from tests.theory.test_boundary import told_stiffnesses; print(told_stiffnesses(1000))"
-    told = [
-        json.loads(subprocess.check_output([sys.executable, "-c", code], env={**os.environ, "OPENBLAS_CORETYPE": name}))
-        for name in ("Prescott", "Nehalem", "Sandybridge", "Haswell")
-    ]
-    np.testing.assert_allclose(told, np.broadcast_to(told[0], np.shape(told)), rtol=1e-6)
-
-
-FLAT: list[dict[str, Any]] = [
-    {
-        "period": 0.00038868256085192215,
-        "delay": 0.003109460486815377,
-        "mass": 1.144867948611289,
-        "hand": Hand(
-            mass=0.036934050333148866,
-            damping=0.30835285690314435,
-            stiffness=86.7280435217133,
-            grip_damping=5.255968574528895,
-            grip_stiffness=303.05798920824077,
-        ),
-        "driver_lag": 8e-5,
-        "velocity": LowPass(cutoff=78.01673581424564),
-    },
-    {
-        "period": 0.00031919906994537305,
-        "delay": 0.0031919906994537306,
-        "mass": 0.5250667908407717,
-        "hand": get_hand("stylus"),
-        "driver_lag": 0.0005,
-        "prediction": 0.00047879860491805955,
-    },
-]
-
-
-@pytest.mark.parametrize(("around", "share"), [(FLAT[0], 10), *further((FLAT[0], 1), (FLAT[1], 1))])
-def test_the_stiffest_wall_is_found_where_rounding_moves_the_extreme_of_the_curve(
-    around: dict[str, Any], share: int
-) -> None:
-    loop = SampledLoop(**around)
+def test_the_stiffest_wall_is_found_where_rounding_moves_the_extreme_of_the_curve() -> None:
+    grip = {"grip_damping": 5.255968574528895, "grip_stiffness": 303.05798920824077}
+    loop = SampledLoop(
+        period=0.00038868256085192215,
+        delay=0.003109460486815377,
+        mass=1.144867948611289,
+        hand=Hand(mass=0.036934050333148866, damping=0.30835285690314435, stiffness=86.7280435217133, **grip),
+        driver_lag=8e-5,
+        velocity=LowPass(cutoff=78.01673581424564),
+    )
     found = stiffest_of(loop)
-    dense = boundary_of(loop, float(found.damping) * np.linspace(0.98, 1.02, 100 // share + 1))
-    assert float(found.stiffness) >= dense.max() * (1.0 - 1e-8)
-    wide = boundary_of(loop, float(found.damping) * np.linspace(0.5, 1.5, 300 // share + 1))
-    assert float(found.stiffness) >= wide.max() * (1.0 - 1e-8)
+    for share in (np.linspace(0.98, 1.02, 11), np.linspace(0.5, 1.5, 31)):
+        dense = boundary_of(loop, float(found.damping) * share)
+        assert float(found.stiffness) >= dense.max() * (1.0 - 1e-8)
 
 
 def test_an_observer_has_its_boundary_too() -> None:
