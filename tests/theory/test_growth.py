@@ -8,9 +8,8 @@ import pytest
 from numpy.typing import ArrayLike
 
 from maglev_mj.control import LowPass, VelocityEstimator
-from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import ParameterError
-from maglev_mj.plants import MuJoCoBatchPlant, Timing
+from maglev_mj.plants import Timing
 from maglev_mj.plants.hand import HANDS, get_hand
 from maglev_mj.studies import stability_map as growing
 from maglev_mj.studies.levels import SteppedLoop, boundary_shift
@@ -61,34 +60,6 @@ def test_growth_is_the_modulus(count: int) -> None:
     long = growth.ticks > 200
     assert long.sum() > count / 4
     np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
-
-
-def test_a_run_ends_with_the_block_in_which_the_last_is_decided(monkeypatch: pytest.MonkeyPatch) -> None:
-    counts: list[int] = []
-
-    class Counted(ControlLoop):
-        def cycle(self, count: int = 1) -> None:
-            counts.append(count)
-            super().cycle(count)
-
-    monkeypatch.setattr(growing, "ControlLoop", Counted)
-    found = measure_growth(walls([3000.0, 5000.0], 80.0))
-    # ten-thousandfold less
-    last = np.log(1e-4) / np.log(found.rate.max())
-    assert found.stable.all() and last < sum(counts) <= last + 32 < 128
-
-
-def test_few_walls_are_simulated_on_one_thread(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[int] = []
-
-    def made(*arguments: Any, **keywords: Any) -> MuJoCoBatchPlant:
-        asked.append(keywords["threads"])
-        return MuJoCoBatchPlant(*arguments, **keywords)
-
-    monkeypatch.setitem(growing._BATCHES, "mujoco", made)
-    for count in (47, 48):
-        assert measure_growth(walls(np.linspace(3000.0, 5000.0, count), 80.0), "mujoco").stable.all()
-    assert asked == [1, 0]
 
 
 class Averaged(RestingWall):
