@@ -117,7 +117,7 @@ COMMANDS = {
 }
 
 
-DRAWN = {"drop", "press, own hand", "stability, hand", "fidelity"}
+DRAWN = {"press, own hand", "stability, hand", "fidelity"}
 """Charts of the gate, one of each kind, beside those below."""
 
 

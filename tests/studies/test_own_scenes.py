@@ -187,7 +187,12 @@ def test_a_grid_is_refused_before_anything_runs(vary: dict[str, list[Any]], word
 
 
 def test_cells_of_a_slice_run_as_those_by_index_derived_parameters_too() -> None:
-    vary = {"axis": ["x", "rx"], "stiffness": [None, 500.0], "plant": ["exact"], "duration": [0.05]}
+    vary: dict[str, list[Any]] = {
+        "axis": ["x", "rx"],
+        "stiffness": [None, 500.0],
+        "plant": ["exact"],
+        "duration": [0.05],
+    }
     grid = Grid(find_scene("stick-slip")(), vary)
     cells = list(grid)
     assert cells[0]["stiffness"] != cells[2]["stiffness"] and cells[1]["stiffness"] == cells[3]["stiffness"] == 500.0

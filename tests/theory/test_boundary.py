@@ -197,7 +197,7 @@ def test_a_maximum_that_is_a_narrow_point_is_found() -> None:
 
 
 def test_the_stiffest_wall_is_found_where_rounding_moves_the_extreme_of_the_curve() -> None:
-    grip = {"grip_damping": 5.255968574528895, "grip_stiffness": 303.05798920824077}
+    grip: dict[str, Any] = {"grip_damping": 5.255968574528895, "grip_stiffness": 303.05798920824077}
     loop = SampledLoop(
         period=0.00038868256085192215,
         delay=0.003109460486815377,

@@ -131,7 +131,8 @@ def test_the_numerical_verdict_is_that_of_the_closed_forms(name: str) -> None:
     )
     scene = find_scene(name)()
     scene = scene.replace(**{one: value for one, value in values.items() if one in scene.as_json()})
-    laws, how = scene.laws(), {"delay": scene.delay, "pose": scene.start().pose}
+    laws = scene.laws()
+    how: dict[str, Any] = {"delay": scene.delay, "pose": scene.start().pose}
     stated = Controller(laws, period=scene.period)
     closed, found = judge(stated, **how), judge(Controller([*laws, silent], period=scene.period), **how)
     assert closed.stated and not found.stated
