@@ -43,10 +43,7 @@ NEEDED: dict[str, Any] = {
     "v_min": 0.005,
     "value": 1.0,
 }
-"""Arguments without a default; None for the others.
-
-Switches are checked first.
-"""
+"""Arguments without a default; None for the others."""
 
 
 def calls() -> Iterator[tuple[str, Callable[..., Any]]]:

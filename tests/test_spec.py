@@ -20,10 +20,7 @@ OWN = {GRAVITY, DRIVER_TIME_CONSTANT} | {
         *(Spec.spot_resolution, Spec.tilt_inertia, Spec.spin_inertia),
     )
 }
-"""Device numbers that no float may repeat.
-
-Neither in the package nor in a script.
-"""
+"""Device numbers that no float may repeat."""
 
 DEFAULTS = {
     "mass": {Spec.moving_mass.value},

@@ -182,12 +182,7 @@ def test_figure_9_breaks_away_at_breakaway_over_stiffness(plant: str, seeds: tup
 
 
 def resting_steps(stiffness: float, seeds: Iterable[int], phases: Iterable[float]) -> Array:
-    """Return distances between successive resting positions [m].
-
-    Rotations are measured at the radius of gyration.
-
-    Axes on which a run leaves the device's range are left out.
-    """
+    """Return distances between successive resting positions [m]."""
     radius = np.sqrt(np.array(INERTIA) / INERTIA[0])
     steps: list[Array] = []
     for seed, phase in itertools.product(seeds, phases):

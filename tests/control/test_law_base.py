@@ -32,10 +32,7 @@ FRICTION: dict[str, Any] = {**GAINS, "breakaway": 1.0}
 
 
 class Detent(AxisLaw):
-    """Sine detents with damping.
-
-    f = -stiffness pitch / 2π sin(2π x / pitch) - damping v.
-    """
+    """Sine detents with damping."""
 
     pitch: ArrayLike = gain("distance between detents", "m", above=0.0)
     stiffness: ArrayLike = gain("stiffness at the bottom", "N/m")

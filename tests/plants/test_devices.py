@@ -1,7 +1,4 @@
-"""Plants from options, and devices of a user's own.
-
-Model files, specifications, calibrated numbers.
-"""
+"""Plants from options, and devices of a user's own."""
 
 from __future__ import annotations
 
@@ -22,7 +19,7 @@ from maglev_mj.control.timeline import Timeline
 from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, Sample, quaternion
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
-from maglev_mj.plants.coils import CoilDrive, CoilMap
+from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.model import load_model, model_path
 from maglev_mj.plants.trace import EnergyAccount, HandWork, PassivityObserver, hand_work
 from maglev_mj.spec import GRAVITY, INERTIA
@@ -48,7 +45,7 @@ CHOICES = [("stops", True), ("force_falloff", 0.1), ("driver_lag", True), ("flex
     sweep(
         [dict(chosen) for count in range(4) for chosen in itertools.combinations(CHOICES, count)],
         ["rk4", "corrected"],
-        every=6,
+        every=8,
     ),
 )
 def test_every_combination_of_options_runs_and_is_metered(options: dict[str, Any], integrator: str) -> None:
@@ -108,8 +105,10 @@ def test_the_least_energy_is_that_of_all_samples_one_by_one_or_many_at_once() ->
     assert (alone.least < alone.energy).any() and (alone.least < 0.0).any()
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.4, 1.0])
-@pytest.mark.parametrize(("periods", "jitter"), [(0.0, 0.0), (0.3, 0.0), (0.3, 1e-4), (1.0, 0.0), (2.7, 1e-4)])
+@pytest.mark.parametrize(
+    ("periods", "jitter", "rate"),
+    [(0.0, 0.0, 0.4), (0.3, 1e-4, 1.0), (0.3, 0.0, 0.0), (1.0, 0.0, 0.4), (2.7, 1e-4, 0.4)],
+)
 def test_an_observer_sees_the_forces_of_a_timeline_to_the_last_bit(periods: float, jitter: float, rate: float) -> None:
     random, count, period = np.random.default_rng(0), 80, 0.001
     timing = Timing(period=period, delay=periods * period, jitter=jitter)
@@ -196,18 +195,6 @@ def test_the_currents_of_a_constant_wrench_follow_the_angle(sensor: Sensor | Non
             plant.write(Command([0.0, 1.0, 5.0, 0.0, 0.0, 0.0]))
 
 
-def test_currents_are_computed_once_a_tick() -> None:
-    coils = load_model().coils
-    assert coils is not None
-    drive = CoilDrive(coils, 10.0)
-    for force in ([0.0, 0.0, 5.0, 0.0, 0.0, 0.0], [0.0, 0.0, 500.0, 0.0, 0.0, 0.0]):
-        limited = drive.limited(Command(force))
-        currents = drive.currents(limited.force)
-        assert currents is drive.currents(limited.force) and max(currents) <= 10.0
-        np.testing.assert_allclose(currents, coils.current_per_wrench @ limited.force, atol=1e-12)
-    assert drive.currents([0.0] * 6) == [0.0] * 6
-
-
 def test_a_plant_takes_wrenches_and_currents_in_turn() -> None:
     with MuJoCoPlant(Timing(delay=0.0), gravity=0.0) as plant:
         plant.read()
@@ -285,28 +272,31 @@ def falls_in(spec: mujoco.MjSpec) -> float:
 def test_springs_dampers_and_fluids_of_a_model_act() -> None:
     time, spring, damper = 0.02, 900.0, 30.0  # of 1 kg
     free = -0.5 * GRAVITY * time**2
-    assert falls_in(mujoco.MjSpec.from_file(str(model_path("drop")))) == pytest.approx(free, rel=1e-9)
     sprung = -GRAVITY / spring * (1.0 - math.cos(math.sqrt(spring) * time))
     damped = -GRAVITY / damper * (time - (1.0 - math.exp(-damper * time)) / damper)
-    for kind in ("joint", "tendon"):
-        for what, value, place in (("stiffness", spring, sprung), ("damping", damper, damped)):
-            for power in range(2):
-                spec = mujoco.MjSpec.from_file(str(model_path("drop")))
-                one = spec.joint("z") if kind == "joint" else spec.add_tendon()
-                if kind == "tendon":
-                    one.wrap_joint("z", 1.0)
-                    one.springlength = [0.0, 0.0]
-                getattr(one, what)[power] = value / 1e-3**power
-                found = falls_in(spec)
-                if power:
-                    assert abs(found / free - 1.0) > 1e-3, (kind, what)
-                else:
-                    assert found == pytest.approx(place, rel=1e-6), (kind, what)
+
+    def changed() -> mujoco.MjSpec:
+        return mujoco.MjSpec.from_file(str(model_path("drop")))
+
+    assert falls_in(changed()) == pytest.approx(free, rel=1e-9)
+    for what, value, place in (("stiffness", spring, sprung), ("damping", damper, damped)):
+        spec = changed()
+        getattr(spec.joint("z"), what)[0] = value
+        assert falls_in(spec) == pytest.approx(place, rel=1e-6), what
+        spec = changed()
+        getattr(spec.joint("z"), what)[1] = value / 1e-3
+        assert abs(falls_in(spec) / free - 1.0) > 1e-3, what
+        spec = changed()
+        tendon = spec.add_tendon()
+        tendon.wrap_joint("z", 1.0)
+        tendon.springlength = [0.0, 0.0]
+        getattr(tendon, what)[0] = value
+        assert falls_in(spec) == pytest.approx(place, rel=1e-6), what
     for option, value in (("density", 1e4), ("viscosity", 10.0)):
-        spec = mujoco.MjSpec.from_file(str(model_path("drop")))
+        spec = changed()
         setattr(spec.option, option, value)
         assert falls_in(spec) > 0.999 * free, option
-    spec = mujoco.MjSpec.from_file(str(model_path("drop")))
+    spec = changed()
     spec.body("flotor").gravcomp = 1.0
     assert falls_in(spec) > 0.1 * free  # the handle falls still
 

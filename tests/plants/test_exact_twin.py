@@ -212,21 +212,7 @@ def test_a_flotor_pressed_to_its_upper_stop_leaves_it_without_a_jump() -> None:
 
 
 class Flown:
-    """Flight in virtual time with what a twin did.
-
-    Args:
-        plant: Name of the twin's plant.
-        folder: Folder of the black boxes.
-        scene: Name of the scene.
-        seconds: Time of the rendering [s].
-        hand: Hand on the flotor.
-        parameters: Further parameters of the twin.
-
-    Attributes:
-        twin: The twin.
-        outcome: "landed", or the error.
-        rows: Pose, twist and mean currents of the period before, at each sample in flight, (N, 18).
-    """
+    """Flight in virtual time with what a twin did."""
 
     def __init__(
         self,
@@ -284,11 +270,7 @@ def test_currents_of_a_flight_are_newtons(plant: str, scene: str, tmp_path: Path
     "hand", [pytest.param(None, id="free", marks=pytest.mark.study), pytest.param(nudge, id="nudged")]
 )
 def test_flights_on_both_plants_agree(hand: Any, tmp_path: Path) -> None:
-    """With a sensor without noise or steps, which would tell two flights apart by steps.
-
-    Translation is exact on both: rounding, and what is left of the stops' difference. An angle differs by the middle
-    rule's error, of second order in a segment, and with it the currents.
-    """
+    """With a sensor without noise or steps, which would tell two flights apart by steps."""
     one, other = (Flown(plant, tmp_path, hand=hand, noise=0.0, quantum=1e-12) for plant in PLANTS)
     assert one.outcome == other.outcome == "landed"
     apart = np.abs(one.levitated(1.25, 1.75) - other.levitated(1.25, 1.75)).max(axis=0)
@@ -298,7 +280,7 @@ def test_flights_on_both_plants_agree(hand: Any, tmp_path: Path) -> None:
     assert hand is None or ((size[[0, 2]] > 3e-3).all() and size[4] > 0.03)
 
 
-@pytest.mark.parametrize("coil", sweep(range(6), every=3))
+@pytest.mark.parametrize("coil", sweep(range(6), every=6))
 def test_a_dead_coil_is_found_at_takeoff_as_in_the_engine(coil: int, tmp_path: Path) -> None:
     """By its current where it carries much, else by its force."""
     fault = InjectedFault(kind="dead-coil", which=coil, at=0.05)
@@ -307,16 +289,6 @@ def test_a_dead_coil_is_found_at_takeoff_as_in_the_engine(coil: int, tmp_path: P
         "COIL_NOT_FOLLOWING: said by the device",
         f"no flight: coil {coil} gives 0 % of its calibrated force",
     )
-
-
-@pytest.mark.parametrize(("plant", "coil"), sweep(PLANTS, range(6), every=7))
-def test_a_weak_coil_is_named_at_takeoff(plant: str, coil: int, tmp_path: Path) -> None:
-    constants = KNOWN.coils.force_constants.copy()
-    constants[coil] *= 0.9
-    truth = replace(KNOWN, coils=replace(KNOWN.coils, force_constants=constants))
-    flown = Flown(plant, tmp_path, truth=truth)
-    assert f"no flight: coil {coil} gives " in flown.outcome
-    assert 88 <= int(flown.outcome.split("gives ")[1].split(" %")[0]) <= 92
 
 
 def test_an_open_coil_gives_no_force_though_its_current_is_commanded() -> None:

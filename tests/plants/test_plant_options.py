@@ -267,7 +267,7 @@ RECORDED: dict[str, Callable[..., SampledPlant]] = {
 }
 
 
-@pytest.mark.parametrize("name", RECORDED)
+@pytest.mark.parametrize("name", sweep(RECORDED, every=2))
 def test_a_trace_is_what_each_state_was(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     # Bit for bit, though its arrays are made at the end: nothing that is kept changes afterwards.
     monkeypatch.setattr("maglev_mj.plants.base.TraceRecorder", _Watched)
@@ -280,7 +280,7 @@ def test_a_trace_is_what_each_state_was(name: str, monkeypatch: pytest.MonkeyPat
             assert np.array_equal(kept[knot], part)
 
 
-@pytest.mark.parametrize(("name", "record"), sweep([*RECORDED, "exact, nothing"], [True, False], every=3))
+@pytest.mark.parametrize(("name", "record"), sweep([*RECORDED, "exact, nothing"], [True, False], every=5))
 def test_what_a_caller_does_to_a_command_later_changes_nothing(name: str, record: bool) -> None:
     """Its list and its arrays are its own."""
     states, traces = [], []

@@ -294,7 +294,7 @@ def test_a_constant_command_is_one_step_a_period() -> None:
 
 @pytest.mark.parametrize(
     ("whole", "lag", "grip"),
-    sweep([0, 2], [False, True], [{}, {"grip_damping": 0.8, "grip_stiffness": 700.0}], every=2),
+    sweep([0, 2], [False, True], [{}, {"grip_damping": 0.8, "grip_stiffness": 700.0}], every=3),
 )
 def test_devices_of_one_batch_may_differ_in_mass_delay_and_hand(whole: int, lag: bool, grip: dict[str, Any]) -> None:
     # Each moves as it would alone, with pulses longer than what is left of the period, and lost answers.
@@ -394,21 +394,6 @@ def test_recorded_force_under_driver_lag_is_the_actual_one(delay: float) -> None
     assert np.diff(trace.time).max() <= 0.25 * LAG * (1.0 + 1e-9)
 
 
-@both
-def test_free_fall_is_a_parabola(plant_type: Callable[..., SampledPlant]) -> None:
-    plant = plant_type(Timing(period=T, phase=0.3), pose=[0, 0, 4e-3, 0, 0, 0], record=True)
-    for tick in range(5):
-        sample = plant.read()
-        time = (tick + 0.3) * T
-        assert sample.tick == tick
-        assert sample.time == time
-        assert sample.position[2] == pytest.approx(4e-3 - 0.5 * G * time**2, abs=1e-16)
-    times = np.linspace(0.0, 4.3 * T, 50)
-    pose, twist, _ = plant.trace().at(times)
-    np.testing.assert_allclose(pose[:, 2], 4e-3 - 0.5 * G * times**2, atol=2e-17)
-    np.testing.assert_allclose(twist[:, 2], -G * times, atol=1e-15)
-
-
 @pytest.mark.parametrize("kind", [MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
 def test_recording_changes_nothing(kind: Any) -> None:
     hold = Hold(axes=("rx", "ry", "rz"), stiffness=[1.0] * 3, damping=[0.05] * 3)
@@ -421,21 +406,3 @@ def test_recording_changes_nothing(kind: Any) -> None:
         for record in (False, True)
     ]
     np.testing.assert_allclose(last[1], last[0], atol=1e-15)
-
-
-@pytest.mark.parametrize("kind", [ExactPlant, MuJoCoPlant, partial(MuJoCoPlant, integrator="corrected")])
-def test_a_list_that_is_used_again_is_a_new_command(kind: Any) -> None:
-    places = []
-    for fresh in (True, False):
-        plant, force = kind(gravity=0.0), [0.0] * 6
-        for tick in range(6):
-            plant.read()
-            force[2] = float(tick)
-            plant.write(Command(list(force) if fresh else force))
-        places.append(plant.read().position[2])
-    assert places[0] == places[1] > 8e-4
-    plant = kind(gravity=0.0)
-    for _ in range(3):  # an array will do as well
-        plant.read()
-        array: Any = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
-        plant.write(Command(array))

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from maglev_mj.errors import ModelError, ParameterError, SensingError
-from maglev_mj.frames import components, rotation_matrix
+from maglev_mj.errors import ModelError, ParameterError
+from maglev_mj.frames import rotation_matrix
 from maglev_mj.plants import SpotSensor
 from maglev_mj.plants.sensor import Beams, beams
 from maglev_mj.spec import Spec
@@ -50,12 +50,6 @@ def test_spots_of_0_8_micrometres_give_the_resolution_of_table_1() -> None:
     assert off[:, 3:].max() < Spec.rotation_resolution.value
 
 
-def test_spots_of_no_pose_are_an_error() -> None:
-    for spots in (np.full(6, np.nan), np.array([1.0, -1.0] * 3)):
-        with pytest.raises(SensingError, match="no pose was found for the spots"):
-            beams().pose(spots)
-
-
 def test_a_geometry_that_cannot_tell_is_refused() -> None:
     good = beams()
     with pytest.raises(ModelError, match="every beam must meet its diode"):
@@ -71,9 +65,3 @@ def test_a_geometry_that_cannot_tell_is_refused() -> None:
         Beams(good.leds[:2], good.directions, good.diodes, good.across)
     with pytest.raises(ParameterError, match="quantum must be"):
         SpotSensor(beams=good, quantum=-1.0)
-
-
-def test_a_batch_is_measured_at_once() -> None:
-    wanted = poses(20)
-    measured = SpotSensor(beams=beams()).start()(components(wanted))
-    np.testing.assert_allclose(np.stack(measured, axis=-1), wanted, atol=1e-13)

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from maglev_mj.colours import SERIES
-from maglev_mj.control import AxisLaw, Law, gain
-from maglev_mj.parameters import param
-from maglev_mj.pictures import save
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.pictures import figure_6, phase_plane, series, spread, time_series
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.run import run, run_phases, run_variants
-from maglev_mj.scenes.scene import Scene
 from tests.sweeps import sweep
 
 DROP, PHASE, BANDS = Drop(), 0.56, 20
@@ -57,46 +52,7 @@ def test_figure_3_has_a_column_for_each_reading() -> None:
             np.testing.assert_allclose(drawn, DROP.analog(time)[part] * scale, rtol=0.0, atol=1e-9)
 
 
-class Own(AxisLaw):
-    """Wall without damping, with a gain of one's own."""
-
-    push: float = gain("push at the edge", "N/m")
-
-    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
-        """See `AxisLaw`."""
-        return -(gains.push * x + 60.0 * v) * (x < 0.0)
-
-
-class Beside(Drop):
-    """Wall of one's own beside published ones, without the pulse of the scene's parameter."""
-
-    mine: bool = param("the wall of one's own", default=True)
-
-    def laws(self) -> list[Law]:
-        """See `Scene`."""
-        wall, hold = super().laws()
-        return [Own(axes="z", push=5000.0), hold] if self.mine else [wall, hold]
-
-    def variants(self) -> dict[str, Drop]:  # type: ignore[override]
-        """See `Scene`."""
-        published = self.replace(mine=False, pulse=0.0)
-        return {"mine": self, "published": published, "soft": published.replace(stiffness=3000.0)}
-
-
-@pytest.mark.parametrize("draw", sweep([time_series, phase_plane, spread], every=2))
-def test_laws_of_ones_own_have_lines_of_their_own_beside_published_ones(draw: Any) -> None:
-    found = drops(Beside(), bands=20)
-    figure = draw(found)
-    drawn = lines(figure.axes[0])
-    assert len({drawn[label].get_color() for label in found.runs}) == 3
-    assert len({str(drawn[label]._unscaled_dash_pattern) for label in found.runs}) == 3
-    if draw is not spread:
-        said = figure.get_suptitle()
-        assert "shaded: all of 20 phases" in said and "N/m" not in said and "N s/m" not in said
-        assert [panel.get_title(loc="left") for panel in figure.axes] == [""] * len(figure.axes)
-
-
-@pytest.mark.parametrize("draw", sweep([time_series, phase_plane, series, spread, figure_6], every=4))
+@pytest.mark.parametrize("draw", sweep([time_series, phase_plane, series, spread, figure_6], every=5))
 def test_eight_variants_differ_in_their_dashes_and_so_without_colour(draw: Any) -> None:
     scene = Press(hits=1) if draw is figure_6 else DROP.replace(duration=0.1)
     pulses = {f"pulse {pulse:g}": scene.replace(pulse=pulse) for pulse in (220.0, 140.0, 100.0, 60.0)}
@@ -107,21 +63,6 @@ def test_eight_variants_differ_in_their_dashes_and_so_without_colour(draw: Any) 
     assert len({str(line._unscaled_dash_pattern) for line in drawn.values()}) == 8
     assert len({(line.get_color(), str(line._unscaled_dash_pattern)) for line in drawn.values()}) == 8
     assert len({line.get_color() for line in drawn.values()}) == len(SERIES)
-
-
-def test_a_press_is_titled_by_gains_only_if_all_its_walls_have_them() -> None:
-    scene = Press(hits=1, pulse=0.0)
-    for other, said in ({"pulse": 100.0}, True), ({"stiffness": 3000.0}, False):
-        found = run_variants({"one": scene, "other": scene.replace(**other)}, plant="exact")
-        assert ("6000 N/m" in figure_6(found).axes[0].get_title(loc="left")) == said
-
-
-def test_a_scene_is_titled_by_its_own_docstring() -> None:
-    said = "Wall of one's own beside published ones, without the pulse of the scene's parameter"
-    assert Scene.describe(Beside()) == said
-    assert Scene.describe(Drop()) == "Drop the flotor on a stiff wall (figures 3 and 4)"
-    assert Scene.describe(type("Bare", (Drop,), {})()) == Scene.describe(Drop())
-    assert Scene.describe(type("Bare", (Scene,), {})()) == "bare"
 
 
 def test_bands_reach_as_far_as_the_drop_at_any_phase() -> None:
@@ -160,7 +101,7 @@ def test_the_published_figures_show_a_phase_of_median_penetration() -> None:
 
 @pytest.mark.parametrize(
     ("changes", "columns"),
-    [({}, 2), ({"pulse": 150.0}, 1), ({"pulse": 0.0}, 1), ({"stiffness": 0.0, "damping": 0.0, "duration": 0.05}, 1)],
+    [({"pulse": 150.0}, 1), ({"stiffness": 0.0, "damping": 0.0, "duration": 0.05}, 1)],
 )
 def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int) -> None:
     drop = DROP.replace(**changes)
@@ -169,13 +110,6 @@ def test_every_drop_can_be_drawn(changes: dict[str, float], columns: int) -> Non
     for figure in figures:
         has_analog = any(ANALOG in lines(panel) for panel in figure.axes)
         assert has_analog == (drop.stiffness > 0.0)
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("draw", [time_series, phase_plane, spread])
-def test_a_band_of_curves_is_small_in_an_svg(draw: Any, tmp_path: Path) -> None:
-    path = save(draw(drops(DROP, bands=100)), tmp_path / "drop.svg")
-    assert path.stat().st_size < 300_000
 
 
 def test_a_figure_that_is_flat_has_no_panel() -> None:

@@ -94,12 +94,7 @@ def test_spring_reset_buzzes_and_loses_its_friction_at_speed() -> None:
 
 
 def held_spring_gain(amplitude: float, frequency: float, *, period: float, delay: float, damping: float) -> float:
-    """Return the energy of a held spring per cycle [J].
-
-    For a sine of the position; spring and damper on the last difference are both late and held.
-
-    Summed over a cycle of 1 / (frequency T) samples, each force times the way from when it takes effect to the next.
-    """
+    """Return the energy of a held spring per cycle [J]."""
     turn = 2.0 * math.pi * frequency
     spring = STIFFNESS * math.sin(turn * (delay + 0.5 * period))
     damper = 2.0 * damping / period * math.sin(0.5 * turn * period) * math.cos(turn * (period + delay))
@@ -175,7 +170,7 @@ def test_literal_karnopp_toggles_at_breakaway() -> None:
     assert travel == pytest.approx(exact.position[0], rel=1e-3)
 
 
-@pytest.mark.parametrize("name", sweep(["stick-slip", "dahl", "elasto-plastic", "lugre", "kikuuwe"], every=3))
+@pytest.mark.parametrize("name", sweep(["stick-slip", "dahl", "elasto-plastic", "lugre", "kikuuwe"], every=5))
 def test_stiffness_limit_under_delay_is_the_eigenvalues(name: str) -> None:
     # While stuck, a law is a spring: past the stiffness that eigenvalues allow at this delay it limit-cycles.
     #

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.plants.trace import Trace
-from maglev_mj.scenes.figures import HIT_FIGURES, PressSummary, summarise_press
+from maglev_mj.scenes.figures import HIT_FIGURES, summarise_press
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Phases, RunResult
 from maglev_mj.scenes.run import run, run_phases
@@ -81,9 +80,7 @@ def test_press_means_what_it_says(phase: float, changes: dict[str, Any]) -> None
 @pytest.mark.parametrize(
     ("hand", "press", "stiffness", "springs"),
     [
-        ("arm", 5.0, 6000.0, (135.0,)),
         ("stylus", 3.0, 4000.0, (271.7, 769.9)),
-        ("fingertip", 0.5, 6000.0, (40.0,)),
         ("0.3,20,500,3,2000", 8.0, 5000.0, (500.0, 2000.0)),
     ],
 )
@@ -99,8 +96,8 @@ def test_the_press_is_as_hard_as_asked(hand: str, press: float, stiffness: float
     assert figures["ripple"] < 1e-9
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.6])
-def test_energy_adds_up(phase: float) -> None:
+def test_energy_adds_up() -> None:
+    phase = 0.6
     # What the muscles give is what wall, arm's spring, arm's damper and the masses have at the end.
     p, result = SHORT, exact(SHORT, phase)
     samples = np.append(np.arange(p.end / p.period), p.end / p.period) * p.period
@@ -162,7 +159,7 @@ def test_a_stroke_that_does_not_reach_the_wall_says_so() -> None:
     assert data["summary"]["penetration"][0] == 0.0
 
 
-@pytest.mark.parametrize("phases", [6, pytest.param(100, marks=pytest.mark.study)])
+@pytest.mark.parametrize("phases", [3, pytest.param(100, marks=pytest.mark.study)])
 def test_the_pulse_lessens_every_hit_of_an_arm(phases: int) -> None:
     # Over many phases and four hits; of the paper's 220 N s/m as further damping, not with the damping in it.
     with_pulse, without = (swept(Press(pulse=pulse), phases).figures for pulse in (220.0, 0.0))
@@ -172,69 +169,15 @@ def test_the_pulse_lessens_every_hit_of_an_arm(phases: int) -> None:
         np.testing.assert_allclose(figures["final_force"], 5.0, rtol=0.0, atol=1e-6)
 
 
-SOFT = Press(hand="stylus", hits=2)
-PHASES = pytest.mark.parametrize("phases", [5, pytest.param(40, marks=pytest.mark.study)])
+SOFT = Press(hand="stylus", hits=2, duration=1.6)
 
 
-@PHASES
-def test_in_a_soft_grip_the_pulse_throws_the_flotor_back(phases: int) -> None:
-    with_pulse, without = (swept(SOFT.replace(pulse=pulse), phases).figures for pulse in (220.0, 0.0))
-    assert (with_pulse["contacts"] > 1.0).all() and (without["contacts"] == 1.0).all()
-    deeper = with_pulse["penetration"] > without["penetration"]
-    assert 0.0 < deeper.mean() < 0.2
-    assert np.median(with_pulse["penetration"]) < 0.7 * np.median(without["penetration"])
-
-
-@PHASES
-def test_in_a_soft_grip_a_pulse_that_stops_the_flotor_does_not_throw_it_back(phases: int) -> None:
-    # 220 N s/m with the damping in it
-    stopping, without = (swept(SOFT.replace(pulse=pulse), phases).figures for pulse in (140.0, 0.0))
-    assert (stopping["contacts"] == 1.0).all()
-    assert 0.0 < (stopping["penetration"] > without["penetration"]).mean() < 0.2
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"hand": "none"}, "hand must have an arm of some stiffness, .* not 'none'"),
-        ({"hand": "0.2,5,0"}, "hand must have an arm of some stiffness, .* not '0.2,5,0'"),
-        ({"hand": "fist"}, "hand must be one of none, arm, stylus, fingertip, or mass,damping,stiffness"),
-        ({"hits": 0}, "hits must be a finite number at least 1 and at most 1000, not 0"),
-        ({"interval": 0.03}, "interval must be a finite number at least 0.04 and at most 100, not 0.03"),
-        ({"height": 0.0}, "height must be a finite number above 0 and below 0.045, not 0.0"),
-        ({"press": -1.0}, "press must be a finite number above 0 .* not -1.0"),
-        ({"press": 60.0, "force_limit": 60.0}, "press must be below the force_limit of 60 N, .* not 60"),
-        ({"stiffness": 0.0}, "stiffness must be a finite number above 0"),
-        ({"pulse_width": 0.0}, "pulse_width must be above 0 where there is a pulse"),
-        ({"duration": 1.9}, "duration must be a finite number above 1.905 and at most 100000, not 1.9"),
-        ({"period": 1e-5, "duration": 11.0}, "duration must be at most 1000000 periods, not 11 s"),
-    ],
-)
-def test_bad_parameters_are_refused(changes: dict[str, Any], words: str) -> None:
-    with pytest.raises(ParameterError, match=words):
-        Press(**changes)
-
-
-def test_parameters_are_stored_as_checked() -> None:
-    made = Press(hits=2.0, interval=0.5, height=1e-3)  # type: ignore[arg-type]
-    assert (made.hits, type(made.hits), made.interval) == (2, int, 0.5)
-    assert made.duration == pytest.approx(0.005 + 2.75 * 0.5 + 1.0)
-    strokes = made.strokes(0.0)
-    assert len(strokes) == 3 and made.path(0.0).end == pytest.approx(strokes[-1] + 0.125)
-
-
-def test_json_holds_the_run() -> None:
-    result = exact(SHORT)
-    data = json.loads(json.dumps(result.as_json(), allow_nan=False))
-    assert data["parameters"] == {"plant": "exact", "phase": 0.0, **SHORT.as_json()}
-    assert list(data) == ["parameters", "time", "z", "force", "target", "summary"]
-    assert all(len(data[name]) == 1601 for name in ("time", "z", "force", "target"))
-    assert data["z"] == result.series()["z"].tolist()
-    assert list(data["summary"]) == list(PressSummary._fields)
-    assert data["summary"]["penetration"] == result.figures["penetration"].tolist()
-    sweep = swept(SHORT, 3)
-    rows = json.loads(json.dumps(sweep.as_json(), allow_nan=False))
-    assert [row["phase"] for row in rows["phases"]] == [0.0, 1 / 3, 2 / 3]
-    second = [row["penetration"][1] for row in rows["phases"]]
-    assert rows["median"]["penetration"][1] == pytest.approx(np.median(second))
-    assert rows["percentile_95"]["penetration"][1] == pytest.approx(np.percentile(second, 95))
+@pytest.mark.parametrize("phases", [5, pytest.param(40, marks=pytest.mark.study)])
+def test_in_a_soft_grip_the_pulse_throws_the_flotor_back_unless_it_just_stops_it(phases: int) -> None:
+    # 220 N s/m as further damping, and with the damping in it
+    further, stopping, without = (swept(SOFT.replace(pulse=pulse), phases).figures for pulse in (220.0, 140.0, 0.0))
+    assert (further["contacts"] > 1.0).all()
+    assert (stopping["contacts"] == 1.0).all() and (without["contacts"] == 1.0).all()
+    for figures in (further, stopping):
+        assert 0.0 < (figures["penetration"] > without["penetration"]).mean() < 0.2
+    assert np.median(further["penetration"]) < 0.7 * np.median(without["penetration"])

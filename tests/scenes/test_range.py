@@ -54,7 +54,7 @@ def test_the_furthest_of_a_trace_lies_between_its_knots_too() -> None:
 LIMITS = [8.0, 20.0, 26.0, 27.0, 60.0, None]
 
 
-@pytest.mark.parametrize(("limit", "gains"), sweep(LIMITS, [(6000.0, 80.0), (3000.0, 40.0), (9000.0, 60.0)], every=4))
+@pytest.mark.parametrize(("limit", "gains"), sweep(LIMITS, [(6000.0, 80.0), (3000.0, 40.0), (9000.0, 60.0)], every=6))
 def test_a_drop_says_when_it_leaves_the_range(limit: float | None, gains: tuple[float, float]) -> None:
     # By force limit and gains, with the pulse and without, one phase and several.
     drop = Drop(force_limit=limit, stiffness=gains[0], damping=gains[1], duration=0.3)
@@ -80,7 +80,7 @@ def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
             assert (remark(str(Variants({"drop": result}).table())) is not None) == left
 
 
-@pytest.mark.parametrize("change", sweep([{}, {"height": 0.0046}, {"force_limit": 5.5}, {"press": 40.0}], every=2))
+@pytest.mark.parametrize("change", sweep([{}, {"height": 0.0046}, {"force_limit": 5.5}, {"press": 40.0}], every=4))
 def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None:
     variants = [Press(hits=1, **change).replace(pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
     labels = ["with pulse", "without pulse"]

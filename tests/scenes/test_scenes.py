@@ -71,10 +71,7 @@ class Fall(Scene):
 
 def test_a_scene_is_named_after_its_class_unless_it_names_itself() -> None:
     class TwoWords(Fall):
-        """Two words of mine.
-
-        And more.
-        """
+        """Two words of mine."""
 
     class Named(Fall):
         name: ClassVar[str] = "mine"
@@ -252,13 +249,6 @@ def test_series_are_on_a_grid_up_to_the_end() -> None:
             result.series(step)
 
 
-def test_plain_values_are_what_json_knows() -> None:
-    given = {"a": np.float64(1.5), "b": math.nan, "c": np.array([1.0, math.inf]), "d": np.int64(3), "e": np.True_}
-    assert plain({**given, "f": "x", "g": None, "h": True}) == {
-        **{"a": 1.5, "b": None, "c": [1.0, None], "d": 3, "e": True, "f": "x", "g": None, "h": True}
-    }
-
-
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
 def test_a_diverging_run_keeps_what_it_was_up_to_there(plant: str) -> None:
     drop = Drop(delay=0.005, duration=3.0)
@@ -383,7 +373,7 @@ def test_phases_are_run_in_parts_and_told_of() -> None:
     assert done == [(1, 2), (2, 2)]
 
 
-@pytest.mark.parametrize(("name", "plant"), sweep(SCENES, ["exact", "mujoco"], every=2))
+@pytest.mark.parametrize(("name", "plant"), sweep(SCENES, ["exact", "mujoco"], every=4))
 def test_every_scene_runs_on_both_plants(name: str, plant: str) -> None:
     scene = find_scene(name)()
     result = run(scene, plant=plant, phase=0.4)

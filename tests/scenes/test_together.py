@@ -14,10 +14,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.scenes import together
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.together import law_kind, stacked
-from maglev_mj.studies import sweep as sweeping
 from maglev_mj.studies.stability_map import RestingWall
 from maglev_mj.studies.sweep import Grid, run_scene_cells
-from maglev_mj.studies.sweep import sweep as run_sweep
 
 
 @pytest.fixture
@@ -55,7 +53,6 @@ def spread(low: float, high: float, count: int) -> list[float]:
 
 
 CASES: Mapping[str, tuple[str, dict[str, Any], dict[str, list[Any]]]] = {
-    "gains": ("drop", {}, {"stiffness": spread(1000.0, 9000.0, 4), "damping": spread(40.0, 100.0, 2)}),
     "starts and masses": ("drop", {"quantize": 5e-6}, {"height": spread(1e-3, 4e-3, 4), "mass": [0.5, 0.9]}),
     "phases and limits": (
         "drop",
@@ -141,7 +138,6 @@ class Spring(Scene):
         ("pass", [12]),
         # what does not take arrays fails, whatever is left of the batch; what mixes devices says something else alone
         ("x = x if x > 0.0 else 2.0 * x", [12]),
-        ("x = x * (1.0 + np.max(gains.stiffness) / 1e4)", [12]),
         # a thousandth too much in the last device alone
         ("x = x * (1.0 + 1e-3 * np.squeeze(np.arange(np.size(gains.stiffness)) == 11))", [12]),
     ],
@@ -262,17 +258,3 @@ def test_laws_are_of_one_kind_if_all_else_agrees() -> None:
         stiffness: float
 
     assert law_kind(Silent(1.0)) is None
-
-
-@pytest.mark.parametrize(
-    ("missing", "window", "together", "alone"),
-    [(3, 1, 3, 1), (64, 1, 64, 8), (64, 4, 32, 2), (1000, 1, 125, 50), (1000, 4, 64, 31), (10**6, 4, 512, 50)],
-)
-def test_jobs_of_batches_are_larger(missing: int, window: int, together: int, alone: int) -> None:
-    assert sweeping._cells_a_job(missing, window, True) == together
-    assert sweeping._cells_a_job(missing, window, False) == alone
-
-
-def test_a_sweep_is_a_batch(batches: list[int]) -> None:
-    found = run_sweep(find_scene("drop"), {"stiffness": spread(3000.0, 6000.0, 16)}, plant="exact")
-    assert batches == [16] and np.isfinite(found.figure("penetration")).all()

