@@ -13,8 +13,6 @@ import numpy as np
 import pytest
 
 from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
-from maglev_mj.bridge.bench.calibration import Calibration
-from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.control.timeline import Timeline
 from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, Sample, quaternion
@@ -403,15 +401,6 @@ def test_what_an_option_needs_of_a_model_is_named(tmp_path: Path) -> None:
     (tmp_path / "broken.xml").write_text("<mujoco><nonsense/></mujoco>", encoding="utf-8")
     with pytest.raises(MaglevError, match=r"model 'broken.xml' cannot be used: .*nonsense"):
         MuJoCoPlant(model=tmp_path / "broken.xml")
-
-
-def test_a_twin_has_the_inertia_that_it_truly_has() -> None:
-    nominal = Calibration.nominal()
-    values = nominal.as_json() | {"inertia": [1.3e-3, 1.1e-3, 9e-4]}
-    other: Any = Twin(TwinParameters(truth=Calibration.from_json(values))).plant
-    usual: Any = Twin(TwinParameters()).plant
-    np.testing.assert_allclose(other.device.inertia, [1.3e-3, 1.1e-3, 9e-4], rtol=1e-12)
-    np.testing.assert_array_equal(usual.device.inertia, load_model().inertia)
 
 
 def test_a_file_that_is_changed_is_read_again(tmp_path: Path) -> None:

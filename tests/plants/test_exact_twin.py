@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,20 +16,17 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
-from maglev_mj.cli.twin import _blank, _shown
 from maglev_mj.errors import MaglevError, ParameterError, PlantError
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.plants.exact_coils import ExactCoilPlant
 from maglev_mj.scenes.scene import PLANTS
-from maglev_mj.session import Snapshot
 from maglev_mj.spec import GRAVITY, INERTIA, RANGE
 from tests.sweeps import sweep
 
 KNOWN = Calibration.nominal()
 LEVEL = KNOWN.gravity
 TILTED = GRAVITY * np.array([math.sin(0.05), 0.0, -math.cos(0.05)])
-both = pytest.mark.parametrize("plant", PLANTS)
 
 
 def exact(timing: Timing | None = None, *, gravity: Array = LEVEL, pose: Any = ZERO, **options: Any) -> ExactCoilPlant:
@@ -98,15 +93,6 @@ def test_a_turn_is_that_of_the_engine_to_second_order_in_a_segment() -> None:
         apart.append(abs(turns[0][3] - turns[1][3]))
     assert apart[0] / apart[1] == pytest.approx(4.0, rel=0.1) == apart[1] / apart[2]
     assert apart[1] < 1e-5
-
-
-def test_a_switch_that_leaves_one_coil_as_it_was_is_one() -> None:
-    plant = exact(Timing(delay=0.0))
-    for held in ((1.0, 1.0, 1.0, 0.0, 0.0, 0.0), (1.0, 0.0, 0.5, 0.0, 0.0, 0.0)):
-        plant.read()
-        plant.drive(held)
-    plant.read()
-    assert plant.currents.tolist() == list(held) and plant.segments == [(0.005, held)]
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
@@ -300,26 +286,6 @@ def test_an_open_coil_gives_no_force_though_its_current_is_commanded() -> None:
     force = KNOWN.coils.wrench(np.array([1.0, 0.0, 3.0, 0.0, 0.0, 0.0]))
     assert plant.state()[1] == pytest.approx(0.005 * (force + plant.load) / INERTIA, abs=1e-12)
     assert plant.currents[1] == 2.0
-
-
-@pytest.mark.parametrize("plant", sweep(PLANTS, every=2))
-def test_a_tilted_device_of_another_mass_lands(plant: str, tmp_path: Path) -> None:
-    truth, corner = replace(KNOWN, mass=0.8, gravity=TILTED), (RANGE[0], 0.0, -RANGE[2], 0.0, 0.0, 0.0)
-    flown = Flown(plant, tmp_path, calibration=truth, pose=corner)
-    assert flown.outcome == "landed" and not flown.twin.firmware.faults
-
-
-@both
-def test_a_viewer_sees_what_a_stop_carries(plant: str) -> None:
-    parameters, shown = TwinParameters(plant=plant), list[Snapshot]()
-    twin = Twin(parameters)
-    viewer: Any = SimpleNamespace(show=shown.append, take=lambda: None)
-    served: Any = SimpleNamespace(twin=twin, stop=None)
-    each = _shown(viewer, _blank(find_scene("joystick"), parameters), served)
-    for _ in range(100):
-        twin.sample()
-        each()
-    assert shown[-1].stops == pytest.approx(-twin.plant.load, abs=1e-3) and not shown[-1].force.any()
 
 
 def test_the_twin_is_named_by_its_plant() -> None:

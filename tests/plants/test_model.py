@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -14,10 +12,9 @@ import pytest
 from maglev_mj import Controller, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.errors import ModelError, ParameterError
 from maglev_mj.frames import Array, quaternion
-from maglev_mj.plants import model
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.hand import Hand, get_hand
-from maglev_mj.plants.model import COILS, Device, load_model, model_path, scenes
+from maglev_mj.plants.model import COILS, Device, load_model, scenes
 from maglev_mj.plants.shapes import (
     GRIP,
     KNOB,
@@ -67,59 +64,46 @@ def test_the_knob_of_a_flotor_on_a_wall_touches_its_plate(axis: int, normal: flo
     assert centre[axis] + normal * half[axis] == pytest.approx(touching, abs=1e-12)
     assert 0.0 < half[axis] < 1e-3 and (half[others] > np.take([KNOB[0], KNOB[0], KNOB[1]], others)).all()
     assert np.array_equal(centre[others], GRIP[others])
-
-
-def test_a_wall_of_a_rotation_has_no_plate() -> None:
-    assert [wall_plate((axis, 1.0, 0.05)) for axis in range(3, 6)] == [None] * 3
+    assert wall_plate((axis + 3, normal, 0.05)) is None  # of a rotation
 
 
 # -- Table 1, row by row ---------------------------------------------------------------------------------
 
 
-def test_envelope(device: Device) -> None:
-    radius, height = envelope(device)
-    assert radius == pytest.approx(SPEC.radius.value, abs=1e-9)
-    assert height == pytest.approx(SPEC.height.value, abs=1e-9)
-
-
-def test_masses(device: Device) -> None:
-    assert device.model.body("stator").mass[0] == SPEC.stator_mass.value
-    assert device.model.body("flotor").mass[0] == SPEC.flotor_mass.value
-    assert device.mass == pytest.approx(SPEC.moving_mass.value, rel=1e-15)
-    assert load_model("drop").mass == device.mass
+def test_the_model_is_that_of_table_1(device: Device) -> None:
+    compiled, coils = device.model, coil_map(device)
+    assert envelope(device) == pytest.approx((SPEC.radius.value, SPEC.height.value), abs=1e-9)
+    assert compiled.body("stator").mass[0] == SPEC.stator_mass.value
+    assert compiled.body("flotor").mass[0] == SPEC.flotor_mass.value
+    assert load_model("drop").mass == device.mass == pytest.approx(SPEC.moving_mass.value, rel=1e-15)
+    for axis in "xyz":
+        assert compiled.joint(axis).range.tolist() == [-SPEC.translation_range.value, SPEC.translation_range.value]
+    assert math.degrees(compiled.joint("rotation").range[1]) == pytest.approx(SPEC.rotation_range.value, rel=1e-15)
+    # 2 kHz (section 2), where Table 1 says more than 3 kHz
+    assert device.driver_time_constant == DRIVER_TIME_CONSTANT
+    assert 2.0 * math.pi * SPEC.driver_bandwidth.value * DRIVER_TIME_CONSTANT == pytest.approx(1.0, rel=1e-12)
+    assert (compiled.actuator_gainprm[:6, 0] == SPEC.force_constant.value).all()
+    data = mujoco.MjData(compiled)
+    data.ctrl[:] = 25.0
+    mujoco.mj_forward(compiled, data)
+    assert (data.actuator_force == SPEC.force_constant.value * SPEC.peak_current.value).all()
+    np.testing.assert_allclose(np.hypot(*coils.points[:3, :2].T), SPEC.coil_radius.value, rtol=1e-15)
+    assert coils.largest_wrench(10.0)[2] == pytest.approx(SPEC.largest_vertical_force.value)
+    for index, largest in enumerate(coils.largest_wrench(10.0)):
+        wrench = np.zeros(6)
+        wrench[index] = largest
+        assert np.abs(coils.currents(wrench)).max() == pytest.approx(10.0)
+    hover = coils.currents(np.array([0, 0, device.mass * GRAVITY, 0, 0, 0]))
+    np.testing.assert_allclose(hover, [1.14, 1.14, 1.14, 0, 0, 0], atol=5e-3)
 
 
 def test_payload_of_table_1_contradicts_its_current(device: Device) -> None:
     # 2 kg beside the 0.65 kg flotor takes 4.33 A a coil, not 3 A.
     coils = coil_map(device)
     lifted = coils.largest_wrench(SPEC.continuous_current.value)[2] / GRAVITY - SPEC.flotor_mass.value
-    assert lifted == pytest.approx(1.185, abs=1e-3)
-    assert lifted < SPEC.payload.value
+    assert lifted == pytest.approx(1.185, abs=1e-3) and lifted < SPEC.payload.value
     weight = (SPEC.payload.value + SPEC.flotor_mass.value) * GRAVITY
     assert np.abs(coils.currents(np.array([0, 0, weight, 0, 0, 0]))).max() == pytest.approx(4.33, abs=5e-3)
-
-
-def test_ranges(device: Device) -> None:
-    for axis in "xyz":
-        joint = device.model.joint(axis)
-        assert joint.range.tolist() == [-SPEC.translation_range.value, SPEC.translation_range.value]
-    assert math.degrees(device.model.joint("rotation").range[1]) == pytest.approx(SPEC.rotation_range.value, rel=1e-15)
-
-
-def test_range_is_a_stop_in_the_device() -> None:
-    # Pushed with 60 N against its range the flotor stays inside it but for the stop's own softness.
-    device = load_model("maglev")
-    data = mujoco.MjData(device.model)
-    data.ctrl[:3] = 10.0
-    for _ in range(2000):
-        mujoco.mj_step(device.model, data)
-    assert data.qpos[2] == pytest.approx(SPEC.translation_range.value, abs=5e-5)
-
-
-def test_driver_bandwidth_is_that_of_the_text(device: Device) -> None:
-    # 2 kHz (section 2), where Table 1 says more than 3 kHz; what such a lag does is in test_devices.py.
-    assert device.driver_time_constant == DRIVER_TIME_CONSTANT
-    assert 2.0 * math.pi * SPEC.driver_bandwidth.value * DRIVER_TIME_CONSTANT == pytest.approx(1.0, rel=1e-12)
 
 
 def test_closed_loop_position_response() -> None:
@@ -142,33 +126,6 @@ def test_measured_bandwidth_is_that_of_the_sampled_loop() -> None:
     expected = frequencies[np.argmax(response < math.sqrt(0.5))]
     measured = position_bandwidth("z", stiffness=k, damping=b, period=period, delay=0.0)
     assert measured == pytest.approx(expected, rel=0.01)
-
-
-def test_force_constant_and_currents(device: Device) -> None:
-    compiled = device.model
-    assert (compiled.actuator_gainprm[:6, 0] == SPEC.force_constant.value).all()
-    assert (compiled.actuator_ctrlrange[:6] == [-SPEC.peak_current.value, SPEC.peak_current.value]).all()
-    data = mujoco.MjData(compiled)
-    data.ctrl[:] = 25.0
-    mujoco.mj_forward(compiled, data)
-    assert (data.actuator_force == SPEC.force_constant.value * SPEC.peak_current.value).all()
-
-
-def test_largest_forces(device: Device) -> None:
-    coils = coil_map(device)
-    assert coils.largest_wrench(10.0)[2] == pytest.approx(SPEC.largest_vertical_force.value)
-    assert coils.largest_wrench(3.0)[2] == pytest.approx(18.0)
-    for index, largest in enumerate(coils.largest_wrench(10.0)):
-        wrench = np.zeros(6)
-        wrench[index] = largest
-        assert np.abs(coils.currents(wrench)).max() == pytest.approx(10.0)
-
-
-def test_hover_current(device: Device) -> None:
-    hover = coil_map(device).currents(np.array([0, 0, device.mass * GRAVITY, 0, 0, 0]))
-    np.testing.assert_allclose(hover, [1.14, 1.14, 1.14, 0, 0, 0], atol=5e-3)
-    at_065 = coil_map(device).currents(np.array([0, 0, 0.65 * GRAVITY, 0, 0, 0]))
-    assert at_065[0] == pytest.approx(1.06, abs=5e-3)
 
 
 # -- geometry and map ------------------------------------------------------------------------------------
@@ -209,11 +166,6 @@ def test_coils_that_cannot_give_every_wrench_are_refused(device: Device) -> None
         CoilMap(coils.points[:5], coils.directions[:5], coils.force_constants[:5])
     with pytest.raises(ParameterError, match="current must be at least 0"):
         coils.largest_wrench(-1.0)
-
-
-def test_vertical_coils_are_at_the_coil_radius(device: Device) -> None:
-    points = coil_map(device).points[:3]
-    np.testing.assert_allclose(np.hypot(points[:, 0], points[:, 1]), SPEC.coil_radius.value, rtol=1e-15)
 
 
 @pytest.mark.parametrize(
@@ -275,62 +227,20 @@ def drop_bits(scene: str = "drop", **options: Any) -> tuple[Array, ...]:
     return trace.time, trace.pose, trace.twist, trace.wrench
 
 
-@pytest.fixture
-def variant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[Array, ...]]:
-    """Return a function that runs a changed drop scene."""
-
-    def run_changed(*changes: tuple[str, str], lean: bool = True) -> tuple[Array, ...]:
-        text = model_path("drop").read_text(encoding="utf-8")
-        for old, new in changes:
-            assert old in text, old
-            text = text.replace(old, new)
-        (tmp_path / "drop.xml").write_text(text, encoding="utf-8")
-        (tmp_path / "maglev.xml").write_text(model_path("maglev").read_text(encoding="utf-8"), encoding="utf-8")
-        with monkeypatch.context() as patch:
-            patch.setattr(model, "MODELS", tmp_path)
-            if not lean:
-                patch.setattr("maglev_mj.plants.engine.load_model", lambda *a, **k: load_model(*a, **k, lean=False))
-            return drop_bits()
-
-    return run_changed
-
-
-def test_drop_scene_compiles_to_the_bare_mechanics() -> None:
-    compiled = load_model("drop").model
-    assert (compiled.nbody, compiled.njnt, compiled.nv, compiled.nu) == (2, 4, 6, 6)  # world and flotor
-    nothing = ("ngeom", "nlight", "ncam", "nmesh", "nmat", "ntex", "nsensor", "ntendon", "neq", "nkey", "na")
-    assert {name: getattr(compiled, name) for name in nothing} == dict.fromkeys(nothing, 0)
-    used = set(compiled.actuator_trnid.ravel())
-    assert used == set(range(compiled.nsite))  # every site is an end of a coil
-    off = mujoco.mjtDisableBit
-    for flag in (off.mjDSBL_CONTACT, off.mjDSBL_CONSTRAINT):
-        assert compiled.opt.disableflags & flag
-    for scene in ("drop", "maglev"):  # what every scene gets from the plant, so that none can forget it
-        option = MuJoCoPlant(model=scene).device.model.opt
-        assert option.integrator == mujoco.mjtIntegrator.mjINT_RK4
-        assert option.disableflags & off.mjDSBL_AUTORESET
-        assert option.disableflags & off.mjDSBL_CLAMPCTRL
-
-
-def test_what_the_drop_leaves_out_would_not_change_one_bit(variant: Callable[..., tuple[Array, ...]]) -> None:
+def test_what_the_drop_leaves_out_would_not_change_one_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     bits = drop_bits()
-    put_back = {
-        "sites of LEDs, diodes and stator": variant(lean=False),
-        "shapes and materials": variant(('discardvisual="true"', "")),
-        "contacts": variant(('contact="disable" ', "")),
-        "joint limits": variant((' constraint="disable"', "")),
-        "the stator as a body of its own": variant(('fusestatic="true"', "")),
-    }
-    different = [
-        name
-        for name, other in put_back.items()
-        if name != "the stator as a body of its own"
-        and any(one.tobytes() != two.tobytes() for one, two in zip(bits, other, strict=True))
-    ]
-    assert not different
+    monkeypatch.setattr("maglev_mj.plants.engine.load_model", lambda *a, **k: load_model(*a, **k, lean=False))
+    assert all(one.tobytes() == other.tobytes() for one, other in zip(bits, drop_bits(), strict=True))
     # with the handle as a body of its own, mass and inertia are summed in another order: equal to rounding only
-    for one, two in zip(bits, put_back["the stator as a body of its own"], strict=True):
-        np.testing.assert_allclose(one, two, rtol=0.0, atol=1e-12)
+    for one, other in zip(bits, drop_bits("maglev"), strict=True):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("scene", ["drop", "maglev"])
+def test_the_engine_neither_resets_nor_clamps(scene: str) -> None:
+    option, off = MuJoCoPlant(model=scene).device.model.opt, mujoco.mjtDisableBit
+    assert option.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    assert option.disableflags & off.mjDSBL_AUTORESET and option.disableflags & off.mjDSBL_CLAMPCTRL
 
 
 # -- the report ------------------------------------------------------------------------------------------

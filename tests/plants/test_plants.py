@@ -178,15 +178,6 @@ def _matrix(vector: Array) -> Array:
     return matrix.reshape(3, 3)
 
 
-def test_the_coils_map_is_upright_again_when_the_flotor_is() -> None:
-    plant = MuJoCoPlant(Timing(), pose=[0, 0, 0, 0.1, 0, 0], twist=[0, 0, 0, -20.0, 0, 0], gravity=0.0)
-    assert plant._coil_drive is not None
-    for angle, turned in ((0.1, True), (0.0, False)):
-        assert plant.read().position[3] == pytest.approx(angle, abs=1e-12)
-        plant.write(Command([0.0] * 6))
-        assert (plant._coil_drive.inverse_map is not plant._coil_drive._upright) is turned
-
-
 def test_nan_counts_as_diverged() -> None:
     plant = MuJoCoPlant()
     plant.read()
@@ -276,20 +267,6 @@ def test_a_command_that_the_engine_refuses_is_an_error() -> None:
         for _ in range(4):
             plant.read()
             plant.write(Command([0.0, 0.0, 1e13, 0.0, 0.0, 0.0]))
-
-
-def test_a_constant_command_is_one_step_a_period() -> None:
-    steps = []
-    for forces in ([1.0] * 6, [1.0, 2.0] * 3):
-        plant = MuJoCoPlant(gravity=0.0, coils=False)
-        count: list[int] = []
-        plant._steps._step = count.append
-        for force in forces:
-            plant.read()
-            plant.write(Command([0.0, 0.0, force, 0.0, 0.0, 0.0]))
-        plant.read()
-        steps.append(len(count))
-    assert steps == [7, 12]  # the first command is new in both
 
 
 @pytest.mark.parametrize(
