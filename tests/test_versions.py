@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -58,11 +57,11 @@ def test_a_copy_has_the_same_sources_and_one_changed_byte_gives_others(tmp_path:
     assert told()["sources"] != versions()["sources"]
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_any_difference_is_named_with_both_values(name: str) -> None:
+def test_any_difference_is_named_with_both_values() -> None:
     ours = versions()
     assert differences(ours, dict(ours)) == ""
-    assert differences({**ours, name: "theirs"}, ours) == f"{name} theirs (here {ours[name]})"
+    for name in NAMES:
+        assert differences({**ours, name: "theirs"}, ours) == f"{name} theirs (here {ours[name]})"
     assert differences({}, ours) == "no versions"
     assert differences({"numpy": "1"}, ours).count("unknown (here") == 4
 
@@ -70,8 +69,6 @@ def test_any_difference_is_named_with_both_values(name: str) -> None:
 COMMANDS = [
     ["drop", "--plant", "exact"],
     ["drop", "--delay", "0.005", "--duration", "3"],  # diverges
-    ["press", "--plant", "exact"],
-    ["stick-slip", "--plant", "exact"],
     ["stability", "--grid", "2"],
     ["sweep", "drop", "--vary", "plant=exact", "--workers", "0"],
     ["info"],
@@ -105,16 +102,6 @@ def test_a_file_of_last_cycles_names_its_code(tmp_path: Path) -> None:
     kept = LastCycles(tmp_path)
     path = kept.write(kept.mark(Fault.HOST, "a test", {}))
     assert path is not None and open_journal(path).header["versions"] == versions()
-
-
-def test_every_script_that_writes_json_names_its_code() -> None:
-    writers = [
-        path
-        for path in (ROOT / "scripts").rglob("*.py")
-        if re.search(r'\.json|, "json"\)', text := path.read_text()) and "dumps" in text
-    ]
-    assert len(writers) >= 5
-    assert [path.name for path in writers if '"versions": versions()' not in path.read_text()] == []
 
 
 SWEEP = ["sweep", "drop", "--vary", "phase=0:0.5:2", "--set", "plant=exact", "--workers", "0"]

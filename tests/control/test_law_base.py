@@ -2,7 +2,7 @@
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,6 @@ from maglev_mj.control import (
 )
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import components
-from tests.all_of import LAWS
 
 T = 0.005
 GAINS: dict[str, Any] = {"stiffness": 3000.0, "damping": 30.0}
@@ -60,16 +59,15 @@ class Leaky(AxisLaw):
 OWN: dict[str, Law] = {
     "Detent": DETENT,
     "Leaky": Leaky(),
-    "Bias": Bias([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]),
     "coupled": StickSlip(axes=("x", "y"), v_min=0.01, coupled=True, **FRICTION),
-    "Wall": LAWS["Wall"][0],
-    "LuGre": LAWS["LuGre"][0],
 }
 
 
 @pytest.mark.parametrize("law", OWN)
 def test_a_law_is_the_same_alone_and_in_a_batch(law: str) -> None:
     check_law(OWN[law])
+    with pytest.raises(ParameterError, match=r"must be of one device to be checked, not of shape \(2,\)"):
+        check_law(Hold(stiffness=np.ones((2, 6)), damping=0.0))
 
 
 def test_gains_may_differ_by_axis_and_by_device() -> None:
@@ -183,15 +181,6 @@ def test_a_law_that_is_wrong_is_refused_in_one_line(name: str) -> None:
             Controller([Wrong()], period=T).step(Sample(0, 0.0, [1e-3] * 6))
 
 
-@pytest.mark.parametrize("sizes", [(3,), (2, 6)])
-def test_a_batch_of_a_wrong_shape_is_refused_at_the_first_sample(sizes: tuple[int, ...]) -> None:
-    def wrong(position: Sequence[Any], velocity: Sequence[Any]) -> Sequence[Any]:
-        return [np.zeros(sizes)] * 6
-
-    with pytest.raises(ParameterError, match=r"a wrench of shape \(4,\) on x"):
-        Controller([wrong], period=T).step(Sample(0, 0.0, components(np.zeros((4, 6)))))
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -205,11 +194,6 @@ def test_a_batch_of_a_wrong_shape_is_refused_at_the_first_sample(sizes: tuple[in
 def test_what_is_no_law_is_refused(given: Any, message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         Controller([given], period=T).step(Sample(0, 0.0, [0.0] * 6))
-
-
-def test_a_law_of_a_batch_is_not_checked() -> None:
-    with pytest.raises(ParameterError, match=r"must be of one device to be checked, not of shape \(2,\)"):
-        check_law(Hold(stiffness=np.ones((2, 6)), damping=0.0))
 
 
 def test_a_class_that_is_no_law_is_refused() -> None:

@@ -145,28 +145,13 @@ def test_saturation_throws_the_observer_wall_out_unless_its_model_knows_the_limi
         assert all(settles(paper, limit))
 
 
-@pytest.mark.parametrize(("stiffness", "delay"), sweep([500.0, 2000.0, 4000.0], [0.0, 0.0015, 0.005], every=3))
+@pytest.mark.parametrize(("stiffness", "delay"), sweep([500.0, 2000.0, 4000.0], [0.0, 0.0015, 0.005], every=4))
 def test_passivity_control_takes_away_what_the_wall_makes(stiffness: float, delay: float) -> None:
     control = PassivityController(axes="z", period=T, delay=delay, most=60.0)
     made, watch, _ = bounce([plain(stiffness)], delay)
     kept, controlled, _ = bounce([plain(stiffness), control], delay)
     assert made.min() > 1.2 and (watch.energy[:, 2] < 0.0).all()
     assert kept.max() < 1.0 + 1e-9 and controlled.energy[:, 2].min() > -1e-12
-
-
-def test_passivity_observer_is_exact() -> None:
-    # Against the work done between all switches: delay over several periods, pulse, pulse past its period.
-    paper = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)
-    pulsed = Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0, pulse=220.0, pulse_width=0.003)
-    for law, delay in (
-        (paper, 0.0015),
-        (pulsed, 0.0035),
-        (paper, 0.0065),
-    ):
-        _, watch, trace = bounce([law], delay)
-        work = actuator_work(trace)[..., 2].sum(axis=0)
-        np.testing.assert_allclose(watch.energy[:, 2], -work, rtol=1e-9, atol=1e-12)
-        assert np.abs(watch.energy[:, [0, 1, 3, 4, 5]]).max() == 0.0
 
 
 def test_passivity_observer_without_inertia_is_exact_for_one_force_a_period() -> None:

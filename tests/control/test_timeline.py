@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing
+from maglev_mj import MuJoCoPlant, Timing
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.safety import Limits, OutputLimiter, ThermalModel
 from maglev_mj.control.timeline import Timeline, recorded_switches, split_delay
@@ -19,8 +19,7 @@ def rounded(segments: list[tuple[float, object]]) -> list[tuple[float, object]]:
     return [(round(duration, 9), drive) for duration, drive in segments]
 
 
-@pytest.mark.parametrize("periods", [0, 1, 3, 7])
-@pytest.mark.parametrize("period", [T, 1e-4, 0.1, 1.0 / 3.0])
+@pytest.mark.parametrize(("periods", "period"), [(0, T), (1, 1e-4), (3, 0.1), (7, 1.0 / 3.0)])
 def test_a_delay_within_rounding_of_whole_periods_is_whole(periods: int, period: float) -> None:
     for delay in (periods * period, sum([period] * periods), periods * period * (1.0 + 2e-16)):
         assert split_delay(delay, period) == (periods, 0.0)
@@ -58,16 +57,6 @@ def test_a_second_answer_replaces_the_first_and_an_early_switch_what_comes_later
     assert rounded(line.period(5)) == [(0.001, "cut"), (0.004, "late")]
 
 
-def test_an_answer_drops_whatever_was_to_come_then_or_later() -> None:
-    line = Timeline(Timing(period=T, delay=0.001), "before")
-    line.answer(0, "late", after=0.004)
-    line.answer(0, "early", after=0.002)
-    assert rounded(line.period(0)) == [(0.002, "before"), (0.003, "early")]
-    line.answer(1, "later", after=2.2 * T)
-    assert rounded(line.period(1, ("now", None, 0.0))) == [(0.001, "early"), (0.004, "now")]
-    assert line.period(2) == line.period(3) == [(T, "now")]
-
-
 @pytest.mark.parametrize("timing", [{"delay": 0.0}, {"delay": 0.0015}, {"delay": 0.0065}, {"jitter": 5e-4}])
 def test_an_answer_with_the_request_is_as_one_before_it(timing: dict[str, Any]) -> None:
     made = Timing(period=T, **timing)
@@ -80,37 +69,6 @@ def test_an_answer_with_the_request_is_as_one_before_it(timing: dict[str, Any]) 
         assert all(duration > 0.0 for duration, _ in segments)
         if "jitter" in timing and tick % 3 == 0:
             assert segments[0][0] == made.rest_at(tick)
-
-
-def test_alike_drives_are_no_switch_where_they_are_compared() -> None:
-    one, same, other = ((1.0, 2.0), "a"), ((1.0, 2.0), "b"), ((3.0, 2.0), "c")
-    for compares in (True, False):
-        line = Timeline(Timing(period=T, delay=0.001), one, compares=compares)
-        line.answer(0, same)
-        assert len(line.period(0)) == (1 if compares else 2)
-        line.answer(1, other)
-        assert len(line.period(1)) == 2
-        line.answer(2, other, same, 0.001)
-        assert [drive for _, drive in line.period(2)] == [other, same, other]
-
-
-def test_devices_with_their_own_delays_have_their_own_switches() -> None:
-    delays = np.array([0.0, 0.001, 0.004])
-    together = Timeline(Timing(period=T, delay=delays), 0)
-    alone = [Timeline(Timing(period=T, delay=delay), 0) for delay in delays]
-    for tick, width in enumerate([0.003, 0.0, 0.0045, 0.012, None, 0.001]):
-        for line in (together, *alone):
-            if width is not None:
-                line.answer(tick, tick + 1, 10 * (tick + 1), width)
-        segments = together.period(tick)
-        np.testing.assert_allclose(sum(duration for duration, _ in segments), T, rtol=1e-12)
-        for device, line in enumerate(alone):
-            shares: dict[int, float] = {}
-            for duration, drive in segments:
-                length = float(np.broadcast_to(duration, (3,))[device])
-                shares[drive] = shares.get(drive, 0.0) + length
-            own = {drive: duration for duration, drive in line.period(tick)}
-            assert {drive: length for drive, length in shares.items() if length > 1e-12} == pytest.approx(own)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, T, 0.0123])
@@ -133,18 +91,7 @@ def test_recorded_commands_switch_as_live_ones_do(delay: float) -> None:
     assert start == pytest.approx(60 * T)
 
 
-def test_a_pulse_runs_out_after_an_unanswered_sample_on_every_plant() -> None:
-    # A pulse of 9 ms from 1.5 ms on, and the next samples are not answered.
-    kick = Command([0.0] * 6, [0.0, 0.0, 1.0, 0.0, 0.0, 0.0], 0.009)
-    times = [0.001, 0.002, 0.0064, 0.0066, 0.0104, 0.0106]
-    for plant in (ExactPlant, MuJoCoPlant):
-        with plant(Timing(period=T, delay=0.0015), gravity=0.0, record=True) as made:
-            made.read()
-            made.write(kick)
-            for _ in range(3):
-                made.read()
-            wrench = made.trace().at(times)[2]
-        assert wrench[:, 2].tolist() == [0.0, 1.0, 1.0, 1.0, 1.0, 0.0]
+def test_a_pulse_of_currents_runs_out_after_an_unanswered_sample() -> None:
     driven = MuJoCoPlant(Timing(period=T, delay=0.0015), gravity=(0.0, 0.0, 0.0))
     driven.read()
     driven.drive([0.0] * 6, [1.0, 0, 0, 0, 0, 0], 0.009)

@@ -15,8 +15,8 @@ import pytest
 from maglev_mj import Command, Controller, ExactPlant, Hold, MuJoCoPlant, Timing, Wall, drive
 from maglev_mj.control.timeline import Timeline
 from maglev_mj.errors import MaglevError, ModelError, ParameterError, PlantError
-from maglev_mj.frames import Array, Sample, quaternion
-from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
+from maglev_mj.frames import Array, Sample
+from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.model import load_model, model_path
 from maglev_mj.plants.trace import EnergyAccount, HandWork, PassivityObserver, hand_work
@@ -171,26 +171,6 @@ def test_currents_that_a_wrench_would_give_move_the_flotor_alike_to_the_last_bit
         assert one.currents.tolist() == other.currents.tolist()
         assert other.work == pytest.approx(one.work, rel=0.02 if "force_falloff" in options else 1e-4)
         np.testing.assert_allclose(one.trace().wrench[:-1], other.trace().wrench[:-1], atol=1e-2)
-
-
-@pytest.mark.parametrize("sensor", [None, Sensor(quantum=1e-12)])
-def test_the_currents_of_a_constant_wrench_follow_the_angle(sensor: Sensor | None) -> None:
-    with MuJoCoPlant(Timing(delay=0.0), twist=[0, 0, 0, 3.0, -2.0, 1.0], gravity=0.0, sensor=sensor) as plant:
-        coils, turn = plant.device.coils, np.zeros(9)
-        assert coils is not None
-        for tick in range(8):
-            place = plant.read().position
-            mujoco.mju_quat2Mat(turn, np.array(quaternion(place[3:])))
-            plant.write(Command([0.0, 1.0, 5.0, 0.0, 0.0, 0.0]))
-            expected = coils.inverse_at(turn) @ [0.0, 1.0, 5.0, 0.0, 0.0, 0.0]
-            if tick:
-                assert not np.allclose(plant.currents, expected, atol=1e-4)  # those of the sample before
-            drive = plant._coil_drive
-            assert drive is not None
-            np.testing.assert_allclose(plant._last[1], expected, atol=1e-9)
-            plant.read()
-            np.testing.assert_allclose(plant.currents, expected, atol=1e-9)
-            plant.write(Command([0.0, 1.0, 5.0, 0.0, 0.0, 0.0]))
 
 
 def test_a_plant_takes_wrenches_and_currents_in_turn() -> None:

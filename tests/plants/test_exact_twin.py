@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,10 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
-from maglev_mj.errors import MaglevError, ParameterError, PlantError
+from maglev_mj.errors import MaglevError, PlantError
 from maglev_mj.frames import ZERO, Array
 from maglev_mj.plants import MuJoCoPlant, Timing
 from maglev_mj.plants.exact_coils import ExactCoilPlant
-from maglev_mj.scenes.scene import PLANTS
 from maglev_mj.spec import GRAVITY, INERTIA, RANGE
 from tests.sweeps import sweep
 
@@ -194,87 +193,7 @@ def test_a_flotor_pressed_to_its_upper_stop_leaves_it_without_a_jump() -> None:
     assert not plant.stop_wrench.any()
 
 
-# flights
-
-
-class Flown:
-    """Flight in virtual time with what a twin did."""
-
-    def __init__(
-        self,
-        plant: str,
-        folder: Path,
-        scene: str = "joystick",
-        seconds: float = 1.0,
-        hand: Callable[..., Any] | None = None,
-        **parameters: Any,
-    ) -> None:
-        self.twin = Twin(TwinParameters(plant=plant, **parameters), hand_force=hand, draw=lambda: 7)
-        rows: list[Array] = []
-        take = self.twin.sample
-
-        def sample() -> bytes | None:
-            frame = take()
-            flown = [span * np.array(currents) for span, currents in self.twin.plant.segments]
-            mean = np.sum(flown, axis=0) / self.twin.parameters.period if flown else np.zeros(6)
-            rows.append(np.concatenate([*self.twin.plant.state(), mean]))
-            return frame
-
-        self.twin.sample = sample  # type: ignore[method-assign]
-        known = parameters.get("calibration")
-        with RemotePlant(VirtualLink(self.twin), calibration=known, folder=folder) as host:
-            wanted = find_scene(scene)().replace(period=host.period, delay=host.delay)
-            try:
-                landing = Flight(host, wanted).run(seconds).landing
-                self.outcome = "landed" if landing.at_rest and not landing.reason else str(landing)
-            except MaglevError as error:
-                self.outcome = str(error)
-        self.rows = np.array(rows)
-
-    def levitated(self, start: float, end: float) -> Array:
-        """Return the rows between two times [s]."""
-        return self.rows[round(start * 200) : round(end * 200) + 1]
-
-
-def nudge(tick: int, time: float, state: Any) -> Sequence[float]:
-    return [1.5 * (1.4 < time < 1.6), 0.0, -2.0 * (1.5 < time < 1.7), 0.0, 0.01 * (1.4 < time < 1.6), 0.0]
-
-
-@pytest.mark.parametrize(("plant", "scene"), sweep(["mujoco", "exact"], ["six-axes", "joystick", "drop"], every=4))
-def test_currents_of_a_flight_are_newtons(plant: str, scene: str, tmp_path: Path) -> None:
-    """Mean force is weight and change of momentum, exactly, at any angle: forces keep their directions."""
-    flown = Flown(plant, tmp_path, scene)
-    assert flown.outcome == "landed" and not flown.twin.firmware.faults
-    rows = flown.levitated(1.25, 1.75)
-    force = KNOWN.coils.wrench(rows[1:, 12:].mean(axis=0))[:3]
-    momentum = KNOWN.mass * (rows[-1, 6:9] - rows[0, 6:9]) / 0.5
-    assert force + KNOWN.mass * KNOWN.gravity == pytest.approx(momentum, abs=1e-9)
-    assert rows[1:, 12:].mean(axis=0) == pytest.approx(KNOWN.hover, abs=0.05)
-
-
-@pytest.mark.parametrize(
-    "hand", [pytest.param(None, id="free", marks=pytest.mark.study), pytest.param(nudge, id="nudged")]
-)
-def test_flights_on_both_plants_agree(hand: Any, tmp_path: Path) -> None:
-    """With a sensor without noise or steps, which would tell two flights apart by steps."""
-    one, other = (Flown(plant, tmp_path, hand=hand, noise=0.0, quantum=1e-12) for plant in PLANTS)
-    assert one.outcome == other.outcome == "landed"
-    apart = np.abs(one.levitated(1.25, 1.75) - other.levitated(1.25, 1.75)).max(axis=0)
-    size = np.abs(other.levitated(1.25, 1.75)).max(axis=0)
-    assert apart[:3].max() < 5e-11 and apart[6:9].max() < 5e-9
-    assert apart[3:6].max() < 1e-4 * size[3:6].max() and apart[12:].max() < 2e-5
-    assert hand is None or ((size[[0, 2]] > 3e-3).all() and size[4] > 0.03)
-
-
-@pytest.mark.parametrize("coil", sweep(range(6), every=6))
-def test_a_dead_coil_is_found_at_takeoff_as_in_the_engine(coil: int, tmp_path: Path) -> None:
-    """By its current where it carries much, else by its force."""
-    fault = InjectedFault(kind="dead-coil", which=coil, at=0.05)
-    one, other = (Flown(plant, tmp_path, faults=[fault]).outcome.split(";")[0] for plant in PLANTS)
-    assert one == other and one in (
-        "COIL_NOT_FOLLOWING: said by the device",
-        f"no flight: coil {coil} gives 0 % of its calibrated force",
-    )
+# faults
 
 
 def test_an_open_coil_gives_no_force_though_its_current_is_commanded() -> None:
@@ -288,8 +207,48 @@ def test_an_open_coil_gives_no_force_though_its_current_is_commanded() -> None:
     assert plant.currents[1] == 2.0
 
 
-def test_the_twin_is_named_by_its_plant() -> None:
-    assert isinstance(Twin(TwinParameters()).plant, MuJoCoPlant)
-    assert isinstance(Twin(TwinParameters(plant="exact")).plant, ExactCoilPlant)
-    with pytest.raises(ParameterError, match="plant must be one of exact, mujoco, not 'exacct'"):
-        TwinParameters(plant="exacct")
+def flown(plant: str, folder: Path, kind: type, hand: Any = None, **parameters: Any) -> tuple[str, Array]:
+    """Return the outcome of a flight, and pose, twist and mean currents of the period before at each sample."""
+    twin = Twin(TwinParameters(plant=plant, **parameters), hand_force=hand, draw=lambda: 7)
+    assert isinstance(twin.plant, kind)
+    rows, take = list[Array](), twin.sample
+
+    def sample() -> bytes | None:
+        frame = take()
+        spans = [span * np.array(currents) for span, currents in twin.plant.segments]
+        rows.append(np.concatenate([*twin.plant.state(), np.sum(spans, axis=0) / 0.005 if spans else np.zeros(6)]))
+        return frame
+
+    twin.sample = sample  # type: ignore[method-assign]
+    with RemotePlant(VirtualLink(twin), folder=folder) as host:
+        scene = find_scene("joystick")().replace(period=host.period, delay=host.delay)
+        try:
+            landing = Flight(host, scene).run(1.0).landing
+            outcome = "landed" if landing.at_rest and not landing.reason else str(landing)
+        except MaglevError as error:
+            outcome = str(error)
+    return outcome, np.array(rows)
+
+
+def nudge(tick: int, time: float, state: Any) -> Sequence[float]:
+    return [1.5 * (1.4 < time < 1.6), 0.0, -2.0 * (1.5 < time < 1.7), 0.0, 0.01 * (1.4 < time < 1.6), 0.0]
+
+
+KINDS = {"exact": ExactCoilPlant, "mujoco": MuJoCoPlant}
+
+
+def test_flights_on_both_plants_agree(tmp_path: Path) -> None:
+    """Without noise or steps of a sensor; an angle differs by the middle rule's error, and with it the currents."""
+    both = [flown(plant, tmp_path, kind, nudge, noise=0.0, quantum=1e-12) for plant, kind in KINDS.items()]
+    assert [outcome for outcome, _ in both] == ["landed", "landed"]
+    one, other = (rows[round(1.25 * 200) : round(1.75 * 200) + 1] for _, rows in both)
+    apart, size = np.abs(one - other).max(axis=0), np.abs(other).max(axis=0)
+    assert apart[:3].max() < 5e-11 and apart[6:9].max() < 5e-9
+    assert apart[3:6].max() < 1e-4 * size[3:6].max() and apart[12:].max() < 2e-5
+    assert (size[[0, 2]] > 3e-3).all() and size[4] > 0.03
+
+
+def test_a_dead_coil_is_found_at_takeoff_of_the_twin_in_closed_form(tmp_path: Path) -> None:
+    fault = InjectedFault(kind="dead-coil", which=0, at=0.05)
+    outcome = flown("exact", tmp_path, ExactCoilPlant, faults=[fault])[0].split(";")[0]
+    assert outcome in ("COIL_NOT_FOLLOWING: said by the device", "no flight: coil 0 gives 0 % of its calibrated force")

@@ -15,8 +15,8 @@ from maglev_mj.control import Hold, Wall
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Component, components, join
 from maglev_mj.plants import MuJoCoBatchPlant, SampledPlant, Sensor
-from maglev_mj.plants.exact import DryFriction, HeldAxis, Lag
-from maglev_mj.plants.hand import Hand, motion, transition
+from maglev_mj.plants.exact import DryFriction
+from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import INERTIA
 from tests.sweeps import sweep
 
@@ -145,39 +145,6 @@ def test_friction_slides_stops_rests_and_turns_back_to_the_last_bit() -> None:
     for shared in (0.0, -0.001, 0.1):
         mixed = np.broadcast_arrays(*slid(False, x, shared, 0.3, 0.5))
         assert np.array_equal(mixed, rubbed(duration, x, shared, 0.3, 0.5, inverse))
-
-
-@pytest.mark.parametrize("lag", [0.0, 8e-5])
-@pytest.mark.parametrize("grip", [{}, {"grip_damping": 2.0, "grip_stiffness": 900.0}])
-def test_a_hand_and_lagging_drivers_are_their_transition_matrix(lag: float, grip: dict[str, Any]) -> None:
-    # Along z in the hand, and on the free axes beside it, over durations that return and others.
-    hand = Hand(mass=0.1, damping=5.0, stiffness=100.0, axes="z", **grip)
-    amendments: list[Lag | DryFriction | HeldAxis] = [
-        *([Lag(INERTIA, lag)] if lag else []),
-        HeldAxis(2, (1e-3, 0.02, 1.0), INERTIA[2], -6.0, hand, lag),
-    ]
-    force, effort = [0.3, -0.2, 5.0, 0.01, -0.02, 0.03], [0.0, 0.0, 0.4, 0.0, 0.0, 0.0]
-    now: tuple[list[Component], list[Component], list[Component]] = [1e-3] * 6, [0.02] * 6, [1.0] * 6
-    kept = [np.array([1e-3, 0.02, *([1.0] if lag else [])]) for _ in range(6)]
-    if hand.soft:
-        kept[2] = np.array([1e-3, 0.02, hand.place(1e-3), 0.02, *([1.0] if lag else [])])
-    for duration in (0.0015, 0.0035, 0.0015, 0.002, 1e-5):
-        rates = [push / mass for push, mass in zip(force, INERTIA)]
-        after = (
-            [x + duration * (v + 0.5 * duration * rate) for x, v, rate in zip(*now[:2], rates)],
-            [v + duration * rate for v, rate in zip(now[1], rates)],
-            list(force),
-        )
-        for amendment in amendments:
-            amendment.amend(duration, (force, effort), now, after)
-        now = after
-        for axis, mass in enumerate(INERTIA):
-            phi, gamma = transition(*motion(mass, hand if axis == 2 else None, lag), duration)
-            kept[axis] = phi @ kept[axis] + gamma @ [force[axis], -6.0 if axis == 2 else 0.0, effort[axis]]
-            assert now[0][axis] == pytest.approx(kept[axis][0], rel=0.0, abs=1e-17)
-            assert now[1][axis] == pytest.approx(kept[axis][1], rel=0.0, abs=1e-14)
-            if lag:
-                assert now[2][axis] == pytest.approx(kept[axis][-1], rel=1e-14)
 
 
 @pytest.mark.parametrize(

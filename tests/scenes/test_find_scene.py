@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import json
 import pickle
@@ -18,7 +17,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.find import find_scene, line_of, reference_of, scene_again, source_of
 from maglev_mj.scenes.names import BUILT_IN, scene_names
-from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
@@ -78,16 +76,13 @@ def test_a_scene_is_found_by_the_name_that_it_has() -> None:
         assert name in scene_names()
 
 
-@pytest.mark.parametrize(
-    ("text", "meant"),
-    [("pub", ""), ("", ""), ("Drop", "drop"), ("maglev_mj.scenes.drop:Drop", ""), ("joistick", "joystick")],
-)
+@pytest.mark.parametrize(("text", "meant"), [("", ""), ("maglev_mj.scenes.drop:Drop", ""), ("joistick", "joystick")])
 def test_what_is_no_scene_is_refused_with_those_that_there_are(text: str, meant: str) -> None:
     with pytest.raises(ParameterError) as refused:
         find_scene(text)
-    names = ", ".join(scene_names())
     near = f"; did you mean {meant}?" if meant else ""
-    assert str(refused.value) == f"scene must be one of {names}, or a file such as my_scene.py, not {text!r}{near}"
+    said = f"scene must be one of {', '.join(scene_names())}, or a file such as my_scene.py, not {text!r}{near}"
+    assert str(refused.value) == said
 
 
 def test_a_scene_is_found_in_a_file(push: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,15 +95,8 @@ def test_a_scene_is_found_in_a_file(push: Path, monkeypatch: pytest.MonkeyPatch)
     assert find_scene("my_push.py") is cls
     assert reference_of(cls) == f"{push}:Push"
     assert source_of(cls) == hashlib.sha256(push.read_bytes()).hexdigest()[:16]
-    result = run(cls(away=2e-3), plant="exact")  # type: ignore[call-arg]
-    assert 0.0 < result.figures["final_position"] < 2e-3
-
-
-def test_a_file_that_was_written_since_is_read_anew(push: Path) -> None:
-    first = find_scene(str(push))
-    push.write_text(PUSH.replace("default=1e-3", "default=3e-3"))
-    second = find_scene(str(push))
-    assert (first().away, second().away) == (1e-3, 3e-3)  # type: ignore[attr-defined]
+    push.write_text(PUSH.replace("default=1e-3", "default=3e-3"))  # read anew
+    assert (cls().away, find_scene(str(push))().away) == (1e-3, 3e-3)  # type: ignore[attr-defined]
 
 
 TWO = PUSH + "\n\nclass Pull(Push):\n    pass\n"
@@ -138,12 +126,9 @@ def test_scenes_that_a_file_imports_are_not_its_own(push: Path) -> None:
 @pytest.mark.parametrize(
     ("source", "words"),
     [
-        ("1 / 0\n", "ZeroDivisionError: division by zero"),
         ("def (\n", "SyntaxError: invalid syntax (my_push.py, line 1)"),
-        ("import nowhere_to_be_found\n", "ModuleNotFoundError: No module named 'nowhere_to_be_found'"),
         ("raise ValueError('two\\nlines')\n", "ValueError: two lines"),
         (PUSH.replace("away: float", "away: list"), "TypeError: Push.away must be float, int, bool or str, or have"),
-        (PUSH.replace("away: float", "away"), "TypeError: Push.away needs a type"),
         (PUSH.replace('"peak_speed"', '"pek_speed"'), "TypeError: figure must be one of penetration, rebound"),
     ],
     ids=lambda value: value[:12] if isinstance(value, str) else None,
@@ -161,13 +146,13 @@ def test_an_error_in_a_file_is_one_line_and_leaves_nothing(source: str, words: s
     assert find_scene(str(push)).name == "push"
 
 
-@pytest.mark.parametrize("text", ["nowhere.py", "nowhere.py:Push", "folder.py", ".py"])
-def test_a_file_that_is_not_there_is_named(text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "folder.py").mkdir()
-    with pytest.raises(ParameterError) as refused:
-        find_scene(text)
-    assert str(refused.value) == f"scene must be a file that is there, not {text.partition(':')[0]!r}"
+    for text in ("nowhere.py", "nowhere.py:Push", "folder.py", ".py"):
+        with pytest.raises(ParameterError, match="scene must be a file that is there, not") as refused:
+            find_scene(text)
+        assert str(refused.value).endswith(f"{text.partition(':')[0]!r}")
 
 
 def test_a_file_finds_its_neighbours(push: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -243,13 +228,6 @@ def test_scenes_are_the_same_in_another_process(push: Path, tmp_path: Path, monk
         assert (cls, name, values) == (type(scene).__name__, scene.name, scene.as_json())
         assert changed == scene.replace(**changes).as_json()  # what was derived is derived anew there too
         assert figures == {name: float(value) for name, value in run(scene, plant="exact").figures.items()}
-
-
-def test_a_copy_of_a_scene_derives_anew_as_the_scene_does() -> None:
-    for twin in (copy.copy(Press()), copy.deepcopy(Press()), pickle.loads(pickle.dumps(Press()))):
-        assert twin == Press() and twin.replace(hits=2) == Press(hits=2)
-    given = pickle.loads(pickle.dumps(Press(duration=4.0)))
-    assert given.replace(hits=2).duration == 4.0
 
 
 def test_an_error_of_a_users_own_file_has_a_line(push: Path) -> None:

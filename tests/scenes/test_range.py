@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from maglev_mj import AXES, cli
+from maglev_mj import AXES
 from maglev_mj.frames import Array
 from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.drop import Drop
@@ -122,14 +121,3 @@ def test_a_force_beyond_the_devices_is_told_if_it_acted(knot: int, told: bool) -
     forces[knot, 2] = -1.5 * most
     text = str(Variants({"drop": replace(ran, trace=replace(ran.trace, wrench=forces))}).table())
     assert (f"Above the device's {most:g} N (z): drop {1.5 * most:.3g}" in text) is told
-
-
-def test_commands_say_it_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    for arguments, words in (
-        (["drop", "--force-limit", "20"], "range of 4.5 mm: pulse 220 further 5.4"),
-        (["stick-slip", "--axis", "rz", "--target", str(math.radians(7.0))], "range of 6 deg: stick-slip 6."),
-    ):
-        assert cli.main([*arguments, "--plant", "exact"]) == 0
-        (line,) = [line for line in capsys.readouterr().out.splitlines() if "Beyond" in line]
-        assert words in line and len(line) <= 120
-    assert cli.main(["stick-slip", "--plant", "exact"]) == 0 and "Beyond" not in capsys.readouterr().out

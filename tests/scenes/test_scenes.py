@@ -97,11 +97,7 @@ def test_only_laws_are_required() -> None:
     assert Empty().end == 1.0 and not Empty.figures
     found = run_phases(Fall().replace(duration=0.01), 3, plant="exact")
     assert found.furthest.shape == (3, 6)
-    fallen = Start(pose=(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    assert Empty().start() == fallen == Start() and Start().gravity == GRAVITY
-
-
-def test_a_class_that_looks_at_no_axis_or_at_unknown_figures_is_refused() -> None:
+    assert Empty().start() == Start() and Start().gravity == GRAVITY
     with pytest.raises(ParameterError, match="axis must be one of x, y, z, rx, ry, rz, not 'w'"):
         type("Mine", (Scene,), {"shown_axis": "w"})
     with pytest.raises(TypeError, match=r"figure must be one of penetration, .*, or made by @figure, not 'depth'"):
@@ -175,12 +171,6 @@ def test_a_run_is_on_the_scene_s_usual_plant_unless_it_is_told() -> None:
             refused()
 
 
-@pytest.mark.parametrize("phase", [-0.1, 1.0, math.nan, "x", None])
-def test_a_phase_outside_its_bounds_is_refused(phase: Any) -> None:
-    with pytest.raises(ParameterError, match="phase must be a finite number at least 0 and below 1, not "):
-        run(Fall(), plant="exact", phase=phase)
-
-
 def test_phases_outside_their_bounds_are_refused() -> None:
     for phases, words in (
         ([0.5, 1.0], "phases must be below 1 everywhere, not 1"),
@@ -191,8 +181,16 @@ def test_phases_outside_their_bounds_are_refused() -> None:
         for call in (lambda given: run(Fall(), plant="exact", phase=given), lambda given: run_phases(Fall(), given)):
             with pytest.raises(ParameterError, match=words):
                 call(phases)
+    for phase in (-0.1, 1.0, math.nan, "x", None):
+        with pytest.raises(ParameterError, match="phase must be a finite number at least 0 and below 1, not "):
+            run(Fall(), plant="exact", phase=phase)  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match=r"phase must be one number on mujoco, .*: see run_phases"):
         run(Fall(), plant="mujoco", phase=[0.0, 0.5])
+    longest = {"duration": 10.0, "period": 1e-5}
+    assert Drop(**longest).end == 10.0
+    for cls in (Drop, Press, StickSlip, Twist, LetGo, SixAxes):
+        with pytest.raises(ParameterError, match=r"duration must be at most 1000000 periods, not 10\.1 s"):
+            cls(**longest | {"duration": 10.1})
 
 
 @pytest.mark.parametrize("plant", ["exact", "mujoco"])
@@ -272,21 +270,10 @@ def test_a_diverging_batch_keeps_nothing_and_its_samples_are_those_before() -> N
     assert len(partial.sample_time) == len(partial.samples["stuck"])
 
 
-@pytest.mark.parametrize("cls", [Drop, Press, StickSlip, Twist, LetGo, SixAxes])
-def test_a_run_has_at_most_a_million_periods(cls: Any) -> None:
-    longest = {"duration": 10.0, "period": 1e-5}
-    assert cls(**longest).end == 10.0
-    with pytest.raises(ParameterError, match=r"duration must be at most 1000000 periods, not 10\.1 s"):
-        cls(**longest | {"duration": 10.1})
-    with pytest.raises(ParameterError, match="duration must be at most 1000000 periods, not 10 s"):
-        cls(**longest).replace(period=5e-6)
-
-
 # -- many phases -----------------------------------------------------------------------------------------
 
 SWITCHED: Mapping[str, Any] = {
     "as it comes": {},
-    "soft": {"stiffness": 3000.0, "damping": 55.0},
     "late": {"delay": 0.004, "stiffness": 3000.0, "damping": 55.0},
     "coarse": {"quantize": 5e-6},
     "limited": {"force_limit": 60.0},
@@ -294,7 +281,7 @@ SWITCHED: Mapping[str, Any] = {
 }
 
 
-@pytest.mark.parametrize(("gains", "scene"), sweep(SWITCHED.values(), [Drop(duration=0.2), SHORT], every=6))
+@pytest.mark.parametrize(("gains", "scene"), sweep(SWITCHED.values(), [Drop(duration=0.2), SHORT], every=5))
 def test_a_batch_is_its_runs_to_rounding(gains: Any, scene: Scene) -> None:
     # Where one device has a pulse all have a knot, and a way in two parts rounds differently.
     changed = scene.replace(**gains)
@@ -363,14 +350,8 @@ def test_what_several_figures_share_is_made_once() -> None:
 
 def test_phases_are_run_in_parts_and_told_of() -> None:
     done: list[tuple[int, int]] = []
-    fall = Fall(duration=0.01)
-    swept = run_phases(fall, 130, plant="exact", progress=lambda some, every: done.append((some, every)))
+    run_phases(Fall(duration=0.01), 130, plant="exact", progress=lambda some, every: done.append((some, every)))
     assert done == [(64, 130), (128, 130), (130, 130)]
-    assert swept.phases.tolist() == [k / 130 for k in range(130)] and swept.furthest.shape == (130, 6)
-    assert swept.figures["final_position"].shape == (130,)
-    done.clear()
-    run_phases(fall, [0.1, 0.2], plant="mujoco", progress=lambda some, every: done.append((some, every)))
-    assert done == [(1, 2), (2, 2)]
 
 
 @pytest.mark.parametrize(("name", "plant"), sweep(SCENES, ["exact", "mujoco"], every=4))

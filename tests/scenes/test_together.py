@@ -14,7 +14,6 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.scenes import together
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.together import law_kind, stacked
-from maglev_mj.studies.stability_map import RestingWall
 from maglev_mj.studies.sweep import Grid, run_scene_cells
 
 
@@ -79,17 +78,18 @@ def test_a_batch_says_what_its_runs_say_one_by_one(case: str, batches: list[int]
     assert len({str(one) for one in alone}) > len(alone) // 2  # the runs do differ
 
 
-def test_runs_of_a_kind_are_one_batch_and_others_another(batches: list[int]) -> None:
-    vary = {"pulse_width": [0.002, 0.003], "stiffness": spread(3000.0, 6000.0, 10)}
-    run_scene_cells(Grid(find_scene("drop")(), vary, plant="exact"))
-    assert batches == [10, 10]
-
-
-def test_few_runs_other_plants_and_other_periods_are_made_alone(batches: list[int]) -> None:
+def test_few_runs_other_plants_and_other_periods_are_made_alone(
+    batches: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     run_scene_cells(Grid(Drop(), {"stiffness": spread(3000.0, 6000.0, 7)}, plant="exact"))
     run_scene_cells(Grid(Drop(duration=0.05), {"stiffness": spread(3000.0, 6000.0, 8)}, plant="mujoco"))
     run_scene_cells(Grid(Drop(duration=0.05), {"period": spread(0.004, 0.006, 8)}, plant="exact"))
     assert batches == []
+    run_scene_cells(Grid(Drop(), {"pulse_width": [0.002, 0.003], "stiffness": spread(3e3, 6e3, 10)}, plant="exact"))
+    assert batches == [10, 10]  # of two kinds
+    monkeypatch.setattr(together, "_ROOM", 12 * 243 * 144.0)  # a run of 80 samples keeps about 240 knots of 144 bytes
+    run_scene_cells(Grid(Drop(), {"stiffness": spread(3000.0, 6000.0, 24)}, plant="exact"))
+    assert batches[2:] == [12, 12]
 
 
 def test_runs_that_diverge_are_made_alone_and_say_so(batches: list[int]) -> None:
@@ -200,14 +200,6 @@ def test_what_a_scene_makes_itself_is_that_of_each_run(
     assert all(same(one, other, 1e-9) for one, other in zip(at_once, alone, strict=True))
 
 
-@pytest.mark.parametrize("stiffnesses", [[1e3, 1e8], pytest.param([1e3, 1e5, 1e8], marks=pytest.mark.study)])
-def test_a_wall_that_leaves_every_range_ends_no_other(stiffnesses: list[float]) -> None:
-    wall = RestingWall(hand="0.3,5,1e5,10,1e6", period=0.2, delay=0.1)
-    cells = Grid(wall, {"stiffness": stiffnesses, "damping": [0.0, 1e6]}, plant="exact")
-    at_once, alone = both_ways(cells)
-    assert at_once == alone and not any("error" in one for one in alone)
-
-
 OWN_RUN = """
     def run_figures(self, plant, phase=0.0):
         return {'own': self.stiffness}
@@ -220,14 +212,6 @@ def test_a_scene_with_a_run_of_its_own_is_left_to_it(tmp_path: Path, batches: li
     cells = Grid(find_scene(str(file))(), {"stiffness": spread(200.0, 900.0, 12)}, plant="exact")
     assert [one["own"] for one in run_scene_cells(cells, file.read_text())] == spread(200.0, 900.0, 12)
     assert batches == []
-
-
-def test_long_runs_go_together_in_smaller_numbers(monkeypatch: pytest.MonkeyPatch, batches: list[int]) -> None:
-    # A run of 80 samples keeps about 240 knots of 144 bytes.
-    monkeypatch.setattr(together, "_ROOM", 12 * 243 * 144.0)
-    cells = Grid(find_scene("drop")(), {"stiffness": spread(3000.0, 6000.0, 24)}, plant="exact")
-    run_scene_cells(cells)
-    assert batches == [12, 12]
 
 
 def test_laws_are_stacked_by_the_parameters_that_may_differ() -> None:

@@ -62,7 +62,6 @@ def test_the_margin_is_where_the_walls_own_root_passes_one(name: str, stiffness:
         (Drop(stiffness=15_000.0), "root 1.105 UNSTABLE, stiffness 148 % of its limit"),
         (Drop(stiffness=400.0), "root 0.975"),  # up to tenfold it is stable
         (Joystick(period=1e-4, delay=0.0, stiffness=5e5), "root 0.995"),  # up to the largest stiffness that it takes
-        pytest.param(Echoing(), "root not known", marks=pytest.mark.study),
     ],
 )
 def test_it_is_said_in_a_line(scene: Scene, says: str) -> None:
@@ -147,12 +146,6 @@ def test_a_viewer_outlives_the_process(beside: StabilityMap) -> None:
     gone, again = Drop(stiffness=3000.0), Drop(stiffness=2000.0)
     assert settled(shown(gone), lambda: beside.scene == gone) is None
     assert settled(shown(again), lambda: beside.scene == again) == Reading("wall", str(wall_margin(again)))
-
-
-def test_a_picture_waits_for_it(beside: StabilityMap) -> None:
-    beside.wait(shown(Drop()))
-    assert beside._answers is None and wall_of(shown(Drop())) == Reading("wall", str(wall_margin(Drop())))
-    assert beside._answers is None
 
 
 def test_charts_of_runs_and_recordings_say_it() -> None:

@@ -23,12 +23,11 @@ from maglev_mj.recording.verify import first_other_answer, verify
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Joystick
-from maglev_mj.session import EMERGENCY_STOP, KEPT, Pacer, Session, Snapshot, live_plant
+from maglev_mj.session import EMERGENCY_STOP, KEPT, Pacer, Session, live_plant
 from maglev_mj.session.replay import OwnCode, Replay, rebuild, rebuild_for, stick_positions_of
 from maglev_mj.session.stretch import _MOST_STATES
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import Charts
-from maglev_mj.views.viewer_process import Inbox, RemoteViewer
 from tests.session.test_session_states import Program
 
 
@@ -365,29 +364,3 @@ def test_single_steps_go_on_from_there_and_a_program_waits_for_none() -> None:
     now = session.snapshot()
     assert now.state == "paused" and session._stretch.scene == Joystick(stiffness=3000.0)
     assert now.rewound == 0.0 and now.time == pytest.approx(0.505)
-
-
-def test_a_restart_forgets_all_before_and_the_recorded_hand(monkeypatch: pytest.MonkeyPatch) -> None:
-    session = played(made(), 0.5)
-    session.rewind(0.2, again=True)
-    session.tick(0.1)
-    assert session.snapshot().hand.any()
-    session.act("centre")
-    session.tick(0.1)
-    assert session._past.bounds(0.1) == (0.0, 0.1) and len(rows(session)) == 20
-    assert not session.snapshot().hand.any()
-    monkeypatch.setattr("maglev_mj.session.snapshot._MOST_ROWS", 5)
-    assert len(rows(session)) == 5
-
-
-def test_of_many_rewinds_the_newest_is_shown_and_a_device_has_none() -> None:
-    inbox = Inbox(clock=lambda: 0.0)
-    for place in range(1000):
-        inbox.put("change", {"rewind": place * 0.05})
-    assert list(inbox.take()) == [("change", {"rewind": 999 * 0.05})]
-    viewer = object.__new__(RemoteViewer)
-    said = list[str]()
-    viewer._scene, viewer._note = Joystick(), type("Said", (), {"say": staticmethod(said.append)})()
-    assert viewer._asked("change", {"rewind": 1.0}) is None and viewer._asked("act", "rewind") is None
-    assert said == 2 * ["rewind is for a simulation: a device cannot be rewound"]
-    assert Snapshot(scene=Joystick()).rewound is None
