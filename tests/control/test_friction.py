@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from maglev_mj.scenes.run import run
 from maglev_mj.scenes.stick_slip import StickSlip as StickSlipScene
 from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.ideal import karnopp
-from six_axes import SixAxesResult, run_six_axes
+from six_axes import run_six_axes
 from tests.sweeps import further
 from tests.theory.closed_loop import largest_modulus
 
@@ -71,7 +71,7 @@ def test_exact_karnopp_satisfies_its_equation_while_sliding() -> None:
     assert [event.kind for event in now.events] == ["slip", "stick", "slip", "stick"]
 
 
-@pytest.mark.parametrize("damping", [0.0, 2.0 * math.sqrt(700.0), 20.0, 80.0, 200.0])
+@pytest.mark.parametrize("damping", [0.0, 2.0 * math.sqrt(700.0), 20.0, 200.0])
 def test_every_kind_of_damping_has_its_closed_form(damping: float) -> None:
     # Undamped, critically damped, underdamped and overdamped against the matrix exponential by many small steps.
     options = FIGURE_8 | {"damping": damping, "breakaway": 0.1, "v_min": 1e-9}
@@ -83,7 +83,7 @@ def test_every_kind_of_damping_has_its_closed_form(damping: float) -> None:
     assert motion.velocity[0] == pytest.approx(state[1], abs=1e-10)
 
 
-@pytest.mark.parametrize("v_min", [1e-2, 1e-4, 1e-6, 1e-9])
+@pytest.mark.parametrize("v_min", [1e-2, 1e-9])
 def test_sticking_at_a_turning_point_is_found_however_small_v_min(v_min: float) -> None:
     # Underdamped, it first rests where it turns with the spring below breakaway, between two grid points or not.
     motion = karnopp([3.0], targets=[(0.0, 0.003)], **(FIGURE_8 | {"damping": 1.0, "v_min": v_min}))
@@ -107,21 +107,23 @@ def test_samples_on_an_event_belong_to_what_begins_there() -> None:
     assert karnopp([], targets=[(0.0, 0.003)], **FIGURE_8).position.size == 0
 
 
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"targets": [(0.0, math.nan)]}, "target must be a finite number, not nan"),
-        ({"targets": []}, "targets must start at 0"),
-        ({"targets": [(0.1, 1.0)]}, "targets must start at 0"),
-        ({"targets": [(0.0, 1.0), (0.0, 2.0)]}, "ascend"),
-        ({"spring": 0.0}, "spring must be a finite number above 0, not 0.0"),
-        ({"time": [0.2, 0.1]}, "ascending"),
-    ],
-)
-def test_exact_karnopp_refuses_bad_input(changes: dict[str, Any], words: str) -> None:
-    options: dict[str, Any] = {"time": [0.1], "targets": [(0.0, 0.003)]} | FIGURE_8 | changes
-    with pytest.raises(ParameterError, match=words):
-        karnopp(options.pop("time"), **options)
+def test_bad_input_is_refused() -> None:
+    refused: list[tuple[Callable[[], Any], str]] = [
+        (lambda: karnopp([0.1], targets=[(0.0, math.nan)], **FIGURE_8), "target must be a finite number, not nan"),
+        (lambda: karnopp([0.1], targets=[(0.1, 1.0)], **FIGURE_8), "targets must start at 0"),
+        (lambda: karnopp([0.1], targets=[(0.0, 1.0), (0.0, 2.0)], **FIGURE_8), "ascend"),
+        (lambda: karnopp([0.2, 0.1], targets=[(0.0, 0.003)], **FIGURE_8), "ascending"),
+        (
+            lambda: karnopp([0.1], targets=[(0.0, 0.003)], **FIGURE_8 | {"spring": 0.0}),
+            "spring must be a finite number",
+        ),
+        (lambda: LowPass(0.0), "cutoff must be"),
+        (lambda: AdaptiveWindow(longest=0), "longest must be"),
+        (lambda: AdaptiveWindow(noise=(1.0,)), "noise must have 6 numbers, not 1"),
+    ]
+    for make, words in refused:
+        with pytest.raises(ParameterError, match=words):
+            make()
 
 
 # -- the emulation ---------------------------------------------------------------------------------------
@@ -211,17 +213,6 @@ def test_resting_places_of_figure_9_are_two_stretches_apart_for_every_hand_and_p
     steps = resting_steps(stiffness, seeds, [0.0] if seeds == [1] else [0.1, 0.4, 0.85])
     assert steps.min() == pytest.approx(least, rel=0.03)
     assert np.median(steps) == pytest.approx(middle, rel=0.05)
-
-
-def test_steps_are_those_between_places_kept() -> None:
-    # By hand: nine samples at 0, one at 1 mm, seven at 3 mm, nine at 2 mm, slides between them.
-    anchor = np.repeat([0.0, 9e-3, 1e-3, 9e-3, 3e-3, 9e-3, 2e-3], [9, 1, 1, 1, 7, 5, 9])
-    six = np.repeat(anchor[:, None], 6, axis=1)
-    time: Array = np.arange(anchor.size, dtype=np.float64) * 0.005
-    result = SixAxesResult(time, six, six, six != 9e-3, np.zeros(6))
-    for least, expected in ((0.03, [3e-3, 1e-3]), (0.04, [2e-3]), (0.005, [1e-3, 2e-3, 1e-3])):
-        for steps in result.steps(least):
-            np.testing.assert_allclose(steps, expected)
 
 
 # -- laws against closed forms ---------------------------------------------------------------------------
@@ -364,16 +355,6 @@ def test_adaptive_window_is_exact_on_a_ramp_and_short_where_the_motion_bends() -
     corner = np.concatenate([np.zeros(30), 0.1 * period * np.arange(1, 11)])
     after = estimates(AdaptiveWindow(noise=(1e-6,) * 6), corner, period)[30:]
     np.testing.assert_allclose(after, 0.1, rtol=0.011)  # the window does not reach back past the corner
-
-
-def test_estimators_refuse_bad_parameters() -> None:
-    for make, words in (
-        (lambda: LowPass(0.0), "cutoff must be"),
-        (lambda: AdaptiveWindow(longest=0), "longest must be"),
-        (lambda: AdaptiveWindow(noise=(1.0,)), "noise must have 6 numbers, not 1"),
-    ):
-        with pytest.raises(ParameterError, match=words):
-            make()
 
 
 @pytest.mark.parametrize("early", [1e-6, 1e-4, 2e-3])

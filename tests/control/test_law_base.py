@@ -81,12 +81,6 @@ def test_gains_may_differ_by_axis_and_by_device() -> None:
     assert law.on_axes(law.stiffness).tolist() == [[1000.0, 2000.0, 0, 0, 0, 0], [3000.0, 4000.0, 0, 0, 0, 0]]
 
 
-def test_a_law_that_says_nothing_has_defaults() -> None:
-    law = DETENT
-    assert law.gains() is None and law.faces() == () and law.signals(law.start()) == {}
-    assert law.stick_positions(law.start()) == {} and law.carried().tolist() == [0.0] * 6
-
-
 def test_a_controller_tells_what_its_laws_are() -> None:
     friction = [StickSlip(axes=axis, v_min=0.01, **FRICTION) for axis in ("x", "rz")]
     ahead = PredictiveWall(axes="z", lower=-2e-3, period=T, **GAINS)

@@ -118,10 +118,5 @@ def test_a_figure_that_is_flat_has_no_panel() -> None:
     titles = [panel.get_title(loc="left") for panel in figure.axes]
     assert "final z (mm)" not in titles and titles[:2] == ["penetration (mm)", "rebound (mm)"]
     assert figure.get_suptitle() == "left out, as flat: final z"
-
-
-def test_the_largest_force_of_the_device_is_drawn_among_forces_over_the_phase() -> None:
-    figure = spread(drops(DROP, bands=3))
     marked = [panel for panel in figure.axes for line in panel.lines if [*line.get_ydata()] == [60.0, 60.0]]
     assert [panel.get_title(loc="left") for panel in marked] == ["peak force (N)"]
-    assert [text.get_text() for text in figure.legends[0].get_texts()][3:] == ["60 N, the device's largest"]

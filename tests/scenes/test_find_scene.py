@@ -239,13 +239,3 @@ def test_an_error_of_a_users_own_file_has_a_line(push: Path) -> None:
     with pytest.raises(ZeroDivisionError) as others:
         1 / 0  # noqa: B018
     assert line_of(others.value) is None
-
-
-def test_a_file_that_breaks_leaves_the_scene_that_runs_whole(tmp_path: Path) -> None:
-    file = tmp_path / "mine.py"
-    file.write_text("from maglev_mj import Scene\n\n\nclass Mine(Scene):\n    pass\n")
-    scene = find_scene(str(file))()
-    file.write_text("1 / 0\n")
-    with pytest.raises(ParameterError, match="ZeroDivisionError"):
-        find_scene(str(file))
-    assert reference_of(type(scene)) == f"{file}:Mine" and pickle.dumps(scene)

@@ -13,7 +13,6 @@ from maglev_mj import AXES
 from maglev_mj.frames import Array
 from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.run import run, run_phases
 from maglev_mj.scenes.stick_slip import StickSlip
@@ -77,21 +76,6 @@ def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
         for height, left in ((RANGE[2], False), (RANGE[2] * 1.0001, True)):
             result = run(Drop(height=height, duration=0.05), plant=plant)
             assert (remark(str(Variants({"drop": result}).table())) is not None) == left
-
-
-@pytest.mark.parametrize("change", sweep([{}, {"height": 0.0046}, {"force_limit": 5.5}, {"press": 40.0}], every=4))
-def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None:
-    variants = [Press(hits=1, **change).replace(pulse=pulse) for pulse in (220.0, 0.0)]  # type: ignore[arg-type]
-    labels = ["with pulse", "without pulse"]
-    results = {label: run(one, plant="exact") for label, one in zip(labels, variants, strict=True)}
-    said = remark(str(Variants(results).table()))
-    left = outside([one.trace for one in results.values()])
-    assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in labels] == left
-    sweep = run_phases(variants[0], 3, plant="exact")
-    np.testing.assert_allclose(
-        sweep.furthest[0], results[labels[0]].trace.furthest(), atol=1e-7
-    )  # a hand bends the curve
-    assert sweep.furthest.shape == (3, 6)
 
 
 @pytest.mark.parametrize("axis", ["x", "rz"])

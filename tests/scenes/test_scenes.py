@@ -227,13 +227,6 @@ def test_what_laws_tell_is_kept_with_each_sample() -> None:
     assert not run(Drop(), plant="exact").samples and not run(Fall(), plant="exact", phase=PHASES).samples
 
 
-def test_a_sample_that_rounding_puts_after_the_end_is_not_kept() -> None:
-    scene = StickSlip(period=0.001, duration=0.036)
-    assert 36 * scene.period > scene.end
-    result = run(scene, plant="exact")
-    assert len(result.sample_time) == len(result.samples["stuck"]) == 36 and result.trace.time[-1] == 0.036
-
-
 def test_series_are_on_a_grid_up_to_the_end() -> None:
     result = run(Fall(duration=0.0105), plant="exact")
     assert result.times().tolist() == [k * 1e-3 for k in range(11)]

@@ -154,12 +154,6 @@ def test_laws_of_ones_own_run_together_unless_they_are_not_elementwise(
     assert "error" not in alone[0]
 
 
-OWN_TIMING = """
-    offset: float = param("of the samples", default=0.0, at_least=0.0, below=1.0)
-
-    def timing(self, phase=0.0):
-        return Timing(period=self.period, delay=self.delay, phase=self.offset)
-"""
 # a local class has no content that can be compared
 OWN_SENSOR = """
     offset: float = param("of the sensor", "m", default=0.0, at_least=0.0)
@@ -182,7 +176,6 @@ OWN_FIGURE = """
 @pytest.mark.parametrize(
     ("own", "offsets", "sizes"),
     [
-        (OWN_TIMING, [0.0, 0.3, 0.6, 0.0], [12]),
         (OWN_SENSOR, [0.0, 1e-4, 2e-4, 0.0], []),
         (OWN_FIGURE, [0.5, None, 0.7, 0.5], [12]),
     ],

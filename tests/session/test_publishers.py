@@ -2,13 +2,11 @@
 
 import re
 from collections.abc import Callable
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 
 from maglev_mj import cli
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
@@ -20,7 +18,6 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Box, Joystick
 from maglev_mj.session import ChangeRequest, Publishers, Snapshot
 from tests.bridge.impaired import ImpairedLine, Impairment
-from tests.recorded import decoder, exported
 
 
 def test_outlets_are_told_sixty_times_a_second_and_asked_every_tick() -> None:
@@ -121,19 +118,6 @@ def test_a_flight_is_recorded_through_changes_as_one_run(
     assert asks.answers == begun[1:]
     since = [next(one.since for one in asks.snapshots if one.scene == stretch) for stretch in (Joystick(), *wishes)]
     assert since == begun and 1 <= since[1] - asks.snapshots[2].tick <= 3
-    read = [
-        (message.log_time, decoder(schema)(message.data))
-        for schema, _, message in make_reader(
-            BytesIO(exported((tmp_path / "run.maglev").read_bytes(), "mcap"))
-        ).iter_messages(topics=["/maglev/sample"])
-        if schema is not None
-    ]
-    firsts = [next(said for _, said in read if said["stretch"] == place) for place in range(3)]
-    assert [said["missed"] for said in firsts] == [0, 0, 0]
-    for place in range(3):
-        logged = [(when, said["tick"]) for when, said in read if said["stretch"] == place]
-        for when, tick in logged:
-            assert (when - logged[0][0]) * 1e-9 == pytest.approx((tick - logged[0][1]) * plant.period, abs=1e-6)
     assert cli.main(["replay", str(tmp_path / "run.maglev"), "--check"]) == 0
     assert f"{recording.ticks} of {recording.ticks} the same: command," in capsys.readouterr().out
     assert cli.main(["analyse", str(tmp_path / "run.maglev")]) == 0

@@ -47,12 +47,6 @@ class Rough(Joystick):
         return Sensor(quantum=1e-6, noise=2e-6, seed=5)
 
 
-class Smooth(Rough):
-    """The same with a force that is equal at each stroke."""
-
-    falloff = 0.0
-
-
 class Spots(Rough):
     """The same with the device's own sensor, and more delay than a period."""
 
@@ -111,7 +105,7 @@ def run_to(session: Session, end: float) -> None:
 SOME = [(find_scene("table"), 0.005, 0.9), (Spots, 0.005, 0.14), (Locked, 0.005, 0.14)]
 EVERY = [
     pytest.param(make, period, 0.7 if issubclass(make, Rough) else 1.3, marks=pytest.mark.study)
-    for make in [*(find_scene(name) for name in BUILT_IN), Rough, Smooth, Spots, Locked]
+    for make in [*(find_scene(name) for name in BUILT_IN), Rough, Spots, Locked]
     for period in (0.005, 0.001)
 ]
 
@@ -215,7 +209,7 @@ def test_no_more_than_a_minute_is_kept_whatever_is_changed(kept: float, monkeypa
 
 @pytest.mark.parametrize(
     "make",
-    [Joystick, *(pytest.param(make, marks=pytest.mark.study) for make in (find_scene("table"), Smooth, Spots))],
+    [Joystick, *(pytest.param(make, marks=pytest.mark.study) for make in (find_scene("table"), Spots))],
     ids=name_of,
 )
 def test_a_recording_of_many_rewinds_is_checked_to_the_last_bit(

@@ -10,7 +10,7 @@ from maglev_mj.parameters import param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
-from maglev_mj.session import Note, Pacer, Session, changed
+from maglev_mj.session import Pacer, Session, changed
 
 FRAME = 1.0 / 60.0
 
@@ -52,7 +52,6 @@ def test_changes_in_quick_succession_act_together() -> None:
     [
         ({"stiffnes": 1.0}, "must be of period, delay, .*stiffness.*, not stiffnes"),
         ({"stiffness": -1.0}, "stiffness must be"),
-        ({"stiffness": "much"}, "stiffness must be"),
         ({"time_scale": 0.0}, "time_scale must be .* at least 0.001 and at most 1, not 0.0"),
         ({"hand_stiffness": -1.0, "damping": 20.0}, "hand_stiffness must be"),
         ({"delay": -1.0, "time_scale": 0.1}, "delay must be"),
@@ -80,13 +79,9 @@ def test_a_change_that_is_refused_changes_nothing(given: dict[str, Any], said: s
 def test_what_a_program_cannot_set_is_refused(given: dict[str, Any], reason: str) -> None:
     with pytest.raises(ParameterError, match=f"^{reason}"):
         changed(Joystick(), given)
-
-
-def test_what_is_not_named_stays() -> None:
     present = Joystick(friction=True, breakaway=1.5)
     wanted = changed(present, {"damping": 70, "pulse": False, "walls": [["rx", -1.0, 0.05]]})
-    assert wanted == Joystick(friction=True, breakaway=1.5, damping=70.0, pulse=False, walls=(("rx", -1, 0.05),))
-    assert changed(wanted, {"walls": None}) == wanted.replace(walls=None)
+    assert wanted == present.replace(damping=70.0, pulse=False, walls=(("rx", -1, 0.05),))
 
 
 class Picky(Scene):
@@ -147,29 +142,14 @@ def test_slow_motion_is_simulated_time_over_real_time(scale: float) -> None:
     assert session.snapshot().time_scale == scale
 
 
-def test_the_hand_pulls_as_stiffly_as_it_is_set() -> None:
-    session = made(Joystick(wall=False), hand=SpringHand(target=[1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]))
-    session.change({"hand_stiffness": 500.0})
-    session.tick(0.005)
-    assert session.snapshot().hand[0] == pytest.approx(0.5)
-
-
 def test_stops_do_nothing_away_from_them() -> None:
-    session = made(Joystick(wall=False), hand=SpringHand(target=[9e-3, *[0.0] * 5], stiffness=2000.0))
+    session = made(Joystick(wall=False), hand=SpringHand(target=[9e-3, *[0.0] * 5]))
+    session.change({"hand_stiffness": 2000.0})
+    session.tick(0.005)
+    assert session.snapshot().hand[0] == pytest.approx(2000.0 * 9e-3)
     session.tick(0.5)
     assert session.snapshot().stops[0] < -0.5
     session.hand.target = None
     session.act("centre")
     session.tick(0.2)
     assert not session.snapshot().stops.any()
-
-
-def test_a_note_goes_away() -> None:
-    now = [0.0]
-    note = Note(lambda: now[0])
-    assert note.lines == []
-    note.say("wrote a file")
-    now[0] = 5.0
-    assert note.lines == ["wrote a file"]
-    now[0] = 7.0
-    assert note.lines == []
