@@ -183,7 +183,7 @@ def test_numbers_outside_their_bounds_are_refused() -> None:
     for name, value in wrong:
         for make in (SpotReader, lambda beams, **options: SpotSensor(beams=beams, **options)):
             with pytest.raises(ParameterError, match=f"{name} must be"):
-                make(beams(), **{name: value})  # type: ignore[arg-type, operator]
+                make(beams(), **{name: value})  # type: ignore[arg-type]
     for name, value in (("farthest", -1.0), ("farthest", math.nan), ("most_turned", 4.0)):
         with pytest.raises(ParameterError, match=f"{name} must be"):
             PoseTracker(beams(), **{name: value})

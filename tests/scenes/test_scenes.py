@@ -186,9 +186,10 @@ def test_phases_outside_their_bounds_are_refused() -> None:
             run(Fall(), plant="exact", phase=phase)  # type: ignore[arg-type]
     with pytest.raises(ParameterError, match=r"phase must be one number on mujoco, .*: see run_phases"):
         run(Fall(), plant="mujoco", phase=[0.0, 0.5])
-    longest = {"duration": 10.0, "period": 1e-5}
+    longest: dict[str, Any] = {"duration": 10.0, "period": 1e-5}
     assert Drop(**longest).end == 10.0
-    for cls in (Drop, Press, StickSlip, Twist, LetGo, SixAxes):
+    kinds: list[Any] = [Drop, Press, StickSlip, Twist, LetGo, SixAxes]
+    for cls in kinds:
         with pytest.raises(ParameterError, match=r"duration must be at most 1000000 periods, not 10\.1 s"):
             cls(**longest | {"duration": 10.1})
 
