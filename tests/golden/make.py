@@ -11,7 +11,6 @@ from typing import Any
 from tests.golden.outputs import (
     HERE,
     KEYS,
-    PRESSED,
     as_kept,
     cases,
     differences,
@@ -27,7 +26,7 @@ def main() -> None:
     groups = list(dict.fromkeys(name.split("/")[0] for name in cases()))
     for group in sys.argv[1:] or [*groups, KEYS]:
         if group == KEYS:
-            found: dict[str, Any] = {"pressed": [row for scene in PRESSED for row in pressed(scene)]}
+            found: dict[str, Any] = {"pressed": pressed()}
         else:
             found = {name: outcome(line) for name, line in cases().items() if name.split("/")[0] == group}
         before = kept(group) if (HERE / "expected" / f"{group}.json.gz").exists() else {}

@@ -5,9 +5,7 @@ The commands of cases.json run in this process.
 
 from __future__ import annotations
 
-import csv
 import gzip
-import hashlib
 import io
 import json
 import math
@@ -43,11 +41,10 @@ _CHANGING = {"versions", "version", "other_versions", "began", "cost"}
 They depend on revision, date or speed of the machine.
 """
 
-_CHOSEN_BY_COST = {"cheapest", "furthest", "steps"}
-_ROUNDING_NOISE = {"comparison", "growing", "grows", "digest", "standard_error", "low", "high", "residual"}
+_ROUNDING_NOISE = {"comparison", "growing", "grows", "standard_error", "low", "high", "residual"}
 """JSON names of differences at rounding level.
 
-Differences between equal runs, growing walls at the limit, digests, errors of exact fits.
+Differences between equal runs, growing walls at the limit, errors of exact fits.
 """
 
 _FITTED = 1e-5, 1e-9
@@ -71,14 +68,10 @@ PRESSES = (
 
 
 @cache
-def cases(*groups: str) -> dict[str, str]:
-    """Return the command line of each case.
-
-    Args:
-        groups: "paths" for one of each path through the code, "values" for other values on the same; both without one.
-    """
-    found: dict[str, dict[str, str]] = json.loads((HERE / "cases.json").read_text())
-    return {name: line for group in groups or found for name, line in found[group].items()}
+def cases() -> dict[str, str]:
+    """Return the command line of each case."""
+    found: dict[str, str] = json.loads((HERE / "cases.json").read_text())
+    return found
 
 
 def outcome(line: str) -> dict[str, Any]:
@@ -96,7 +89,8 @@ def outcome(line: str) -> dict[str, Any]:
         words = [_copied(word[1:]) if word.startswith("@") else word for word in last.split()]
         inputs = {path.name for path in Path().iterdir()}
         status, out, err = _run(words)
-        files = {path.name: content(path) for path in sorted(Path().iterdir()) if path.name not in inputs}
+        outputs = (path for path in sorted(Path().iterdir()) if path.is_file() and path.name not in inputs)
+        files = {path.name: content(path) for path in outputs}
     said = out.replace(str(package_files("maglev_mj")), "maglev_mj").splitlines()  # no folder of a machine
     if words[0] == "replay" and status in (0, 1) and not earlier:  # a recording of another machine
         status, said = "0 or 1", [one for one in said if not _EQUALITY.match(one)]
@@ -133,75 +127,24 @@ def _copied(name: str) -> str:
 
 def content(path: Path) -> Any:
     """Return a file's content without varying parts."""
-    if path.suffix == ".json":
-        return _lasting(json.loads(path.read_text()))
-    if path.is_dir():
-        plan = {name: value for name, value in content(path / "plan.json").items() if name != "cells"}  # a digest
-        return {"plan": plan, "results": _lasting(_results(path))}
-    if path.suffix == ".csv":
-        with path.open(newline="") as file:
-            names, *rows = csv.reader(file)
-        return {name: _lasting([_number(row[place]) for row in rows]) for place, name in enumerate(names)}
-    if path.suffix == ".npz":
-        with np.load(path) as arrays:
-            return {name: _array(arrays[name]) for name in arrays.files}
-    from tests.recorded import messages_in
-
-    mcap = path
-    if path.suffix == ".maglev":
-        mcap = _exported(path, "mcap")
-    assert mcap.suffix == ".mcap", path
-    return _lasting([[topic, message] for topic, message in messages_in(mcap.read_bytes())])
+    return _lasting(json.loads(path.read_text()))
 
 
-def _exported(path: Path, kind: str) -> Path:
-    """Export a recording beside itself; return the new file."""
-    from maglev_mj.recording import Recording
-    from maglev_mj.recording.export import export
-
-    other = path.with_suffix(f".{kind}")
-    export(Recording.load(path), kind, other)
-    return other
-
-
-def _results(record: Path) -> list[Any]:
-    """Return the results of a record, in the order of its cells."""
-    from maglev_mj.studies.record import _read_table, _value
-
-    found = []
-    for shard in record.glob("cells-*"):
-        table = _read_table(shard)
-        indices = table.pop("#").tolist()
-        values = {name: [_value(entry) for entry in column.tolist()] for name, column in table.items()}
-        found += [
-            [index, {name: column[place] for name, column in values.items() if column[place] is not ...}]
-            for place, index in enumerate(indices)
-        ]
-    return sorted(found)
-
-
-PRESSED = ("joystick", "table", "box", "corner")
-"""Scenes of the random actions."""
-
-
-def pressed(name: str, count: int = 100, seed: int = 16) -> list[dict[str, Any]]:
-    """Return results of random actions in a scene of `PRESSED`.
-
-    Ticks, parameters and samples after each action.
+def pressed(count: int = 40, seed: int = 19) -> list[dict[str, Any]]:
+    """Return results of random actions in the corner: ticks, parameters and samples after each.
 
     They act on a session without a window: the only use of the package besides its commands.
     """
     from maglev_mj.plants.hand import SpringHand
+    from maglev_mj.recording import Recording
     from maglev_mj.scenes import find_scene
     from maglev_mj.session import Pacer, Session
 
-    draw, paused = random.Random(seed + PRESSED.index(name)), False
+    draw, paused = random.Random(seed), False
     made: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "run.maglev"
-        session = Session(
-            find_scene(name)(), hand=SpringHand(), record=path, pacer=Pacer(budget=3600.0, patience=3600.0)
-        )
+        path, pacer = Path(folder) / "run.maglev", Pacer(budget=3600.0, patience=3600.0)
+        session = Session(find_scene("corner")(), hand=SpringHand(), record=path, pacer=pacer)
         for _ in range(count):
             action = "pause" if paused and draw.random() < 0.5 else draw.choice(PRESSES)
             paused ^= action == "pause"
@@ -211,25 +154,20 @@ def pressed(name: str, count: int = 100, seed: int = 16) -> list[dict[str, Any]]
                 session.hand.target = [*(0.02 * pull for pull in pulls[:3]), *(0.3 * pull for pull in pulls[3:])]
             made.append({"action": action, "ticks": session.tick(draw.choice((1.0 / 60.0, 0.05)))})
         session.close()
-        with np.load(_exported(path, "npz")) as arrays:
-            held = {
-                name: json.loads(str(one)) if one.dtype.kind == "U" else one.tolist() for name, one in arrays.items()
-            }
-    rows = [(setup, row) for place, setup in enumerate(held["header"]["setups"]) for row in _rows(held, place)]
+        stretches = Recording.load(path).stretches
+    names = "position", "command", "applied", "hand"
+    rows = [
+        (stretch.setup, row)
+        for stretch in stretches
+        for row in zip(*(stretch.arrays[name].tolist() for name in names), strict=True)
+    ]
     assert len(rows) == sum(one["ticks"] for one in made)
     for one in made:
         mine, rows = rows[: one["ticks"]], rows[one["ticks"] :]
         if mine:
             setup, (position, *_) = mine[-1]
-            setup = setup.get("settings") or setup["parameters"]
-            digest = hashlib.sha256(json.dumps([row for _, row in mine]).encode()).hexdigest()[:16]
-            one |= {"setup": setup, "position": position, "digest": digest}
+            one |= {"setup": setup.get("settings") or setup["parameters"], "position": position}
     return made
-
-
-def _rows(held: Mapping[str, Any], stretch: int) -> list[Any]:
-    """Return position, command, applied and hand at each sample."""
-    return list(zip(*(held[f"{stretch}/{name}"] for name in ("position", "command", "applied", "hand")), strict=True))
 
 
 def kept(group: str) -> dict[str, Any]:
@@ -307,8 +245,7 @@ def _lasting(value: Any) -> Any:
         some = [parts[place] for place in np.linspace(0, len(parts) - 1, _SOME).astype(int)]
         return {"length": len(parts), "some": some, "sum": math.fsum(map(abs, _numbers(parts)))}
     if isinstance(value, dict):
-        left_out = _CHANGING | (_CHOSEN_BY_COST if "cheapest" in value else set())
-        return {name: _lasting(part) for name, part in value.items() if name not in left_out}
+        return {name: _lasting(part) for name, part in value.items() if name not in _CHANGING}
     return value
 
 
@@ -322,11 +259,3 @@ def _numbers(value: Any) -> Iterator[float]:
             yield from _numbers(part)
     elif isinstance(value, int | float) and math.isfinite(value):
         yield float(value)
-
-
-def _array(array: Any) -> Any:
-    return _lasting(json.loads(str(array)) if array.dtype.kind == "U" else array.tolist())
-
-
-def _number(text: str) -> Any:
-    return float(text) if re.fullmatch(r"-?[\d.]+(e[+-]?\d+)?", text) else text

@@ -12,19 +12,12 @@ from typing import Any
 
 import pytest
 
-from tests.golden.outputs import HERE, KEYS, PRESSED, as_kept, cases, differences, kept, outcome, pressed
+from tests.golden.outputs import HERE, KEYS, as_kept, cases, differences, kept, outcome, pressed
 
 kept_once = cache(kept)
 
 
-def case(name: str, line: str) -> Any:
-    """Return a case; those that read the files of one earlier command share a worker, which runs it once."""
-    earlier, joined, _ = line.rpartition(" && ")
-    marks = [pytest.mark.xdist_group(earlier)] if joined else []
-    return pytest.param(name, marks=[*marks, *[pytest.mark.study] * (name in cases("values"))])
-
-
-@pytest.mark.parametrize("name", [case(*item) for item in cases().items()])
+@pytest.mark.parametrize("name", cases())
 def test_a_command_says_what_it_said(name: str) -> None:
     group, found = name.split("/")[0], as_kept(outcome(cases()[name]))
     lines = differences(group, kept_once(group)[name], found)
@@ -32,81 +25,50 @@ def test_a_command_says_what_it_said(name: str) -> None:
     assert not lines, f"{len(lines)} differences:\n" + "\n".join([*lines[:10], *failed])
 
 
-def test_an_earlier_command_that_fails_is_shown_with_its_errors() -> None:
-    with pytest.raises(AssertionError, match=r"maglev-mj drop --rate 0: exit status 2\n.*argument --rate"):
-        outcome("drop --rate 0 && replay run.maglev")
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.study] * (name != "corner")) for name in PRESSED]
-)
-def test_keys_pressed_at_random_have_the_same_effects(name: str) -> None:
-    results = pressed(name)
-    first = len(results) * PRESSED.index(name)
-    lines = differences(KEYS, kept_once(KEYS)["pressed"][first : first + len(results)], as_kept(results))
+def test_keys_pressed_at_random_have_the_same_effects() -> None:
+    lines = differences(KEYS, kept_once(KEYS)["pressed"], as_kept(pressed()))
     assert not lines, "\n".join(lines[:10])
 
 
-def test_every_case_is_kept_and_no_other() -> None:
+def test_every_case_and_every_recording_is_used() -> None:
     groups = {file.name.removesuffix(".json.gz") for file in (HERE / "expected").iterdir()}
-    held = {name for group in groups for name in kept_once(group)}
-    assert held == {*cases(), "pressed"}
+    assert {name for group in groups for name in kept_once(group)} == {*cases(), "pressed"}
+    assert all(f"@{path.name}" in " ".join(cases().values()) for path in (HERE / "recordings").iterdir())
 
 
-def test_every_recording_is_used() -> None:
-    lines = " ".join(cases().values())
-    for path in (HERE / "recordings").rglob("*.*"):
-        assert f"@{path.name}" in lines
-
-
-def changed(said: Any, where: str, new: Any) -> Any:
-    """Return a copy of an output with one value replaced.
-
-    `where` has names and indices with dots between.
-    """
-    copy = deepcopy(said)
-    *way, last = (int(part) if part.isdigit() else part.replace("_json", ".json") for part in where.split("."))
-    inner = copy
-    for part in way:
-        inner = inner[part]
-    inner[last] = new(inner[last]) if callable(new) else new
-    return copy
-
-
-@pytest.mark.parametrize(
-    ("where", "new", "near"),
-    [
-        ("files.out_json.z.some.3", lambda z: math.nextafter(z, 1.0), True),
-        ("files.out_json.z.some.3", lambda z: z * (1.0 + 1e-8), False),
-        ("files.out_json.z.sum", lambda total: total * (1.0 + 1e-8), False),
-        ("files.out_json.parameters.force_limit", 60.0, False),
-        ("files.out_json.summary.peak_force", 95, False),
-        ("files.out_json.force.length", lambda count: count - 1, False),
-        ("stdout.6", lambda line: line.replace("2.54", "2.55"), True),
-        ("stdout.6", lambda line: line.replace("mm", "m"), False),
-        ("stdout", lambda lines: [*lines, ""], False),
-        ("stderr", ["a warning"], False),
-        ("status", 1, False),
-    ],
-)
-def test_one_change_is_seen(where: str, new: Any, near: bool) -> None:
-    old = kept_once("drop")["drop/default"]
-    found = changed(old, where, new)
-    assert bool(differences("drop", old, found)) != near
-    assert not differences("drop", old, deepcopy(old))
+CHANGES: list[tuple[str, Any, bool]] = [
+    ("files.out_json.z.some.3", lambda z: math.nextafter(z, 1.0), True),
+    ("files.out_json.z.some.3", lambda z: z * (1.0 + 1e-8), False),
+    ("files.out_json.z.sum", lambda total: total * (1.0 + 1e-8), False),
+    ("files.out_json.parameters.force_limit", 60.0, False),
+    ("files.out_json.force.length", lambda count: count - 1, False),
+    ("stdout.6", lambda line: line.replace("2.54", "2.55"), True),
+    ("stdout.6", lambda line: line.replace("mm", "m"), False),
+    ("stdout", lambda lines: [*lines, ""], False),
+    ("stderr", ["a warning"], False),
+    ("status", 1, False),
+]
+WALL = "files.out_json.stretches.0.identified.walls.0.stiffness."
+FITTED: list[tuple[str, Any, bool]] = [
+    (f"{WALL}value", lambda value: value * (1.0 + 1e-6), True),
+    (f"{WALL}value", lambda value: value * (1.0 + 1e-4), False),
+    (f"{WALL}standard_error", 1.0, True),
+    (f"{WALL}why", "it never moves", False),
+]
 
 
 @pytest.mark.parametrize(
-    ("name", "new", "near"),
-    [
-        ("value", lambda value: value * (1.0 + 1e-6), True),
-        ("value", lambda value: value * (1.0 + 1e-4), False),
-        ("value", None, False),
-        ("standard_error", 1.0, True),
-        ("why", "it never moves", False),
-    ],
+    ("name", "changes"), [("drop/default", CHANGES), ("analyse/kept drop-exact.maglev", FITTED)], ids=["run", "fit"]
 )
-def test_an_identified_value_that_changes_is_seen(name: str, new: Any, near: bool) -> None:
-    old = kept_once("analyse")["analyse/kept drop-exact.maglev"]
-    found = changed(old, f"files.out_json.stretches.0.identified.walls.0.stiffness.{name}", new)
-    assert bool(differences("analyse", old, found)) != near
+def test_one_change_is_seen_and_rounding_is_none(name: str, changes: list[tuple[str, Any, bool]]) -> None:
+    group = name.split("/")[0]
+    old = kept_once(group)[name]
+    assert not differences(group, old, deepcopy(old))
+    for where, new, near in changes:
+        found = deepcopy(old)
+        *way, last = (int(part) if part.isdigit() else part.replace("_json", ".json") for part in where.split("."))
+        inner = found
+        for part in way:
+            inner = inner[part]
+        inner[last] = new(inner[last]) if callable(new) else new
+        assert bool(differences(group, old, found)) != near, where
