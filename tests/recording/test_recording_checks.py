@@ -4,7 +4,8 @@ import json
 import math
 import tracemalloc
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -15,15 +16,14 @@ import pytest
 
 from maglev_mj.cli import main
 from maglev_mj.control.controller import Controller
-from maglev_mj.errors import ParameterError
+from maglev_mj.control.loop import ControlLoop
+from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
-from maglev_mj.recording import InvalidRecordingError, Recording, RecordingError, Verdict, load_samples
+from maglev_mj.recording import InvalidRecordingError, MemoryFile, Recording, RecordingError, Verdict, load_samples
 from maglev_mj.recording.reading import Content
-from maglev_mj.recording.sample import check_rows
 from maglev_mj.recording.verify import verify
 from maglev_mj.session.replay import rebuild
-from maglev_mj.terminal import printable
 from tests.processes import run_here
 from tests.recorded import (
     COLUMNS,
@@ -93,42 +93,29 @@ def answers(path: Path, capsys: Any) -> list[int]:
         assert status in (0, 1, 2)
         if status == 2:
             assert len(said.err.splitlines()) == 1 and said.err.startswith(f"maglev-mj {command[0]}: ")
+            assert list(path.parent.iterdir()) == [path]
         else:
             words = said.out.replace(",", " ").split()
             assert not said.err and not {"nan", "inf", "-inf"} & set(words)
         found.append(status)
+    for written in path.parent.glob("*.csv*"):
+        written.unlink()
     return found
 
 
-EVERY = {"scene": 1099, "drop": 389, "press": 389, "stick-slip": 389}
-"""Which files of the sweep are tried in the gate: those of a scene are most and dearest."""
-
-
-def sweep(kind: str, folder: Path, capsys: Any, every: int = 1) -> list[list[int]]:
-    """Return the commands' results on every n-th file."""
-    found = []
+@pytest.mark.parametrize(
+    ("kind", "every"),
+    [("scene", 1099), ("stick-slip", 389), *(pytest.param(kind, 1, marks=pytest.mark.study) for kind in KINDS)],
+)
+def test_a_number_that_is_none_is_refused_or_answered(kind: str, every: int, tmp_path: Path, capsys: Any) -> None:
+    path, found = tmp_path / "run.maglev", list[list[int]]()
     for what, file in islice(with_number(kind), 0, None, every):
-        path = folder / "run.maglev"
         path.write_bytes(file())
         try:
             found.append(answers(path, capsys))
         except BaseException as error:
             raise AssertionError(f"{what}: {error!r}") from error
-    return found
-
-
-@SOME_KINDS
-def test_a_number_that_is_none_is_refused_or_answered(kind: str, tmp_path: Path, capsys: Any) -> None:
-    """Some of the sweep below, spread over all of it."""
-    found = sweep(kind, tmp_path, capsys, every=EVERY[kind])
-    assert [2, 2, 2] in found and len(found) > 4
-
-
-@pytest.mark.study
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_number_that_is_none_is_refused_or_answered(kind: str, tmp_path: Path, capsys: Any) -> None:
-    found = sweep(kind, tmp_path, capsys)
-    assert found.count([2, 2, 2]) > 0.5 * len(found)
+    assert found.count([2, 2, 2]) > (0.5 * len(found) if every == 1 else 0) and len(found) > 4
 
 
 @pytest.mark.parametrize("every", [13, pytest.param(1, marks=pytest.mark.study)])
@@ -196,11 +183,9 @@ def late(parts: list[Part]) -> list[Part]:
 DAMAGED: list[tuple[Damage, str]] = [
     (lambda: b"a text", "it is not a journal"),
     (lambda: b"\x89MCAP0\r\n", "it is not a journal, but MCAP or .npz: maglev_mj 0.2"),
-    (lambda: b"PK\3\4", "it is not a journal, but MCAP or .npz: maglev_mj 0.2"),
     (lambda: made("drop")[:4000], "it ends within its header"),
     (entry("version", lambda _: 9), "format and version must be maglev_mj journal 1, not maglev_mj journal 9"),
     (entry("offset", lambda _: 0), "the header must be as long as it says"),
-    (entry("offset", lambda _: 4095), "the header must be as long as it says"),
     (entry("offset", lambda _: 8192), "the header must be as long as it says"),
     (entry("dtype", lambda _: None), "dtype must be an object"),
     (
@@ -232,7 +217,6 @@ DAMAGED: list[tuple[Damage, str]] = [
     (sixth("tick", 2**60), "tick must be whole numbers of at least 0, not 1.15292e+18"),
     (sixth("tick", 0), "tick must go up, not from 5 to 0"),
     (sixth("time", math.nan), "time must be finite and at most 1e+09, not nan in row 6"),
-    (sixth("time", 1e308), "time must be finite and at most 1e+09, not 1e+308 in row 6"),
     (sixth("time", -1.0), "time must go up from sample to sample"),
     (sixth("position.z", 1e4), "position must be finite and at most 1000, not 10000 in row 6"),
     (sixth("command.z", math.inf), "command must be finite and at most 1e+12, not inf in row 6"),
@@ -263,34 +247,18 @@ def test_a_file_that_is_no_whole_recording_is_refused_by_every_reader_with_the_r
             )
 
 
-@pytest.mark.parametrize("command", [["replay", "--check"], ["analyse"], ["export", "--to", "csv"]])
-def test_a_command_refuses_it_in_one_line_and_writes_nothing(command: list[str], tmp_path: Path) -> None:
-    path = tmp_path / "run.maglev"
-    for damaged, words in (DAMAGED[0], DAMAGED[-1]):
-        path.write_bytes(damaged())
-        status, output, errors = run_here(command[0], str(path), *command[1:])
-        assert (status, output, len(errors.splitlines())) == (2, "", 1)
-        assert errors.startswith(f"maglev-mj {command[0]}: {str(path)!r} is not a whole recording: {words}")
-        assert list(tmp_path.iterdir()) == [path]
-
-
-@pytest.mark.parametrize(
-    ("change", "status", "words"),
-    [
-        (lambda data: data, 0, "the same: tick"),
-        (lambda data: data[:-5000], 1, "not closed: read to 0."),
-        (lambda data: data[:-337], 1, "not closed: read to 0."),  # the last checksum is of a file that is closed
-        (lambda data: data + b"\x00", 1, "there is more behind its end"),
-        (lambda data: data + data, 1, "there is more behind its end"),
-    ],
-)
-def test_a_file_is_passed_only_as_a_whole_and_run_again_all_the_same(
-    change: Callable[[bytes], bytes], status: int, words: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "run.maglev"
-    path.write_bytes(change(made("scene")))
-    found, output, errors = run_here("replay", str(path), "--check")
-    assert (found, errors) == (status, "") and words in output and "samples, run again and compared" in output
+def test_a_file_is_passed_only_as_a_whole_and_run_again_all_the_same(tmp_path: Path) -> None:
+    path, data = tmp_path / "run.maglev", made("scene")
+    for changed_data, status, words in (
+        (data, 0, "the same: tick"),
+        (data[:-5000], 1, "not closed: read to 0."),
+        (data[:-337], 1, "not closed: read to 0."),  # the last checksum is of a file that is closed
+        (data + b"\x00", 1, "there is more behind its end"),
+        (data + data, 1, "there is more behind its end"),
+    ):
+        path.write_bytes(changed_data)
+        found, output, errors = run_here("replay", str(path), "--check")
+        assert (found, errors) == (status, "") and words in output and "samples, run again and compared" in output
 
 
 def bits(value: Any) -> Any:
@@ -298,11 +266,6 @@ def bits(value: Any) -> Any:
     if isinstance(value, bool):
         return not value
     return value + 1 if isinstance(value, int) else float(np.nextafter(value, math.inf))
-
-
-def field(place: Place) -> str:
-    """Return the field of a number in a message."""
-    return str(place[0])
 
 
 ALL_OF_THEM = pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.study)])
@@ -345,7 +308,7 @@ def test_a_bit_that_differs_in_the_metadata_is_found_and_named(kind: str, every:
     begun = [index for index in texts_in(parts) if "begin" in parts[index]][-1]
     run = parts[begun]["begin"]["run"]
     places = [*numbers_in(run)]
-    for place in places if every else some_of(places, lambda place: field(place) + "normal" * ("normal" in place), 1):
+    for place in places if every else some_of(places, lambda place: str(place[0]) + "normal" * ("normal" in place), 1):
         value = run
         for key in place:
             value = value[key]
@@ -354,7 +317,7 @@ def test_a_bit_that_differs_in_the_metadata_is_found_and_named(kind: str, every:
         except InvalidRecordingError:
             assert place[-1] == "normal"
             continue
-        name = field(place)
+        name = str(place[0])
         tried.add(name)
         if whole.fields[name].compared:
             assert verdict.fields[name].first is not None, place
@@ -416,39 +379,28 @@ def refusing(answer: float) -> type[Controller]:
     return Mad
 
 
-@pytest.mark.parametrize(
-    ("recorded", "answered", "same"),
-    [
+def test_no_number_is_the_same_as_one() -> None:
+    for recorded, answered, same in (
         (math.nan, math.nan, True),
         (math.nan, math.inf, True),  # JSON has no word for either
-        (math.inf, math.inf, True),
         (math.inf, math.nan, False),
         (math.inf, -math.inf, False),
         (math.nan, 1.0, False),
-        (math.inf, 1.0, False),
         (1.0, math.nan, False),
         (0.0, -0.0, False),
         (1.0, 1.0, True),
-    ],
-)
-def test_no_number_is_the_same_as_one(recorded: float, answered: float, same: bool) -> None:
-    from maglev_mj.control.loop import ControlLoop
-    from maglev_mj.recording import MemoryFile
+    ):
+        file, plant = MemoryFile(), ExactPlant(Timing())
+        controller = refusing(recorded)([], period=0.005)
+        loop = ControlLoop(plant, controller, record=file.begin(plant, controller, {"kind": "test"}))
+        with nullcontext() if math.isfinite(recorded) else pytest.raises(PlantError):
+            loop.cycle(8)
 
-    file, plant = MemoryFile(), ExactPlant(Timing())
-    controller = refusing(recorded)([], period=0.005)
-    loop = ControlLoop(plant, controller, record=file.begin(plant, controller, {"kind": "test"}))
-    try:
-        loop.cycle(8)
-    except RecordingError:
-        raise
-    except Exception:
-        assert not math.isfinite(recorded)
-    verdict = verify(
-        file.recording,
-        lambda setup, hand: (ExactPlant(Timing(), hand_force=hand), refusing(answered)([], period=0.005)),
-    )
-    assert (verdict.fields["command"].first is None) == same
+        def again(_: Any, hand: Any, answer: float = answered) -> Any:
+            return ExactPlant(Timing(), hand_force=hand), refusing(answer)([], period=0.005)
+
+        verdict = verify(file.recording, again)
+        assert (verdict.fields["command"].first is None) == same, (recorded, answered)
 
 
 def test_a_command_that_is_no_number_is_the_last_and_applied_as_zero(tmp_path: Path) -> None:
@@ -464,17 +416,6 @@ def test_a_command_that_is_no_number_is_the_last_and_applied_as_zero(tmp_path: P
         else:
             with pytest.raises(InvalidRecordingError):
                 load(journal_of(parts), tmp_path)
-
-
-def test_missed_samples_of_an_event_are_counted(tmp_path: Path) -> None:
-    parts = parts_in(made("scene"))
-    (row,) = (index for index in texts_in(parts) if "event" in parts[index])
-    told = parts[row]
-    assert (told["event"], told["text"], told["missed"]) == ("missed", "3 ticks were given up: too slow", 3)
-    recording = load(journal_of(parts), tmp_path)
-    assert max(stretch.missed.max() for stretch in recording.stretches) == 3
-    fewer = load(with_message(parts, row, ("missed",), 2), tmp_path)
-    assert max(stretch.missed.max() for stretch in fewer.stretches) == 2
 
 
 def test_a_file_of_any_header_takes_no_more_memory_than_its_size(tmp_path: Path) -> None:
@@ -496,24 +437,11 @@ def test_a_file_of_any_header_takes_no_more_memory_than_its_size(tmp_path: Path)
         assert peak < 5e6
 
 
-def test_a_flotor_at_rest_is_recorded(tmp_path: Path) -> None:
-    from maglev_mj.control.loop import drive
-    from maglev_mj.recording import open_recording
-
-    path = tmp_path / "run.maglev"
-    file, plant = open_recording(path, wait=True), ExactPlant(Timing(), gravity=0.0)
-    controller = Controller([], period=0.005)
-    drive(plant, controller, 3000, record=file.begin(plant, controller, {"kind": "test"}))
-    file.close()
-    recording = Recording.load(path)
-    assert recording.ticks == 3000 and not recording.damage
-
-
 ESCAPES = "\x1b[2J\x1b]0;title\x07\x9b31m\r\n\b\u202e\ud800 81 of 81"
 
 
 def test_what_steers_a_terminal_is_escaped(tmp_path: Path, capsys: Any) -> None:
-    # In texts of events, in names of settings and kinds, whatever command shows them.
+    # In texts of events, in names of runs, settings and kinds, whatever command shows them.
     parts = parts_in(made("scene"))
     (row,) = (index for index in texts_in(parts) if "event" in parts[index])
     event: Message = {"event": ESCAPES, "text": ESCAPES, "missed": 3}
@@ -525,6 +453,7 @@ def test_what_steers_a_terminal_is_escaped(tmp_path: Path, capsys: Any) -> None:
         {**setup, "controller": {**setup["controller"], "laws": [{"class": ESCAPES}]}},
         {**setup, "plant": {**setup["plant"], "class": ESCAPES}},
     ]
+    wrong += [{**setup, "run": {**setup["run"], "name": ESCAPES}}]
     files = [journal_of([*parts[:row], event, *parts[row + 1 :]])]
     files += [with_message(parts, first, ("begin",), one) for one in wrong]
     whole = made("scene")
@@ -533,27 +462,12 @@ def test_what_steers_a_terminal_is_escaped(tmp_path: Path, capsys: Any) -> None:
     path = tmp_path / "run.maglev"
     for data in files:
         path.write_bytes(data)
+        text = ""
         for command in (["replay", str(path), "--check"], ["analyse", str(path)]):
             main(command)
-            said = capsys.readouterr()
-            for text in (said.out, said.err):
-                assert all(one.isprintable() for one in text.replace("\n", "")), ascii(text)
-            assert "\\x1b[2J" in said.out + said.err
-            assert "\n 81 of 81" not in said.out + said.err
-
-
-def test_the_name_of_a_run_cannot_steer_a_terminal(tmp_path: Path, capsys: Any) -> None:
-    parts, path = parts_in(made("drop")), tmp_path / "run.maglev"
-    (first,) = (index for index in texts_in(parts) if "begin" in parts[index])
-    path.write_bytes(with_message(parts, first, ("begin", "run", "name"), ESCAPES))
-    assert main(["analyse", str(path)]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("\\x1b[2J") and all(one.isprintable() for one in said.replace("\n", ""))
-
-
-def test_printable_texts_stay_as_they_are() -> None:
-    assert printable("42 µm, 3 N m², ±1°") == "42 µm, 3 N m², ±1°"
-    assert printable("a\x1bb\nc") == "a\\x1bb\\nc"
+            text += "".join(capsys.readouterr())
+        assert all(one.isprintable() for one in text.replace("\n", "")), ascii(text)
+        assert "\\x1b[2J" in text and "\n 81 of 81" not in text
 
 
 def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
@@ -565,14 +479,7 @@ def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
 
 def in_blocks(samples: list[Message], folder: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
     """Return a recording of changed samples of a drop, read in blocks of four."""
-    sizes = list[int]()
-
-    def counted(rows: Mapping[str, Any], *row: int) -> None:
-        sizes.append(len(rows["tick"]))
-        check_rows(rows, *row)
-
     monkeypatch.setattr("maglev_mj.recording.reading._BLOCK", 4)
-    monkeypatch.setattr("maglev_mj.recording.reading.check_rows", counted)
     parts = parts_in(made("drop"))
     sample = next(part for part in parts if not isinstance(part, dict))
     rows = []
@@ -582,10 +489,7 @@ def in_blocks(samples: list[Message], folder: Path, monkeypatch: pytest.MonkeyPa
             row[name] = value
         rows.append(row)
     data = journal_of([*(part for part in parts[:-1] if isinstance(part, dict)), *rows, parts[-1]])
-    try:
-        return load(data, folder)
-    finally:
-        assert sizes == [4, *[5] * (len(sizes) - 1)] and len(sizes) > 1  # with the last of the block before
+    return load(data, folder)
 
 
 def test_a_field_that_is_another_one_for_some_blocks_is_itself_in_all(
@@ -602,23 +506,15 @@ def test_a_field_that_is_another_one_for_some_blocks_is_itself_in_all(
     assert stretch.tick.tolist() == [*range(16)] and (stretch.position == stretch.position[0]).all()
 
 
-@pytest.mark.parametrize(
-    ("first", "begins", "says"),
-    [
+def test_ticks_and_times_go_up_from_block_to_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for first, begins, says in (
         (4, 0.02, ""),
         (3, 0.02, "tick must go up, not from 3 to 3"),
         (1, 0.02, "tick must go up, not from 3 to 1"),
         (4, 0.015, "time must go up from sample to sample"),
-        (4, 0.001, "time must go up from sample to sample"),
-    ],
-)
-def test_ticks_and_times_go_up_from_block_to_block(
-    first: int, begins: float, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    samples: list[Message] = [{"tick": tick} for tick in range(4)]
-    samples += [{"tick": first + count, "time": begins + 0.005 * count} for count in range(4)]
-    if not says:
-        assert in_blocks(samples, tmp_path, monkeypatch).ticks == 8
-        return
-    with pytest.raises(InvalidRecordingError, match=rf"changed\.maglev' is not a whole recording: {says}$"):
-        in_blocks(samples, tmp_path, monkeypatch)
+    ):
+        samples: list[Message] = [{"tick": tick} for tick in range(4)]
+        samples += [{"tick": first + count, "time": begins + 0.005 * count} for count in range(4)]
+        refused = pytest.raises(InvalidRecordingError, match=rf"is not a whole recording: {says}$")
+        with refused if says else nullcontext():
+            assert in_blocks(samples, tmp_path, monkeypatch).ticks == 8

@@ -23,20 +23,19 @@ from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.recording import Recording, RecordingError, open_recording, setup_of
-from maglev_mj.recording.sample import TOTALS
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.run import run as run_scene
 from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay, rebuild, write_run
 from maglev_mj.spec import INERTIA
+from maglev_mj.versions import hash_of
 from tests.elsewhere import START
 from tests.processes import PATIENCE
 from tests.recorded import exported, messages_in
 from tests.sweeps import sweep
 
 ROOT = Path(__file__).parents[2]
-TOTAL_NAMES = [field.name for field in TOTALS]
 
 
 def messages(path: Path) -> list[tuple[str, dict[str, Any]]]:
@@ -125,21 +124,6 @@ while True:
 """
 
 
-@pytest.mark.machine
-@pytest.mark.needs("linux")
-def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(tmp_path: Path) -> None:
-    # SIGKILL to the program; what was in the file stays.
-    killed(400, tmp_path)
-
-
-@pytest.mark.study
-@pytest.mark.machine
-@pytest.mark.needs("linux")
-@pytest.mark.parametrize("after", range(300, 1300, 50))
-def test_a_recording_that_is_killed_at_any_time_opens(after: int, tmp_path: Path) -> None:
-    print("lost:", killed(after, tmp_path), "samples")
-
-
 def readable(folder: Path) -> int:
     """Return the samples that can be read of a recording that is written."""
     with suppress(RecordingError, ValueError):
@@ -148,8 +132,11 @@ def readable(folder: Path) -> int:
     return 0
 
 
-def killed(after: int, tmp_path: Path) -> int:
-    """Return the samples lost by a program that is killed after recording some."""
+@pytest.mark.machine
+@pytest.mark.needs("linux")
+@pytest.mark.parametrize("after", [400, *(pytest.param(one, marks=pytest.mark.study) for one in range(300, 1300, 50))])
+def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(after: int, tmp_path: Path) -> None:
+    # SIGKILL to the program; what was in the file stays.
     program = subprocess.Popen([sys.executable, "-c", RUN, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert program.stdout is not None
     made = 0
@@ -160,20 +147,24 @@ def killed(after: int, tmp_path: Path) -> int:
         assert time.monotonic() < deadline
         time.sleep(0.02)
     program.kill()
-    rest = program.communicate()[0].splitlines()
-    made = int(rest[-1]) if rest else made
+    program.communicate()
     (path,) = tmp_path.glob("*.maglev")
     recording = Recording.load(path)
     assert recording.damage.startswith("not closed: read to ") and recording.ticks >= wanted
     assert verify(recording, rebuild).first is None
     assert main(["replay", str(path), "--check"]) == 1
-    return made - recording.ticks
+
+
+def drifting(path: Path, ticks: int) -> Any:
+    """Record some ticks without forces; return the open file."""
+    file, plant, controller = open_recording(path), ExactPlant(Timing(), gravity=0.0), Controller([], period=0.005)
+    drive(plant, controller, ticks, record=file.begin(plant, controller))
+    return file
 
 
 def test_a_file_that_is_written_can_be_read_after_the_interval(tmp_path: Path) -> None:
     path = tmp_path / "run.maglev"
-    file, plant, controller = open_recording(path), ExactPlant(Timing(), gravity=0.0), Controller([], period=0.005)
-    drive(plant, controller, 30, record=file.begin(plant, controller))
+    file = drifting(path, 30)
     deadline = time.monotonic() + PATIENCE
     while readable(tmp_path) < 30:
         assert time.monotonic() < deadline
@@ -192,21 +183,11 @@ def test_where_no_open_file_is_renamed_it_gets_its_name_at_the_end(
     monkeypatch.setattr(journal, "_RENAMES_OPEN", False)
     path = tmp_path / "run.maglev"
     path.write_bytes(b"that of before")
-    file, plant, controller = (
-        open_recording(path, wait=True),
-        ExactPlant(Timing(), gravity=0.0),
-        Controller([], period=0.005),
-    )
-    drive(plant, controller, 30, record=file.begin(plant, controller))
+    file = drifting(path, 30)
     assert path.read_bytes() == b"that of before"
     assert file.close() == path and Recording.load(path).ticks == 30 and list(tmp_path.iterdir()) == [path]
     os.utime(path, (1e9, 1e9))
-    file, plant, controller = (
-        open_recording(path, wait=True),
-        ExactPlant(Timing(), gravity=0.0),
-        Controller([], period=0.005),
-    )
-    drive(plant, controller, 20, record=file.begin(plant, controller))
+    file = drifting(path, 20)
     path.unlink()
     path.mkdir()
     with pytest.raises(RecordingError, match=r"is not whole: Is a directory; it is in .*\.partial") as told:
@@ -236,14 +217,6 @@ def test_a_file_is_whole_where_none_in_use_is_renamed_or_removed(
     done = subprocess.run([sys.executable, "-c", START + WRITE, str(path)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert Recording.load(path).ticks == 80 and list(tmp_path.iterdir()) == [path]
-
-
-@pytest.mark.parametrize("name", ["run.foo", "run"])
-def test_a_kind_of_file_that_is_not_known_is_refused(name: str, tmp_path: Path, capsys: Any) -> None:
-    with pytest.raises(ParameterError, match=r"record must be a file that ends in \.maglev"):
-        open_recording(tmp_path / name)
-    assert main(["drop", "--plant", "exact", "--record", str(tmp_path / name)]) == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 @pytest.mark.parametrize("odd", [np.inf, np.nan])
@@ -325,6 +298,7 @@ def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_che
     )
     drive(plant, controller, 20, record=file.begin(plant, controller, setup))
     file.close()
+    write_run(tmp_path / "whole.maglev", cls(), plant="exact")  # attaches its source
     script.rename(tmp_path / "elsewhere.py")  # what a recording names is never executed
     (stretch,) = Recording.load(path).stretches
     known = stretch.metadata
@@ -343,6 +317,9 @@ def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_che
     assert main(["export", str(path), "--to", "csv"]) == 0
     capsys.readouterr()
     assert main(["replay", str(path), "--check"]) == 0  # its laws are this package's
+    assert f"source/{hash_of(OWN)}/own.py" in Recording.load(tmp_path / "whole.maglev").attachments
+    for given in ([], ["--scene", "attached"]):
+        assert main(["replay", str(tmp_path / "whole.maglev"), "--check", *given]) == 0
     again = ["--scene", str(tmp_path / "elsewhere.py")]
     assert main(["replay", str(path), "--check", *again]) == 0
     assert not capsys.readouterr().err
