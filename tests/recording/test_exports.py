@@ -115,14 +115,11 @@ def _mcap(path: Path) -> Content:
 
 
 READERS: Mapping[str, Callable[[Path], Content]] = {"csv": _csv, "parquet": _parquet, "npz": _npz, "mcap": _mcap}
+assert {*READERS, "wav"} == {*EXPORTS}
 """Plain readers of other programs; a sound holds one force alone, and is heard in `test_sound`."""
 
 
-def test_every_export_has_a_reader() -> None:
-    assert {*READERS, "wav"} == {*EXPORTS}
-
-
-@pytest.fixture(params=["scene", pytest.param("drop", marks=pytest.mark.study), "stick-slip", "press, cut"])
+@pytest.fixture(params=["scene", "stick-slip", "press, cut"])
 def whole(request: pytest.FixtureRequest, tmp_path: Path) -> Recording:
     """Return a recording with an attachment of its own: several stretches and an event, friction, a missing end."""
     kind, _, cut = request.param.partition(", ")

@@ -1,7 +1,6 @@
 """Contents of recordings for other programs: topics by their schemas, frames, scene, log."""
 
 import json
-from collections import Counter
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -27,12 +26,7 @@ from tests.recorded import decoder, exported, load, messages_in
 TOPICS = ("/maglev/stretch", "/maglev/sample", "/maglev/event", "/tf", "/maglev/shapes", "/maglev/arrows", "/log")
 
 
-RUNS: dict[str, Scene] = {
-    "drop": Drop(),
-    "press": Press(hits=1),
-    "stick-slip": StickSlip(),
-    "stick-slip turned": StickSlip(axis="ry"),
-}
+RUNS: dict[str, Scene] = {"press": Press(hits=1), "stick-slip turned": StickSlip(axis="ry")}
 together = pytest.mark.xdist_group("recorded messages")
 
 
@@ -113,10 +107,7 @@ def test_a_sample_is_packed_by_its_schema() -> None:
 
 
 @together
-@pytest.mark.parametrize(
-    "name",
-    ["press", *(pytest.param(name, marks=pytest.mark.study) for name in ("drop", "stick-slip")), "stick-slip turned"],
-)
+@pytest.mark.parametrize("name", RUNS)
 def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(name: str, tmp_path: Path) -> None:
     from maglev_mj.session.replay import rebuild, stick_positions_of
 
@@ -177,25 +168,10 @@ def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path
     assert most > 20
 
 
-@together
-def test_a_seek_shows_device_walls_and_arrows(tmp_path: Path) -> None:
-    # A viewer that seeks shows the last message of each topic.
-    from mcap.reader import make_reader
-
-    path = tmp_path / "run.mcap"
-    path.write_bytes(file_of("press"))
-    with path.open("rb") as file:
-        times = [(message.log_time, channel.topic) for _, channel, message in make_reader(file).iter_messages()]
-    for seek in np.linspace(times[0][0], times[-1][0], 20):
-        before = Counter(topic for time, topic in times if time <= seek)
-        assert before["/maglev/shapes"] == 1 and before["/tf"] == before["/maglev/arrows"] >= 1
-
-
 def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
     from maglev_mj.control.controller import Controller
     from maglev_mj.control.loop import drive
     from maglev_mj.plants import ExactPlant, Timing
-    from maglev_mj.recording.messages import _EVENT_FIELDS
 
     path, kinds = tmp_path / "run.maglev", {"fault": 4, "lost": 4, "missed": 3, "timing": 2, "landing": 2}
     file, plant = open_recording(path, wait=True), ExactPlant(Timing())
@@ -211,39 +187,30 @@ def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
         (level, f"{kind}: for a test") for kind, level in kinds.items()
     ]
     assert [event["kind"] for event in found_in(path)["/maglev/event"]] == list(kinds)
-    page = (Path(__file__).parents[2] / "docs" / "reference" / "recording.md").read_text(encoding="utf-8")
-    (row,) = (line for line in page.splitlines() if line.startswith("| `/maglev/event`"))
-    for kind in kinds:
-        assert kind in _EVENT_FIELDS["kind"]["description"] and kind in row
 
 
 FORCES = [(0.0, 0.0, 1.0), (-2.0, 0.0, 0.0), (3.0, 0.0, 0.0), (-1.0, 1e-12, 0.0), (1.0, -2.0, 3.0)]
 
 
-@pytest.mark.parametrize("force", FORCES)
-def test_an_arrow_points_along_its_force_whatever_that_is(force: tuple[float, float, float]) -> None:
+def test_an_arrow_points_along_its_force_and_none_is_drawn_of_a_force_too_small_to_see() -> None:
     from foxglove.messages import SceneEntity
 
     from maglev_mj.recording.messages import _arrow
 
-    entity = SceneEntity(arrows=_arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)))
-    (arrow,) = decoder(entity.get_schema())(entity.encode())["arrows"]
-    x, y, z, w = (arrow["pose"]["orientation"][name] for name in "xyzw")
-    along = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
-    assert np.abs(along - np.array(force) / np.linalg.norm(force)).max() < 1e-9
-
-
-@pytest.mark.parametrize("force", [ZERO[:3], (0.01, 0.0, 0.0), (np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0)])
-def test_a_force_too_small_to_see_or_that_is_no_number_has_no_arrow(force: tuple[float, float, float]) -> None:
-    from maglev_mj.recording.messages import _arrow
-
-    assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
+    for force in FORCES:
+        entity = SceneEntity(arrows=_arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)))
+        (arrow,) = decoder(entity.get_schema())(entity.encode())["arrows"]
+        x, y, z, w = (arrow["pose"]["orientation"][name] for name in "xyzw")
+        along = np.array([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)])
+        assert np.abs(along - np.array(force) / np.linalg.norm(force)).max() < 1e-9
+    for force in (ZERO[:3], (0.01, 0.0, 0.0), (np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0)):
+        assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
 
 
 @together
 def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording(tmp_path: Path) -> None:
     layout, path = json.loads(LAYOUT.read_text()), tmp_path / "run.mcap"
-    path.write_bytes(file_of("drop"))
+    path.write_bytes(file_of("press"))
     with path.open("rb") as file:
         summary = make_reader(file).get_summary()
         assert summary is not None
@@ -258,13 +225,6 @@ def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording(tmp_path:
     fields = {f"{SAMPLE}.{name}" for field in FIELDS for name, _ in field.units}
     assert len(plotted) == 6 and set(plotted) <= fields
     assert f"[{units()['position.z']}]" in panels["Plot!position"]["foxglovePanelTitle"]
-    # the device is in front of the camera, whole, and not cut off
-    camera, reach = (
-        scene["cameraState"],
-        max(np.linalg.norm(np.abs(one.position) + one.half) for one in shapes("maglev")),
-    )
-    across = camera["distance"] * np.tan(np.radians(camera["fovy"]) / 2)
-    assert camera["near"] < camera["distance"] - reach and reach < across < 3.0 * reach
     named = json.dumps(layout["layout"])
     assert all(f'"{name}"' in named for name in panels)
 
@@ -290,8 +250,8 @@ def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) ->
         assert f"Scalars of {field}: 81 rows, least {float(values.min())!r}" in done.stdout
 
 
-@pytest.mark.parametrize(("period", "delay"), [(1e-3, 0.0), (5e-5, 1e-4)])
-def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit(period: float, delay: float) -> None:
+def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit() -> None:
+    period, delay = 5e-5, 1e-4
     random, count = np.random.default_rng(0), 200
     rows = np.zeros(count, ROW)
     rows["tick"] = np.cumsum(1 + random.integers(0, 20, count) // 19)  # some are missing
