@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.scenes.rooms import Joystick
-from maglev_mj.session import Session, Snapshot
+from maglev_mj.session import Snapshot
 from maglev_mj.views.magnifier import MAGNIFICATIONS, magnified, motion_words, true_pose
 
 POSE = np.array([1e-3, -2e-3, 3.4e-3, 0.01, 0.02, -0.03])
@@ -27,17 +27,3 @@ def test_pose_stick_position_and_walls_are_drawn_magnified_and_a_drag_is_divided
         assert met == [normal * (POSE[axis] - edge) <= 0.0]
     assert drawn.force is true.force and drawn.history is true.history and true.pose is POSE
     assert motion_words(factor) == {1: "", 3: "motion x3", 5: "motion x5"}[int(factor)]
-
-
-def test_a_magnified_session_is_the_same_session() -> None:
-    poses = []
-    for factor in MAGNIFICATIONS:
-        session = Session(Joystick())
-        drag = factor * np.array([4e-3, 0.0, 0.0, 0.0, 0.0, 0.0])  # on the drawing
-        session.hand.target = true_pose(drag, factor).tolist()
-        for _ in range(100):
-            session.tick(0.005)
-            magnified(session.snapshot(), factor)
-        poses.append(session.snapshot().pose)
-        session.close()
-    assert np.abs(poses[0]).max() > 1e-3 and np.allclose(poses, poses[0], atol=1e-12)

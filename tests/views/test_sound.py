@@ -48,10 +48,9 @@ def heard(recording: Recording, path: Path) -> tuple[int, Any]:
         return sound.getframerate(), np.frombuffer(sound.readframes(sound.getnframes()), "<i2") / 32767
 
 
-@pytest.mark.parametrize("axis", [0, 2])
-def test_a_sine_of_force_is_heard_at_its_frequency_and_on_the_stated_scale(axis: int, tmp_path: Path) -> None:
+def test_a_sine_of_force_is_heard_at_its_frequency_and_on_the_stated_scale(tmp_path: Path) -> None:
     time = np.arange(20_000) * PERIOD  # more than one block
-    recording = recording_of(7.0 + 20.0 * np.sin(2 * np.pi * 125.0 * time), axis)
+    recording = recording_of(7.0 + 20.0 * np.sin(2 * np.pi * 125.0 * time), axis=0)
     rate, sound = heard(recording, tmp_path / "sine.wav")
     assert rate == 48_000 and len(sound) == 20 * rate
     spectrum = np.abs(np.fft.rfft(sound[rate:])) * 2 / (19 * rate)
@@ -96,14 +95,6 @@ def test_a_step_of_a_slowed_force_fades_as_fast_as_in_real_time(tmp_path: Path) 
     assert not frames[:4800].any() and frames[4800:] == pytest.approx(40 / 50 * kept, abs=1e-4)
 
 
-def test_a_wall_that_buzzes_is_louder_than_one_that_does_not(tmp_path: Path) -> None:
-    loud, calm = (
-        heard(record_run(Drop(stiffness=stiffness, pulse=0.0), plant="exact"), tmp_path / "drop.wav")[1]
-        for stiffness in (12_000.0, 4000.0)
-    )
-    assert np.std(loud[-9600:]) > 10 * np.std(calm[-9600:])
-
-
 def test_an_empty_and_a_wrong_file_are_refused_in_one_line(tmp_path: Path, capsys: Any) -> None:
     Recording([]).save(tmp_path / "empty.maglev")
     (tmp_path / "wrong.maglev").write_bytes(b"no recording")
@@ -131,8 +122,8 @@ def decoded(path: Path, *options: str) -> Any:
 
 
 @pytest.mark.needs("drawing")
-@pytest.mark.parametrize("time_scale", [pytest.param(1.0, marks=pytest.mark.study), 0.5])
-def test_a_clip_has_the_buzz_of_a_wall_slowed_as_its_pictures(time_scale: float, tmp_path: Path) -> None:
+def test_a_clip_has_the_buzz_of_a_wall_slowed_as_its_pictures(tmp_path: Path) -> None:
+    time_scale = 0.5
     frequency = render_buzz(tmp_path / "buzz.mp4", time_scale)
     sound, length = decoded(tmp_path / "buzz.mp4"), 1.5 / time_scale
     assert len(sound) == pytest.approx(48_000 * length, abs=2048)  # a block of the encoder

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from maglev_mj import Hold, Scene, Session, figure, identify, param, record_run, run, run_phases, sweep
-from maglev_mj.cli.options import described
 from maglev_mj.frames import AXES, unit_of
 from maglev_mj.scenes.pictures import series, spread, stick_slip
 from maglev_mj.scenes.results import Variants
@@ -26,7 +25,6 @@ from maglev_mj.views.window.screen import status_rows
 from tests.sweeps import sweep as cases
 
 SHORT: dict[str, Any] = {"duration": 0.02}
-ALONG = "quantize", "spring", "target", "stiffness", "damping", "breakaway", "v_min"
 UNIT = re.compile(r"(?<![\w/.])(N m s/rad|k?N m/m?rad|m?N m|[mµ]?rad(/s)?|N s/m|k?N/m+|[km]?N|[mµ]?m(/s)?)(?![\w/])")
 
 
@@ -34,13 +32,6 @@ def wrong(text: str, axis: str) -> list[str]:
     """Return the units of the other kind of axis in a text."""
     units = [match[0] for match in UNIT.finditer(text)]
     return [unit for unit in units if ("rad" in unit or "N m" in unit) != axis.startswith("r")]
-
-
-def test_the_two_kinds_are_told_apart() -> None:
-    for text in ("3 N m/rad", "0.07 N m", "5 mrad/s", "[rad]", "N m s/rad", "µrad", "kN m/rad"):
-        assert wrong(text, "x") and not wrong(text, "rz"), text
-    for text in ("3 N/m", "0.07 N", "5 mm/s", "[m]", "N s/m", "3.0 µm", "kN/m", "m/s"):
-        assert wrong(text, "rz") and not wrong(text, "x"), text
 
 
 class Gui:
@@ -135,14 +126,7 @@ def test_a_sweep_over_axes_names_both_units() -> None:
     assert swept.units["peak_speed"] == "m/s or rad/s" and swept.units["stick_time"] == "s"
 
 
-def test_every_parameter_along_the_chosen_axis_says_so() -> None:
-    declared = {one.name: one for one in StickSlip().parameters()}
-    assert [name for name, one in declared.items() if one.along] == list(ALONG)
-    assert "[N s/m or N m s/rad]" in described(declared["damping"], 80.0)
-    assert "[s]" in described(declared["duration"], 0.3)
-
-
-@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("axis", ["x", "rz"])
 def test_what_is_not_along_the_axis_keeps_its_unit(axis: str) -> None:
     class Own(Scene):
         """Own."""
@@ -168,14 +152,6 @@ def test_a_larger_unit_is_as_much_larger_along_a_rotation() -> None:
     assert {unit: unit_of(unit, "rz") for unit in larger} == larger  # one factor serves both
 
 
-def test_an_axis_that_a_browser_makes_up_is_the_scenes_own() -> None:
-    gui, snapshot = PlotGui(), Snapshot(scene=StickSlip(axis="y"))
-    shown = page_plots.Plots(gui, snapshot.scene)
-    shown._axis.value = "q"
-    shown.show(snapshot)
-    assert "y [mm]" in gui.plots[0].content
-
-
 def test_a_thinned_chart_ends_with_the_newest_sample() -> None:
     rows = np.zeros((401, 25))
     rows[:, 0] = rows[:, 1] = np.arange(401) * 0.005
@@ -183,7 +159,7 @@ def test_a_thinned_chart_ends_with_the_newest_sample() -> None:
     assert np.asarray(line.x)[-1] == 0.0 and np.asarray(line.y)[-1] == 1e3 * rows[-1, 1] and np.size(line.x) <= 200
 
 
-@pytest.mark.parametrize(("samples", "across"), [(0, 0.2), (3, 0.2), (61, 0.5), (150, 1.0), (400, 2.0), (402, 2.0)])
+@pytest.mark.parametrize(("samples", "across"), [(0, 0.2), (61, 0.5), (402, 2.0)])
 def test_a_chart_is_as_wide_as_what_has_passed(samples: int, across: float) -> None:
     rows = np.zeros((samples, 25))
     rows[:, 0] = 7.0 + np.arange(samples) * 0.005

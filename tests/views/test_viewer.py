@@ -17,7 +17,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import glfw
 import mujoco
 import numpy as np
 import pytest
@@ -37,7 +36,6 @@ from maglev_mj.views.window.layout import Area
 from maglev_mj.views.window.scenery import Framing, Scenery
 from maglev_mj.views.window.screen import Screen
 from maglev_mj.views.window.window import fitted_size
-from tests.processes import run_here
 from tests.views.virtual_screen import VirtualScreen, waited
 
 needs_screen = pytest.mark.needs("screen", "xdotool")
@@ -327,17 +325,6 @@ def camera_drag(scene: Scene, pixels: int, view: Area) -> Array:
     return drawn
 
 
-def test_every_key_is_in_the_overlay_and_none_is_the_viewers_own() -> None:
-    actions = LiveSession(Joystick()).actions
-    keys, rows = keys_of(actions), help_rows(actions)
-    words = " ".join(words for _, words in rows)
-    for code, action in keys.items():
-        assert (action if code == glfw.KEY_ESCAPE else action.removesuffix(" up").removesuffix(" down")) in words
-    letters, digits, function = set(range(65, 91)), set(range(48, 54)), set(range(290, 297))
-    others = {258, 259, 266, 91, 93}  # Tab Backspace PageUp [ ]; right, left, - and = it passes on
-    assert not set(keys) & (letters | digits | function | others)
-
-
 def test_there_are_keys_only_for_what_can_be_done() -> None:
     # A replay or a device shows only what does something there.
     own = {AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT}
@@ -347,13 +334,3 @@ def test_there_are_keys_only_for_what_can_be_done() -> None:
     words = " ".join(words for _, words in help_rows(device_actions(Joystick)))
     assert "drop" not in words and "rate" not in words and "delay" not in words and "stiffness" in words
     assert key_of("centre", ("centre",)) == "/" and key_of("centre", ()) == ""
-
-
-@pytest.mark.needs("linux")
-@pytest.mark.parametrize("display", ["", ":4242"], ids=["none", "dead"])
-def test_without_a_display_one_line_says_what_to_use_instead(display: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    monkeypatch.setenv("DISPLAY", display)
-    status, _, said = run_here("view")
-    assert status == 1 and len(said.splitlines()) == 1
-    assert "render" in said and "--web" in said

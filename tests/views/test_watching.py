@@ -3,14 +3,11 @@
 A wall felt through the mouse too.
 """
 
-import multiprocessing
-import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import Pipe
-from multiprocessing.connection import Connection
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -39,98 +36,6 @@ SIZE = 600, 450
 
 FRAME = 0.25
 """Time of a frame on a slow screen [s]."""
-
-
-def test_a_window_is_told_of_the_device_and_says_what_the_mouse_and_keys_do() -> None:
-    near, far = Pipe()
-    watched = RemoteSession(far, Snapshot(scene=Joystick()))
-    pose, scene, faces = np.arange(6.0) * 1e-3, Joystick(stiffness=4000.0), ((0, 1.0, 3e-3),)
-    sent = Snapshot(
-        scene=scene,
-        tick=3,
-        time=0.015,
-        pose=pose,
-        faces=faces,
-        history=np.array([(0.005 * tick, *[1e-3] * 24) for tick in range(3)]),
-        notes=["a note"],
-    )
-    near.send(sent)
-    assert watched.tick(0.02) == 3
-    view = watched.snapshot()
-    assert (view.pose == pose).all() and view.scene == scene and view.notes == ["a note"]
-    assert view.faces == ((0, 1.0, 3e-3),) and view.history.shape == (3, 25) and view.time == pytest.approx(0.015)
-    watched.hand.target = [1e-3] * 6
-    watched.act("wall")
-    watched.tick(0.02)
-    assert [near.recv(), near.recv()] == [("act", "wall"), ("hand", [1e-3] * 6)]
-    watched.tick(0.02)
-    assert not near.poll()  # the hand has not moved
-    near.close()
-    with pytest.raises(MaglevError, match="the device's program has ended"):
-        watched.tick(0.02)
-    far.close()
-
-
-class OpenedHere:
-    """Replacement of a process, with its line kept here."""
-
-    def __init__(self, target: Any, args: Any) -> None:
-        line, self.blank, _ = args
-        self.line = Connection(os.dup(line.fileno()))  # its parent closes the one that it gives away
-
-    def start(self) -> None: ...
-
-    def join(self, patience: float) -> None: ...
-
-    def is_alive(self) -> bool:
-        return False
-
-
-def test_both_ends_of_a_window_agree(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Each sample's row arrives once; keys pressed between two snapshots add up; a closed window is told of once.
-    ends: list[OpenedHere] = []
-
-    def opened(**keywords: Any) -> OpenedHere:
-        ends.append(OpenedHere(**keywords))
-        return ends[-1]
-
-    monkeypatch.setattr(multiprocessing, "get_context", lambda method: SimpleNamespace(Process=opened))
-    motion, blank = SampledMotion(), Snapshot(scene=Joystick())
-    viewer, closed = RemoteViewer(blank, show), []
-    viewer._inbox = Inbox(0.0)
-    viewer.on_close = lambda: closed.append(1)
-    far = ends[0].line
-    session = RemoteSession(far, ends[0].blank)
-    for tick in range(1, 1001):
-        time = tick * 0.005
-        motion.add(time, np.full(6, 1e-6 * tick), np.ones(6), [0.5] * 6)
-        if tick % 3 == 0:
-            shown = replace(blank, tick=tick, time=time, history=motion.history.rows, work=motion.work)
-            viewer.show(shown)
-            session.tick(0.0)
-    rows = session.snapshot().history
-    assert (rows[-399:] == motion.history.rows[-400:-1]).all()  # the last was not shown
-    assert len(rows) == pytest.approx(400, abs=2)
-    assert rows[1:, 7] == pytest.approx(1e-6 / 0.005)
-    assert session.snapshot().work == pytest.approx(6 * 0.5 * 998e-6)
-    session.hand.target = [1e-3] * 6
-    session.tick(0.0)
-    for action in ("stiffness up", "pause", "stiffness up", "wall"):
-        session.act(action)
-    request = viewer.take()
-    assert request is not None and request.scene == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
-    request.reply("not heard")
-    assert viewer.hand.target == [1e-3] * 6
-    viewer.show(replace(blank, scene=Joystick(stiffness=3000.0)))  # the person is not the only one who changes it
-    session.act("wall")
-    request = viewer.take()
-    assert request is not None and request.scene == Joystick(stiffness=3000.0, wall=False)
-    far.close()
-    for _ in range(3):
-        viewer.take()
-        viewer.show(blank)
-    assert closed == [1] and viewer.hand.target is None
-    viewer.close()
 
 
 WEAK = "--as-written", "--anyway", "--stiffness", "2000", "--damping", "30"
@@ -226,6 +131,7 @@ class ViewerHere(RemoteViewer):
     def __init__(self, scene: Scene, *, watch: bool = False) -> None:
         line, far = Pipe()
         received = lambda: [line.recv() for _ in iter(line.poll, False)]  # noqa: E731
+        self.line = line
         self.sent, self.window = list[Snapshot](), RemoteSession(far, Snapshot(scene=scene))
         front = SimpleNamespace(received=received, ended=False, ready=True, send=self.sent.append)
         with patch("maglev_mj.views.viewer_process.SideProcess", return_value=front):
@@ -233,11 +139,44 @@ class ViewerHere(RemoteViewer):
         self._inbox = Inbox(0.0)
 
 
-def test_the_emergency_stops_key_reaches_who_runs_the_device() -> None:
-    viewer, pressed = ViewerHere(Joystick()), []
-    viewer.on_emergency = lambda: pressed.append(1)
-    viewer.window.act(keys_of(device_actions(Joystick))[glfw.KEY_ESCAPE])
-    assert viewer.take() is None and pressed == [1]
+def test_both_ends_of_a_window_agree() -> None:
+    # Each sample's row arrives once; keys pressed between two snapshots add up; who is gone is told of once.
+    viewer, motion, blank = ViewerHere(Joystick()), SampledMotion(), Snapshot(scene=Joystick())
+    session, closed, stopped = viewer.window, list[int](), list[int]()
+    viewer.on_close, viewer.on_emergency = lambda: closed.append(1), lambda: stopped.append(1)
+    for tick in range(1, 1001):
+        motion.add(tick * 0.005, np.full(6, 1e-6 * tick), np.ones(6), [0.5] * 6)
+        if tick % 3 == 0:
+            rows = motion.history.rows
+            viewer.show(replace(blank, tick=tick, time=tick * 0.005, notes=["a note"], history=rows, work=motion.work))
+            viewer.line.send(viewer.sent[-1])
+            session.tick(0.0)
+    view = session.snapshot()
+    assert (view.history[-399:] == motion.history.rows[-400:-1]).all()  # the last was not shown
+    assert len(view.history) == pytest.approx(400, abs=2) and view.notes == ["a note"]
+    assert view.history[1:, 7] == pytest.approx(1e-6 / 0.005) and view.work == pytest.approx(6 * 0.5 * 998e-6)
+    session.hand.target = [1e-3] * 6
+    session.tick(0.0)
+    for action in ("stiffness up", "pause", "stiffness up", "wall"):
+        session.act(action)
+    request = viewer.take()
+    assert request is not None and request.scene == Joystick(stiffness=9380.0, wall=False) and viewer.take() is None
+    request.reply("not heard")
+    assert viewer.hand.target == [1e-3] * 6
+    viewer.show(replace(blank, scene=Joystick(stiffness=3000.0)))  # the person is not the only one who changes it
+    session.act("wall")
+    request = viewer.take()
+    assert request is not None and request.scene == Joystick(stiffness=3000.0, wall=False)
+    session.act(keys_of(device_actions(Joystick))[glfw.KEY_ESCAPE])
+    assert viewer.take() is None and stopped == [1]
+    viewer._front.ended = True  # type: ignore[misc]
+    for _ in range(3):
+        viewer.take()
+        viewer.show(blank)
+    assert closed == [1] and viewer.hand.target is None
+    viewer.line.close()
+    with pytest.raises(MaglevError, match="the device's program has ended"):
+        session.tick(0.02)
 
 
 class Steep(Scene):
@@ -298,15 +237,6 @@ def test_where_a_recording_has_jumped_few_rows_are_sent_and_the_newest_of_them()
 def test_a_page_whose_process_ends_ends_the_session() -> None:
     with pytest.raises(MaglevError, match="the process that shows the scene has ended"):
         show_remotely(Session(), id, 60.0)
-
-
-def test_a_folder_that_takes_no_recording_ends_no_session() -> None:
-    viewer, session = ViewerHere(Joystick()), Session()
-    with patch("maglev_mj.session.session.open_recording", side_effect=OSError("no space left")):
-        viewer.window.act("record")
-        viewer.serve(session)
-    assert viewer.sent[0].notes == ["no space left"] and session.tick(0.02) > 0
-    session.close()
 
 
 def _pull(screen: VirtualScreen, window: int, done: Callable[[], bool]) -> None:

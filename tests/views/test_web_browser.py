@@ -202,15 +202,6 @@ def stiffness(shown: Snapshot) -> float:
     return float(shown.scene.as_json()["stiffness"])
 
 
-def test_a_slider_moves_a_gain(run: Run, tab: Any) -> None:
-    slider = tab.locator("[role=slider]").nth(1)
-    before = stiffness(run.shown)
-    slider.focus()
-    for _ in range(3):
-        tab.keyboard.press("ArrowRight")
-    run.until(lambda shown: stiffness(shown) == float(slider.get_attribute("aria-valuenow")) > before + 200.0)
-
-
 def test_a_slider_goes_back_and_buttons_go_on_or_repeat(run: Run, tab: Any) -> None:
     slider = tab.locator("[role=slider]").first
     slider.focus()
@@ -276,52 +267,6 @@ def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, ta
     button("centre").click()
     run.until(lambda shown: shown.state == "running" and shown.time_scale == 1.0)
     tab.wait_for_selector("[role=alert]:has-text('STOPPED')", state="detached")
-
-
-def test_a_refused_value_is_told_and_the_slider_goes_back(run: Run, tab: Any) -> None:
-    choose(tab, "press")
-    run.until(lambda shown: shown.scene.name == "press")
-    slider = tab.locator("[role=slider]").nth(1)
-    # the slider of the scene before had the same value
-    tab.wait_for_function("document.querySelectorAll('[role=slider]')[1].getAttribute('aria-valuemin') == '0'")
-    slider.focus()
-    tab.keyboard.press("Home")
-    tab.wait_for_selector("text=stiffness must be a finite number above 0")
-    assert stiffness(run.shown) > 0.0
-    tab.wait_for_function("document.querySelectorAll('[role=slider]')[1].getAttribute('aria-valuenow') != '0'")
-    choose(tab, "joystick")
-    run.until(lambda shown: shown.scene.name == "joystick")
-
-
-def choose(tab: Any, scene: str) -> None:
-    """Choose a scene in the list."""
-    tab.get_by_label("scene").click()
-    tab.get_by_role("option", name=scene, exact=True).click()
-
-
-WIDTHS = (1400, 304, 324, 420), (900, 304, 324, 420), (700, 0, 320, 420), (390, 0, 0, 210)
-"""Width of the page, widths of its panels, and height of the scene between them [px]."""
-
-
-def test_at_any_width_the_device_is_seen_between_the_panels(run: Run, tab: Any) -> None:
-    for width, left, right, height in WIDTHS:
-        resized(tab, width, [left, width - left - right, height])
-        press(tab, run)  # the knob is drawn where the camera of this width has it
-        tab.mouse.up()
-        run.until(lambda shown: shown.target is None)
-    tab.set_viewport_size(SIZE)
-
-
-def resized(tab: Any, width: int, box: list[int]) -> None:
-    """Change a page's width, and wait until the scene has a left edge, a width and a height [px]."""
-    tab.set_viewport_size({"width": width, "height": 420})
-    tab.wait_for_function(
-        """([x, width, height]) => {
-            const box = [...document.querySelectorAll("canvas")].at(-1).getBoundingClientRect();
-            return [box.x - x, box.y, box.width - width, box.height - height].every((off) => Math.abs(off) < 8);
-        }""",
-        arg=box,
-    )
 
 
 def test_on_a_phone_all_is_for_a_finger_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: Any, tab: Any) -> None:
