@@ -36,17 +36,6 @@ def test_a_table_that_nobody_reads_is_silent(lines: bool, both: bool) -> None:
     assert outcome(pipe, "drop", "--plant", "exact", both=both) == (141, "")
 
 
-def test_much_json_of_which_the_beginning_is_read_is_silent() -> None:
-    """Far more than a pipe holds."""
-    command = [*CLI, "stability", "--grid", "80", "--json", "-"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdout is not None and process.stderr is not None
-        assert process.stdout.read(20) == b'{"parameters": {"dam'
-        process.stdout.close()
-        assert process.stderr.read() == b""
-    assert process.returncode == 141
-
-
 ONE_BY_ONE = """
 import os, sys
 from maglev_mj.cli import main
@@ -74,19 +63,13 @@ def test_every_command_is_silent_where_nobody_reads(tmp_path: Path) -> None:
     lines = [
         "drop --json -",
         "press --plant exact",
-        "press --plant exact --json -",
-        "stick-slip",
         "stick-slip --json -",
-        "stability --grid 4",
         "stability --grid 4 --plant exact --json -",
-        "sweep drop --vary phase=0:0.5:2 --set plant=exact --workers 0",
         "sweep drop --vary phase=0:0.5:2 --set plant=exact --workers 0 --json -",
         "analyse run.maglev",
-        "analyse run.maglev --json -",
         "replay run.maglev --check",
         "export run.maglev --to csv",
         "info",
-        "info --json -",
         "twin --seconds 0.1",
         "--version",
         "--help",
@@ -116,9 +99,8 @@ def test_another_broken_pipe_is_an_error_like_any(
     assert capsys.readouterr().err == "maglev-mj info: [Errno 32] Broken pipe\n"
 
 
-@pytest.mark.parametrize(("encoding", "sign"), [("cp932", "?"), ("cp1252", "µ")])
-def test_a_sign_that_an_encoding_lacks_is_a_question_mark(encoding: str, sign: str) -> None:
+def test_a_sign_that_an_encoding_lacks_is_a_question_mark() -> None:
     # as where a Japanese Windows writes to a file
-    env = {**os.environ, "PYTHONIOENCODING": encoding}
+    env = {**os.environ, "PYTHONIOENCODING": "cp932"}
     done = subprocess.run([*CLI, "info"], capture_output=True, env=env, timeout=120, check=True)
-    assert f" {sign}m" in done.stdout.decode(encoding) and not done.stderr
+    assert " ?m" in done.stdout.decode("cp932") and not done.stderr

@@ -4,36 +4,9 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from maglev_mj import theory
 from maglev_mj.cli import main
-
-
-@pytest.mark.study  # `stability/exact` of the kept outputs is the small case
-def test_stability_json_is_the_map(tmp_path: Path) -> None:
-    out = tmp_path / "map.json"
-    arguments = ["stability", "--damping", "10:110", "--stiffness", "500", "12500", "--grid", "7", "--plant", "exact"]
-    assert main([*arguments, "--json", str(out), "--out", str(tmp_path)]) == 0
-    data = json.loads(out.read_text())
-    assert data["parameters"]["delay"] == 0.0015 and data["parameters"]["hand"] == "none"
-    assert data["damping"] == pytest.approx(np.linspace(10.0, 110.0, 7).tolist())
-    assert data["stiffness"] == pytest.approx(np.linspace(500.0, 12500.0, 7).tolist())
-    rows = np.array(data["stiffness"])[:, None]
-    modulus, stable = np.array(data["modulus"]), np.array(data["simulated"])
-    expected = theory.largest_modulus(np.array(data["stiffness"])[:, None], data["damping"], period=0.005, delay=0.0015)
-    np.testing.assert_allclose(modulus, expected)
-    np.testing.assert_array_equal(stable, modulus < 1.0)
-    np.testing.assert_array_equal(stable, rows <= np.array(data["boundary"]))
-    assert data["maximum"]["stiffness"] == pytest.approx(10173, rel=1e-3)
-    assert (tmp_path / "stability.png").is_file()
-
-
-def test_stability_by_theory_alone_simulates_nothing(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["stability", "--grid", "5", "--hand", "0.3,5,200", "--json", "-"]) == 0
-    data = json.loads(capsys.readouterr().out)
-    assert data["simulated"] is None and data["parameters"]["hand"] == "0.3,5,200"
 
 
 def test_stability_goes_on_from_its_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -77,20 +50,6 @@ def test_each_grid_has_a_record_of_its_own_and_is_found_again(
     one, _ = tmp_path.iterdir()
     assert main([*heights, "--set", "mass=0.6", "--record", one.name]) == 2
     assert f"record must be of this study, not '{one.name}', which has other mass, " in capsys.readouterr().err
-
-
-def test_hands_can_be_varied_by_their_numbers(tmp_path: Path, monkeypatch: Any) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["sweep", "wall", "--vary", "hand=0.2,18,271;none", "--workers", "0", "--json", "all.json"]) == 0
-    data = json.loads((tmp_path / "all.json").read_text())
-    assert [cell["hand"] for cell in data["cells"]] == ["0.2,18,271", "none"]
-    assert data["results"][0]["stiffest_wall"] > data["results"][1]["stiffest_wall"]
-
-
-@pytest.mark.study
-def test_a_map_that_begins_at_no_stiffness_agrees_with_itself(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["stability", "--stiffness", "0:10000", "--damping", "0:200", "--grid", "21", "--plant", "exact"]) == 0
-    assert "0 verdicts differ" in capsys.readouterr().out
 
 
 def test_a_map_without_a_stable_wall_is_still_a_map(capsys: pytest.CaptureFixture[str]) -> None:

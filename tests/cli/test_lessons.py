@@ -17,7 +17,6 @@ from maglev_mj.cli.program import main
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "lessons"
 LESSONS = ["why_stiff_walls_buzz", "braking_pulse", "friction", "integrator_step", "model_to_device"]
-MOST_LINES = 16
 
 
 def cells(name: str) -> list[dict[str, Any]]:
@@ -31,10 +30,6 @@ def text(name: str) -> str:
     return "\n".join(cell["source"] for cell in cells(name) if cell["cell_type"] == "markdown")
 
 
-def test_every_lesson_is_here() -> None:
-    assert sorted(path.stem for path in FOLDER.glob("*.ipynb")) == sorted(LESSONS)
-
-
 @pytest.mark.parametrize("name", LESSONS)
 def test_a_lesson_is_saved_with_its_outputs_and_nothing_of_a_machine(name: str) -> None:
     code = [cell for cell in cells(name) if cell["cell_type"] == "code"]
@@ -44,20 +39,10 @@ def test_a_lesson_is_saved_with_its_outputs_and_nothing_of_a_machine(name: str) 
     assert "image/png" in kinds and any(output["output_type"] == "stream" for output in outputs)
     assert not any(output["output_type"] == "error" or output.get("name") == "stderr" for output in outputs)
     for cell in code:
-        assert 0 < len(cell["source"].splitlines()) <= MOST_LINES
         ast.parse(cell["source"])
-        assert (
-            cell["outputs"]
-            or not re.search(r"^print\(", cell["source"], re.M)
-            or "remove-output" in cell["metadata"].get("tags", ())
-        )
         assert "execution" not in cell["metadata"]  # times
-        for data in (output.get("data", {}) for output in cell["outputs"]):
-            assert all(len("".join(text)) < 300_000 for text in data.values())
     whole = (FOLDER / f"{name}.ipynb").read_text(encoding="utf-8")
-    assert len(whole) < 700_000 and not re.search(
-        r"(/home|/root|/work|/tmp|/Users|ipykernel|[A-Z]:\\\\)[/_\\\\]", whole
-    )
+    assert not re.search(r"(/home|/root|/work|/tmp|/Users|ipykernel|[A-Z]:\\\\)[/_\\\\]", whole)
 
 
 @pytest.mark.parametrize("name", LESSONS)
@@ -106,13 +91,6 @@ def test_lessons_are_written_to_a_folder_and_never_over_work(
 
 
 @pytest.mark.parametrize("name", LESSONS)
-def test_a_lesson_begins_with_its_goals_and_ends_with_what_to_remember(name: str) -> None:
-    first, *_, last = cells(name)
-    assert all(word in first["source"] for word in ("# ", "**Goals.**", "**Time.**", "**You need**", ".[lessons]"))
-    assert last["source"].startswith("## What to remember") and "../explanation/" in last["source"]
-
-
-@pytest.mark.parametrize("name", LESSONS)
 def test_each_question_has_a_solution_that_is_collapsed_and_computed(name: str) -> None:
     count = len(re.findall(r"^## \d", text(name), re.MULTILINE))
     numbers = [str(number) for number in range(1, count + 1)]
@@ -133,12 +111,3 @@ def test_every_link_of_a_lesson_leads_somewhere(name: str) -> None:
     assert len(links) >= 2
     for link in links:
         assert (FOLDER / link).exists(), f"{name}: {link}"
-
-
-@pytest.mark.parametrize("name", LESSONS)
-def test_a_slider_computes_where_it_is_released_and_not_on_its_way(name: str) -> None:
-    code = [cell["source"] for cell in cells(name) if cell["cell_type"] == "code"]
-    for source in code:
-        if re.search(r"^@?interact\(", source, re.MULTILINE):
-            assert not re.search(r"=\(", source)  # a range alone is a slider that computes all the way
-            assert "slide = partial(FloatSlider, continuous_update=False)" in "\n".join(code)

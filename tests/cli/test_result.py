@@ -290,14 +290,6 @@ def test_maps_have_a_row_for_each_wall() -> None:
     assert design.table().rows[0][1] == design.wall.stiffness
 
 
-def test_a_result_without_a_picture_says_so() -> None:
-    class Bare(Result):
-        """Result that nothing draws."""
-
-    with pytest.raises(NotImplementedError, match="Bare has no picture"):
-        Bare().plot()
-
-
 def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
     one = results()["result"]
@@ -325,25 +317,6 @@ def test_a_representation_is_short_and_fits_a_terminal() -> None:
         said = repr(found)
         assert len(said.encode()) <= 2000 and "nan" not in said and len(said.splitlines()) > 2, name
         assert max(map(len, said.splitlines())) <= WIDTH, name
-
-
-def test_a_result_of_big_arrays_has_a_short_representation() -> None:
-    batch = run(Drop(), plant="exact", phase=np.arange(32) / 32)
-    swept = sweep(Drop(duration=0.1), {"damping": np.linspace(50.0, 90.0, 32).tolist()}, plant="exact")
-    for found in (batch, batch.trace, batch[0].trace, run_stability(StabilityParameters(grid=32)), swept):
-        assert 20 < len(repr(found).encode()) <= 2000
-
-
-def test_columns_that_do_not_fit_go_on_below() -> None:
-    rows = [(f"row {index}", *np.linspace(0.0, 1e4, 12).tolist(), "kg") for index in range(3)]
-    text = str(Table("many", ("", *(f"column {index}" for index in range(12)), "unit"), rows, "a note"))
-    assert max(map(len, text.splitlines())) <= WIDTH and text.count("row 1") == 2 and text.count("kg") == 6
-    assert all(f"column {index}" in text for index in range(12)) and text.endswith("  a note")
-
-
-def test_a_long_text_at_the_end_of_a_row_is_wrapped() -> None:
-    lines = str(Table("", ("", "value", "meaning"), [("height", 3.0, "of the flotor " * 10)])).splitlines()
-    assert len(lines) > 2 and max(map(len, lines)) <= WIDTH and lines[2].startswith(" " * 17 + "flotor")
 
 
 @pytest.mark.parametrize(

@@ -15,21 +15,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import maglev_mj
 from maglev_mj import cli
-from maglev_mj.bridge.bench.commissioning import CoilCheck
-from maglev_mj.bridge.fault import LastCycles, load_fault
-from maglev_mj.bridge.wire import Fault
-from maglev_mj.cli.device import _coil_row
 from maglev_mj.cli.output import Progress
 from maglev_mj.cli.program import COMMANDS, GROUPS
 from maglev_mj.scenes.names import BUILT_IN
-from maglev_mj.studies.fidelity import COMPARED, LevelResult, levels_table
-from maglev_mj.studies.levels import LEVELS
-from maglev_mj.terminal import wrapped
 from tests.golden.outputs import cases, kept
 
 PROGRAM = [sys.executable, "-m", "maglev_mj"]
@@ -51,30 +43,6 @@ def test_every_kept_table_fits_80_columns() -> None:
     lines = [line for group in groups for one in kept(group).values() for line in one["stdout"]]
     assert len(lines) > 200
     assert max(map(len, lines)) <= 80
-
-
-def test_tables_of_devices_and_models_fit_80_columns(tmp_path: Path) -> None:
-    faults, kept = Fault.SENSOR_OUT_OF_RANGE | Fault.COIL_OVERTEMP, LastCycles(tmp_path)
-    box = kept.write(kept.mark(faults, "a text " * 20, BOX))
-    assert box is not None
-    rows = [LevelResult(one.name, one.adds, 12.345e-3, 0.0, 0.0, 1.0, 0, 0.0, 9.87) for one in LEVELS]
-    table = str(levels_table(dict.fromkeys(COMPARED, rows)))
-    coil = CoilCheck(5, -10.0, -10.0, 0.01, np.full(6, -123e-6), np.zeros(6), np.full(6, -20.5), "as calibrated")
-    for text in (str(load_fault(box).table()), table, _coil_row(coil)):
-        assert max(map(len, text.splitlines())) <= 80
-    assert len({len(line) for line in table.splitlines() if " to " in line}) == 1  # in columns
-
-
-BOX = {"tick": 1, "lost": 0, "skipped": 0, "period_ns": 5_000_000, "first": "ESTOP", "fault_time_ns": 0}
-
-
-def test_a_number_keeps_its_unit_and_a_file_its_name() -> None:
-    for shift in range(12):
-        text = "-" * shift + " a wall of 6000 N/m" * 9 + " in " + "x" * 90
-        lines = wrapped(text, "  ", "    ")
-        assert " ".join(" ".join(lines).split()) == text.strip()
-        assert all(len(line) <= 80 for line in lines[:-1]) and lines[-1] == "    " + "x" * 90
-        assert not any(re.search(r"\d$", line) for line in lines)
 
 
 def test_the_command_alone_prints_help_of_all_commands_in_groups(capsys: pytest.CaptureFixture[str]) -> None:
@@ -114,16 +82,6 @@ def test_examples_are_understood() -> None:
         assert cli.parse([name, *shlex.split(one.example)]).command == name
 
 
-@pytest.mark.parametrize("name", ["press", "stick-slip", "run", "stability", "sweep", "info"])
-def test_an_example_runs(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    words = [name, *shlex.split(COMMANDS[name].example.replace("--workers 2", "--workers 0"))]
-    assert cli.main(words) == 0
-    assert capsys.readouterr().out
-
-
 ASK = """
 import os, sys
 from maglev_mj.cli import main
@@ -158,17 +116,6 @@ OFFERED = {
 
 
 @pytest.mark.machine
-def test_a_shell_that_shows_descriptions_gets_those_of_commands_and_options(tmp_path: Path) -> None:
-    lines = ["maglev-mj vi", "maglev-mj drop --stif"]
-    environment = {**os.environ, "_ARGCOMPLETE_SHELL": "zsh", "_ARGCOMPLETE_SUPPRESS_SPACE": "1"}
-    subprocess.run(
-        [sys.executable, "-c", ASK], input="\n".join(lines), text=True, cwd=tmp_path, env=environment, check=True
-    )
-    answers = [(tmp_path / f"answer {index}").read_text() for index in range(len(lines))]
-    assert answers == [f"view:{COMMANDS['view'].summary}", "--stiffness:wall stiffness [N/m] (default 6000)"]
-
-
-@pytest.mark.machine
 def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -> None:
     here = tmp_path / "here"
     here.mkdir()
@@ -180,31 +127,6 @@ def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -
         answer = (here / f"answer {index}").read_text()
         assert [word.strip() for word in answer.split(",") if word] == OFFERED[line], line
     assert done.stdout.split()[:2] == ["False"] * 2  # commands are offered without loading numpy
-
-
-BASH = """
-eval "$(register-python-argcomplete maglev-mj)"
-complete -p maglev-mj >/dev/null || exit 3
-COMP_WORDS=(maglev-mj drop --stif); COMP_CWORD=2; COMP_LINE="maglev-mj drop --stif"; COMP_POINT=${#COMP_LINE}
-COMP_TYPE=9; COMP_WORDBREAKS=$' \\t\\n'
-_python_argcomplete maglev-mj --stif drop
-printf '%s\\n' "${COMPREPLY[@]}"
-"""
-
-
-@pytest.mark.machine
-def test_bash_itself_completes(tmp_path: Path) -> None:
-    program = tmp_path / "maglev-mj"
-    program.write_text(f'#!/bin/sh\nexec {shlex.join(PROGRAM)} "$@"\n')
-    program.chmod(0o755)
-    path = f"{tmp_path}:{Path(sys.executable).parent}:{os.environ['PATH']}"
-    done = subprocess.run(
-        ["bash", "-c", BASH],
-        env={**os.environ, "PATH": path},
-        capture_output=True,
-        text=True,
-    )
-    assert (done.stdout.split(), done.returncode) == (["--stiffness"], 0), done.stderr
 
 
 SLOW = """
@@ -271,13 +193,10 @@ def test_a_bar_shows_on_a_terminal_alone_and_goes_away(monkeypatch: pytest.Monke
             if terminal:
                 until(screen, before + "\r\x1b[K[####")
         assert screen.text.endswith("\r\x1b[K") if terminal else screen.text == ""
-
-
-def test_a_short_run_shows_no_bar() -> None:
-    screen: Any = Screen(True)
+    screen = Screen(True)
     with Progress("map", screen) as progress:
         progress(1, 2)
-    assert screen.text == ""
+    assert screen.text == ""  # of a short run
 
 
 def on_a_terminal(arguments: list[str], folder: Path, awaited: str) -> tuple[str, str]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -101,26 +99,6 @@ def test_a_default_output_is_checked_too(
     assert re.fullmatch(r"maglev-mj sweep: record must be a folder that may be written, not 'drop-sweep-\w{8}'\n", told)
     told = refused(["drop", "--out", "."], capsys)
     assert told == "maglev-mj drop: out must be a folder that may be written, not '.'\n"
-
-
-def test_a_recording_is_not_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "run.maglev"
-    assert cli.main(["drop", "--plant", "exact", "--record", str(path), "--json", str(tmp_path / "a")]) == 0
-    capsys.readouterr()
-    before = path.read_bytes()
-    for words in (f"analyse {path} --json {path}", f"export {path} --to npz --out {path}"):
-        assert "must be another file than the recording" in refused(words.split(), capsys)
-        assert path.read_bytes() == before
-
-
-def test_a_check_leaves_nothing_behind(tmp_path: Path) -> None:
-    options: Any = argparse.Namespace(command="run", json=str(tmp_path / "a.json"), out=tmp_path / "b" / "c")
-    output.check_outputs(options)
-    assert not [*tmp_path.iterdir()]
-    kept = tmp_path / "a.json"
-    kept.write_text("kept")
-    output.check_outputs(options)
-    assert kept.read_text() == "kept"
 
 
 def test_a_session_starts_in_a_folder_that_takes_no_files(closed: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,7 @@ SCENES = {
     "wrong_law": "    def laws(self):\n        return [Hold(60.0)]\n",
     "start": "    def laws(self):\n        return []\n\n    def start(self):\n        return (0.0, 0.0, 0.0)\n",
     "option": "    def laws(self):\n        return []\n\n    def plant_options(self):\n        return {'hue': 3}\n",
+    "still": "    def laws(self):\n        return [type('Still', (AxisLaw,), {})(axes='z')]\n",
     "figure": "    figures = ('beauty',)\n\n    def laws(self):\n        return []\n",
 }
 FILES = {
@@ -148,6 +149,7 @@ run none.py                                         | None
 run wrong_law.py                                    | wrong_law.py, line 6
 run start.py                                        | start() of Own of start.py
 run option.py                                       | hue
+run still.py                                        | must define force(self
 run figure.py                                       | figure.py
 run syntax.py                                       | syntax.py
 stability --record notes.jsonl                      | notes.jsonl
@@ -188,6 +190,7 @@ replay run.maglev --scene nosuch.py --check         | nosuch.py
 replay run.maglev --port 80                         | port
 analyse run.maglev --stretch 9                      | 9
 analyse run.maglev --axis w                         | w
+analyse run.maglev --json run.maglev                | must be another file than the recording
 export run.maglev --to npz --out run.maglev         | run.maglev
 """
 LINES = [
@@ -202,7 +205,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with a recording and files that are wrong."""
     made = tmp_path_factory.mktemp("wrong")
     for name, body in SCENES.items():
-        (made / f"{name}.py").write_text(f"from maglev_mj import Hold, Scene\n\n\nclass Own(Scene):\n{body}")
+        (made / f"{name}.py").write_text(f"from maglev_mj import AxisLaw, Hold, Scene\n\n\nclass Own(Scene):\n{body}")
     for name, text in FILES.items():
         (made / name).write_text(text)
     record = str(made / "run.maglev")

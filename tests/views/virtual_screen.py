@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import ctypes.util
 import os
 import subprocess
 import tempfile
@@ -67,8 +69,34 @@ class VirtualScreen:
         return int(str(found).split()[-1])
 
     def close(self, window: int) -> None:
-        """Ask a window to close, as its close button does."""
-        self.xdotool("windowquit", window)
+        """Ask a window to close, as its close button does.
+
+        Without a window manager that is a message to it.
+        """
+        x11 = ctypes.CDLL(ctypes.util.find_library("X11") or "libX11.so.6")
+        x11.XOpenDisplay.restype = ctypes.c_void_p
+        x11.XInternAtom.restype = ctypes.c_ulong
+        server = ctypes.c_void_p(x11.XOpenDisplay(self.display.encode()))
+        atom = [x11.XInternAtom(server, name, 0) for name in (b"WM_PROTOCOLS", b"WM_DELETE_WINDOW")]
+
+        class Message(ctypes.Structure):
+            _fields_ = (
+                ("type", ctypes.c_int),
+                ("serial", ctypes.c_ulong),
+                ("send_event", ctypes.c_int),
+                ("display", ctypes.c_void_p),
+                ("window", ctypes.c_ulong),
+                ("message_type", ctypes.c_ulong),
+                ("format", ctypes.c_int),
+                ("data", ctypes.c_long * 5),
+                ("room", ctypes.c_char * 192),  # an event is a union of this size at most
+            )
+
+        message = Message(type=33, window=window, message_type=atom[0], format=32)
+        message.data[0] = atom[1]
+        x11.XSendEvent(server, ctypes.c_ulong(window), 0, ctypes.c_long(0), ctypes.byref(message))
+        x11.XFlush(server)
+        x11.XCloseDisplay(server)
 
 
 def waited(ask: Callable[[], Any], patience: float) -> Any:
