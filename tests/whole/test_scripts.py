@@ -109,66 +109,34 @@ def test_pulse_effect_prints_the_table_of_its_page(options: list[str], tables: i
     assert [row for row in rows if row not in out] == []
 
 
-def test_friction_laws_prints_and_writes_every_law(tmp_path: Path, run_script: Script) -> None:
-    out = run_script("studies/friction_laws.py", "--quick", "--out", str(tmp_path))
-    data = json.loads((tmp_path / "friction_laws.json").read_text())
-    assert len(data["spring"]) == 7 * 4
-    assert len(data["hard"]) == 7 * 2
-    assert out.count("kikuuwe") == 3
-    assert (tmp_path / "friction_laws.png").is_file()
+STUDIES: dict[str, tuple[str, int, Callable[[Any], bool]]] = {
+    "friction_laws": ("kikuuwe", 3, lambda data: (len(data["spring"]), len(data["hard"])) == (7 * 4, 7 * 2)),
+    "stability_bounds": ("euler", 2, lambda data: (len(data["bounds"]), len(data["integrators"])) == (6, 7)),
+    "where_methods_fail": (
+        "",
+        1,
+        lambda data: [*map(bool, (one["curves"] for one in data["panels"]))] == [True] * 8,
+    ),
+    "nonlinear_walls": ("settles up to, over theory's boundary", 6, lambda data: len(data["cases"]) >= 2),
+    "two_walls": ("\npulse 220", 1, lambda data: [row["share"] for row in data["rows"]] == [[0.0] * 4, [1.0] * 4]),
+    "better_walls": (
+        "observer, poles at 0",
+        1,
+        lambda data: all(row["modulus"] < 1.0 and row["growing"] == [0, 0] for row in data["designs"]),
+    ),
+}
+"""Words that a script prints, how often at least, and what its file holds; its claims have tests of their own."""
 
 
-@STUDY  # of the script; the claims are those of test_growth.py and test_boundary.py
-def test_stability_bounds_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
-    out = run_script("studies/stability_bounds.py", "--quick", "--out", str(tmp_path))
-    data = json.loads((tmp_path / "stability_bounds.json").read_text())
-    assert len(data["bounds"]) == 6 and len(data["integrators"]) == 5 + 2
-    assert out.count("euler") == 2
-    for name in ("stability_bounds", "stability_steps"):
-        assert (tmp_path / f"{name}.png").is_file()
-
-
-PANELS = ["timing", "pulse", "limits", "hands"]
-
-
-@STUDY
-@pytest.mark.parametrize("names", [["timing"], PANELS], ids=["one", "all"])
-def test_where_methods_fail_draws_its_panels(names: list[str], tmp_path: Path, run_script: Script) -> None:
-    one = ["--figure", *names] if len(names) == 1 else []
-    run_script("studies/where_methods_fail.py", "--quick", *one, "--out", str(tmp_path))
-    panels = json.loads((tmp_path / "where_methods_fail.json").read_text())["panels"]
-    assert len(panels) == 2 * len(names) and all(panel["curves"] for panel in panels)
-    assert {path.stem for path in tmp_path.glob("*.png")} == {f"where_methods_fail_{name}" for name in names}
-
-
-@STUDY  # of the script; the claims are those of test_nonlinear_walls.py
-def test_nonlinear_walls_are_drawn(tmp_path: Path, run_script: Script) -> None:
-    out = run_script("studies/nonlinear_walls.py", "--quick", "--out", str(tmp_path))
-    assert out.count("settles up to, over theory's boundary") == 6
-    cases = json.loads((tmp_path / "stability_nonlinear.json").read_text())["cases"]
-    assert (
-        cases["with a limit of 60 N"]["largest_swing"]
-        < 0.5 * cases["a drop from 4.5 mm: the edge alone"]["largest_swing"]
-    )
-    assert (tmp_path / "stability_nonlinear.png").is_file()
-
-
-def test_two_walls_prints_draws_and_writes_where_they_rattle(tmp_path: Path, run_script: Script) -> None:
-    out = run_script("studies/two_walls.py", "--quick", "--out", str(tmp_path))
-    rows = json.loads((tmp_path / "two_walls.json").read_text())["rows"]
-    assert [row["delay"] for row in rows] == [0.0, 0.003] and out.count("\npulse 220") == 1
-    assert [row["share"] for row in rows] == [[0.0] * 4, [1.0] * 4]
-    assert (tmp_path / "two_walls.png").is_file()
-
-
-@STUDY  # of the script; the claims are those of test_design.py
-def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: Script) -> None:
-    out = run_script("studies/better_walls.py", "--quick", "--out", str(tmp_path))
-    data = json.loads((tmp_path / "better_walls.json").read_text())
-    assert len(data["designs"]) == 2 and len(data["bounces"]) == 2 and len(data["hum"]) == 2
-    assert "observer, poles at 0" in out
-    for row in data["designs"]:  # in every case of the product, and in simulation
-        assert row["modulus"] < 1.0 and row["growing"] == [0, 0]
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[STUDY] * (name not in ("friction_laws", "two_walls"))) for name in STUDIES]
+)
+def test_a_study_prints_draws_and_writes_its_figures(name: str, tmp_path: Path, run_script: Script) -> None:
+    words, count, holds = STUDIES[name]
+    out = run_script(f"studies/{name}.py", "--quick", "--out", str(tmp_path))
+    (written,) = tmp_path.glob("*.json")
+    assert out.count(words) >= count and holds(json.loads(written.read_text()))
+    assert [*tmp_path.glob("*.png")]
 
 
 @STUDY
@@ -230,18 +198,10 @@ def test_bench_measures_sections_and_writes_one_file(
 
 
 @pytest.mark.machine
-def test_the_cost_of_cells_is_a_row_for_each_number_of_them(run_script: Script) -> None:
+def test_benchmarks_print_their_costs(run_script: Script) -> None:
     *rows, _ = map(json.loads, run_script("benchmarks/cells.py", "--empty", "100", "--drops", "16").splitlines())
     assert [row["cells"] for row in rows] == [100, 16] and all(row["bytes a cell"] > 8.0 for row in rows)
-
-
-@pytest.mark.machine
-def test_recorder_prints_what_a_tick_costs(run_script: Script) -> None:
     out = run_script("benchmarks/recorder.py", "--quick")
     assert "recorded to a journal, with its thread" in out and "samples a second" in out and "is read in" in out
-
-
-@pytest.mark.machine
-def test_start_prints_times_and_ratios(run_script: Script) -> None:
     out = run_script("benchmarks/start.py", "--quick")
     assert "complete an option" in out and "drop over numpy and mujoco" in out

@@ -44,10 +44,8 @@ DONE = [
     "assert 0.002 < min(delay_margins(find_scene('joystick')().controller(), ['arm']).values()) < 0.004",
     "sweep(find_scene('drop'), {'height': [0.001, 0.002]}, plant='exact')",
     "maglev-mj drop --plant exact",
-    "maglev-mj press --plant exact --phases 2",
     "maglev-mj stick-slip --plant exact --json -",
     "maglev-mj stability drop",
-    "maglev-mj stability --hand arm --grid 10",
     "maglev-mj design --quantize 0",
     "maglev-mj sweep drop --vary height=1e-3:4e-3:2 --vary plant=exact --workers 0 --record cells",
 ]
