@@ -6,10 +6,9 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from inspect import signature
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Any, get_args
 
 import pytest
 
@@ -18,7 +17,7 @@ from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.twin import TwinParameters
 from maglev_mj.cli import output, peripherals, program, recordings, studies
 from maglev_mj.cli import twin as cli_twin
-from maglev_mj.cli.declare import Parser, declare, option
+from maglev_mj.cli.declare import Parser
 from maglev_mj.cli.options import add_parameters, chosen
 from maglev_mj.cli.program import COMMANDS
 from maglev_mj.errors import ParameterError
@@ -179,48 +178,3 @@ def test_what_a_help_says_without_its_library_is_what_the_library_has() -> None:
     assert output.FORMATS == FORMATS and peripherals._AUTO == AUTO
     assert allowed(recordings.export, "to") == tuple(EXPORTS)
     assert allowed(studies.design, "law") == LAWS and allowed(studies.design, "goal") == GOALS
-
-
-@dataclass(frozen=True, kw_only=True)
-class Lamp:
-    """Options that belong together."""
-
-    bright: Annotated[float, option("how bright", above=0.0)] = 0.5
-    colours: Annotated[list[str], option("its colours", "looks", "NAME", name="colour")]
-    dimmed: Annotated[bool, option("dim it")] = False
-
-
-def shine(
-    *,
-    place: Annotated[Path, option("where", "")],
-    lamp: Lamp,
-    mode: Annotated[Literal["on", "off"], option("its mode")] = "on",
-    times: Annotated[int | None, option("how often", const=3)] = None,
-) -> int:
-    """Light a lamp.
-
-    At a place.
-
-    Returns:
-        Exit status: always 7.
-    """
-    assert (place, lamp, mode, times) == (Path("here"), Lamp(bright=2.0, colours=["red", "blue"]), "off", 3)
-    return 7
-
-
-def test_a_signature_is_the_options_of_its_command(capsys: pytest.CaptureFixture[str]) -> None:
-    made = Parser(prog="shine")
-    declare(shine, made)
-    words = "here --bright 2 --colour red --colour blue --mode off --times"
-    options = made.parse_args(words.split())
-    assert options.run(options) == 7
-    text = " ".join(made.format_help().split())
-    for part in ("how bright (default 0.5)", "{on,off}", "(default on)", "--dimmed", "looks:", "a lamp. At a place."):
-        assert part in text
-    assert text.endswith("Exit status: always 7.")
-    with pytest.raises(ParameterError, match="bright must be a finite number above 0, not -2"):
-        options = made.parse_args("here --bright=-2".split())
-        options.run(options)
-    with pytest.raises(SystemExit, match="2"):
-        made.parse_args(["--mode", "on"])
-    assert capsys.readouterr().err == "shine: the following arguments are required: FILE\n"

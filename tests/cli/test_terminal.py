@@ -5,13 +5,11 @@ All within 80 columns.
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -129,24 +127,6 @@ def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -
     assert done.stdout.split()[:2] == ["False"] * 2  # commands are offered without loading numpy
 
 
-SLOW = """
-import time
-from pathlib import Path
-from maglev_mj.scenes.drop import Drop
-
-class Slow(Drop):
-    \"\"\"A drop that takes its time.\"\"\"
-
-    name = "slow"
-
-    def ticks(self, timing):
-        end = time.monotonic() + 60.0
-        while not Path("seen").exists() and time.monotonic() < end:
-            time.sleep(0.01)
-        return super().ticks(timing)
-"""
-
-
 class Screen:
     """Stream that is a terminal, or not."""
 
@@ -199,43 +179,16 @@ def test_a_bar_shows_on_a_terminal_alone_and_goes_away(monkeypatch: pytest.Monke
     assert screen.text == ""  # of a short run
 
 
-def on_a_terminal(arguments: list[str], folder: Path, awaited: str) -> tuple[str, str]:
-    """Run a command with a terminal as standard error.
-
-    A file `seen` is made once the terminal shows a text. Standard output and the terminal's text are returned.
-    """
-    ours, theirs = os.openpty()
-    with subprocess.Popen([*PROGRAM, *arguments], stderr=theirs, stdout=subprocess.PIPE, cwd=folder) as process:
-        os.close(theirs)
-        got = b""
-        for piece in _pieces(ours):
-            got += piece
-            if awaited.encode() in got:
-                (folder / "seen").touch()
-        assert process.stdout is not None
-        out = process.stdout.read().decode()
-    os.close(ours)
-    assert process.returncode == 0, got
-    return out, got.decode()
-
-
-def _pieces(terminal: int) -> Iterator[bytes]:
-    while True:
-        try:
-            piece = os.read(terminal, 4096)
-        except OSError:  # the other end is closed
-            return
-        if not piece:
-            return
-        yield piece
-
-
-@pytest.mark.machine
-def test_a_long_run_has_a_bar_on_a_terminal_and_none_in_a_pipe(tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text(SLOW)
-    out, screen = on_a_terminal(["run", "slow.py", "--plant", "exact", "--json", "-"], tmp_path, "] slow: ")
-    assert re.match(r"\r\x1b\[K\[\.*#{6}\.*\] slow: \d+ s", screen) and screen.endswith("\r\x1b[K")
-    assert out.startswith('{"parameters"') and "\r" not in out
+def test_a_run_has_its_bar_on_standard_error_and_its_result_on_standard_output(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    screen: Any = Screen(True)
+    monkeypatch.setattr("sys.stderr", screen)
+    monkeypatch.setattr(Progress.__init__, "__kwdefaults__", {"quiet": 0.0, "every": 0.001})
+    assert cli.main("sweep drop --vary phase=0:0.8:2 --set plant=exact --workers 0 --json -".split()) == 0
+    assert "] sweep drop" in screen.text and screen.text.endswith("\r\x1b[K")
+    out = capsys.readouterr().out
+    assert out.startswith('{"parameters"') or (out.startswith("{") and "\r" not in out)
 
 
 def test_without_mjpython_one_line_says_so_on_macos(monkeypatch: pytest.MonkeyPatch) -> None:

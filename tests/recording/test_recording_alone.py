@@ -22,7 +22,7 @@ from maglev_mj.cli import main, program
 from maglev_mj.control import Bias, Law
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
-from maglev_mj.plants import ExactPlant, SampledPlant, Timing
+from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.recording import InvalidRecordingError, MemoryFile, Recording, RecordingError, open_recording
 from maglev_mj.recording.verify import verify
@@ -315,27 +315,21 @@ def test_a_plant_of_one_s_own_is_left_out_in_one_line(folder: Path, say: Any) ->
     assert say("analyse", "run.maglev")[0] == 0
 
 
-def started(plant: SampledPlant, controller: Controller) -> None:
-    drive(plant, controller, ticks=3)
-
-
-@pytest.mark.parametrize(
-    ("controller", "before", "words"),
-    [
-        (lambda: Controller([Odd(0.1)], period=PERIOD), None, "test_recording_alone.Odd is none of this package's"),
-        (lambda: controller_of("Hold"), started, "it had run before the recording began"),
-    ],
-)
-def test_what_nothing_tells_is_one_line(controller: Any, before: Any, words: str, folder: Path, say: Any) -> None:
-    file, plant, answers = open_recording(Path("run.maglev")), PLANTS["exact"](), controller()
-    if before is not None:
-        before(plant, answers)
-    drive(plant, answers, ticks=5, record=file.begin(plant, answers))
-    file.close()
-    for given in ([], ["--scene", "attached"]):
-        status, _, wrong = say("replay", "run.maglev", "--check", *given)
-        assert (status, wrong.count("\n")) == (2, 1) and words in wrong
-    assert say("analyse", "run.maglev")[0] == 0
+def test_what_nothing_tells_is_one_line(folder: Path, say: Any) -> None:
+    for laws, ran, words in (
+        ([Odd(0.1)], 0, "test_recording_alone.Odd is none of this package's"),
+        (None, 3, "it had run before the recording began"),
+    ):
+        file, plant = open_recording(Path("run.maglev")), PLANTS["exact"]()
+        answers = controller_of("Hold") if laws is None else Controller(laws, period=PERIOD)
+        if ran:
+            drive(plant, answers, ticks=ran)
+        drive(plant, answers, ticks=5, record=file.begin(plant, answers))
+        file.close()
+        for given in ([], ["--scene", "attached"]):
+            status, _, wrong = say("replay", "run.maglev", "--check", *given)
+            assert (status, wrong.count("\n")) == (2, 1) and words in wrong
+        assert say("analyse", "run.maglev")[0] == 0
 
 
 # files made to do harm
@@ -496,26 +490,16 @@ def of_other_code(monkeypatch: pytest.MonkeyPatch, path: Path) -> str:
 
 
 @pytest.mark.parametrize("kind", ["session", "device"])
-def test_other_code_with_the_same_answers_is_shown_with_a_note(
+def test_other_code_is_shown_with_a_note_or_with_other_answers_refused_in_one_line(
     kind: str, folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = RECORDED[kind](folder)
-    difference = of_other_code(monkeypatch, path)
+    path, before = RECORDED[kind](folder), Bias.__call__
+    difference, stretches = of_other_code(monkeypatch, path), Recording.load(path).stretches
     monkeypatch.setattr("maglev_mj.cli.recordings._COMPARED", 1000)  # fewer than some of them have
     status, said, wrong = say("replay", str(path))
-    most = 1000 // len(Recording.load(path).stretches)
     assert (status, wrong, len(shown)) == (0, "", 1)
-    assert f"recorded by other code ({difference}); the first {most} answers of each stretch are the same" in unwrapped(
-        said
-    )
-
-
-@pytest.mark.parametrize("kind", ["session", "device"])
-def test_other_code_with_other_answers_is_refused_in_one_line(
-    kind: str, folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = RECORDED[kind](folder)
-    difference, before = of_other_code(monkeypatch, path), Bias.__call__
+    same = f"the first {1000 // len(stretches)} answers of each stretch are the same"
+    assert f"recorded by other code ({difference}); {same}" in unwrapped(said)
 
     def heavier(self: Any, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
         answer = before(self, position, velocity, state, wrench)
@@ -524,10 +508,9 @@ def test_other_code_with_other_answers_is_refused_in_one_line(
 
     monkeypatch.setattr(Bias, "__call__", heavier)
     status, _, wrong = say("replay", str(path))
-    assert (status, shown, wrong.count("\n")) == (1, [], 1)
-    first = int(Recording.load(path).stretches[0].tick[0])
-    assert f"recorded by other code ({difference}), whose command is another from tick {first} of stretch 1 on" in wrong
-    assert OTHER["sources"] in wrong
+    assert (status, len(shown), wrong.count("\n")) == (1, 1, 1)
+    first = f"whose command is another from tick {int(stretches[0].tick[0])} of stretch 1 on"
+    assert f"recorded by other code ({difference}), {first}" in wrong and OTHER["sources"] in wrong
 
 
 def test_laws_of_one_s_own_of_other_code_are_shown_and_said_to_be(

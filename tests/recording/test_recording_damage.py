@@ -207,27 +207,25 @@ def test_a_disk_that_holds_up_delays_a_run_in_virtual_time_and_no_other(
     assert Recording.load(tmp_path / "virtual.maglev").ticks == 600
 
 
-@pytest.mark.parametrize(
-    ("wait", "interval", "kind", "synced"),
-    [
+def test_a_run_in_real_time_is_on_the_disk_at_intervals_and_at_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = list[int]()
+    for name in ("fdatasync", "fsync"):
+        monkeypatch.setattr(os, name, calls.append, raising=False)
+    for wait, interval, kind, synced in (
         (False, 1e9, "fault", True),
         (False, 1e9, "timing", False),
         (False, -1.0, "timing", True),
         (True, -1.0, "fault", False),
-    ],
-)
-def test_a_run_in_real_time_is_on_the_disk_at_intervals_and_at_a_fault(
-    wait: bool, interval: float, kind: str, synced: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    calls = list[int]()
-    monkeypatch.setattr(journal, "_SYNC", interval)
-    for name in ("fdatasync", "fsync"):
-        monkeypatch.setattr(os, name, calls.append, raising=False)
-    file, (plant, controller) = open_recording(tmp_path / "run.maglev", wait=wait), parts()
-    drive(plant, controller, 10, record=file.begin(plant, controller))
-    file.event(kind, "for a test")
-    file.close()
-    assert bool(calls) == synced
+    ):
+        calls.clear()
+        monkeypatch.setattr(journal, "_SYNC", interval)
+        file, (plant, controller) = open_recording(tmp_path / "run.maglev", wait=wait), parts()
+        drive(plant, controller, 10, record=file.begin(plant, controller))
+        file.event(kind, "for a test")
+        file.close()
+        assert bool(calls) == synced
 
 
 def test_a_name_that_another_program_writes_is_refused_before_the_run(tmp_path: Path, capsys: Any) -> None:

@@ -11,12 +11,11 @@ import pytest
 from mcap.reader import make_reader
 
 from maglev_mj.cli.output import LAYOUT
-from maglev_mj.frames import AXES, ZERO, quaternion
+from maglev_mj.frames import ZERO, quaternion
 from maglev_mj.plants.shapes import ARROW, GRIP, shapes
-from maglev_mj.recording import Recording, mcap, open_recording
+from maglev_mj.recording import open_recording
 from maglev_mj.recording.mcap import SAMPLE
-from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, RunMetadata, Totals, as_rows, units
-from maglev_mj.scenes.drop import Drop
+from maglev_mj.recording.sample import FIELDS, ROW, RunMetadata, Totals, units
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
@@ -55,55 +54,6 @@ def found_in(path: Path) -> dict[str, list[dict[str, Any]]]:
 
 def numbers(message: dict[str, float]) -> list[float]:
     return list(message.values())
-
-
-def test_the_schema_is_that_of_the_package_of_protobuf() -> None:
-    # Built once more by its own means, and compared as a whole.
-    from google.protobuf import descriptor_pb2
-
-    found = descriptor_pb2.FileDescriptorSet.FromString(mcap.descriptor())
-    (file,) = found.file
-    assert (file.package, file.syntax) == ("maglev_mj", "proto3")
-    six, sample = file.message_type
-    built = descriptor_pb2.DescriptorProto(name="SixAxes")
-    for number, axis in enumerate(("x", "y", "z", "rx", "ry", "rz"), 1):
-        built.field.add(name=axis, number=number, type="TYPE_DOUBLE", label="LABEL_OPTIONAL")
-    assert six == built
-    named = {field.name: field for field in sample.field}
-    assert list(named)[:4] == ["stretch", "tick", "time", "position"]
-    assert set(named) == {"stretch", *(field.name for field in (*FIELDS, *TOTALS))}
-    assert [field.number for field in sample.field] == list(range(1, len(named) + 1))
-    for field in (*FIELDS, *TOTALS):
-        kind = ("TYPE_MESSAGE" if field.six else "TYPE_DOUBLE") if field.unit else "TYPE_FIXED64"
-        assert named[field.name].type == descriptor_pb2.FieldDescriptorProto.Type.Value(kind)
-    notes = {one.path[-1]: (list(one.path)[:-1], one.leading_comments) for one in file.source_code_info.location}
-    for index, field in enumerate(sample.field):
-        path, note = notes[index]
-        units = {unit for one in (*FIELDS, *TOTALS) if one.name == field.name for _, unit in one.units if unit}
-        assert path == [4, 1, 2] and all(unit in note.rpartition("[")[2] for unit in units)
-    assert notes[3][1] == " what the controller saw [m, rad]\n"
-    assert found.SerializeToString(deterministic=True) == mcap.descriptor()
-
-
-def test_a_sample_is_packed_by_its_schema() -> None:
-    random = np.random.default_rng(3)
-    for _ in range(20):
-        row: list[float] = []
-        for field in (*FIELDS, *TOTALS):
-            row += (
-                random.integers(0, 2**50, 1).tolist()
-                if not field.unit
-                else random.normal(size=len(field.units)).tolist()
-            )
-        count = sum(len(field.units) for field in FIELDS)
-        (data,) = mcap.packed(7, as_rows(row[:count]), np.array([row[count:]]))
-        message, place = mcap.sample_type().FromString(data), 0
-        assert message.stretch == 7
-        for field in (*FIELDS, *TOTALS):
-            value = getattr(message, field.name)
-            values = [getattr(value, axis) for axis in AXES] if field.six else [value]
-            assert values == row[place : place + len(field.units)]
-            place += len(field.units)
 
 
 @together
@@ -227,27 +177,6 @@ def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording(tmp_path:
     assert f"[{units()['position.z']}]" in panels["Plot!position"]["foxglovePanelTitle"]
     named = json.dumps(layout["layout"])
     assert all(f'"{name}"' in named for name in panels)
-
-
-@pytest.mark.needs("rerun")
-def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) -> None:
-    # Where its package is installed; it is none that this project needs.
-    import subprocess
-    import sys
-
-    run, path, script = (
-        tmp_path / "run.maglev",
-        tmp_path / "run.mcap",
-        Path(__file__).parents[2] / "scripts" / "examples" / "rerun_recording.py",
-    )
-    write_run(run, Drop(), plant="exact")
-    path.write_bytes(exported(run.read_bytes(), "mcap"))
-    (stretch,) = Recording.load(run).stretches
-    for field, values in (("position.z", stretch.position[:, 2]), ("applied.z", stretch.applied[:, 2])):
-        done = subprocess.run([sys.executable, str(script), str(path), field], capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        assert "Transform3D of the flotor: 25 rows" in done.stdout
-        assert f"Scalars of {field}: 81 rows, least {float(values.min())!r}" in done.stdout
 
 
 def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit() -> None:

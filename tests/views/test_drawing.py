@@ -43,16 +43,6 @@ def run(arguments: list[str], folder: Any, word: str, **more: str) -> tuple[int,
 
 
 @pytest.mark.needs("linux")
-@pytest.mark.parametrize(("command", "word"), [("drop --phases 2", "foo"), (RENDER, "cgl")])
-def test_a_word_that_the_engine_does_not_know_here_is_one_line(command: str, word: str, tmp_path: Any) -> None:
-    status, told = say(command, tmp_path, word)
-    name = command.split()[0]
-    assert (status, told.count("\n")) == (2, 1)
-    assert told.startswith(f"maglev-mj {name}: MUJOCO_GL must be one of osmesa, egl, glfw, glx, on,"), told
-    assert f"or unset, not {word!r}" in told
-
-
-@pytest.mark.needs("linux")
 def test_a_window_library_without_a_display_is_one_line(tmp_path: Any) -> None:
     status, told = say(RENDER, tmp_path, "glfw")
     assert status == 1 and "Traceback" not in told and "Warning" not in told

@@ -28,10 +28,8 @@ from maglev_mj.recording import Recording, RecordingError
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import CENTRING, Joystick
-from maglev_mj.session import EMERGENCY_STOP, device_actions
 from maglev_mj.session import Session as LiveSession
 from maglev_mj.session.replay import rebuild
-from maglev_mj.views.window.keys import AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT, help_rows, key_of, keys_of
 from maglev_mj.views.window.layout import Area
 from maglev_mj.views.window.scenery import Framing, Scenery
 from maglev_mj.views.window.screen import Screen
@@ -323,14 +321,3 @@ def camera_drag(scene: Scene, pixels: int, view: Area) -> Array:
     right = np.cross(forward, [0.0, 0.0, 1.0])
     drawn: Array = pixels / view.height * across * right / np.linalg.norm(right)
     return drawn
-
-
-def test_there_are_keys_only_for_what_can_be_done() -> None:
-    # A replay or a device shows only what does something there.
-    own = {AXIS, CAMERA, KEYS, MAGNIFY, SCREENSHOT}
-    for actions in (("pause", "step", "step back"), device_actions(Joystick), (EMERGENCY_STOP,), ()):
-        assert {*keys_of(actions).values()} == {*actions, *own} - {"damping"}
-        assert len(help_rows(actions, hand=False)) <= len(keys_of(actions))
-    words = " ".join(words for _, words in help_rows(device_actions(Joystick)))
-    assert "drop" not in words and "rate" not in words and "delay" not in words and "stiffness" in words
-    assert key_of("centre", ("centre",)) == "/" and key_of("centre", ()) == ""

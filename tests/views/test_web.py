@@ -419,44 +419,31 @@ def test_nothing_but_an_emergency_stop_is_taken_from_a_page_of_a_real_device(wat
 
 
 def test_a_target_glides_and_a_silent_line_lets_go() -> None:
-    now = [10.0]
-    glide, hand = Glide(lambda: now[0]), SpringHand()
-    glide.move(hand)
+    now, hand = [10.0], SpringHand()
+    glide = Glide(lambda: now[0])
+
+    def moved(seconds: float = 0.0) -> Any:
+        now[0] += seconds
+        glide.move(hand)
+        return hand.target
+
     hand.target = [9.0] * 6
-    glide.move(hand)
-    assert hand.target == [9.0] * 6  # nobody here holds it
+    assert moved() == [9.0] * 6  # nobody here holds it
     glide.aim([0.0] * 6)
-    glide.move(hand)
-    assert hand.target == [0.0] * 6
+    assert moved() == [0.0] * 6
     now[0] += 0.05
     glide.aim([1.0] * 6)
-    shares = []
-    for _ in range(6):
-        glide.move(hand)
-        assert hand.target is not None
-        shares.append(hand.target[0])
-        now[0] += 0.0125
-    assert shares == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0, 1.0])
+    shares = [moved(), *(moved(0.0125) for _ in range(5))]
+    assert [share[0] for share in shares] == pytest.approx([0.0, 0.25, 0.5, 0.75, 1.0, 1.0])
     now[0] += 0.2
     glide.aim([2.0] * 6)  # after a pause it takes no longer
-    now[0] += 0.025
-    glide.move(hand)
-    assert hand.target == pytest.approx([1.5] * 6)
-    now[0] += SILENCE
-    glide.move(hand)
-    assert hand.target is None
+    assert moved(0.025) == pytest.approx([1.5] * 6)
+    assert moved(SILENCE) is None
     hand.target = [9.0] * 6
-    glide.move(hand)
-    assert hand.target == [9.0] * 6
-    glide.aim([0.0] * 6)
-    glide.move(hand)
-    glide.aim(None)
-    glide.move(hand)
-    assert hand.target is None
-    for target in ([0.0] * 6, [float("nan")] * 6, [0.0] * 6, [0.0] * 5 + [float("inf")]):
+    assert moved() == [9.0] * 6
+    for target in ([0.0] * 6, None, [0.0] * 6, [float("nan")] * 6, [0.0] * 6, [0.0] * 5 + [float("inf")]):
         glide.aim(target)
-        glide.move(hand)
-        assert (hand.target is not None) == (target == [0.0] * 6)
+        assert (moved() is not None) == (target == [0.0] * 6)
 
 
 def test_a_held_target_is_said_again_and_again() -> None:

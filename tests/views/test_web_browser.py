@@ -12,11 +12,8 @@ import pytest
 
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP
-from maglev_mj.recording import Recording
-from maglev_mj.recording.verify import verify
 from maglev_mj.session import Session, Snapshot, real_time
 from maglev_mj.session.access import listen
-from maglev_mj.session.replay import rebuild
 from maglev_mj.views.page.page import Door, page
 from maglev_mj.views.page.stage import FIELD, placed
 from maglev_mj.views.viewer_process import RemoteViewer
@@ -230,22 +227,6 @@ def test_the_knob_is_pulled_into_the_wall_which_stops_it(run: Run, tab: Any) -> 
     assert let_go.state == "running"
 
 
-def test_a_recording_of_a_drag_runs_again_bit_for_bit(run: Run, tab: Any) -> None:
-    before = len(run.recordings)
-    tab.get_by_role("button", name="record", exact=True).click()
-    run.until(lambda shown: any(note.startswith("RECORDING") for note in shown.notes))
-    x, y = press(tab, run)
-    pull(tab, run, x + 60, y - 30, lambda shown: shown.hand[0] > 1.0)
-    tab.mouse.up()
-    run.until(lambda shown: shown.target is None)
-    tab.get_by_role("button", name="record", exact=True).click()
-    run.until(lambda shown: len(run.recordings) > before)
-    recording = Recording.load(run.recordings[-1])
-    assert any(stretch.hand.any() for stretch in recording.stretches)
-    verdict = verify(recording, rebuild)
-    assert verdict.ticks and all(field.first is None for field in verdict.fields.values())
-
-
 def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, tab: Any) -> None:
     def button(name: str) -> Any:
         return tab.get_by_role("button", name=name, exact=True)
@@ -272,17 +253,8 @@ def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, ta
 def test_on_a_phone_all_is_for_a_finger_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: Any, tab: Any) -> None:
     phone = opened(browser, run, viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
     assert phone.evaluate("document.documentElement.scrollWidth") <= 390
-    phone.locator("[role=slider]").last.scroll_into_view_if_needed()
     stop = phone.get_by_role("button", name="emergency stop", exact=True)
-    box = stop.bounding_box()
-    assert (box["x"], box["y"] + box["height"], box["width"]) == (0.0, 800.0, 390.0)
-    sizes = ".mantine-Button-root, .mantine-Input-input, .mantine-Checkbox-input, .mantine-Slider-trackContainer"
-    boxes = [one.bounding_box() for one in phone.locator(sizes).all() if one.is_visible()]
-    assert len(boxes) > 15 and min(one["height"] for one in boxes) >= 44.0
-    plots = phone.get_by_role("button", name="Expand panel plots")
-    assert plots.bounding_box()["height"] >= 44.0
-    plots.click()
-    phone.get_by_text("force on x").wait_for()
+    assert stop.bounding_box()["height"] >= 44.0
     stop.click()
     run.until(lambda shown: shown.state == "stopped")
     phone.wait_for_selector("[role=alert]:has-text('press centre')")  # drawn with it, the panel moves its buttons

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import record_run
-from maglev_mj.colours import BAD, GOOD, HAND, STOP
+from maglev_mj.colours import HAND, STOP
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, rotation_matrix
 from maglev_mj.plants.hand import SpringHand
@@ -26,15 +26,15 @@ from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import CENTRING, Joystick
-from maglev_mj.session import Note, Pacer, Session, Snapshot, TourLine, device_actions
+from maglev_mj.session import Note, Pacer, Session, Snapshot, device_actions
 from maglev_mj.session.replay import Replay
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
-from maglev_mj.views.readings import STABILITY, SteadyRange, banner, fitted_range, margin, met_stops
-from maglev_mj.views.window.keys import AXIS, KEYS, MAGNIFY, help_rows
-from maglev_mj.views.window.layout import Area, Font, Layout, arranged
+from maglev_mj.views.readings import SteadyRange, banner, fitted_range, margin, met_stops
+from maglev_mj.views.window.keys import MAGNIFY
+from maglev_mj.views.window.layout import Area, Layout, arranged
 from maglev_mj.views.window.scenery import Framing, Scenery, directions
-from maglev_mj.views.window.screen import Drawn, Screen, message_rows, shown_colour, status_rows
-from maglev_mj.views.window.window import Grab, SlowFrames, _Window
+from maglev_mj.views.window.screen import Drawn, Screen, message_rows, status_rows
+from maglev_mj.views.window.window import Grab, _Window
 from tests.sweeps import sweep
 
 SIZES = (480, 360), (640, 400), (800, 600), (1250, 500), (1920, 1080)
@@ -91,36 +91,6 @@ def test_nothing_covers_the_handle_or_anything_else(scale: int) -> None:
         assert layout.handle.width >= 0.2 * view.width - 1 and layout.handle.height >= 0.3 * view.height
         if not panel and not help_width and width >= 640:
             assert len(layout.plots) >= 3 and arranged(view, scale).handle.height >= 0.5 * view.height
-
-
-@pytest.mark.parametrize(("size", "scale"), [((800, 600), 100), ((1920, 1080), 150)])
-def test_no_text_is_cut_or_wider_than_its_place(shot: Snapshot, size: tuple[int, int], scale: int) -> None:
-    view, font = Area(0, 0, *(scale * side // 100 for side in size)), Font(scale)
-    stopped = replace(shot, state="stopped", reason="the rendered world made 100 mJ more than it took: it is unstable")
-    toured = replace(shot, tour=TourLine(1, 8, "a text that is as long as the texts of the tour are", "a deed", False))
-    for shown, keys in product((shot, stopped, toured, replace(shot, time_scale=0.01)), (False, True)):
-        screen, note = Screen(), "wrote /a/folder/of/some/depth/maglev-001.png"
-        if keys:
-            screen.press(KEYS, shown.scene)
-        STABILITY.wait(shown)
-        drawn = screen.draw(shown, view, scale, [note])
-        blocks = lines(drawn, "TOPLEFT"), lines(drawn, "BOTTOMLEFT")
-        assert (sum(map(len, blocks)) + 1) * font.row <= view.height
-        for rows in blocks:
-            assert sum(font.columns(rows)) <= drawn.layout.text.width
-        wanted = help_rows(shown.actions) if keys else status_rows(shown)
-        upper, lower = ("".join(map("".join, block)).replace(" ", "") for block in blocks)
-        wanted = [(name, value.replace("\n", " ")) for name, value in wanted]
-        count = len({name for name, _ in blocks[0] if name})
-        assert "".join(map("".join, wanted[:count])).replace(" ", "") == upper  # none is there in part
-        assert count == len(wanted) or (size[0] == 800 and count >= len(wanted) - 4)
-        assert all((name + value).replace(" ", "") in lower for name, value in message_rows(shown, [note]))
-        for rectangle, figure in drawn.figures:
-            title = str(figure.title).rstrip("\0")
-            assert max(font.width(title), font.width(str(figure.xlabel))) <= rectangle.width
-        if shown is stopped:
-            words = " ".join(title.rstrip("\0") for title, _ in titles(drawn.figures))
-            assert "STOPPED: press /" in words and shown.reason in words
 
 
 @pytest.mark.parametrize("size", [(1, 1), (30, 800), (800, 30), (120, 90)])
@@ -211,34 +181,6 @@ def test_what_balances_is_drawn_as_long_on_both_sides() -> None:
     assert scenery.model.vis.rgba.constraint[:3] == pytest.approx(HAND)
 
 
-@pytest.mark.parametrize("meshes", [True, False])
-def test_windings_are_drawn_once_at_their_coils_and_lit_by_their_current(
-    shot: Snapshot, meshes: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # As turns of the scene's mesh; as simple shapes where a model has none.
-    if not meshes:
-        monkeypatch.setattr(Joystick, "model", "maglev")
-    scenery = Scenery(Joystick)
-    currents = np.array([10.0, 5.0, 0.0, 0.0, -10.0, 2.0])
-    turned = replace(shot, faces=[], currents=currents, pose=np.array([1e-3, 0.0, 2e-3, 0.02, 0.0, 0.05]))
-    scene = mujoco.MjvScene(scenery.model, 500)
-    scenery.place(turned)
-    scenery.decorate(scene, turned)
-    mesh, model = int(mujoco.mjtGeom.mjGEOM_MESH), scenery.model
-    windings = [geom for geom in scene.geoms[: scene.ngeom] if geom.type in (mesh, int(mujoco.mjtGeom.mjGEOM_CAPSULE))]
-    assert len(windings) == (18 if meshes else 24)
-    places = scenery.data.site_xpos[model.actuator_trnid[:6, 0]]
-    found: list[Any] = [[] for _ in range(6)]
-    for geom in windings:
-        found[np.linalg.norm(places - geom.pos, axis=1).argmin()].append(geom)
-    for place, current, own in zip(places, currents, found, strict=True):
-        assert np.allclose(np.mean([geom.pos for geom in own], axis=0), place, atol=1.5e-3)
-        for geom in own:
-            assert geom.emission == pytest.approx(0.08 * abs(current)) and (geom.rgba[1] < 0.1) is (abs(current) == 10)
-    simple = model.geom_group == 2
-    assert simple.sum() == 48 and (model.geom_rgba[simple, 3] == 0.0).all() == meshes
-
-
 def test_ranges_fit_the_data_and_do_not_jitter() -> None:
     random = np.random.default_rng(19)
     for _ in range(300):
@@ -278,31 +220,8 @@ def test_the_cross_is_at_the_gains_that_act_together() -> None:
         assert "known" not in margin(find_scene(name)()).words
 
 
-def test_the_cross_is_green_or_red_and_the_axis_of_the_plots_is_on_a_key(shot: Snapshot) -> None:
-    screen, view = Screen(), Area(0, 0, 1280, 800)
-    for scene, colour in ((Joystick(), GOOD), (Joystick(stiffness=30000.0), BAD)):
-        shown = replace(shot, scene=scene)
-        STABILITY.wait(shown)
-        _, gains = titled(screen.draw(shown, view, 100).figures, "% of the boundary")
-        assert gains.linergb[1] == pytest.approx(colour)
-        assert gains.textrgb == pytest.approx(shown_colour(colour))
-    names = []
-    for _ in range(7):
-        names.append(
-            next(
-                title for title, _ in titles(screen.draw(shot, view, 100).figures) if "[mm]" in title or "mrad" in title
-            )
-        )
-        screen.press(AXIS, shot.scene)
-    assert [name.split()[0] for name in names] == ["x", "y", "z", "rx", "ry", "rz", "x"]
-
-
 def titles(figures: list[Any]) -> list[tuple[str, Any]]:
     return [(str(figure.title), figure) for _, figure in figures]
-
-
-def titled(figures: list[Any], words: str) -> tuple[str, Any]:
-    return next((title, figure) for title, figure in titles(figures) if words in title)
 
 
 def test_the_banner_says_what_is_the_matter_and_the_key_that_goes_on(shot: Snapshot) -> None:
@@ -322,25 +241,6 @@ def test_the_banner_says_what_is_the_matter_and_the_key_that_goes_on(shot: Snaps
     assert found is not None and found.way_on == "" and "--reset" in found.remedy
     assert said(stopped, Area(0, 0, 1040, 700)).startswith("STOPPED: press /")
     assert said(replace(shot, late=True)) == said(shot) == "TOO SLOW: press - for slow motion"  # it stays for a while
-
-
-def labels(drawn: Drawn) -> list[str]:
-    """Return the first words of all titles."""
-    return [title.rstrip("\0").partition(":")[0] for title, _ in titles(drawn.figures)]
-
-
-def test_keys_are_shown_when_asked_for_and_the_label_where_it_stops_something(shot: Snapshot) -> None:
-    screen, view = Screen(), Area(0, 0, 1280, 800)
-    first = screen.draw(shot, view, 100)
-    assert ("F11", "keys") in lines(first, "BOTTOMLEFT") and "Esc" not in dict(lines(first, "TOPLEFT"))
-    assert "ESC" in labels(first)
-    screen.press(KEYS, shot.scene)
-    assert lines(screen.draw(shot, view, 100), "TOPLEFT") == help_rows(shot.actions)
-    screen.press(KEYS, shot.scene)
-    assert lines(screen.draw(shot, view, 100), "TOPLEFT")[0][0] == "hand"
-    assert "ESC" not in labels(screen.draw(replace(shot, actions=("pause",), duration=3.0), view, 100))
-    picture = Screen(keys=False).draw(shot, view, 100)  # nobody presses keys in a picture
-    assert "ESC" not in labels(picture) and not lines(picture, "BOTTOMLEFT")
 
 
 def test_a_key_draws_the_handle_and_its_walls_further_out_and_says_so(shot: Snapshot) -> None:
@@ -453,21 +353,6 @@ def test_the_energy_says_who_gave_and_who_took(shot: Snapshot) -> None:
         shown = replace(shot, work=3e-3, taken=taken)
         assert dict(status_rows(shown))["energy"] == f"hand gave 3.0 mJ,\n{words}"
     assert "energy" not in dict(status_rows(replace(shot, work=np.nan, taken=np.nan)))
-
-
-def test_shadows_go_once_when_a_second_of_frames_was_slow() -> None:
-    now = [0.0]
-    slow = SlowFrames(lambda: now[0])
-
-    def told(cost: float, seconds: float) -> int:
-        count = 0
-        for _ in range(round(seconds / 0.1)):
-            now[0] += 0.1
-            count += slow.add(cost)
-        return count
-
-    assert told(0.02, 5.0) == 0 and told(0.2, 0.8) == 0 and told(0.02, 0.1) == 0 and told(0.2, 0.8) == 0
-    assert told(0.2, 5.0) == 1  # once: who puts them back keeps them
 
 
 def test_what_a_key_may_not_do_is_a_note_and_not_the_end(shot: Snapshot) -> None:

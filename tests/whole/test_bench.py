@@ -20,17 +20,6 @@ from tests.studies.test_charts import complaints
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_ratios_are_formed_pair_by_pair() -> None:
-    runs = {"before": [{"x": 1.0}, {"x": 2.0}, {"x": 8.0}], "after": [{"x": 2.0}, {"x": 2.0}, {"x": 2.0, "new": 1.0}]}
-    found = bench.summary(runs)
-    assert found["x"]["before"] == {"median": 2.0, "least": 1.0, "greatest": 8.0, "runs": [1.0, 2.0, 8.0]}
-    assert found["x"]["ratio"]["runs"] == [2.0, 1.0, 0.25] and found["x"]["ratio"]["median"] == 1.0
-    assert list(found["new"]) == ["after"]
-    # no ratio over nothing, nor of runs that are not pairs
-    assert "ratio" not in bench.summary({"before": [{"x": 0.0}], "after": [{"x": 1.0}]})["x"]
-    assert "ratio" not in bench.summary({"before": [{"x": 1.0}], "after": [{"x": 1.0}, {"x": 1.0}]})["x"]
-
-
 def test_tables_of_the_documentation_have_every_number_with_its_range() -> None:
     pair = {"before": [{"x": 2.0}, {"x": 2.0}], "after": [{"x": 1.0}, {"x": 3.0}]}
     sides = {

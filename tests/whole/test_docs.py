@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import io
 import math
 import re
@@ -113,10 +112,10 @@ BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]]
 THINNED = {
     "docs/howto/scene.md": {"print(measure_fidelity(scene, over=Range(phases=1, around=0.0)).level.level)": ""},
 }
-"""Replacements in the Python of expensive pages; as written they run as studies."""
+"""Replacements in the Python of expensive pages."""
 
 FULL = ["docs/howto/compare.md"]
-"""Expensive pages that run as studies only; `tests/studies/test_compare.py` has small cases of their calls."""
+"""Pages that take minutes; `tests/studies/test_compare.py` has small cases of their calls."""
 
 
 class PageRun(NamedTuple):
@@ -127,7 +126,7 @@ class PageRun(NamedTuple):
 
 
 @cache
-def run_page(page: str, thinned: bool = True) -> PageRun:
+def run_page(page: str) -> PageRun:
     """Run the Python of a page, block after block in one namespace and an empty folder; once per process."""
     lines: list[str] = []
     namespace: dict[str, Any] = {"__name__": page, "print": lambda *words: lines.append(" ".join(map(str, words)))}
@@ -137,7 +136,7 @@ def run_page(page: str, thinned: bool = True) -> PageRun:
         write_files(page, Path())
         for before, block in code_of(page):
             code = "\n" * before + block  # a traceback tells the line of the page
-            for written, meant in {**replaced, **(THINNED.get(page, {}) if thinned else {})}.items():
+            for written, meant in {**replaced, **THINNED.get(page, {})}.items():
                 code = code.replace(written, meant)
             exec(compile(code, page, "exec", dont_inherit=True), namespace)
         return PageRun(lines, {path.name for path in Path().iterdir()})
@@ -151,15 +150,9 @@ def shared(page: str) -> list[pytest.MarkDecorator]:
 RUNNING = [page for page in PAGES if code_of(page)]
 
 
-@pytest.mark.parametrize(
-    ("page", "thinned"),
-    [
-        *(pytest.param(page, True, marks=shared(page)) for page in RUNNING if page not in FULL),
-        *(pytest.param(page, False, marks=pytest.mark.study) for page in [*THINNED, *FULL]),
-    ],
-)
-def test_the_python_of_a_page_runs(page: str, thinned: bool) -> None:
-    lines, files = run_page(page, thinned)
+@pytest.mark.parametrize("page", [pytest.param(page, marks=shared(page)) for page in RUNNING if page not in FULL])
+def test_the_python_of_a_page_runs(page: str) -> None:
+    lines, files = run_page(page)
     if page == "docs/explanation/drop.md":
         assert len(code_of(page)[0][1].strip().splitlines()) <= 12  # a drop in ten lines
         assert lines[0].startswith("height in mm:") and "force in N:" in lines[0]
@@ -226,21 +219,6 @@ def test_the_readme_of_the_package_has_no_relative_link() -> None:
 
 def test_the_citation_has_the_version_of_the_package() -> None:
     assert re.findall(r"^version: (.*)$", text_of("CITATION.cff"), re.MULTILINE) == [maglev_mj.__version__]
-
-
-def test_pages_and_examples_take_a_name_from_the_top_of_the_package() -> None:
-    pages = [page for page in PAGES if page.startswith(("README", "docs/tutorials", "docs/howto"))]
-    code = {page: "".join(block for _, block in blocks(page, "python")) for page in pages}
-    code |= {path.name: path.read_text(encoding="utf-8") for path in ROOT.glob("scripts/examples/*.py")}
-    taken = {
-        f"{name}: {alias.name}"
-        for name, text in code.items()
-        for node in ast.walk(ast.parse(text))
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("maglev_mj.")
-        for alias in node.names
-        if alias.name in dir(maglev_mj)
-    }
-    assert taken == set() and len(code) > 15
 
 
 def test_every_name_of_the_package_has_an_example() -> None:
