@@ -1,6 +1,5 @@
 """Contents of recordings for other programs: topics by their schemas, frames, scene, log."""
 
-import json
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -8,14 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 
-from maglev_mj.cli.output import LAYOUT
 from maglev_mj.frames import ZERO, quaternion
 from maglev_mj.plants.shapes import ARROW, GRIP, shapes
 from maglev_mj.recording import open_recording
-from maglev_mj.recording.mcap import SAMPLE
-from maglev_mj.recording.sample import FIELDS, ROW, RunMetadata, Totals, units
+from maglev_mj.recording.sample import ROW, RunMetadata, Totals
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
@@ -155,28 +151,6 @@ def test_an_arrow_points_along_its_force_and_none_is_drawn_of_a_force_too_small_
         assert np.abs(along - np.array(force) / np.linalg.norm(force)).max() < 1e-9
     for force in (ZERO[:3], (0.01, 0.0, 0.0), (np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0)):
         assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
-
-
-@together
-def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording(tmp_path: Path) -> None:
-    layout, path = json.loads(LAYOUT.read_text()), tmp_path / "run.mcap"
-    path.write_bytes(file_of("press"))
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-        assert summary is not None
-        schemas = {one.topic: summary.schemas[one.schema_id].name for one in summary.channels.values()}
-    panels = layout["configById"]
-    scene = panels["3D!device"]
-    assert all(schemas[topic] == "foxglove.SceneUpdate" and of["visible"] for topic, of in scene["topics"].items())
-    assert sorted(scene["topics"]) == sorted(topic for topic, name in schemas.items() if "Scene" in name)
-    assert schemas[panels["RosOut!log"]["topicToRender"]] == "foxglove.Log"
-    assert schemas["/tf"] == "foxglove.FrameTransforms" and scene["followTf"] == "stator"
-    plotted = [one["value"] for name in ("Plot!position", "Plot!force") for one in panels[name]["paths"]]
-    fields = {f"{SAMPLE}.{name}" for field in FIELDS for name, _ in field.units}
-    assert len(plotted) == 6 and set(plotted) <= fields
-    assert f"[{units()['position.z']}]" in panels["Plot!position"]["foxglovePanelTitle"]
-    named = json.dumps(layout["layout"])
-    assert all(f'"{name}"' in named for name in panels)
 
 
 def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit() -> None:
