@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -11,11 +10,8 @@ import bench
 import growth
 import loop
 import options
-import realism
 import speed_tables
 from maglev_mj import ExactPlant
-from maglev_mj.pictures import PictureFolder
-from tests.studies.test_charts import complaints
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -75,22 +71,3 @@ def test_an_estimate_is_bounded_by_the_workers_and_by_what_hands_out() -> None:
     assert few["cells a second"] == 500.0  # a cell a job
     assert many["cells a second"] == 8000.0 and many["cells a second, by the scheduler"] == 31 * 500.0
     assert many["seconds"] == pytest.approx(0.5 + 100_000 / 8000.0)
-
-
-@pytest.fixture
-def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Return the pictures that are drawn."""
-    figures: list[Any] = []
-    monkeypatch.setattr("matplotlib.figure.Figure.savefig", lambda figure, *_, **__: figures.append(figure))
-    return figures
-
-
-def test_the_picture_of_options_is_drawn_from_the_figures_and_can_be_read(drawn: list[Any], tmp_path: Path) -> None:
-    pieces = {
-        "cost over plain": {name: 300.0 / 1.5**index for index, name in enumerate(realism.PIECES)},
-        "change (µm)": {name: 1e-4 * 3.0**index for index, name in enumerate(realism.PIECES)},
-    }
-    realism.draw(PictureFolder(tmp_path), pieces)
-    assert [complaints(figure) for figure in drawn] == [[]]
-    labels = [label.get_text() for label in drawn[0].axes[0].get_yticklabels()]
-    assert labels == list(realism.PIECES)  # the cheapest on top
