@@ -1,17 +1,24 @@
 """Contents of recordings for other programs: topics by their schemas, frames, scene, log."""
 
+import json
+import subprocess
+import sys
 from functools import cache
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
+from maglev_mj.cli.output import LAYOUT
 from maglev_mj.frames import ZERO, quaternion
 from maglev_mj.plants.shapes import ARROW, GRIP, shapes
 from maglev_mj.recording import open_recording
-from maglev_mj.recording.sample import ROW, RunMetadata, Totals
+from maglev_mj.recording.mcap import SAMPLE
+from maglev_mj.recording.sample import FIELDS, ROW, RunMetadata, Totals
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip
@@ -151,6 +158,29 @@ def test_an_arrow_points_along_its_force_and_none_is_drawn_of_a_force_too_small_
         assert np.abs(along - np.array(force) / np.linalg.norm(force)).max() < 1e-9
     for force in (ZERO[:3], (0.01, 0.0, 0.0), (np.nan, 0.0, 0.0), (np.inf, 0.0, 0.0)):
         assert _arrow(GRIP, force, (1.0, 1.0, 1.0, 1.0)) == []
+
+
+def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording() -> None:
+    summary = make_reader(BytesIO(file_of("press"))).get_summary()
+    assert summary is not None
+    schemas = {one.topic: summary.schemas[one.schema_id].name for one in summary.channels.values()}
+    panels = json.loads(LAYOUT.read_text())["configById"]
+    assert sorted(panels["3D!device"]["topics"]) == sorted(topic for topic, name in schemas.items() if "Scene" in name)
+    assert schemas[panels["RosOut!log"]["topicToRender"]] == "foxglove.Log"
+    plotted = [one["value"] for name in ("Plot!position", "Plot!force") for one in panels[name]["paths"]]
+    assert len(plotted) == 6 and {*plotted} <= {f"{SAMPLE}.{name}" for field in FIELDS for name, _ in field.units}
+
+
+@pytest.mark.needs("rerun")
+def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) -> None:
+    path, script = tmp_path / "run.mcap", Path(__file__).parents[2] / "scripts" / "examples" / "rerun_recording.py"
+    path.write_bytes(file_of("press"))
+    (stretch,) = load(run_of("press"), tmp_path).stretches
+    done = subprocess.run([sys.executable, str(script), str(path), "position.z"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    least = float(stretch.position[:, 2].min())
+    assert "Transform3D of the flotor: " in done.stdout
+    assert f"Scalars of position.z: {len(stretch)} rows, least {least!r}" in done.stdout
 
 
 def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit() -> None:

@@ -123,7 +123,7 @@ def test_both_ends_of_a_window_agree() -> None:
     assert request is not None and request.scene == Joystick(stiffness=3000.0, wall=False)
     session.act(keys_of(device_actions(Joystick))[glfw.KEY_ESCAPE])
     assert viewer.take() is None and stopped == [1]
-    viewer._front.ended = True  # type: ignore[misc]
+    viewer._front.ended = True
     for _ in range(3):
         viewer.take()
         viewer.show(blank)

@@ -128,9 +128,7 @@ STUDIES: dict[str, tuple[str, int, Callable[[Any], bool]]] = {
 """Words that a script prints, how often at least, and what its file holds; its claims have tests of their own."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[STUDY] * (name not in ("friction_laws", "two_walls"))) for name in STUDIES]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[STUDY] * (name != "two_walls")) for name in STUDIES])
 def test_a_study_prints_draws_and_writes_its_figures(name: str, tmp_path: Path, run_script: Script) -> None:
     words, count, holds = STUDIES[name]
     out = run_script(f"studies/{name}.py", "--quick", "--out", str(tmp_path))
