@@ -7,7 +7,6 @@ Everything here is one process in virtual time: nothing depends on how fast the 
 
 from __future__ import annotations
 
-import hashlib
 import struct
 import time
 import zlib
@@ -262,18 +261,6 @@ def test_over_a_bad_line_it_hovers(seed: int, seconds: float) -> None:
     assert rig.plant.samples.lost > 0.03 * len(poses) and rig.twin.codec.dropped["crc"] > 0
     rig.plant.land()
     assert rig.twin.firmware.state == State.INACTIVE
-
-
-def test_the_same_seeds_give_the_same_commands() -> None:
-    def fingerprint(seed: int) -> str:
-        rig = Rig(replace(BAD, seed=seed), pose=CENTRE)
-        rig.plant.arm()
-        rig.fly(0.6, hover(0.005, BAD_REACH))
-        return hashlib.sha256(
-            np.array([*rig.rows, *(row.tolist() + [0.0] * 13 for row in rig.poses)]).tobytes()
-        ).hexdigest()
-
-    assert fingerprint(1) == fingerprint(1) != fingerprint(2)
 
 
 GAP_START, GAP = 0.3, 0.03

@@ -11,7 +11,7 @@ from maglev_mj.bridge.fault import DeviceFault, load_fault
 from maglev_mj.bridge.links import LinkError
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import Fault, State, StateReport
-from maglev_mj.errors import MaglevError, PlantError
+from maglev_mj.errors import MaglevError
 from maglev_mj.frames import Command
 from tests.bridge.test_bridge import CENTRE, Rig
 
@@ -63,16 +63,6 @@ def fault_of(rig: Rig, act: Callable[[Rig], object]) -> DeviceFault:
         rig.twin.sample()
     assert rig.currents() == [0.0] * 6
     return caught.value
-
-
-def test_a_line_that_goes_in_flight_is_a_fault_of_the_host_with_a_file() -> None:
-    rig = hovering()
-    error = fault_of(rig, cut)
-    assert error.faults == Fault.HOST and "the line is gone" in str(error)
-    assert rig.twin.firmware.faults == Fault.WATCHDOG
-    rig.plant.close()  # says nothing to a line that is gone, and does not complain either
-    with pytest.raises(PlantError, match="the plant is closed"):
-        rig.plant.read()
 
 
 def test_a_fault_found_while_the_line_goes_is_the_one_reported() -> None:

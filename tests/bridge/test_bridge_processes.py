@@ -7,7 +7,6 @@ import json
 import os
 import re
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -21,10 +20,8 @@ from maglev_mj import MuJoCoPlant, Timing, drive
 from maglev_mj.bridge import Calibration, Fault, HostLimits, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.line import measure_line
-from maglev_mj.bridge.links import UdpLink, UdpServer
 from maglev_mj.bridge.realtime import RealtimeError, realtime
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
-from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.bridge.wire import StateReport
 from maglev_mj.cli import bridge
 from maglev_mj.control.loop import Plant
@@ -202,22 +199,6 @@ def test_a_flight_over_a_serial_line(tmp_path: Path) -> None:
         status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5")
         assert status == 0, said
         assert "inactive, faults: none" in ended(device)[1]
-
-
-@pytest.mark.machine
-def test_a_twin_too_slow_for_its_rate_is_late_but_not_deaf() -> None:
-    server = TwinServer(Twin(TwinParameters()), UdpServer("127.0.0.1", 0))
-    thread = threading.Thread(target=server.run, kwargs={"each": lambda: time.sleep(0.01)})  # of a period of 5 ms
-    with closing(server):
-        thread.start()
-        try:
-            with RemotePlant(UdpLink(*server.address), patience=PATIENCE) as plant:
-                plant.arm()
-                plant.estop()
-            assert server.twin.firmware.faults == Fault.ESTOP
-        finally:
-            server.stop()
-            thread.join()
 
 
 @pytest.mark.machine

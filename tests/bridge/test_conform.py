@@ -9,7 +9,7 @@ import re
 import sys
 import textwrap
 import threading
-from collections.abc import Callable, Container, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -112,34 +112,25 @@ def test_a_twin_passes(part: int) -> None:
 @pytest.mark.parametrize(
     ("language", "key"),
     [
-        pytest.param("c", KEY, id="c-keyed", marks=pytest.mark.needs("compiler")),
-        pytest.param("python", None, id="python-keyless", marks=pytest.mark.study),
-        pytest.param("python", KEY, id="python-keyed", marks=pytest.mark.study),
-        pytest.param("c", None, id="c-keyless", marks=[pytest.mark.study, pytest.mark.needs("compiler")]),
+        pytest.param("c", KEY, marks=pytest.mark.needs("compiler")),
+        pytest.param("python", KEY, marks=pytest.mark.study),
+        pytest.param("c", None, marks=[pytest.mark.study, pytest.mark.needs("compiler")]),
     ],
 )
 def test_devices_pass(language: str, key: bytes | None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(twin, "Firmware", FIRMWARE[language])
     results = results_of(key=key)
-    assert not [one for one in results.values() if one.passed is False]
-    assert names(results, None) == {"lockstep"} | (set() if key else TAGS)
-    assert list(results) == list(checks())
+    assert not names(results, False) and names(results, None) == {"lockstep"} | (set() if key else TAGS)
 
 
 LEFT_OUT = "needs real time, and this device is in lockstep"
 TIMED = [name for name, one in CHECKS.items() if one.real_time] + ["hover", "flight-silence"]
 
 
-@pytest.mark.parametrize(
-    ("only", "rate"),
-    [
-        pytest.param(TIMED[::3], 100, id="some-timed-100"),
-        *(pytest.param(None, rate, id=f"all-{rate}", marks=pytest.mark.study) for rate in (100, 1000)),
-    ],
-)
-def test_it_passes_at_other_rates(only: list[str] | None, rate: int) -> None:
-    results = results_of(period=1.0 / rate, delay=0.0003, only=only)
-    assert not [one for one in results.values() if one.passed is False]
+@pytest.mark.study
+@pytest.mark.parametrize("rate", [100, 1000])
+def test_it_passes_at_other_rates(rate: int) -> None:
+    assert not names(results_of(period=1.0 / rate, delay=0.0003), False)
 
 
 @contextmanager
@@ -154,13 +145,6 @@ def served(line: Callable[[], Server] = lambda: UdpServer("127.0.0.1", 0), **par
         server.stop()
         thread.join()
         server.close()
-
-
-def keep_checks(monkeypatch: pytest.MonkeyPatch, kept: Container[str]) -> None:
-    """Leave the other checks out."""
-    for name in set(CHECKS):
-        if name not in kept:
-            monkeypatch.delitem(CHECKS, name)
 
 
 @pytest.mark.parametrize("part", sweep(range(PARTS), every=PARTS))
@@ -185,35 +169,26 @@ def virtual() -> Iterator[str]:
         yield "udp://127.0.0.1:1"
 
 
-def test_the_command_says_what_it_has_checked(
+def test_the_command_reports_each_check_and_fails_where_one_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     skipped = [name for name, one in CHECKS.items() if one.flight or one.keyed or one.lockstep]
-    keep_checks(monkeypatch, [*skipped, *[*CHECKS][::10]])
+    for name in {*CHECKS} - {*skipped, *[*CHECKS][::10], "operations"}:
+        monkeypatch.delitem(CHECKS, name)
     path = tmp_path / "report.json"
-    with virtual() as address:
-        assert main(["conform", address, "--no-flight", "--json", str(path)]) == 0
-    report, lines = json.loads(path.read_text()), capsys.readouterr().out.splitlines()
-    assert report["format"] == "maglev_mj conformance 1" and report["address"] == address
-    assert [one["name"] for one in report["checks"]] == list(checks())
-    flights = sum(text.startswith("in flight") for text in checks().values())
-    assert report["counts"] == {"pass": len(checks()) - flights - 3, "FAIL": 0, "skip": flights + 3}
-    assert lines[-1] == "  " + ", ".join(f"{count} {word}" for word, count in report["counts"].items())
-    words = {True: "pass", False: "FAIL", None: "skip"}
-    told = [f"{words[one['passed']]} {one['name']}: {one['expected']}; {one['seen']}" for one in report["checks"]]
-    assert " ".join(" ".join(lines[:-1]).split()) == " ".join(" ".join(told).split())
-    assert max(map(len, lines)) <= 80
-
-
-def test_the_command_fails_where_a_check_does(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    without(monkeypatch, F, "_reset", ("self.state == State.ACTIVE or ", ""))
-    keep_checks(monkeypatch, ["operations", *[*CHECKS][::15]])
-    with virtual() as address:
-        assert main(["conform", address, "--no-flight"]) == 1
-    failed = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  FAIL")]
-    assert len(failed) == 1 and failed[0].startswith("  FAIL  operations: "), failed
+    for failing in (0, 1):
+        if failing:
+            without(monkeypatch, F, "_reset", ("self.state == State.ACTIVE or ", ""))
+        with virtual() as address:
+            assert main(["conform", address, "--no-flight", "--json", str(path)]) == failing
+        report, lines = json.loads(path.read_text()), capsys.readouterr().out.splitlines()
+        assert report["address"] == address and [one["name"] for one in report["checks"]] == list(checks())
+        passed = len(checks()) - len(skipped) - failing
+        assert report["counts"] == {"pass": passed, "FAIL": failing, "skip": len(skipped)}
+        words = {True: "pass", False: "FAIL", None: "skip"}
+        told = [f"{words[one['passed']]} {one['name']}: {one['expected']}; {one['seen']}" for one in report["checks"]]
+        assert " ".join(" ".join(lines[:-1]).split()) == " ".join(" ".join(told).split())
+        assert [line.split()[1] for line in lines if "FAIL  " in line] == ["operations:"] * failing
 
 
 @pytest.mark.machine
@@ -267,23 +242,16 @@ def test_ctrl_c_leaves_the_device_without_currents(check: str, ticks: int) -> No
 def test_ctrl_c_in_flight_lands() -> None:
     speeds: list[float] = []
 
-    class Watched(Twin):
-        def sample(self) -> bytes | None:
-            frame = super().sample()
-            speeds.append(abs(self.plant.state()[1][2]))
-            return frame
-
     class Interrupted(VirtualLink):
         def receive(self, timeout: float) -> bytes | None:
+            speeds.append(abs(device.plant.state()[1][2]))
             if device.tick == 400:
-                device.tick_seen = device.firmware.state  # type: ignore[attr-defined]
                 raise KeyboardInterrupt
             return super().receive(timeout)
 
-    device = Watched(TwinParameters())
-    link = Interrupted(device)
+    device = Twin(TwinParameters())
     with pytest.raises(KeyboardInterrupt):
-        conform([link], only=["bad-line"])
+        conform([Interrupted(device)], only=["bad-line"])
     assert max(speeds[30:]) < 0.05  # a flotor that is let go hits its stop at 0.4 m/s
 
 
@@ -298,49 +266,36 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("sequence-numbers", F, "receive", "newer(frame.sequence, self._sequence)", "frame.sequence > self._sequence"),
     ("direction", F, "receive", "not isinstance(body, (wire.Command, wire.Control))", "False"),
     ("hello-again", F, "_hello", "hello.nonce == self._nonce and peer == self.peer", "False"),
-    ("hello-again", F, "_hello", "self._heard = now\n", "self._heard, self._sequence = now, 0\n"),
     ("busy", F, "_hello", "and peer == self.peer", ""),
     ("busy", F, "_hello", "self.session and (", "hello.calibration == self.profile.calibration and self.session and ("),
-    ("busy", F, "_hello", "self.state == State.ACTIVE or now - self._heard < _SILENCE", "False"),
     ("takeover", F, "_hello", "now - self._heard < _SILENCE", "False"),
     ("takeover", F, "_hello", "now - self._heard < _SILENCE", "True"),
     ("calibration", F, "_hello", "hello.calibration != self.profile.calibration", "False"),
     ("request-numbers", F, "_hello", "self._sequence, self._acknowledgement = 0, None", "self._sequence = 0"),
     ("drawn", F, "_hello", "self._draw()", "self.session + 1 or 1"),
     ("version", F, "receive", "codec.version_met is not None", "False"),
-    ("version", F, "_answer_hello", "nonce=nonce,", "nonce=nonce or 1,"),
     ("welcome", Profile, "answer", "**self.stated", "**{**self.stated, 'hover_limit': self.limits.current_limit}"),
     ("welcome", Profile, "answer", "**self.stated", "**{**self.stated, 'watchdog': self.period}"),
-    ("welcome", Profile, "answer", "**self.stated", "**{**self.stated, 'stale': self.period - 1}"),
-    ("welcome", Profile, "answer", "**self.stated", "**{**self.stated, 'enable': 2 * self.period - 1}"),
-    ("welcome", Profile, "answer", "**self.stated", "**{**self.stated, 'hover_limit': 0.1}"),
     ("frames", F, "_answer_hello", "codec.encode(session, 0,", "codec.encode(self.session, 0,"),
     ("bye", F, "_control", "last.operation == Operation.BYE", "False"),
-    ("bye", F, "_do", "if self.state == State.ACTIVE:", "if True:"),
     # frames
     ("magic", C, "_reason", "data[:2] != _MAGIC", "False"),
     ("crc", C, "_reason", "zlib.crc32(data) != _CRC_RESIDUE", "False"),
     ("frame-version", C, "_reason", "data[2] != VERSION", "False"),
-    ("frame-version", F, "receive", " and data[3] == _HELLO", ""),
     ("type", C, "_reason", "shape is None", "False"),
     ("too-short", C, "_reason", "len(data) != shape.size + self._overhead", "len(data) > shape.size + self._overhead"),
     ("too-long", C, "_reason", "len(data) != shape.size + self._overhead", "len(data) < shape.size + self._overhead"),
     # requests
     ("requests", F, "_control", "not newer(control.request, last.request)", "False"),
-    ("requests", F, "_control", "control.request != last.request", "True"),
-    ("request-numbers", F, "receive", "(body, wire.Control)", "(body, wire.Control) and frame.sequence"),
     ("far-ahead", F, "receive", "(body, wire.Control)", "(body, wire.Control) and self._sequence < 1 << 31"),
     ("operations", F, "_do", "return False", "return True"),
     ("operations", F, "_arm", "self.state != State.INACTIVE or ", ""),
-    ("operations", F, "_reset", "self.state == State.ACTIVE or ", ""),
     ("reset-flowing", F, "_reset", " or not off", ""),
     ("arm", F, "_arm", "not all(abs(one) <=", "any(abs(one) >"),
     ("arm", F, "_arm", "abs(one) <=", "one <="),
     ("trip", F, "_do", "control.faults & sum(Fault)", "control.faults"),
     ("trip", F, "_do", " or Fault.HOST", ""),
-    ("trip", F, "trip", "self.faults | faults", "faults"),
     ("first-fault", F, "trip", "if not self.faults:", "if True:"),
-    ("first-fault", F, "_reset", ", Fault(0), 0\n", ", self._first, self._fault_time\n"),
     # commands
     ("not-active", F, "_apply", "self.state != State.ACTIVE", "False"),
     ("future", F, "_apply", "((self._sampled - command.answers) & WRAP)", "max(self._sampled - command.answers, 0)"),
@@ -349,32 +304,22 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("stale-answers", F, "_apply", 'self.counts["old"] += 1', 'self._sequence -= 1; self.counts["old"] += 1'),
     ("late-command", F, "_apply", "age > self._stale", "age >= self._stale - self.profile.period"),
     ("stale-answers", F, "_apply", 'self.counts["old"] += 1', 'self.counts["old"] += 1; self._commanded_at = now'),
-    ("stale-answers", F, "receive", "self._heard = frame.sequence, now", "_ = frame.sequence, now"),
     ("not-finite", firmware, "command_fault", "not all(map(math.isfinite, (*held, *pulsed)))", "False"),
     ("not-finite", firmware, "command_fault", "(*held, *pulsed)", "pulsed"),
-    ("not-finite", firmware, "command_fault", "(*held, *pulsed)", "held"),
     ("width", firmware, "command_fault", "not 0.0 <= width <= 1.0", "width < 0.0"),
     ("width", firmware, "command_fault", "not 0.0 <= width <= 1.0", "width > 1.0"),
     ("over-current", firmware, "command_fault", "max(held) > most", "False"),
     ("over-current", firmware, "command_fault", "min(held) < -most", "False"),
-    ("over-current", firmware, "command_fault", "max(pulsed) > most", "False"),
-    ("over-current", firmware, "command_fault", "min(pulsed) < -most", "False"),
     ("pulse", F, "_apply", "command.pulsed if command.width else None", "None"),
     ("answered", F, "_apply", "now, command.answers, False", "now, command.answers - 1, False"),
-    ("answered", F, "_arm", "hover, now, NEVER, False", "hover, now, 0, False"),
     ("answered-inactive", F, "_apply", "self.state == State.INACTIVE", "False"),
-    ("answered-inactive", F, "_apply", "_at, self._answers = now, command.answers\n", "_at, self._answers = now, 0\n"),
     # currents
     ("currents", F, "_do", "self._amplifiers.cut()", "pass"),
-    ("currents", F, "trip", "self._amplifiers.cut()", "pass"),
-    ("over-current", F, "trip", "self._amplifiers.cut()", "pass"),
     ("temperatures", ThermalModel, "add", "= shares, max", "= self.rises, max"),
     ("enabled", F, "sample", "self._amplifiers.toggle(now)", "pass"),
-    ("enabled", AmplifierBoard, "toggle", "self._enable", "2 * self._enable"),
     # emergency stop
     ("estop", F, "receive", "self._sampled_at, tuple", "0, tuple"),
     ("estop", F, "receive", "self.trip(Fault.ESTOP, now)", "pass"),
-    ("estop", F, "receive", "self.trip(Fault.ESTOP, now)", "self.trip(Fault.ESTOP, now) if not self.faults else None"),
     ("estop-without-session", F, "receive", "(body, wire.Estop)", "(body, wire.Estop) and self.session"),
     ("estop-elsewhere", F, "receive", "(body, wire.Estop)", "(body, wire.Estop) and peer == self.peer"),
     ("far-ahead", F, "receive", "(body, wire.Estop)", "(body, wire.Estop) and self._sequence < 1 << 30"),
@@ -383,15 +328,10 @@ GUARDS: list[tuple[str, Any, str, str, str]] = [
     ("silence-after-arm", F, "_hold_or_trip", "gap > self._watchdog", "False"),
     ("silence-after-arm", F, "_hold_or_trip", "gap > _GAP * self.profile.period", "False"),
     ("silence-after-arm", F, "_hold_or_trip", "gap > _GAP * self.profile.period", "gap > 4 * self.profile.period"),
-    ("silence-after-arm", F, "_hold_or_trip", "self._amplifiers.drive(now, self._hover, None, 0.0)", "pass"),
-    ("silence-after-arm", F, "_arm", "self._hover, self._commanded_at", "_, self._commanded_at"),
     ("silence-after-commands", F, "_hold_or_trip", "gap > self._watchdog", "gap > 2 * self._watchdog"),
-    ("silence-after-commands", F, "_apply", "self._commanded_at, self._answers, self._holding", "_, self._answers, _"),
     # all frames
     ("samples", F, "trip", "self.state, self.faults = State.FAULT, self.faults | faults", "self.faults |= faults"),
     ("cut", F, "trip", "self._amplifiers.cut()", "pass"),
-    ("samples", F, "sample", "conversions &", "7 &"),
-    ("frames", F, "sample", "self._codec.encode(self.session, tick", "self._codec.encode(self.session + 1, tick"),
     # in flight
     ("bad-line", C, "_reason", "zlib.crc32(data) != _CRC_RESIDUE", "False"),
     ("flight-silence", F, "_hold_or_trip", "gap > self._watchdog", "False"),
@@ -443,7 +383,7 @@ CASES = {
 
 
 SOME_GUARDS = [
-    pytest.param(*guard, marks=pytest.mark.study if number % 5 else (), id=f"{guard[0]}: {guard[3][:40]}")
+    pytest.param(*guard, marks=pytest.mark.study if number % 4 else (), id=f"{guard[0]}: {guard[3][:40]}")
     for number, guard in enumerate(GUARDS)
 ]
 

@@ -202,36 +202,6 @@ def test_what_leads_away_from_flying_cuts_and_no_operation_drives() -> None:
         assert not bench.drives
 
 
-def test_another_host_gets_the_session_after_a_second_and_begins_anew() -> None:
-    bench = Bench(watchdog=1.0).brought_to(State.INACTIVE)
-    bench.command()
-    bench.now = START + 999_999_999
-    assert bench.hello(nonce=2, peer="other").status == HelloStatus.BUSY
-    bench.now += 1
-    assert bench.hello(nonce=2, peer="other").status == HelloStatus.WELCOME
-    report = bench.sample()
-    assert report is not None and (report.answered, report.age) == (NEVER, NEVER) and bench.device.answered is None
-    bench.give(Control(1, Operation.ARM, 0, HOVER))
-    assert bench.device.state == State.INACTIVE and bench.device.counts["session"] == 1  # of the host before
-
-
-def test_in_fault_the_last_answer_of_the_flight_is_kept() -> None:
-    bench = Bench().brought_to(State.FAULT)
-    bench.command((math.nan,) * 6)
-    report = bench.sample()
-    assert report is not None and (report.answered, report.age) == (NEVER, NEVER)
-    assert bench.device.counts == {"inactive": 1} and bench.device.answered == 0  # it was an answer all the same
-
-
-def test_a_command_is_driven_as_it_came() -> None:
-    bench = Bench().brought_to(State.ACTIVE)
-    bench.command(ONES, HOVER, 0.0005)
-    bench.command(ONES, HOVER, 0.0)
-    assert bench.drives == [(ONES, HOVER, 0.0005), (ONES, None, 0.0)]
-    report = bench.sample()
-    assert report is not None and (report.answered, report.age, report.flags) == (0, 5000, Flag.ENABLED)
-
-
 def flags_while_silent(bench: Bench, samples: int) -> list[tuple[State, Flag, Fault]]:
     found = []
     for _ in range(samples):
@@ -239,18 +209,6 @@ def flags_while_silent(bench: Bench, samples: int) -> list[tuple[State, Flag, Fa
         assert report is not None
         found.append((State(report.state), Flag(report.flags), Fault(report.faults)))
     return found
-
-
-def test_the_watchdog_is_as_long_as_it_is_said_to_be() -> None:
-    bench = Bench(watchdog=0.012).brought_to(State.ACTIVE)
-    assert [state for state, _, _ in flags_while_silent(bench, 3)] == [State.ACTIVE, State.ACTIVE, State.FAULT]
-    assert not bench.drives  # when both are due, it is the fault
-
-
-def test_in_lockstep_silence_lasts_as_long_as_it_likes() -> None:
-    bench = Bench(lockstep=True).brought_to(State.ACTIVE)
-    assert bench.hello(nonce=1).lockstep == 1
-    assert set(flags_while_silent(bench, 100)) == {(State.ACTIVE, Flag.ENABLED, Fault(0))}
 
 
 @pytest.mark.parametrize("state", State)
@@ -364,16 +322,6 @@ def test_the_edges_of_a_command(pulse: bool) -> None:
         assert len(bench.drives) == (not fault) and bench.device.faults == fault, (current, width)
 
 
-def test_the_edges_of_hover_currents() -> None:
-    for place, current in product((0, 5), (NAN, 1.5 + 1e-9, -1.5 - 1e-9)):
-        bench = Bench(hover_limit=1.5).brought_to(State.INACTIVE)
-        hover = [*ZERO]
-        hover[place] = current
-        assert bench.ask(Operation.ARM, hover=hover)[2:] == (Result.REFUSED, State.INACTIVE, 0)
-        hover[place] = math.copysign(1.5, current)
-        assert not bench.toggles and bench.ask(Operation.ARM, hover=hover)[2:] == (Result.DONE, State.ACTIVE, 0)
-
-
 def test_a_command_a_cut_and_a_trip_end_the_hold() -> None:
     bench = Bench().brought_to(State.ACTIVE)
     for end in (bench.command, lambda: bench.ask(Operation.DISARM), lambda: bench.ask(Operation.TRIP)):
@@ -384,30 +332,6 @@ def test_a_command_a_cut_and_a_trip_end_the_hold() -> None:
         report = bench.sample()
         assert report is not None and report.flags == Flag.ENABLED
         bench.ask(Operation.ARM)
-
-
-TRIPS: list[tuple[Fault, int, dict[str, Any]]] = [
-    *((Fault.COIL_NOT_FOLLOWING, 3, {"measured": (*ONES[:5], found)}) for found in (0.0, NAN, -0.6)),
-    (Fault.SENSOR_OUT_OF_RANGE, 1, {"valid": 6}),
-    (Fault.SENSOR_OUT_OF_RANGE, 1, {"spots": (*ZERO[:5], NAN)}),
-    (Fault.SENSOR_FROZEN, 31, {"spots": (1e-3,) * 6}),  # the first, and thirty like it
-    (Fault.SENSOR_STOPPED, 2, {"conversions": 7}),
-    (Fault.WATCHDOG, 2, {"enabled": False}),
-    (Fault.FLOTOR_OVERSPEED, 1, {"spots": (*ZERO[:5], -0.0051)}),
-]
-
-
-def test_each_guard_trips() -> None:
-    for fault, samples, reading in TRIPS:
-        bench = Bench().brought_to(State.ACTIVE)
-        bench.command()
-        bench.sample(spots=ZERO)
-        for count in range(samples):
-            assert bench.device.state == State.ACTIVE, (fault, count)
-            bench.command()
-            report = bench.sample(**reading)
-        assert report is not None and report.valid == reading.get("valid", 7) and len(bench.drives) == samples + 1
-        bench.has_tripped(fault)
 
 
 def test_strikes_may_be_of_any_coils() -> None:

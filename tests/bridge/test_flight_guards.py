@@ -20,7 +20,6 @@ from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
 from maglev_mj.bridge.landing import TOLERATED, Leader, Swing
 from maglev_mj.bridge.observer import HandObserver
-from maglev_mj.bridge.safety import Limits
 from maglev_mj.frames import Command
 from maglev_mj.session import device_controller
 from maglev_mj.theory.verdict import delay_margins
@@ -49,23 +48,6 @@ def test_a_margin_is_where_the_verdict_turns(name: str, period: float) -> None:
         assert judge(controller, delay=margin * 0.999).stable and not judge(controller, delay=margin * 1.002).stable
     else:
         assert judge(controller, delay=min(0.03, 10 * period) * 0.999).stable
-
-
-@pytest.mark.parametrize(
-    ("name", "margins"),
-    [
-        ("drop", (3.26, 6.30, 3.11, 3.44)),
-        *studies(
-            ("joystick", (2.91, 2.91, 2.77, 2.91)),  # its rotations are free in each hand, and decide
-            ("stick-slip", (2.72, 5.35, 2.61, 2.89)),
-            ("six-axes", (11.60, 11.60, 10.57, 11.60)),
-        ),
-    ],
-)
-def test_margins_in_hands_at_200_hz(name: str, margins: tuple[float, ...]) -> None:
-    controller = device_controller(find_scene(name)().replace(period=0.005, delay=0.0015))
-    found = delay_margins(controller, HANDS)
-    assert [round(1e3 * found[hand], 2) for hand in HANDS] == pytest.approx(margins, abs=0.011)
 
 
 class Unstated(Hold):
@@ -245,14 +227,6 @@ def test_answers_that_overtake_each_other_are_no_fault_of_the_coils(tmp_path: Pa
     delay = delayed("jitter", 0.004, 1.6, 70066)
     flown = fly("six-axes", rate=1000, hand="8", delay=delay, folder=tmp_path, seconds=1.2)
     assert flown.outcome == "landed" or "delays are above" in flown.outcome
-
-
-@pytest.mark.study
-def test_laws_whose_margin_is_not_known_are_guarded_too(tmp_path: Path) -> None:
-    """Six axes at 1 kHz bear up to 10 ms, the most looked at, not 15.5."""
-    delay = delayed("step", 0.007, 1.2)
-    flown = fly("six-axes", rate=1000, delay=delay, limits=Limits(stale=0.02), folder=tmp_path, seconds=0.3)
-    assert "8 of the last 16" in flown.outcome and flown.speeds(1.2).max() < 0.05
 
 
 @pytest.mark.parametrize("rate", RATES)

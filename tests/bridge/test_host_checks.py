@@ -11,11 +11,10 @@ import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.safety import HostLimits, Limits
-from maglev_mj.bridge.wire import Fault, Flag, State, StateReport, fault_names
+from maglev_mj.bridge.wire import Flag, State, StateReport, fault_names
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import PlantError, SensingError
-from maglev_mj.frames import Command
 from maglev_mj.scenes.rooms import WEIGHT
 from tests.bridge.impaired import Impairment
 from tests.bridge.test_bridge import CENTRE, Rig
@@ -133,19 +132,6 @@ def test_a_device_of_smaller_current_is_held_to_the_hosts() -> None:
         rig.fly(0.1)
 
 
-def test_a_device_that_is_not_flown_may_say_what_it_likes() -> None:
-    for change in (
-        lambda report: report._replace(valid=0, conversions=1, flags=0),
-        put("currents", 4, math.nan),
-        put("temperatures", 1, 2.1),
-    ):
-        rig = Rig()
-        doctored(rig, change)
-        for _ in range(40):
-            rig.plant.read()
-        assert rig.plant.state == State.INACTIVE and not rig.plant.faults
-
-
 @pytest.mark.parametrize("missed", [1, 3])
 def test_lost_samples_are_no_speed(missed: int) -> None:
     # Pushed to more than half of what trips; a gap makes the step look larger, not the speed.
@@ -187,14 +173,6 @@ def test_a_device_that_contradicts_itself_is_not_flown(changes: list[dict[str, A
         rig.fly(0.05)
 
 
-def test_answers_that_no_coil_gets_warm_none() -> None:
-    rig = Rig()
-    for _ in range(100):
-        rig.plant.read()
-        rig.plant.write(Command(WEIGHT))
-    assert max(rig.plant.temperatures) == 0.0
-
-
 def test_samples_that_come_during_a_stop_are_read_after_it() -> None:
     rig = Rig()
     rig.plant.read()
@@ -202,30 +180,6 @@ def test_samples_that_come_during_a_stop_are_read_after_it() -> None:
     for _ in range(3):
         rig.plant.read()
     assert rig.plant.samples.lost == 0 and rig.plant.samples.tick == rig.twin.tick
-
-
-def test_a_sample_from_before_a_stop_does_not_undo_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig(pose=CENTRE)
-    rig.plant.arm()
-    rig.plant.read()
-    receive = rig.link.receive
-    stale = receive(1.0)
-    assert stale is not None and stale[3] == 5
-
-    def no_samples(timeout: float) -> bytes | None:
-        end = rig.link.time + round(timeout * 1e9)
-        while (data := receive((end - rig.link.time) * 1e-9)) is not None and data[3] == 5:
-            pass
-        return data
-
-    monkeypatch.setattr(rig.link, "receive", no_samples)
-    rig.plant.estop()
-    monkeypatch.undo()
-    rig.plant._armed = False  # nobody flies: no fault is due
-    rig.link._arrived[:] = [stale]
-    for _ in range(3):
-        rig.plant.read()
-        assert (rig.plant.state, rig.plant.faults) == (State.FAULT, Fault.ESTOP)
 
 
 def test_rubbish_without_end_is_no_sample() -> None:

@@ -22,7 +22,6 @@ from maglev_mj.bridge.line import (
     _problem,
     measure_line,
     preflight,
-    stiffest_walls,
 )
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge
@@ -30,7 +29,6 @@ from maglev_mj.errors import PlantError
 from maglev_mj.plants.hand import HANDS
 from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller
-from maglev_mj.theory import largest_modulus
 from maglev_mj.theory.verdict import delay_margins
 from tests.bridge.impaired import ImpairedLine, Impairment
 from tests.processes import started, twin
@@ -81,18 +79,6 @@ def test_a_line_is_measured_without_current(way: float, rate: int, tmp_path: Pat
     assert report.clock == pytest.approx(1.0) and report.success >= 0.98
     assert report.as_json()["delay"] == pytest.approx(report.delay.tolist())
     assert "samples answered in time; 0 lost, 0 skipped, 0 answers late;" in str(report.table())
-
-
-def test_in_lockstep_the_device_alone_takes_time(tmp_path: Path) -> None:
-    with device(tmp_path, lockstep=True) as plant:
-        report = measure_line(plant, 0.2)
-    assert report.usual == report.planned == plant.delay and report.clock == 1.0
-
-
-def test_answers_too_late_to_be_obeyed_are_counted(tmp_path: Path) -> None:
-    with device(tmp_path, 0.012) as plant:
-        report = measure_line(plant, 0.3)
-    assert report.success < 0.2
 
 
 def test_a_device_that_is_not_inactive_is_not_measured(tmp_path: Path) -> None:
@@ -196,16 +182,6 @@ def test_a_scene_that_does_not_bear_the_line_should_not_fly(
     with device(tmp_path, way) as plant:
         found = preflight(plant, find_scene(files.get(name, name))(), as_written=True, report=measure_line(plant, 0.2))
     assert says in found.problem and "\n" not in found.problem and not found.softened
-
-
-def test_the_stiffest_walls_are_on_the_edge_at_the_planned_delay(tmp_path: Path) -> None:
-    with device(tmp_path, 0.0005) as plant:
-        report = measure_line(plant, 0.2)
-        walls = stiffest_walls(report, plant)
-    for hand, (stiffness, damping) in walls.items():
-        loop: dict[str, Any] = {"period": 0.005, "delay": report.planned, "mass": 0.7, "hand": hand}
-        moduli = [float(largest_modulus(share * stiffness, damping, **loop)) for share in (0.99, 1.01)]
-        assert moduli[0] < 1.0 < moduli[1] + 2e-3
 
 
 # the command

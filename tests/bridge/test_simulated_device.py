@@ -31,7 +31,7 @@ from maglev_mj.bridge.wire import (
     StateReport,
 )
 from tests.bridge.firmware_core import FOLDER, SANITIZED, STRICT
-from tests.bridge.test_firmware import HOVER, ONES, ZERO
+from tests.bridge.test_firmware import HOVER, ZERO
 from tests.bridge.test_wire import KEY, golden_bytes
 from tests.conftest import COMPILER
 from tests.processes import Program
@@ -255,19 +255,6 @@ def test_motion_is_exact_between_switches(start: Starter) -> None:
     assert np.linalg.solve(SLOPES, report.spots) == pytest.approx(pose, abs=1e-15)
     assert report.temperatures == pytest.approx(temperatures, rel=1e-6)
     assert report.currents == pytest.approx(held, rel=1e-6) and report.age == 5000
-
-
-def test_a_new_command_ends_a_pulse(start: Starter) -> None:
-    host = start("--lockstep", "--delay", "0.0015").host()
-    host.ask(Operation.ARM)
-    assert answered(host, ZERO, ONES, 0.1).currents == ONES
-    assert answered(host, ZERO, ONES, 0.1).currents == ONES
-    assert answered(host, HOVER).currents == pytest.approx(HOVER)
-    # one that lasts longer than a period, and is let end
-    answered(host, ZERO, ONES, 0.0049)
-    host.command(host.last.sequence - 1, HOVER)  # old: in lockstep it is no answer
-    report = answered(host, ZERO)
-    assert report.currents == ZERO and report.state == State.ACTIVE
 
 
 def test_lockstep_sends_again_and_then_lets_go(start: Starter) -> None:

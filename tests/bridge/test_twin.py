@@ -19,7 +19,7 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
 from maglev_mj.bridge.twin.simulated_links import Line, VirtualLink
-from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters, TwinServer
+from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Control, Estop, EstopAck, Fault, Hello, Operation, State
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.cli.twin import _hand
@@ -31,7 +31,6 @@ from tests.bridge.test_bridge import CENTRE, REACH, ZERO, Rig, hover
 from tests.sweeps import sweep
 
 PERIOD = TwinParameters().profile.period  # [ns]
-FROZEN = TwinParameters().profile.limits.frozen
 
 
 @pytest.fixture(autouse=True)
@@ -39,65 +38,9 @@ def _folder(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
 
 
-def pressed(kind: str, which: int, push: tuple[int, float], at: float, period: float) -> tuple[Rig, int]:
-    """Press on a hovering flotor until a fault, then release.
-
-    Return the rig, and the samples from there to the cut; print the flotor's speed at the cut, and the largest before.
-    """
-    axis, force = push
-
-    def hand(tick: int, time: float, state: Any) -> Sequence[float]:
-        return [force * (part == axis and 0.1 <= time < at) for part in range(6)]
-
-    rig = Rig(hand=hand, faults=[InjectedFault(kind=kind, which=which, at=at)], pose=CENTRE, period=period)
-    rig.plant.arm()
-    with pytest.raises(DeviceFault) as caught:
-        rig.fly(at + 0.3, hover(period, REACH))
-    assert rig.twin.firmware.faults == rig.plant.faults == caught.value.faults
-    first = math.ceil(at / period - 1e-6)
-    # the sample at which the device cut is the last that its host was told of
-    cut = rig.plant.samples.tick
-    speeds = np.linalg.norm(np.array(rig.witness.twists)[first : cut + 1, :3], axis=1)
-    found = f"{(cut - first) * period * 1e3:.0f} ms | {speeds[-1]:.2f} m/s | {speeds.max():.2f} m/s"
-    print(f"| {kind} {which} | {push} | {1 / period:.0f} Hz | {found} |")
-    return rig, cut - first
-
-
-PUSHES = [(2, -8.0), (2, 3.0), (0, 5.0), (5, 0.2)]
-
-
-STUCK = [("stuck-diodes", 0), *(("stuck-diode", diode) for diode in range(3))]
-TIMES = [(0.005, 0.3), (0.005, 0.533), (0.001, 0.2), (0.001, 0.3127)]
-
-
-@pytest.mark.parametrize(("stuck", "push", "when"), sweep(STUCK, PUSHES, TIMES, every=8))
-def test_frozen_diodes_under_a_pushing_hand(
-    stuck: tuple[str, int], push: tuple[int, float], when: tuple[float, float]
-) -> None:
-    (kind, which), (period, at) = stuck, when
-    rig, samples = pressed(kind, which, push, at, period)
-    # a diode that has left its limits, or a flotor its envelope, may be found before that
-    assert rig.twin.firmware.faults == Fault.SENSOR_FROZEN or samples < FROZEN
-    assert samples <= FROZEN and rig.currents() == [0.0] * 6
-
-
-@pytest.mark.parametrize(("push", "when"), sweep(PUSHES, [(0.005, 0.5), (0.001, 0.5127)], every=4))
-def test_a_counter_that_stands_under_a_pushing_hand(push: tuple[int, float], when: tuple[float, float]) -> None:
-    period, at = when
-    rig, samples = pressed("stuck-counter", 0, push, at, period)
-    assert rig.twin.firmware.faults == Fault.SENSOR_STOPPED and samples == 1 and rig.currents() == [0.0] * 6
-
-
 @pytest.mark.parametrize(("noise", "frozen"), [(4e-7, 30), (4e-7 - 1e-12, 0), (0.0, 0), (1e-6, 30)])
 def test_a_twin_says_whether_its_noise_rules_equal_readings_out(noise: float, frozen: int) -> None:
     assert TwinParameters(noise=noise, quantum=8e-7).profile.limits.frozen == frozen
-
-
-def test_without_noise_a_sensor_may_repeat_itself() -> None:
-    rig = Rig(noise=0.0, pose=CENTRE)
-    rig.plant.arm()
-    rig.fly(1.0)
-    assert not rig.twin.firmware.faults
 
 
 @pytest.mark.parametrize(
@@ -124,14 +67,6 @@ def test_with_the_firmware_hung_the_board_opens(at: float, period: float, watchd
     assert twin.firmware.state == State.ACTIVE and not any(twin.plant.currents)
     estop = Codec().encode(0, 0, 0, Estop(1))
     assert twin.receive(estop, twin.tick * twin.parameters.profile.period, "host") is None
-
-
-def test_the_host_of_a_hung_firmware_is_told() -> None:
-    rig = Rig(faults=[InjectedFault(kind="hung-firmware", which=0, at=0.3)], pose=CENTRE)
-    rig.plant.arm()
-    with pytest.raises(DeviceFault, match="HOST: no sample from the device within 1 s"):
-        rig.fly(1.0)
-    assert not any(rig.twin.plant.currents)
 
 
 def test_a_firmware_that_hangs_before_the_first_sample_after_arming() -> None:
@@ -275,23 +210,6 @@ def test_stops_take_motion_along_them() -> None:
         assert (speeds_after(pose, twist, 0.15, stop_damping=True) < (1e-3, 0.05)).all(), (pose, twist)
 
 
-@pytest.mark.parametrize(
-    ("drops", "seconds"), [(DROPS[3:4], 2.0), pytest.param(DROPS[3:6], 5.0, marks=pytest.mark.study)]
-)
-def test_without_it_a_flotor_turns_along_its_stops_without_end(drops: Sequence[Any], seconds: float) -> None:
-    assert all(speeds_after(pose, twist, seconds)[1] > 5.0 for pose, twist in drops)
-
-
-@pytest.mark.parametrize("torque", sweep([(0.9, -0.6, 0.5), (-0.4, 0.9, 0.6)], every=2))
-def test_takeoff_after_a_rough_landing(torque: Sequence[float]) -> None:
-    rig = Rig(hand=lambda _, time, state: [0.0] * 3 + [one * (time < 0.015) for one in torque])
-    for _ in range(45):
-        rig.plant.read()
-    assert np.linalg.norm(np.array(rig.witness.twists)[:, 3:], axis=1).max() > 6.0
-    rig.plant.takeoff()
-    rig.plant.land()
-
-
 class Queue:
     """Server with waiting frames, endless if wanted, and a virtual clock.
 
@@ -417,15 +335,6 @@ def test_a_second_session_in_lockstep_begins_with_a_new_sample() -> None:
         assert host.control(Operation.BYE) is not None
 
 
-def test_time_passes_in_lockstep_for_a_host_that_answers_at_once() -> None:
-    twin = Counted(TwinParameters(lockstep=True))
-    link = VirtualLink(twin)
-    host = Connection(link, twin.parameters.calibration.digest, None, 0.1)
-    for tick in range(20):
-        assert host.state().sequence == tick and link.time == tick * PERIOD
-        host.command(CommandFrame(tick, 0, ZERO, ZERO, 0.0))
-
-
 class Late(Queue):
     """Silent server whose clock is virtual and wakes late.
 
@@ -463,18 +372,7 @@ def test_a_push_lives_from_start_to_end() -> None:
             assert list(wrench) == [0.5 + force * (part == axis) for part in range(6)], when
 
 
-def test_without_a_push_the_hand_is_the_mouse() -> None:
-    assert _hand([], None) is None
-
-
 def test_a_push_that_is_none_is_one_line() -> None:
     for text in ("x:5", "q:5@1-2", "x:@1-2", "x:5@2-1", "x:5@1-1", "x:5@1", "x:nan@1-2", "rr:5@1-2"):
         with pytest.raises(ParameterError, match="push must be AXIS:NEWTONS@START-END"):
             _hand([text], None)
-
-
-def test_rest_is_where_nothing_moves() -> None:
-    twin = Twin(TwinParameters())
-    for _ in range(100):
-        twin.sample()
-    assert np.abs(twin.pose - REST).max() < 1e-4

@@ -11,7 +11,6 @@ import math
 import re
 import struct
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +58,6 @@ BODIES: dict[str, Any] = {
     "ESTOP_ACK": EstopAck,
 }
 SIX = (0.1, -0.2, 0.3, -0.4, 0.5, -0.6)
-FLOATS = (0.0, -0.5, 2.0**100, math.inf, -math.inf, 2.0**-149)
 FORMATS = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "f32": "f", "f64": "d", "bytes": "s", "zeros": "x"}
 
 
@@ -141,11 +139,6 @@ def test_golden_bytes(name: str) -> None:
     assert not codec.dropped
     sizes = {row[0]: int(row[3 if keyed else 2]) for row in tables("| frame | from |")[1:]}
     assert len(data) == sizes[plain]
-
-
-def test_golden_bytes_are_of_every_type() -> None:
-    assert list(golden_bytes()) == [*BODIES, *(f"{name} keyed" for name in BODIES)]
-    assert list(golden_values()) == list(BODIES)
 
 
 @pytest.mark.parametrize("name", BODIES)
@@ -245,30 +238,6 @@ def test_check_values_of_the_page() -> None:
     assert f"`{hashlib.blake2s(b'123456789', digest_size=16, key=KEY).hexdigest()}`" in PAGE
 
 
-@pytest.mark.parametrize("key", [None, KEY, b"sixteen bytes ok"])
-@pytest.mark.parametrize(
-    "body",
-    [
-        Hello(2**64 - 1, b"\xff" * 16),
-        HelloAck(
-            *(1, 2, 1, 255, 2, 2**32 - 1, bytes(16), 2**64 - 1, 0, 1, 2**64 - 2, 7, 3, 2**32 - 1, 5, 2**31),
-            *(math.inf, -0.0, 1e-310, 1e308, math.pi, -math.inf),
-        ),
-        Control(2**32 - 1, 255, 2**32 - 1, SIX),
-        ControlAck(0, 0, 255, 255, 2**32 - 1),
-        StateReport(SIX, FLOATS, (1.0,) * 6, 2, 7, 65535, 1, 2, 3, 2**32 - 1),
-        Command(2**32 - 1, 2**32 - 1, SIX, SIX[::-1], 5e-324),
-        Estop(2**64 - 1),
-        EstopAck(2**64 - 1, 255, 2**32 - 1, 2**64 - 1, FLOATS),
-    ],
-    ids=lambda body: type(body).__name__,
-)
-def test_round_trip(body: Any, key: bytes | None) -> None:
-    codec = Codec(key)
-    frame = Frame(2**32 - 1, 0, 2**64 - 1, body)
-    assert codec.decode(codec.encode(*frame)) == frame
-
-
 def test_nan_keeps_its_payload() -> None:
     codec = Codec()
     (strange,) = struct.unpack("<d", bytes.fromhex("efbeadde0000f8ff"))
@@ -282,12 +251,6 @@ def test_nan_keeps_its_payload() -> None:
         frame = codec.decode(data)
         assert frame is not None and codec.encode(*frame) == data
     assert struct.pack("<d", strange) in data
-
-
-def test_sequence_numbers_are_taken_modulo_their_size() -> None:
-    codec = Codec()
-    frame = codec.decode(codec.encode(1, 2**32 + 5, 3, ControlAck(1, 1, 0, 0, 0)))
-    assert frame is not None and frame.sequence == 5
 
 
 @pytest.mark.parametrize("name", golden_bytes())
@@ -383,10 +346,3 @@ def test_newer_goes_round(start: int) -> None:
     assert not newer(start, start)
     opposite = (start + 2**31) % 2**32  # half way round neither is the newer
     assert not newer(opposite, start) and not newer(start, opposite)
-
-
-def test_what_arrives_makes_nothing_raise() -> None:
-    makers: list[Callable[[], bytes]] = [lambda: bytes(1_000_000), lambda: b"MJ\x02\x05" * 50_000]
-    for make in makers:
-        assert Codec().decode(make()) is None
-        assert Codec(KEY).decode(make()) is None
