@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Collection
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -24,12 +23,6 @@ KEY = b"0123456789abcdef"
 CASES, ALLOWED = 20, 0.03
 SOME = (0, 13, 19)
 """First case, last case, and one between."""
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write black boxes to a temporary folder."""
-    monkeypatch.chdir(tmp_path)
 
 
 class Beside:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,12 +17,6 @@ from maglev_mj.errors import PlantError, SensingError
 from maglev_mj.scenes.rooms import WEIGHT
 from tests.bridge.impaired import Impairment
 from tests.bridge.test_bridge import CENTRE, Rig
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write black boxes to a temporary folder."""
-    monkeypatch.chdir(tmp_path)
 
 
 def doctored(rig: Rig, change: Callable[[StateReport], StateReport]) -> None:

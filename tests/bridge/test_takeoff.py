@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -24,13 +23,6 @@ from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.rooms import WEIGHT
 from tests.bridge.test_bridge import BAD, BAD_REACH, Rig, hover
 from tests.sweeps import sweep
-
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Write black boxes to a temporary folder."""
-    monkeypatch.chdir(tmp_path)
-
 
 RATES = [0.005, 0.001, 0.00025]
 
