@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import errno
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
-from maglev_mj.bridge import fault as fault_module
 from maglev_mj.bridge.fault import DeviceFault, FaultRecord, LastCycles, load_fault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.links import LinkError
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
-from maglev_mj.bridge.wire import Fault, Operation, State
-from maglev_mj.errors import PlantError
-from maglev_mj.frames import Command
+from maglev_mj.bridge.wire import Fault
 from maglev_mj.recording import InvalidRecordingError, Recording, open_recording
 from maglev_mj.recording.journal import RECORD, open_journal
 from maglev_mj.scenes import find_scene
@@ -83,16 +79,6 @@ def test_the_first_fault_and_its_time_are_kept_when_others_follow(tmp_path: Path
     assert caught.value.path is not None
     record = load_fault(caught.value.path)
     assert (record.first, record.faults) == ("ESTOP", "ESTOP CLOCK") and record.fault_time == pytest.approx(at * 1e-9)
-
-
-def test_latency_is_from_the_samples_arrival_to_its_answer(tmp_path: Path) -> None:
-    rig = Rig(pose=CENTRE, host={"folder": tmp_path})
-    rig.plant.arm()
-    for _ in range(3):
-        rig.plant.read()
-        rig.link.time += 1_250_000  # the program's own time
-        rig.plant.write(Command([0.0] * 6))
-    assert rig.plant.answer_latency == pytest.approx(1.25e-3)
 
 
 ABOUT: dict[str, Any] = {"first": "CLOCK", "tick": 1, "lost": 0, "skipped": 0, "period_ns": 5, "fault_time_ns": 0}
@@ -233,15 +219,6 @@ def test_the_table_says_what_when_and_the_last_cycles(failed: Failed) -> None:
     assert max(map(len, lines)) <= 80 and sum(line.split()[:2] == ["time", "x"] for line in lines) == 1
 
 
-def test_a_pulse_is_commanded_too_while_it_has_a_width(failed: Failed) -> None:
-    record = failed.record
-    values = {name: column.copy() for name, column in record.values.items()}
-    values["pulsed3"][-3:], values["width"][-3:] = [-7.5, 0.25, -7.5], [0.003, 0.003, 0.0]
-    shown = [row[7] for row in replace(record, values=values).table().rows]
-    held = [f"{value:.2f}" for value in np.abs(record.six("held")).max(axis=-1)[-3:]]
-    assert shown[-3:] == ["7.50", *held[1:]]
-
-
 class Full:
     """Folder on a full disk: files begin, and end early."""
 
@@ -273,18 +250,6 @@ def test_a_full_disk_leaves_no_half_file_and_the_fault_is_told(tmp_path: Path, m
     assert error.path is None and error.faults == Fault.COIL_NOT_FOLLOWING and not list(own.iterdir())
 
 
-@pytest.mark.parametrize("name", ["text_records", "header"])
-def test_whatever_fails_in_writing_the_fault_is_told(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(*_: Any, **__: Any) -> Any:
-        raise ValueError("oh")
-
-    monkeypatch.setattr(fault_module, name, fails)
-    rig, error = flown(tmp_path)
-    assert error.path is None and rig.twin.firmware.state == State.FAULT
-
-
 @pytest.mark.parametrize(
     ("kind", "where"),
     sweep([LinkError("the line is gone"), HOST_DOWN, RuntimeError("oh")], ["send", "receive"], every=2),
@@ -311,23 +276,3 @@ def test_a_line_that_fails_in_any_way_leaves_its_last_cycles_and_is_closed(
     assert rig.currents() == [0.0] * 6
     rig.plant.close()
     assert closed == [1]
-
-
-@pytest.mark.parametrize("kind", [LinkError("gone"), OSError("gone"), KeyboardInterrupt()])
-def test_an_error_within_close_still_closes_the_line_once(kind: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
-    rig, closed = Rig(), []
-
-    def fails(operation: Operation) -> Any:
-        raise kind
-
-    monkeypatch.setattr(rig.plant._line, "control", fails)
-    monkeypatch.setattr(rig.link, "close", lambda: closed.append(1))
-    if isinstance(kind, KeyboardInterrupt):
-        with pytest.raises(KeyboardInterrupt):
-            rig.plant.close()
-    else:
-        rig.plant.close()
-    rig.plant.close()
-    assert closed == [1]
-    with pytest.raises(PlantError, match="the plant is closed"):
-        rig.plant.read()

@@ -223,7 +223,6 @@ def silent(rig: Rig) -> None:
 @pytest.mark.parametrize(
     ("act", "says"),
     [
-        (unheard, "HOST: the line is gone"),
         (disarmed, "HOST: the device switched its currents off"),
         (nonsense, "HOST: .*in state 7, which is none"),
         (silent, "HOST: no sample from the device within 1 s"),

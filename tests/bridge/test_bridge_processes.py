@@ -231,13 +231,3 @@ def test_the_hosts_limits_hold_in_flight_and_options_go_before_the_profile(devic
     status, said = said_by(*arguments, "--speed-limit", "0.6")
     assert status == 0 and "at rest" in said, said
     assert (device.firmware.state, device.firmware.faults) == (State.INACTIVE, Fault(0))
-
-
-@pytest.mark.machine
-def test_where_no_device_answers_that_is_said_in_one_line() -> None:
-    for arguments, words in (
-        (("estop", "udp://127.0.0.1:9"), "not confirmed: cut the power (no answer within 1"),
-        (("bridge", "udp://127.0.0.1:9"), "udp://127.0.0.1:9: no device answered within 1 s"),
-    ):
-        status, said = said_by(*arguments)
-        assert status == 1 and words in said and said.count("\n") == 1, said

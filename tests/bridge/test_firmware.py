@@ -272,9 +272,6 @@ def test_the_enable_line_lives_while_the_device_is_active_and_no_longer() -> Non
     assert bench.toggles == expected and bench.device.state == State.FAULT
 
 
-LONG = 3_600_000_000_000
-
-
 @pytest.mark.parametrize(
     ("period", "stale", "lockstep", "behind", "late"),
     [
@@ -284,7 +281,7 @@ LONG = 3_600_000_000_000
         (5_000_000, 0.012, False, 2, 2_000_000),
         (5_000_000, 0.012, False, 0, 12_000_000),  # where no sample came since
         (7_000_000, 0.007, False, 1, 0),
-        (5_000_000, None, True, 0, LONG),  # in lockstep time stands still
+        (5_000_000, None, True, 0, 3_600_000_000_000),  # in lockstep time stands still
     ],
 )
 def test_an_answer_is_obeyed_until_its_sample_is_stale(
@@ -404,13 +401,3 @@ def test_a_current_that_does_not_stop_is_found_in_three_samples(state: State, cu
     assert bench.ask(Operation.RESET).result == (Result.REFUSED if found else Result.DONE)
     bench.sample()
     assert bench.ask(Operation.RESET)[2:] == (Result.DONE, State.INACTIVE, 0)
-
-
-@pytest.mark.parametrize(("now", "tick", "age"), [(7_000_000, 1, 0), (0, LONG // PERIOD * 2, NEVER - 1)])
-def test_ages_have_ends(now: int, tick: int, age: int) -> None:
-    bench = Bench(lockstep=True).brought_to(State.ACTIVE)
-    bench.now += now  # a clock that lags behind a command
-    bench.command()
-    bench.tick = tick - 1
-    report = bench.sample()
-    assert report is not None and report.age == age

@@ -221,14 +221,6 @@ def test_a_loop_near_the_end_of_its_margin_does_not_swing_on_after_a_tap(tmp_pat
     assert flown.speeds(2.4).max() < 0.45 and (flown.speeds(2.4) > 0.30).sum() / 200 < 0.05
 
 
-@pytest.mark.study
-def test_answers_that_overtake_each_other_are_no_fault_of_the_coils(tmp_path: Path) -> None:
-    """The device reports the newest of two answers within a period, and both have flowed."""
-    delay = delayed("jitter", 0.004, 1.6, 70066)
-    flown = fly("six-axes", rate=1000, hand="8", delay=delay, folder=tmp_path, seconds=1.2)
-    assert flown.outcome == "landed" or "delays are above" in flown.outcome
-
-
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("size", [5.0, *studies((10.0,), (25.0,))])
 def test_a_law_that_chatters_is_landed(size: float, rate: int, tmp_path: Path) -> None:

@@ -54,35 +54,20 @@ def some_processor() -> int | None:
 
 @pytest.mark.parametrize("collecting", [True, False])
 @pytest.mark.usefixtures("unchanged")
-def test_ignore_goes_on_and_gives_everything_back(collecting: bool) -> None:
+def test_ignore_goes_on_and_everything_is_given_back_when_the_loop_fails(collecting: bool) -> None:
     before = state()
     if not collecting:
         gc.disable()
-    with realtime("ignore", priority=1, cpu=some_processor()) as complaints:
+    with pytest.raises(ZeroDivisionError), realtime("ignore", priority=1, cpu=some_processor()) as complaints:
         assert not gc.isenabled() and gc.get_freeze_count() > 0
         assert all("\n" not in complaint for complaint in complaints)
         if SCHEDULED:
             refused = any("SCHED_FIFO 1" in complaint for complaint in complaints)
             assert refused == (os.sched_getscheduler(0) != os.SCHED_FIFO)
+        raise ZeroDivisionError
     assert gc.isenabled() == collecting
     gc.enable()
     assert state() == before
-
-
-@pytest.mark.usefixtures("unchanged")
-def test_objects_that_a_program_has_frozen_stay_frozen() -> None:
-    gc.freeze()
-    frozen = gc.get_freeze_count()
-    with realtime("ignore"):
-        pass
-    assert gc.get_freeze_count() >= frozen
-    gc.unfreeze()
-
-
-@pytest.mark.usefixtures("unchanged")
-def test_everything_is_given_back_when_the_loop_fails() -> None:
-    with pytest.raises(ZeroDivisionError), realtime("ignore"):
-        raise ZeroDivisionError
 
 
 @pytest.mark.usefixtures("unchanged")
@@ -127,24 +112,19 @@ def test_a_system_that_has_none_of_it_is_told_so(monkeypatch: pytest.MonkeyPatch
         realtime("enforce").__enter__()
 
 
-@pytest.mark.parametrize("cpu", [-1, 4095, 10**30])
-@pytest.mark.needs("linux")
-@pytest.mark.usefixtures("unchanged")
-def test_a_processor_that_is_not_there_is_a_complaint(cpu: int) -> None:
-    with realtime("ignore", cpu=cpu) as complaints:
-        assert any(complaint.startswith(f"processor {cpu}: ") for complaint in complaints)
-
-
 def test_arguments_that_cannot_be_are_refused() -> None:
     for priority in (0, 100):
         with pytest.raises(ParameterError, match="priority"), realtime("ignore", priority):
             pass
+    with pytest.raises(ParameterError, match="size"):
+        LatencyHistogram(0)
     with pytest.raises(ParameterError, match="realtime must be one of enforce, ignore, not 'maybe'"):
         realtime("maybe").__enter__()  # type: ignore[arg-type]
 
 
 def test_lateness_keeps_the_last_and_the_worst_of_all() -> None:
     latency = LatencyHistogram(100)
+    assert math.isnan(latency.p50) and math.isnan(latency.p99) and math.isnan(latency.max)
     latency.add(7_000_000)
     for late in range(1000, 1000 * 251, 1000):
         latency.add(late)
@@ -153,13 +133,6 @@ def test_lateness_keeps_the_last_and_the_worst_of_all() -> None:
     assert latency.p50 == pytest.approx(np.percentile(kept, 50.0))
     assert latency.p99 == pytest.approx(np.percentile(kept, 99.0))
     assert latency.max == pytest.approx(7e-3)
-
-
-def test_no_lateness_is_no_number() -> None:
-    latency = LatencyHistogram(3)
-    assert math.isnan(latency.p50) and math.isnan(latency.p99) and math.isnan(latency.max)
-    with pytest.raises(ParameterError, match="size"):
-        LatencyHistogram(0)
 
 
 class Sampled:
@@ -193,16 +166,6 @@ def aged(late: Sequence[int], *, still: int = -1) -> list[float]:
     return found
 
 
-def test_an_answer_that_is_no_longer_kept_says_nothing_of_the_line() -> None:
-    timing = LoopTiming()
-    for tick in range(70):
-        late = 200_000 * (tick > 0)
-        sample = Sampled(tick, 5_000_000 * tick, 5_000_000 * tick + 40_000 + late, 100_000, 0.0015)
-        sample.answers = sample.answers._replace(answered_tick=tick - 65)
-        timing.add(sample)  # type: ignore[arg-type]
-    assert timing.newest_age == pytest.approx(3e-4)
-
-
 def test_the_age_of_a_sample_counts_transport_queueing_and_the_answer() -> None:
     timing = LoopTiming()
     zero = 5_000_000_000  # between the clocks
@@ -226,20 +189,13 @@ def test_a_device_whose_clock_stood_still_is_no_slow_line() -> None:
     assert [round(age * 1e3, 3) for age in aged([0] * 5 + [9_000_000] * 7)] == [0.1] * 5 + [9.1] * 7  # this one is
 
 
-@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
-def test_clocks_that_drift_apart_make_no_age(drift: float) -> None:
+def test_clocks_that_drift_apart_make_no_age() -> None:
     timing = LoopTiming()
     for tick in range(20_000):  # 100 s: 10 ms apart at the end
         taken = tick * 5_000_000
-        timing.add(Sampled(tick, taken, round(taken * (1.0 + drift)), 100_000))  # type: ignore[arg-type]
+        timing.add(Sampled(tick, taken, round(taken * (1.0 + 1e-4)), 100_000))  # type: ignore[arg-type]
     assert 1e-4 <= timing.age.max < 6e-4
     assert not timing.delay.count and "delay at the device" not in timing.kinds
-
-
-def test_a_device_in_lockstep_has_no_age_of_samples() -> None:
-    timing = LoopTiming()
-    timing.add(Sampled(0, 0, 7, 100_000, lockstep=True))  # type: ignore[arg-type]
-    assert list(timing.kinds) == ["answer, from the sample's arrival"]
 
 
 def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -15,13 +14,12 @@ from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import Motion
 from maglev_mj.bridge.safety import HostLimits
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
-from maglev_mj.bridge.twin.twin import REST
 from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Sample
 from maglev_mj.scenes import find_scene
 from maglev_mj.scenes.rooms import WEIGHT
-from tests.bridge.test_bridge import BAD, BAD_REACH, Rig, hover
+from tests.bridge.test_bridge import Rig
 from tests.sweeps import sweep
 
 RATES = [0.005, 0.001, 0.00025]
@@ -114,45 +112,6 @@ def test_a_sensor_in_doubt_is_not_taken_off_with(kind: str, says: str) -> None:
     with pytest.raises(PlantError, match=f"no takeoff: {says}") as caught:
         rig.plant.takeoff()
     assert "\n" not in str(caught.value) and rig.twin.firmware.state == State.INACTIVE
-
-
-def test_where_no_pose_is_found_there_is_no_takeoff() -> None:
-    rig = Rig()
-    rig.plant.read()
-    from maglev_mj.errors import SensingError
-
-    def none(spots: Any) -> Any:
-        raise SensingError("no pose was found")
-
-    rig.plant._track = none  # type: ignore[assignment]
-    with pytest.raises(PlantError, match="no takeoff: no pose was found"):
-        rig.plant.takeoff()
-
-
-@pytest.mark.parametrize("seed", sweep(range(3), every=3))
-def test_over_a_bad_line_it_takes_off_and_lands_by_the_samples_numbers(seed: int) -> None:
-    rig = Rig(replace(BAD, loss=0.15, seed=seed))
-    start = rig.twin.tick
-    rig.plant.takeoff()
-    assert rig.twin.tick - start == pytest.approx(0.7 / 0.005, abs=25)  # not a third longer
-    rig.fly(0.3, hover(0.005, BAD_REACH))
-    report = rig.plant.land()
-    print(report)
-    assert report.at_rest and report.error < 2e-4
-
-
-@pytest.mark.parametrize("period", [RATES[0], pytest.param(RATES[1], marks=pytest.mark.study)])
-def test_a_landing_says_how_the_flotor_lies(period: float) -> None:
-    rig = Rig(period=period)
-    rig.plant.takeoff()
-    rig.fly(0.2)
-    with pytest.raises(PlantError, match="no takeoff: the device is ACTIVE, faults none"):
-        rig.plant.takeoff()
-    report = rig.plant.land()
-    print(report)
-    assert report.at_rest and report.error < 1e-4 and report.speed < 1e-3 and report.spin < 0.02
-    assert str(report).startswith("landed 0.0") and str(report).endswith("mm from where it lay, at rest")
-    assert rig.twin.firmware.state == State.INACTIVE
 
 
 def late_hand(wrench: Sequence[float], since: float) -> Any:
@@ -285,10 +244,3 @@ def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: 
     print(f"ARM to first CMD {after[0][0] - armed[0][0]} sample, {took[0]:.2f} ms of work; next {took[1]:.2f} ms")
     assert after[0][0] - armed[0][0] <= 1
     assert rig.twin.firmware.counts["inactive"] >= 2  # dry cycles went before
-
-
-def test_a_takeoff_that_does_not_follow_is_a_fault() -> None:
-    rig = Rig(pose=REST, hand=late_hand([0.0, 0.0, -20.0, 0.0, 0.0, 0.0], 0.15))
-    with pytest.raises(DeviceFault) as caught:
-        rig.plant.takeoff()
-    assert caught.value.faults == Fault.NOT_FOLLOWING
