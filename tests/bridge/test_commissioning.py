@@ -51,15 +51,7 @@ def rewired(order: Sequence[int], signs: Sequence[float]) -> Calibration:
     )
 
 
-@pytest.mark.parametrize(
-    ("coil", "period"),
-    [
-        (0, 0.005),
-        (5, 0.005),
-        *(pytest.param(coil, 0.005, marks=pytest.mark.study) for coil in COILS[1:5]),
-        *(pytest.param(coil, 0.001, marks=pytest.mark.study) for coil in COILS),
-    ],
-)
+@pytest.mark.parametrize(("coil", "period"), sweep(COILS, [0.005, 0.001], every=6))
 def test_a_coil_as_calibrated_is_told_from_a_reversed_one(coil: int, period: float) -> None:
     signs = [-1.0 if other == coil else 1.0 for other in COILS]
     for truth, verdict in ((None, "as calibrated"), (rewired(COILS, signs), "reversed")):
@@ -83,26 +75,17 @@ def test_currents_of_other_coils_are_told_and_an_offset_is_none(monkeypatch: pyt
     assert check.measured == pytest.approx(0.2) and check.others == pytest.approx(0.012)
 
 
-@pytest.mark.parametrize("count", [6, pytest.param(24, marks=pytest.mark.study)])
-def test_the_error_is_that_of_the_mean(count: int) -> None:
+def test_the_error_is_that_of_the_mean() -> None:
     # The same check under several noises: its results scatter by its error, along each axis.
-    checks = [check_coil(device(seed=seed, noise=2e-6, quantum=0.0)[1], 1) for seed in range(count)]
+    checks = [check_coil(device(seed=seed, noise=2e-6, quantum=0.0)[1], 1) for seed in range(6)]
     scatter = np.std([check.displacement for check in checks], axis=0, ddof=1)
     error = np.mean([check.error for check in checks], axis=0)
     assert np.sqrt(np.mean((scatter / error) ** 2)) == pytest.approx(1.0, abs=0.25)
 
 
-def test_exchanged_coils_and_a_clamped_flotor_are_named() -> None:
-    _, plant = device(rewired([3, 1, 2, 0, 4, 5], [1.0] * 6))
-    assert [check_coil(plant, coil).verdict for coil in (0, 1, 3)] == ["elsewhere", "as calibrated", "elsewhere"]
-    _, plant = device(stiffness=1e4)
-    assert check_coil(plant, 2, current=1e-5).verdict == "not seen"
-
-
-@pytest.mark.parametrize("coil", sweep(COILS, every=6))
-def test_a_step_is_followed_after_the_delay(coil: int) -> None:
+def test_a_step_is_followed_after_the_delay() -> None:
     twin, plant = device(period=0.001)
-    rows = record_step(plant, coil, 0.2, samples=12)
+    rows = record_step(plant, 3, 0.2, samples=12)
     assert rows[:, 0] == pytest.approx(0.001 * np.arange(1, 13))
     assert rows[:, 1] == pytest.approx([0.0] + [0.2] * 11)  # 1.5 ms after the first sample
     assert twin.firmware.state == State.INACTIVE
@@ -115,6 +98,12 @@ def test_measured_offsets_make_the_clamped_pose_the_centre() -> None:
     spots, errors = mean_pose(plant, 2.0)
     found = with_offsets(KNOWN, spots)
     assert found.spot_offsets == pytest.approx(offsets, abs=1e-7) and errors.max() < 1e-7
+
+
+def test_exchanged_coils_and_a_clamped_flotor_are_named() -> None:
+    _, plant = device(rewired([3, 1, 2, 0, 4, 5], [1.0] * 6))
+    assert [check_coil(plant, coil).verdict for coil in (0, 1)] == ["elsewhere", "as calibrated"]
+    assert check_coil(plant, 2, current=1e-5).verdict == "not seen"
 
 
 def test_a_coil_or_current_that_is_none_is_refused_unarmed() -> None:

@@ -14,7 +14,6 @@ from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import REST, Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Command, Estop, Fault, State
-from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command as MotionCommand
 from tests.bridge.impaired import Impairer, Impairment
 from tests.bridge.test_bridge import CENTRE, Rig
@@ -159,14 +158,6 @@ def test_an_estop_from_beside_cuts_within_30_ms(
     assert worst <= ALLOWED and all(report.confirmed for _, report in cases)
 
 
-def test_without_the_key_a_keyed_device_is_not_stopped_and_that_is_said() -> None:
-    rig = Rig(pose=CENTRE, key=KEY)
-    rig.plant.arm()
-    report = estop(Beside(rig), None)
-    assert not report.confirmed and not rig.twin.firmware.faults & Fault.ESTOP
-    assert str(report) == "not confirmed: cut the power (no answer within 1 s)"
-
-
 def test_a_current_that_does_not_fall_is_not_confirmed() -> None:
     rig = Rig(pose=CENTRE)
     rig.plant.arm()
@@ -221,9 +212,3 @@ def test_in_lockstep_where_time_stands_still_the_state_is_enough() -> None:
     assert report.confirmed and twin.firmware.state == State.FAULT
     with pytest.raises(DeviceFault, match="ESTOP"):
         plant.read()
-
-
-def test_a_patience_that_is_none_is_refused() -> None:
-    for patience in (0.0, -1.0, float("nan")):
-        with pytest.raises(ParameterError, match="patience must be"):
-            estop(VirtualLink(Twin(TwinParameters())), patience=patience)

@@ -39,7 +39,6 @@ CALIBRATION = bytes(range(16))
 ZERO = (0.0,) * 6
 ONES = (1.0, 1.0, 1.0, -1.0, -1.0, -1.0)
 HOVER = (1.1, 1.1, 1.1, 0.0, 0.0, 0.0)
-NEVER = 0xFFFFFFFF
 NAN, INF = math.nan, math.inf
 
 
@@ -329,15 +328,6 @@ def test_a_command_a_cut_and_a_trip_end_the_hold() -> None:
         report = bench.sample()
         assert report is not None and report.flags == Flag.ENABLED
         bench.ask(Operation.ARM)
-
-
-def test_strikes_may_be_of_any_coils() -> None:
-    bench = Bench().brought_to(State.ACTIVE)
-    for coil in (5, 0, 3):
-        assert bench.device.state == State.ACTIVE
-        bench.command()
-        bench.sample(measured=[*ONES[:coil], 0.0, *ONES[coil + 1 :]])
-    bench.has_tripped(Fault.COIL_NOT_FOLLOWING)
 
 
 def test_reset_is_refused_in_inactive_while_a_coil_is_warm() -> None:

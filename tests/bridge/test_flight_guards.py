@@ -27,7 +27,6 @@ from tests.bridge.slow_lines import SHAPES, ChangedLaw, fly
 from tests.sweeps import sweep
 
 FLOWN = ("joystick", "drop", "press", "table", "box", "corner", "stick-slip", "six-axes", "wall")
-HANDS = ("none", "arm", "stylus", "fingertip")
 RATES = [200, pytest.param(1000, marks=pytest.mark.study)]
 """Rates of flights: each kind flies at 200 Hz in the suite."""
 
@@ -309,17 +308,6 @@ def test_what_is_lost_on_the_way_does_not_look_like_a_coil(tmp_path: Path) -> No
         if tick in (49, 89):
             assert observer.wrench == pytest.approx([0.0] * 6, abs=1e-9)
     assert observer.coils.fault() == ""
-
-
-def test_an_answer_that_is_no_longer_kept_is_not_known() -> None:
-    calibration = Calibration.nominal()
-    observer, hover = HandObserver(calibration, 0.005), calibration.hover.tolist()
-    for tick in range(100):
-        observer.sampled(tick, 1, [0.0] * 6, tick - 1, 0.0015)
-        observer.answered(tick, Command([0.0] * 6), hover, None, 0.0)
-    assert observer.currents == tuple(hover)
-    observer.sampled(100, 1, [0.0] * 6, 99 - 64, 0.0015)
-    assert observer.currents is None
 
 
 def test_samples_that_nobody_asked_about_begin_a_new_estimate() -> None:

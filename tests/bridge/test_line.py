@@ -18,16 +18,13 @@ from maglev_mj.bridge import HostLimits, RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.line import (
     MARGIN,
     LineReport,
-    Preflight,
     _problem,
     measure_line,
     preflight,
 )
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge
-from maglev_mj.errors import PlantError
 from maglev_mj.plants.hand import HANDS
-from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller
 from maglev_mj.theory.verdict import delay_margins
 from tests.bridge.impaired import ImpairedLine, Impairment
@@ -81,14 +78,6 @@ def test_a_line_is_measured_without_current(way: float, rate: int, tmp_path: Pat
     assert "samples answered in time; 0 lost, 0 skipped, 0 answers late;" in str(report.table())
 
 
-def test_a_device_that_is_not_inactive_is_not_measured(tmp_path: Path) -> None:
-    with device(tmp_path) as plant:
-        plant.read()
-        plant.arm()
-        with pytest.raises(PlantError, match="no takeoff: the device is ACTIVE, faults none"):
-            measure_line(plant)
-
-
 SOME = [("joystick", 0.0006)]
 REST = product(["joystick", "drop", "table", "box", "corner", "stick-slip"], [0.0, 0.0006, 0.0012])
 
@@ -114,19 +103,13 @@ def test_walls_are_softened_to_what_the_line_bears(name: str, way: float, tmp_pa
         assert found.scene == scene.replace(period=plant.period, delay=plant.delay)
 
 
-@pytest.mark.parametrize("clock", [1.03, 0.5, 0.96])
+@pytest.mark.parametrize("clock", [1.03, 0.5, 0.99])
 def test_a_clock_that_goes_wrong_is_measured_and_said(clock: float, tmp_path: Path) -> None:
     with device(tmp_path, clock=clock) as plant:
         report = measure_line(plant, 0.5)
     assert report.clock == pytest.approx(1.0 / clock, rel=1e-3)
     said = f"the device's clock goes {report.clock:.3f} times as fast as this host's, and 2 % is allowed"
-    assert said in _problem(JOYSTICK, report, 0.003)
-
-
-def test_a_clock_that_is_right_is_found_so_on_a_line_with_jitter(tmp_path: Path) -> None:
-    for clock, jitter in ((1.01, 0.0), (0.99, 0.0005)):
-        with device(tmp_path, clock=clock, jitter=jitter) as plant:
-            assert _problem(JOYSTICK, measure_line(plant, 0.5), 0.01) == ""
+    assert _problem(JOYSTICK, report, 0.003) == "" if clock == 0.99 else said in _problem(JOYSTICK, report, 0.003)
 
 
 JOYSTICK = find_scene("joystick")()
@@ -256,23 +239,6 @@ def test_anyway_holds_for_settings_in_flight_where_it_holds_before(
     ):
         _, output, _ = flown(device(tmp_path, limits=limits), *options, address=where)
         assert output.endswith("takes off, settings too" if holds else "takes off")
-
-
-def test_a_softened_scene_is_said_and_as_written_it_is_not_softened(
-    flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    asked: list[bool] = []
-
-    def checked(plant: RemotePlant, scene: Scene, *, as_written: bool, report: LineReport) -> Preflight:
-        asked.append(as_written)
-        scene = scene.replace(period=plant.period, delay=plant.delay)
-        return Preflight(scene, report, 0.01, "", "" if as_written else "the walls are softer")
-
-    monkeypatch.setattr(bridge, "preflight", checked)
-    for options in ([], ["--as-written"]):
-        status, output, _ = flown(device(tmp_path, 0.0006), *options)
-        assert status == 0 and ("the walls are softer" in output) != bool(options) and "takes off" in output
-    assert asked == [False, True]
 
 
 @pytest.mark.parametrize(("scene", "way", "status"), [("joystick", 0.0003, 0), ("table", 0.02, 1)])

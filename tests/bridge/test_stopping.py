@@ -383,34 +383,6 @@ def test_a_flight_whose_currents_are_off_is_not_cut_any_more() -> None:
     assert not twin.firmware.faults
 
 
-def test_a_cut_before_takeoff_says_what_is_latched() -> None:
-    twin = Twin(TwinParameters(), draw=lambda: 7)
-    with RemotePlant(VirtualLink(twin)) as plant:
-        switch = StopSwitch()
-        with pytest.raises(KeyboardInterrupt, match="stopped before takeoff; ESTOP is latched"), switch.flying(plant):
-            switch.cut()
-    assert twin.firmware.faults == Fault.ESTOP
-
-
-def test_a_flight_that_is_to_land_before_it_begins_never_arms() -> None:
-    twin = Twin(TwinParameters(), draw=lambda: 7)
-    with RemotePlant(VirtualLink(twin)) as plant:
-        flown = Flight(plant, Joystick(period=plant.period, delay=plant.delay))
-        flown.switch.land()
-        with pytest.raises(KeyboardInterrupt):
-            flown.run(1.0)
-    assert twin.firmware.answered is None
-
-
-def test_a_stop_that_is_not_confirmed_says_to_cut_the_power(monkeypatch: pytest.MonkeyPatch) -> None:
-    twin = Twin(TwinParameters(), draw=lambda: 7)
-    with RemotePlant(VirtualLink(twin)) as plant:
-        flown = Flight(plant, Joystick(period=plant.period, delay=plant.delay))
-        monkeypatch.setattr(twin, "receive", lambda *_: None)  # deaf from now on
-        with pytest.raises(PlantError, match="cut the power"), flown.switch.flying(plant):
-            flown.switch.cut()
-
-
 @pytest.mark.machine
 def test_estop_stops_whoever_flies_and_the_way_on_is_reset(tmp_path: Path) -> None:
     with Watched() as twin, flight(twin, tmp_path) as host:
@@ -431,6 +403,23 @@ def test_estop_stops_whoever_flies_and_the_way_on_is_reset(tmp_path: Path) -> No
         assert status == 0 and "no fault is latched; the device is inactive" in said
     (box,) = tmp_path.glob("fault-*.maglev")
     assert load_fault(box).faults == "ESTOP"
+
+
+def test_a_stop_before_takeoff_arms_nothing_and_one_that_is_not_confirmed_says_to_cut_the_power() -> None:
+    twin = Twin(TwinParameters(), draw=lambda: 7)
+    with RemotePlant(VirtualLink(twin)) as plant:
+        flown, switch = Flight(plant, Joystick(period=plant.period, delay=plant.delay)), StopSwitch()
+        flown.switch.land()
+        with pytest.raises(KeyboardInterrupt):
+            flown.run(1.0)
+        assert twin.firmware.answered is None
+        with pytest.raises(KeyboardInterrupt, match="stopped before takeoff; ESTOP is latched"), switch.flying(plant):
+            switch.cut()
+        assert twin.firmware.faults == Fault.ESTOP
+        twin.receive = lambda *_: None  # type: ignore[method-assign]  # deaf from now on
+        switch = StopSwitch()
+        with pytest.raises(PlantError, match="cut the power"), switch.flying(plant):
+            switch.cut()
 
 
 def test_estop_of_no_device_is_a_failure() -> None:

@@ -64,33 +64,25 @@ def test_with_the_firmware_hung_the_board_opens(period: float, watchdog: float, 
     assert twin.receive(estop, twin.tick * twin.parameters.profile.period, "host") is None
 
 
-def test_a_firmware_that_hangs_before_the_first_sample_after_arming() -> None:
-    rig = Rig(faults=[InjectedFault(kind="hung-firmware", which=0, at=0.02)], pose=CENTRE)
-    for _ in range(4):
-        rig.plant.read()
-    rig.link.receive(0.002)
-    rig.plant.arm()
-    currents = tuple(rig.plant.calibration.hover.tolist())
-    connection = rig.plant._line
-    connection.command(CommandFrame(rig.twin.tick, 0, currents, currents, 0.0))
-    flowed, began = 0.0, rig.link.time
-    for _ in range(20):
-        rig.twin.sample()
-        flowed += sum(duration for duration, held in rig.twin.plant.segments if any(held))
-    assert began % 5_000_000 == 2_000_000 and flowed == pytest.approx(0.015 - 0.0015)
-
-
-def test_a_board_whose_line_stands_lets_nothing_through() -> None:
+def test_before_the_first_sample_and_while_its_line_stands_a_board_lets_nothing_through() -> None:
+    twin = Twin(TwinParameters(pose=CENTRE))
+    known, codec = twin.parameters.calibration, Codec()
+    twin.receive(codec.encode(0, 0, 0, Hello(1, known.digest)), 0, "host")
+    hover = tuple(known.hover.tolist())
+    for sequence, body in ((0, Control(1, Operation.ARM, 0, hover)), (1, CommandFrame(0, 0, hover, hover, 0.0))):
+        twin.receive(codec.encode(twin.firmware.session, sequence, 0, body), 0, "host")
+    assert twin.firmware.state == State.ACTIVE
+    twin.sample()
+    assert not any(twin.plant.currents)
     twin = Twin(TwinParameters(pose=CENTRE))
     for _ in range(3):
         twin.sample()
         twin.board.drive(0, (1.0,) * 6, None, 0.0)
     assert not any(twin.plant.currents) and not twin.board.enabled
     twin.board.toggle(0)
-    assert twin.board.enabled
     twin.board.drive(0, (1.0,) * 6, None, 0.0)
     twin.sample()
-    assert tuple(twin.plant.currents) == (1.0,) * 6
+    assert tuple(twin.plant.currents) == (1.0,) * 6 and twin.board.enabled
 
 
 def test_a_board_that_opens_by_itself_is_the_watchdog() -> None:
@@ -161,18 +153,6 @@ def test_an_estop_before_the_first_sample_is_taken() -> None:
     assert answer is not None and twin.firmware.faults == Fault.ESTOP
     frame = Codec().decode(answer)
     assert frame is not None and frame.body == EstopAck(3, State.FAULT, Fault.ESTOP, 0, ZERO)
-
-
-def test_commands_before_the_first_sample_drive_nothing() -> None:
-    twin = Twin(TwinParameters(pose=CENTRE))
-    known, codec = twin.parameters.calibration, Codec()
-    twin.receive(codec.encode(0, 0, 0, Hello(1, known.digest)), 0, "host")
-    hover = tuple(known.hover.tolist())
-    for sequence, body in ((0, Control(1, Operation.ARM, 0, hover)), (1, CommandFrame(0, 0, hover, hover, 0.0))):
-        twin.receive(codec.encode(twin.firmware.session, sequence, 0, body), 0, "host")
-    assert twin.firmware.state == State.ACTIVE
-    twin.sample()
-    assert not any(twin.plant.currents)
 
 
 R = math.radians(6.0)
