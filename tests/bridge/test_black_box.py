@@ -6,6 +6,7 @@ import errno
 import json
 from pathlib import Path
 from typing import Any, NamedTuple
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -100,10 +101,7 @@ BROKEN: list[tuple[str, Any]] = [
     ),
     ("it ends within its header", b'{"offset": 4096, "format": "maglev_mj journal"'),
     ("first must be a text, not None", {"first": None}),
-    ("tick must be", {"tick": "x"}),
-    ("lost must be", {"lost": 0.5}),
     ("period_ns must be a finite number at least 1 and .*, not 0", {"period_ns": 0}),
-    ("fault_time_ns must be", {"fault_time_ns": []}),
     ("cannot be read: No such file", None),
 ]
 
@@ -178,16 +176,9 @@ def test_the_recording_of_a_flight_holds_what_the_file_of_its_fault_does(tmp_pat
 
 
 def test_a_flight_that_a_guard_lands_keeps_the_cycles_before_its_landing(tmp_path: Path) -> None:
-    class Alarmed:
-        """Guard that ends the flight after a while."""
-
-        ticks = 0
-
-        def check(self, *_: Any) -> str:
-            self.ticks += 1
-            return "for a test" if self.ticks > 60 else ""
-
-    run, path = recorded(tmp_path, Alarmed())
+    alarm = Mock()
+    alarm.check.side_effect = [*[""] * 60, *["for a test"] * 1000]
+    run, path = recorded(tmp_path, alarm)
     assert path is not None
     one, other = load_fault(run), load_fault(path)
     assert str(one.table(whole=True)) == str(other.table(whole=True))
@@ -219,33 +210,22 @@ def test_the_table_says_what_when_and_the_last_cycles(failed: Failed) -> None:
     assert max(map(len, lines)) <= 80 and sum(line.split()[:2] == ["time", "x"] for line in lines) == 1
 
 
-class Full:
-    """Folder on a full disk: files begin, and end early."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, only: Path | None = None) -> None:
-        real = Path.open
-
-        def opened(path: Path, mode: str = "r", **keywords: Any) -> Any:
-            file = real(path, mode, **keywords)
-            if mode == "xb" and (only is None or path.parent == only):
-
-                def fails(data: bytes) -> int:
-                    raise OSError(errno.ENOSPC, "No space left on device")
-
-                file.write = fails  # type: ignore[method-assign, assignment]
-            return file
-
-        monkeypatch.setattr(Path, "open", opened)
-
-
 def test_a_full_disk_leaves_no_half_file_and_the_fault_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own, temporary = tmp_path / "own", tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
-    Full(monkeypatch, own)
+    opened, full = Path.open, {own}
+
+    def limited(path: Path, mode: str = "r", **keywords: Any) -> Any:
+        file = opened(path, mode, **keywords)
+        if mode == "xb" and path.parent in full:
+            file.write = Mock(side_effect=OSError(errno.ENOSPC, "No space left on device"))  # type: ignore[method-assign]
+        return file
+
+    monkeypatch.setattr(Path, "open", limited)
     _, error = flown(own)
     assert error.path is not None and error.path.parent == temporary and not list(own.iterdir())
-    Full(monkeypatch)
+    full.add(temporary)
     _, error = flown(own)
     assert error.path is None and error.faults == Fault.COIL_NOT_FOLLOWING and not list(own.iterdir())
 
@@ -261,13 +241,10 @@ def test_a_line_that_fails_in_any_way_leaves_its_last_cycles_and_is_closed(
     closed: list[int] = []
     monkeypatch.setattr(rig.link, "close", lambda: closed.append(1))
 
-    def fails(_: Any) -> Any:
-        raise kind
-
     with pytest.raises(DeviceFault, match="HOST: "), rig.plant:
         rig.plant.arm()
         rig.fly(0.5)
-        monkeypatch.setattr(rig.link, where, fails)
+        monkeypatch.setattr(rig.link, where, Mock(side_effect=kind))
         rig.fly(0.5)
     assert closed == [1] and len(list(tmp_path.glob("fault-*.maglev"))) == 1
     assert isinstance(load_fault(next(tmp_path.iterdir())), FaultRecord)

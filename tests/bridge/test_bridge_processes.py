@@ -6,7 +6,6 @@ In lockstep, and after the death of one.
 import json
 import os
 import re
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
@@ -16,7 +15,6 @@ from typing import Any, NoReturn
 import numpy as np
 import pytest
 
-from maglev_mj import MuJoCoPlant, Timing, drive
 from maglev_mj.bridge import Calibration, Fault, HostLimits, RemotePlant, State, Twin, TwinParameters, open_link
 from maglev_mj.bridge.connection import Connection
 from maglev_mj.bridge.line import measure_line
@@ -24,27 +22,10 @@ from maglev_mj.bridge.realtime import RealtimeError, realtime
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import StateReport
 from maglev_mj.cli import bridge
-from maglev_mj.control.loop import Plant
-from maglev_mj.plants import SpotSensor
 from maglev_mj.recording import Recording, RecordingError
-from maglev_mj.scenes import Scene
-from maglev_mj.scenes.drop import Drop
-from tests.processes import ADDRESS, PATIENCE, Program, ended, running, said_by, started, twin
-from tests.recorded import command_row
+from tests.processes import PATIENCE, Program, ended, said_by, started, twin
 
 NEAR, FAR = "udp://127.0.0.1:0", "udp://127.0.0.1:1"
-
-LOCKSTEP = """
-import sys
-from maglev_mj.bridge import Twin, TwinParameters
-from maglev_mj.bridge.links import UdpServer
-from maglev_mj.bridge.twin.twin import TwinServer
-pose = [float(part) for part in sys.argv[1].split()]
-twin = Twin(TwinParameters(lockstep=True, pose=pose, seed=5))
-server = TwinServer(twin, UdpServer("127.0.0.1", 0))
-print("udp://{}:{}".format(*server.address), flush=True)
-server.run(60.0)
-"""
 
 
 @contextmanager
@@ -96,27 +77,6 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Twin:
     monkeypatch.setattr(bridge, "measure_line", lambda plant: measure_line(plant, 0.2))
     monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
     return twin
-
-
-def rows(plant: Plant, scene: Scene) -> np.ndarray:
-    seen: list[tuple[float, ...]] = []
-    drive(plant, scene.controller(), 400, observe=lambda s, c: seen.append((*s.position, *command_row(c))))
-    return np.array(seen)
-
-
-def local(pose: tuple[float, ...]) -> Plant:
-    """Return the plant of a twin with seed 5."""
-    sensor = SpotSensor(quantum=8e-7, noise=4e-7, seed=5)
-    return MuJoCoPlant(Timing(), pose=pose, current_limit=10.0, sensor=sensor, stops=True, stop_damping=True)
-
-
-@pytest.mark.machine
-def test_in_lockstep_over_udp_every_bit_is_that_of_the_plant_in_this_process() -> None:
-    scene, pose = Drop(), (0.0, 0.0, 0.004, 0.0, 0.0, 0.0)
-    with running(sys.executable, "-c", LOCKSTEP, " ".join(map(str, pose))) as device:
-        with RemotePlant(open_link(device.wait_for(ADDRESS)), patience=PATIENCE) as plant:
-            plant.arm()
-            np.testing.assert_array_equal(rows(plant, scene), rows(local(pose), scene))
 
 
 def assert_runs_again(path: Path) -> None:

@@ -8,7 +8,6 @@ import json
 import re
 import sys
 import textwrap
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -22,12 +21,11 @@ from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.conformance import CheckResult, checks, conform
 from maglev_mj.bridge.conformance.check import CHECKS
 from maglev_mj.bridge.fault import HandshakeError
-from maglev_mj.bridge.links import PtyServer, SerialLink, Server, UdpLink, UdpServer
 from maglev_mj.bridge.safety import Limits, Profile, ThermalModel, command_fault
 from maglev_mj.bridge.twin import firmware, twin
 from maglev_mj.bridge.twin.firmware import Firmware
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
-from maglev_mj.bridge.twin.twin import AmplifierBoard, Twin, TwinParameters, TwinServer
+from maglev_mj.bridge.twin.twin import AmplifierBoard, Twin, TwinParameters
 from maglev_mj.bridge.wire import Codec, Fault, State
 from maglev_mj.cli import main
 from maglev_mj.errors import PlantError
@@ -133,20 +131,6 @@ def test_it_passes_at_other_rates(rate: int) -> None:
     assert not names(results_of(period=1.0 / rate, delay=0.0003), False)
 
 
-@contextmanager
-def served(line: Callable[[], Server] = lambda: UdpServer("127.0.0.1", 0), **parameters: Any) -> Iterator[TwinServer]:
-    """Serve a twin in a thread, over UDP by default."""
-    server = TwinServer(Twin(TwinParameters(**parameters)), line())
-    thread = threading.Thread(target=server.run)
-    thread.start()
-    try:
-        yield server
-    finally:
-        server.stop()
-        thread.join()
-        server.close()
-
-
 @pytest.mark.parametrize("part", sweep(range(PARTS), every=PARTS))
 def test_a_twin_in_lockstep_passes(part: int) -> None:
     results = results_of(lockstep=True, only=[name for name in CHECKS if name not in TIMED][part::PARTS])
@@ -191,14 +175,10 @@ def test_the_command_reports_each_check_and_fails_where_one_does(
         assert [line.split()[1] for line in lines if "FAIL  " in line] == ["operations:"] * failing
 
 
-@pytest.mark.machine
-def test_a_serial_line_skips_what_needs_two_peers() -> None:
-    with served(PtyServer, lockstep=True) as server:
-        link = SerialLink(server.address[0], 921_600)
-        results = conform([link], only=["busy", "operations", "hover", "address", "estop-elsewhere"])
-        link.close()
-    assert [one.passed for one in results] == [True, True, True, None, None]
-    assert results[3].seen == "needs a second address; a serial line has one peer"
+def test_a_line_with_one_peer_skips_what_needs_two() -> None:
+    results = conform([VirtualLink(Twin(TwinParameters()))], only=["operations", "address", "estop-elsewhere"])
+    assert [one.passed for one in results] == [True, None, None]
+    assert results[1].seen == "needs a second address; a serial line has one peer"
 
 
 def test_what_is_latched_is_not_tested_away() -> None:
@@ -441,13 +421,10 @@ def test_a_device_with_its_coils_reversed_is_let_go() -> None:
     assert result.passed is False and "does not follow" in result.seen
 
 
-@pytest.mark.machine
-def test_a_device_that_does_not_wait_in_lockstep_fails(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(TwinServer, "_await_answer", lambda self, frame: self._receive(0.01))
-    with served(lockstep=True) as server:
-        link = UdpLink(*server.address)
-        (result,) = conform([link], only=["lockstep"])
-        link.close()
+def test_a_device_that_does_not_wait_in_lockstep_fails() -> None:
+    device = Twin(TwinParameters())
+    device.firmware.profile = replace(device.firmware.profile, lockstep=True)  # it says so, and samples all the same
+    (result,) = conform([VirtualLink(device)], only=["lockstep"])
     assert result.passed is False
 
 

@@ -19,7 +19,7 @@ import pytest
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.conformance import conform
 from maglev_mj.bridge.links import SerialLink
-from maglev_mj.bridge.wire import Codec, Fault, Hello, State
+from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording
 from maglev_mj.scenes.rooms import CENTRING, WEIGHT, Joystick
@@ -213,20 +213,3 @@ def test_it_conforms(program: Program, start: Starter, only: list[str] | None) -
     skipped = {one.name for one in results if one.passed is None}
     assert skipped & {*CHECKS} == (set() if program.key else {"no-tag", "tag"})
     board.wait(state=State.INACTIVE, flows=0, faults=0)
-
-
-@KEY_ALONE
-def test_session_numbers_follow_from_the_nonce(program: Program, start: Starter) -> None:
-    numbers = set[int]()
-    codec = Codec(program.key)
-    for nonce in (1, 2):  # the same might get the same number, at the same instant of the emulated clock
-        hello = codec.encode(0, 0, 0, Hello(nonce, Calibration.nominal().digest))
-        board = start()
-        with closing(SerialLink(board.path, 921600)) as link:
-            link.send(hello)
-            answer = link.receive(60.0)
-        board.end()
-        frame = codec.decode(answer or b"")
-        assert frame is not None
-        numbers.add(frame.session)
-    assert len(numbers) == 2 and not numbers & {0, 1, 2}

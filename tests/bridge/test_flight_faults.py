@@ -90,7 +90,7 @@ class Witnessed:
         assert sum(span for span, _ in self.segments[:zero]) <= 2 * self.plant.period
 
 
-@pytest.mark.parametrize(("delays", "at"), sweep(DELAYS, range(200), every=150))
+@pytest.mark.parametrize(("delays", "at"), sweep(DELAYS, range(200), every=199))
 def test_a_law_that_raises_ends_the_currents_at_once(
     delays: str, at: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -153,17 +153,17 @@ def test_so_do_a_recording_a_viewer_and_an_interrupt(error: BaseException, at: i
         flown.check(first)
 
 
-@pytest.mark.parametrize("address", sweep(["serial:///dev/ttyUSB0?baud=921600", "udp://127.0.0.1:1"], every=2))
 def test_a_silent_serial_line_is_told_what_it_needs(
-    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    address = "serial:///dev/ttyUSB0?baud=921600"
     twin, line = Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(blackouts=((2.7, 2.8),)))
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(twin, line), folder=tmp_path))
     monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
     assert cli.main(["bridge", address, "--seconds", "1"]) == 1
     (fault,) = capsys.readouterr().err.splitlines()
     assert fault.startswith("maglev-mj bridge: WATCHDOG: said by the device; the last cycles are in ")
-    assert ("a busy machine hands over a serial line's bytes late" in fault) == address.startswith("serial")
+    assert "a busy machine hands over a serial line's bytes late" in fault
     assert f"the currents are cut; maglev-mj bridge {shlex.quote(address)} --reset clears the fault" in fault
 
 
@@ -218,10 +218,7 @@ def test_the_command_says_in_one_line_what_happened_and_how_to_go_on(
     assert cli.main(shlex.split(again)[1:]) == 0 and twin.firmware.state == State.INACTIVE
 
 
-@pytest.mark.parametrize("mode", sweep([("--check",), ("--seconds", "0.2")], every=2))
-def test_the_line_is_measured_as_it_is_flown_in_real_time(
-    mode: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_line_is_measured_as_it_is_flown_in_real_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine other scheduling made the line look twice as slow."""
     inside: list[str] = []
     measured: list[list[str]] = []
@@ -240,5 +237,5 @@ def test_the_line_is_measured_as_it_is_flown_in_real_time(
     monkeypatch.setattr(bridge, "scheduled", scheduled)
     monkeypatch.setattr(bridge, "measure_line", measure)
     monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)
-    assert cli.main(["bridge", "udp://127.0.0.1:1", *mode]) == 0
+    assert cli.main(["bridge", "udp://127.0.0.1:1", "--check"]) == 0
     assert measured == [["ignore"]] and not inside

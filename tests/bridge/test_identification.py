@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import MuJoCoPlant, SpotReader, Timing
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.sensor import PoseTracker
+from tests.sweeps import further
 
 NOMINAL = Calibration.nominal()
 SLOW, FAST = (0.005, 0.0015), (0.001, 0.0003)
@@ -149,19 +150,9 @@ def study(
     return twin, motion, identify(*motion[:2], period=timing[0], delay=timing[1])
 
 
-TORQUES = {SLOW: 5e-5, FAST: 2e-5, (0.001, 0.0023): 2e-5, (0.002, 0.0): 2e-5}
-
-
-@pytest.mark.parametrize(
-    ("timing", "torques", "seed"),
-    [
-        pytest.param(timing, torques, seed, marks=pytest.mark.study if seed or timing[0] < 0.005 else ())
-        for timing, torques in TORQUES.items()
-        for seed in range(2)
-    ],
-)
-def test_an_ideal_sensor_tells_all(timing: tuple[float, float], torques: float, seed: int) -> None:
-    twin, motion, found = study(seed, timing, False)
+@pytest.mark.parametrize(("timing", "torques"), [(SLOW, 5e-5), *further((FAST, 2e-5), ((0.001, 0.0023), 2e-5))])
+def test_an_ideal_sensor_tells_all(timing: tuple[float, float], torques: float) -> None:
+    twin, motion, found = study(0, timing, False)
     off = errors(found, twin)
     # translations are linear in the currents, and the relation is exact: what is left is rounding
     assert off.forces < 1e-9 and off.gravity < 1e-11
@@ -172,10 +163,7 @@ def test_an_ideal_sensor_tells_all(timing: tuple[float, float], torques: float, 
     assert np.abs(motion.poses.mean(axis=0)).max() < 1e-4
 
 
-@pytest.mark.parametrize(
-    ("timing", "seeds"),
-    [(SLOW, (1, 2)), *(pytest.param(one, range(3), marks=pytest.mark.study) for one in (SLOW, FAST))],
-)
+@pytest.mark.parametrize(("timing", "seeds"), [(SLOW, (1, 2)), *further((FAST, range(3)))])
 def test_ten_seconds_with_the_devices_sensor_are_within_a_thousandth(
     timing: tuple[float, float], seeds: Sequence[int]
 ) -> None:
@@ -201,22 +189,13 @@ def test_errors_fall_with_the_amplitude_and_with_the_root_of_the_duration() -> N
     assert level(1.25, 1.0) / level(5.0, 1.0) == pytest.approx(2.0, rel=0.15)
 
 
-@pytest.mark.parametrize(
-    ("mass", "timing", "seeds"),
-    [
-        (0.6, SLOW, 1),
-        *(pytest.param(mass, SLOW, 2, marks=pytest.mark.study) for mass in (0.6, 0.9)),
-        *(pytest.param(mass, FAST, 2, marks=pytest.mark.study) for mass in (0.6, 0.9)),
-    ],
-)
+@pytest.mark.parametrize(("mass", "timing"), [(0.6, SLOW), *further((0.9, SLOW), (0.9, FAST))])
 def test_a_device_that_is_known_badly_hovers_and_is_found_all_the_same(
-    mass: float, timing: tuple[float, float], seeds: int
+    mass: float, timing: tuple[float, float]
 ) -> None:
-    for seed in range(seeds):
-        twin = Twin(seed, timing, noisy=True, mass=mass, spread=0.15)
-        motion = shaken(twin, timing, 10.0)
-        off = errors(identify(*motion[:2], period=timing[0], delay=timing[1]), twin)
-        assert max(off.forces, off.torques) < 1.5e-3 and off.gravity < 6e-4
+    twin = Twin(0, timing, noisy=True, mass=mass, spread=0.15)
+    off = errors(identify(*shaken(twin, timing, 10.0)[:2], period=timing[0], delay=timing[1]), twin)
+    assert max(off.forces, off.torques) < 1.5e-3 and off.gravity < 6e-4
 
 
 def test_a_known_mass_gives_forces_and_the_calibration_its_coils() -> None:
@@ -242,40 +221,23 @@ def test_a_known_mass_gives_forces_and_the_calibration_its_coils() -> None:
     assert found.calibration(NOMINAL).mass == NOMINAL.mass
 
 
-@cache
-def weighed(place: tuple[float, float, float] | None, noisy: bool, seed: int) -> Identified:
-    """Return a device with 0.1 kg somewhere, or without."""
-    twin = Twin(seed, SLOW, noisy=noisy, model="maglev")
-    if place:
-        twin.lay_on(0.1, place)
-    return identify(*shaken(twin, SLOW, 10.0)[:2], period=SLOW[0], delay=SLOW[1])
-
-
-@pytest.mark.parametrize(
-    ("place", "seeds"),
-    [
-        ((0.01, -0.005, 0.06), 0),
-        *(pytest.param(place, 3, marks=pytest.mark.study) for place in ((0.0, 0.0, 0.06), (0.01, -0.005, 0.06))),
-    ],
-)
-def test_a_weight_of_known_mass_gives_the_mass(place: tuple[float, float, float], seeds: int) -> None:
-    without, carrying = weighed(None, False, 0), weighed(place, False, 0)
-    assert added_mass(without, carrying, 0.1) == pytest.approx(MASS, rel=3e-5)  # 1e-5, however far off the centre
-    seen = [
-        added_mass(weighed(None, True, seed), weighed(place, True, seed), 0.1) / MASS - 1.0 for seed in range(seeds)
-    ]
-    assert (
-        max(map(abs, seen), default=0.0) < 5e-3
-    )  # 0.1 % to 0.25 %: an eighth of the mass makes errors eight times as large
+@pytest.mark.parametrize(("noisy", "much"), [(False, 3e-5), *further((True, 5e-3))])
+def test_a_weight_of_known_mass_gives_the_mass(noisy: bool, much: float) -> None:
+    found = []
+    for added in (0.0, 0.1):
+        twin = Twin(0, SLOW, noisy=noisy, model="maglev")
+        twin.lay_on(added, (0.01, -0.005, 0.06))
+        found.append(identify(*shaken(twin, SLOW, 10.0)[:2], period=SLOW[0], delay=SLOW[1]))
+    # with noise 0.1 % to 0.25 %: an eighth of the mass makes errors eight times as large
+    assert added_mass(*found, 0.1) == pytest.approx(MASS, rel=much)
     with pytest.raises(IdentificationError, match=r"heavier with the weight, not 0\.9\d* times"):
-        added_mass(carrying, without, 0.1)
+        added_mass(*found[::-1], 0.1)
     with pytest.raises(ParameterError, match="added must be a finite number above 0"):
-        added_mass(without, carrying, 0.0)
+        added_mass(*found, 0.0)
 
 
 @pytest.mark.parametrize(
-    ("timing", "noisy", "close"),
-    [(SLOW, False, 1e-8), (SLOW, True, 3e-6), pytest.param(FAST, True, 1e-6, marks=pytest.mark.study)],
+    ("timing", "noisy", "close"), [(SLOW, True, 3e-6), *further((SLOW, False, 1e-8), (FAST, True, 1e-6))]
 )
 def test_a_wrong_delay_is_seen_and_found(timing: tuple[float, float], noisy: bool, close: float) -> None:
     twin, motion, _ = study(int(noisy), timing, noisy)

@@ -70,19 +70,6 @@ def test_ignore_goes_on_and_everything_is_given_back_when_the_loop_fails(collect
     assert state() == before
 
 
-@pytest.mark.usefixtures("unchanged")
-def test_enforce_raises_just_where_ignore_complains() -> None:
-    with realtime("ignore") as complaints:
-        pass
-    if not complaints:
-        with realtime("enforce") as none:
-            assert none == [] and os.sched_getscheduler(0) == os.SCHED_FIFO
-        return
-    with pytest.raises(RealtimeError) as error, realtime("enforce"):
-        raise AssertionError("entered")
-    assert all(complaint in str(error.value) for complaint in complaints)
-
-
 def refuse(*_: object) -> None:
     raise PermissionError(1, "Operation not permitted")
 
