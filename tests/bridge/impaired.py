@@ -6,7 +6,6 @@ The same seed loses, repeats, damages and delays the same frames.
 from __future__ import annotations
 
 import random
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -45,17 +44,11 @@ class Impairer:
         impairment: Impairment of the line.
         stream: Number of this direction; each has its own random numbers.
         start: Instant [ns] from which blackouts count.
-
-    Attributes:
-        counts: Numbers of frames (`frames`, `lost`, lost to a `blackout`, `duplicated`) and of copies
-            (`corrupted`; `reordered`: arriving before one sent earlier).
     """
 
     def __init__(self, impairment: Impairment, stream: int = 0, start: int = 0) -> None:
         self._impairment, self._start = impairment, start
         self._random = random.Random(f"{impairment.seed} {stream}")
-        self._latest = 0
-        self.counts: Counter[str] = Counter()
 
     def fates(self, data: bytes, now: int) -> list[tuple[int, bytes]]:
         """Return arrival time [ns] and content of each copy.
@@ -65,18 +58,9 @@ class Impairer:
         draw, line = self._random.random, self._impairment
         lost, doubled = draw() < line.loss, draw() < line.duplicate
         copies = [self._copy(data, now, (draw(), draw(), draw(), draw())) for _ in range(2)]
-        self.counts["frames"] += 1
         since = (now - self._start) * 1e-9
         dark = any(start <= since < end for start, end in line.blackouts)
-        if dark or lost:
-            self.counts["blackout" if dark else "lost"] += 1
-            return []
-        self.counts["duplicated"] += doubled
-        arriving = copies[: 1 + doubled]
-        self.counts["corrupted"] += sum(copy != data for _, copy in arriving)
-        self.counts["reordered"] += sum(due < self._latest for due, _ in arriving)
-        self._latest = max(self._latest, *(due for due, _ in arriving))
-        return arriving
+        return [] if dark or lost else copies[: 1 + doubled]
 
     def _copy(self, data: bytes, now: int, luck: tuple[float, float, float, float]) -> tuple[int, bytes]:
         line = self._impairment
@@ -89,20 +73,12 @@ class Impairer:
 
 
 class ImpairedLine(Line):
-    """Line with an impairment.
-
-    Args:
-        impairment: Impairment of both directions.
-        start: Instant [ns] from which blackouts count.
-
-    Attributes:
-        impairers: That of each direction.
-    """
+    """Line with an impairment of both directions, whose blackouts count from an instant [ns]."""
 
     def __init__(self, impairment: Impairment, start: int = 0) -> None:
         super().__init__()
-        self.impairers = {way: Impairer(impairment, way, start) for way in (TO_HOST, TO_DEVICE)}
+        self._impairers = {way: Impairer(impairment, way, start) for way in (TO_HOST, TO_DEVICE)}
 
     def fates(self, direction: int, data: bytes, now: int) -> Sequence[tuple[int, bytes]]:
         """Return arrival time [ns] and content of each copy."""
-        return self.impairers[direction].fates(data, now)
+        return self._impairers[direction].fates(data, now)

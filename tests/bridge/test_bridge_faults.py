@@ -132,7 +132,7 @@ def test_a_blackout_longer_than_the_watchdog_latches_until_reset() -> None:
         Command(WEIGHT, [math.nan] * 6, 0.003),
         Command(WEIGHT, ZERO, math.inf),
         Command(WEIGHT[:5]),
-        Command(["a"] * 6),  # type: ignore[list-item]
+        Command(["a"] * 6),
         Command(None),  # type: ignore[arg-type]
     ],
     ids=["nan", "inf", "pulse", "width", "five", "text", "nothing"],
@@ -217,7 +217,7 @@ def nonsense(rig: Rig) -> None:
 
 def silent(rig: Rig) -> None:
     """Lose every frame."""
-    rig.link._line.fates = lambda *_: ()  # type: ignore[attr-defined]
+    rig.link._line.fates = lambda *_: ()  # type: ignore[method-assign]
 
 
 @pytest.mark.parametrize(

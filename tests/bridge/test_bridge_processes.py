@@ -6,8 +6,7 @@ In lockstep, and after the death of one.
 import json
 import os
 import re
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, NoReturn
@@ -23,6 +22,7 @@ from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import StateReport
 from maglev_mj.cli import bridge
 from maglev_mj.recording import Recording, RecordingError
+from tests.bridge.test_stopping import waited
 from tests.processes import PATIENCE, Program, ended, said_by, started, twin
 
 NEAR, FAR = "udp://127.0.0.1:0", "udp://127.0.0.1:1"
@@ -40,15 +40,8 @@ def flown(address: str, folder: Path, *options: str) -> Iterator[Program]:
                 return Recording.load(record).ticks > 0
             return False
 
-        waited(in_flight)
+        waited(in_flight, 0.1)
         yield host
-
-
-def waited(so: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE
-    while not so():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.1)
 
 
 def looked_at(address: str) -> StateReport:
@@ -101,9 +94,10 @@ def test_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(device:
 
 
 @pytest.mark.machine
-def test_in_real_time_it_takes_off_flies_lands_and_its_commands_run_again_bit_for_bit(tmp_path: Path) -> None:
+@pytest.mark.parametrize("listen", [NEAR, "pty"])
+def test_in_real_time_it_takes_off_flies_lands_and_its_commands_run_again(listen: str, tmp_path: Path) -> None:
     record = tmp_path / "run.maglev"
-    with twin("--watchdog", "1") as (device, address):
+    with twin("--watchdog", "1", listen=listen) as (device, address):
         status, said = said_by("bridge", address, "--anyway", "--seconds", "1", "--friction", "--record", str(record))
         assert status == 0, said
         status, said = ended(device)
@@ -118,7 +112,7 @@ def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(t
         with flown(address, tmp_path) as host:
             host.child.kill()
         # it says that the old host is still there until it has been silent for a second
-        waited(lambda: looked_at(address).state == State.FAULT)
+        waited(lambda: looked_at(address).state == State.FAULT, 0.1)
         report = looked_at(address)
         assert (report.state, report.faults, report.currents) == (State.FAULT, Fault.WATCHDOG, (0.0,) * 6)
         status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5", "--out", str(tmp_path))
@@ -135,30 +129,19 @@ def test_a_device_that_is_gone_is_a_fault_of_the_host_and_the_recording_is_kept(
         assert Recording.load(tmp_path / "run.maglev").ticks > 0
 
 
-def _key(path: Path, byte: str) -> list[str]:
-    path.write_text(byte * 32 + "\n")
-    path.chmod(0o600)
-    return ["--key", str(path)]
-
-
 @pytest.mark.machine
 def test_a_host_needs_the_devices_key(tmp_path: Path) -> None:
-    key, other = _key(tmp_path / "key", "a7"), _key(tmp_path / "other", "b8")
+    for name, byte in (("key", "a7"), ("other", "b8")):
+        (tmp_path / name).write_text(byte * 32 + "\n")
+        (tmp_path / name).chmod(0o600)
+    key = ["--key", str(tmp_path / "key")]
     with twin("--watchdog", "1", *key) as (device, address):
-        for wrong, reason in (([], "no device answered"), (other, "no device answered")):
+        for wrong in ([], ["--key", str(tmp_path / "other")]):
             status, said = said_by("bridge", address, "--anyway", "--seconds", "0.2", *wrong)
-            assert status == 1 and reason in said
+            assert status == 1 and "no device answered" in said
         status, said = said_by("bridge", address, "--anyway", "--seconds", "0.2", *key)
         assert status == 0, said
         assert re.search(r"frames ignored: .*for length.*for tag", ended(device)[1])
-
-
-@pytest.mark.machine
-def test_a_flight_over_a_serial_line(tmp_path: Path) -> None:
-    with twin("--watchdog", "1", listen="pty") as (device, address):
-        status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5")
-        assert status == 0, said
-        assert "inactive, faults: none" in ended(device)[1]
 
 
 @pytest.mark.machine

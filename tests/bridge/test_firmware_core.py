@@ -245,7 +245,7 @@ def test_a_frame_that_is_too_long_for_a_board_is_none() -> None:
         assert (answer is not None) == (reason == "version") and side.codec.dropped[reason] == 1
 
 
-@pytest.mark.parametrize("length", [*range(1, 9), 253, 254, 255, 256])
+@pytest.mark.parametrize("length", [1, 8, 253, 254, 255, 256])
 def test_cobs_is_that_of_the_serial_line(length: int) -> None:
     core, draw = library(), random.Random(length)
     line = ctypes.create_string_buffer(512)

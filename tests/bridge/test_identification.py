@@ -223,17 +223,18 @@ def test_a_known_mass_gives_forces_and_the_calibration_its_coils() -> None:
 
 @pytest.mark.parametrize(("noisy", "much"), [(False, 3e-5), *further((True, 5e-3))])
 def test_a_weight_of_known_mass_gives_the_mass(noisy: bool, much: float) -> None:
-    found = []
+    found = list[Identified]()
     for added in (0.0, 0.1):
         twin = Twin(0, SLOW, noisy=noisy, model="maglev")
         twin.lay_on(added, (0.01, -0.005, 0.06))
         found.append(identify(*shaken(twin, SLOW, 10.0)[:2], period=SLOW[0], delay=SLOW[1]))
     # with noise 0.1 % to 0.25 %: an eighth of the mass makes errors eight times as large
-    assert added_mass(*found, 0.1) == pytest.approx(MASS, rel=much)
+    without, carrying = found
+    assert added_mass(without, carrying, 0.1) == pytest.approx(MASS, rel=much)
     with pytest.raises(IdentificationError, match=r"heavier with the weight, not 0\.9\d* times"):
-        added_mass(*found[::-1], 0.1)
+        added_mass(carrying, without, 0.1)
     with pytest.raises(ParameterError, match="added must be a finite number above 0"):
-        added_mass(*found, 0.0)
+        added_mass(without, carrying, 0.0)
 
 
 @pytest.mark.parametrize(

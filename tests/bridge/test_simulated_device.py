@@ -56,24 +56,13 @@ def built(folder: Path, flags: Sequence[str]) -> Path | None:
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the program, with sanitizers if available."""
+    """Return the program, with sanitizers if available, beside a plant and the page's key."""
     folder = tmp_path_factory.mktemp("device")
     found = built(folder, SANITIZED) or built(folder, ["-O2"])
     assert found is not None
+    write_plant(folder / "plant.txt")
+    (folder / "key").write_text(KEY.hex() + "\n", encoding="ascii")
     return found
-
-
-@pytest.fixture(scope="module")
-def key_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a file with the page's key."""
-    path = tmp_path_factory.mktemp("key") / "key"
-    path.write_text(KEY.hex() + "\n", encoding="ascii")
-    return path
-
-
-@pytest.fixture(scope="module")
-def plant_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_plant(tmp_path_factory.mktemp("plant") / "plant.txt")
 
 
 def write_plant(path: Path) -> Path:
@@ -134,12 +123,19 @@ Starter = Callable[..., Device]
 
 
 @pytest.fixture
-def start(program: Path, plant_file: Path) -> Iterator[Starter]:
+def start(program: Path) -> Iterator[Starter]:
     """Start devices that are ended with the test."""
     devices: list[Device] = []
 
     def new(*arguments: str) -> Device:
-        known = ["--plant", str(plant_file), "--calibration-hash", NOMINAL.digest.hex(), "--seconds", "60"]
+        known = [
+            "--plant",
+            str(program.parent / "plant.txt"),
+            "--calibration-hash",
+            NOMINAL.digest.hex(),
+            "--seconds",
+            "60",
+        ]
         child = Program(str(program), *known, "--hover-limit", str(PROFILE.limits.hover_limit), *arguments)
         port = int(child.wait_for(r"^listening udp://127\.0\.0\.1:(\d+)$"))
         devices.append(Device(child, port, KEY if "--key" in arguments else None, [], {}))
@@ -163,9 +159,9 @@ def answered(host: Host, held: ArrayLike = ZERO, pulsed: ArrayLike = ZERO, width
 
 
 @pytest.mark.parametrize("keyed", [False, True], ids=["no key", "key"])
-def test_golden_bytes(program: Path, key_file: Path, keyed: bool) -> None:
+def test_golden_bytes(program: Path, keyed: bool) -> None:
     frames = [data for name, data in golden_bytes().items() if name.endswith("keyed") == keyed]
-    command = [str(program), "--golden", *(["--key", str(key_file)] if keyed else [])]
+    command = [str(program), "--golden", *(["--key", str(program.parent / "key")] if keyed else [])]
     lines = "\n".join(data.hex() for data in frames)
     done = subprocess.run(command, input=lines, capture_output=True, text=True, check=True, timeout=30)
     assert done.stdout.split() == lines.split() and len(frames) == 8
@@ -202,8 +198,8 @@ IN_REAL_TIME = [name for name, one in CHECKS.items() if one.real_time and not on
         pytest.param(["--rate", "50", "--watchdog", "0.4"], IN_REAL_TIME, id="real-time"),
     ],
 )
-def test_it_passes_the_checks(start: Starter, key_file: Path, arguments: list[str], only: list[str] | None) -> None:
-    device = start(*arguments, *([str(key_file)] if "--key" in arguments else []))
+def test_it_passes_the_checks(start: Starter, program: Path, arguments: list[str], only: list[str] | None) -> None:
+    device = start(*arguments, *([str(program.parent / "key")] if "--key" in arguments else []))
     results = conform([device.link(), device.link()], key=device.key, only=only)
     # a machine that stalls is no fault of the device
     assert not [one for one in results if one.passed is False and not one.seen.endswith("STATEs were read late")]

@@ -100,12 +100,12 @@ class Watched:
         return flowing[-1] - when if flowing else 0.0
 
 
-def waited(so: Callable[[], bool]) -> None:
-    """Wait until something is so; a twin in this process needs its time."""
+def waited(so: Callable[[], bool], pause: float = 0.002) -> None:
+    """Wait until something is so, with pauses [s] for other threads and programs."""
     end = time.monotonic() + PATIENCE
     while not so():
         assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.002)
+        time.sleep(pause)
 
 
 PATIENT = """

@@ -233,7 +233,7 @@ def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: 
         if armed:
             sent.append(rig.twin.tick)
 
-    line.control, line.command = asked, told  # type: ignore[method-assign]
+    line.control, line.command = asked, told  # type: ignore[method-assign, assignment]
     rig.plant.takeoff()
     assert sent[0] - armed[0] <= 1
     assert rig.twin.firmware.counts["inactive"] >= 2  # dry cycles went before
