@@ -145,11 +145,10 @@ STARTS: dict[str, tuple[tuple[float, ...], dict[str, Any]]] = {
 }
 TIMINGS = ((0.005, 0.0015), (0.001, 0.0015), (0.005, 0.007))  # the last two with a delay of more than a period
 SAME: list[Any] = [
-    ("table", 0.005, 0.007, {}, None),
     *further(*((name, *timing, {}, None) for name in STARTS for timing in TIMINGS)),
     # so hard that the currents' limit is met
     ("drop", 0.001, 0.0004, {"stiffness": 20_000.0, "pulse": 1000.0, "pulse_width": 6e-4}, None),
-    ("joystick", 0.005, 0.0015, {}, [8.6, 8.6, 8.6, 0.01, 0.01, 0.01]),
+    ("joystick", 0.005, 0.007, {}, [8.6, 8.6, 8.6, 0.01, 0.01, 0.01]),
 ]
 
 

@@ -141,7 +141,7 @@ class Broken:
 ERRORS = [OSError(28, "No space left on device"), SystemExit(3), KeyboardInterrupt()]
 
 
-@pytest.mark.parametrize(("error", "at", "kind"), sweep(ERRORS, [0, 1, 30], ["file", "publishers"], every=3))
+@pytest.mark.parametrize(("error", "at", "kind"), sweep(ERRORS, [0, 1, 30], ["file", "publishers"], every=5))
 def test_so_do_a_recording_a_viewer_and_an_interrupt(error: BaseException, at: int, kind: str, tmp_path: Path) -> None:
     first = Fault.ESTOP if isinstance(error, KeyboardInterrupt) else Fault.HOST
     broken = Broken(error, at)

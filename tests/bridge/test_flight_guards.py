@@ -39,7 +39,7 @@ def studies(*cases: tuple[Any, ...]) -> list[Any]:
 # what a scene bears
 
 
-@pytest.mark.parametrize(("name", "period"), sweep(FLOWN, [0.005, 0.001], every=3))
+@pytest.mark.parametrize(("name", "period"), sweep(FLOWN, [0.005, 0.001], every=5))
 def test_a_margin_is_where_the_verdict_turns(name: str, period: float) -> None:
     controller = device_controller(find_scene(name)().replace(period=period, delay=0.0015))
     margin = delay_margins(controller, ["none"])["none"]
@@ -187,8 +187,8 @@ def delayed(shape: str, size: float, begin: float, seed: int = 0) -> Any:
     ("name", "rate", "hand", "shape", "size"),
     [
         ("joystick", 200, "5", "step", 0.005),
-        ("joystick", 200, "none", "step", 0.010),
         *studies(
+            ("joystick", 200, "none", "step", 0.010),
             ("box", 200, "8", "jitter", 0.040),
             ("press", 200, "5", "ramp", 0.045),
             ("table", 200, "5", "burst", 0.015),
@@ -268,7 +268,7 @@ def weakened(coil: int, share: float) -> Calibration:
 
 
 @pytest.mark.parametrize("rate", RATES)
-@pytest.mark.parametrize("coil", [0, 5, *studies(*((coil,) for coil in range(1, 5)))])
+@pytest.mark.parametrize("coil", [5, *studies(*((coil,) for coil in range(5)))])
 def test_a_coil_that_is_not_as_calibrated_is_named_in_takeoff(coil: int, rate: int, tmp_path: Path) -> None:
     """Weak by a tenth it lands again; dead or reversed it is often lost sooner."""
     for share, seed in ((0.9, coil), (0.01, coil + 6), (-1.0, coil + 12)):

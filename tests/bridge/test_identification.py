@@ -163,7 +163,7 @@ def test_an_ideal_sensor_tells_all(timing: tuple[float, float], torques: float) 
     assert np.abs(motion.poses.mean(axis=0)).max() < 1e-4
 
 
-@pytest.mark.parametrize(("timing", "seeds"), [(SLOW, (1, 2)), *further((FAST, range(3)))])
+@pytest.mark.parametrize(("timing", "seeds"), [(SLOW, (1,)), *further((SLOW, range(3)), (FAST, range(3)))])
 def test_ten_seconds_with_the_devices_sensor_are_within_a_thousandth(
     timing: tuple[float, float], seeds: Sequence[int]
 ) -> None:
