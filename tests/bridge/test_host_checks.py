@@ -10,7 +10,7 @@ import pytest
 
 from maglev_mj.bridge.fault import DeviceFault
 from maglev_mj.bridge.safety import Limits
-from maglev_mj.bridge.wire import Flag, State, StateReport, fault_names
+from maglev_mj.bridge.wire import Fault, Flag, State, StateReport, fault_names
 from maglev_mj.control import Bias
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import PlantError, SensingError
@@ -155,6 +155,30 @@ def test_a_device_that_contradicts_itself_is_not_flown(changes: list[dict[str, A
         return
     with pytest.raises(DeviceFault, match=says):
         rig.fly(0.05)
+
+
+def test_a_sample_from_before_a_stop_does_not_undo_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(pose=CENTRE)
+    rig.plant.arm()
+    rig.plant.read()
+    receive = rig.link.receive
+    stale = receive(1.0)
+    assert stale is not None and stale[3] == 5
+
+    def no_samples(timeout: float) -> bytes | None:
+        end = rig.link.time + round(timeout * 1e9)
+        while (data := receive((end - rig.link.time) * 1e-9)) is not None and data[3] == 5:
+            pass
+        return data
+
+    monkeypatch.setattr(rig.link, "receive", no_samples)
+    rig.plant.estop()
+    monkeypatch.undo()
+    rig.plant._armed = False  # nobody flies: no fault is due
+    rig.link._arrived[:] = [stale]
+    for _ in range(3):
+        rig.plant.read()
+        assert (rig.plant.state, rig.plant.faults) == (State.FAULT, Fault.ESTOP)
 
 
 def test_rubbish_without_end_is_no_sample() -> None:
