@@ -3,13 +3,13 @@
     python scripts/benchmarks/bench.py [--before REV] [--only SECTION ...] [--repeats N] [--quick] [--out DIR]
     python scripts/benchmarks/bench.py --tables figures/bench.json        the tables of docs/explanation/speed.md
 
-A section is a module beside this one with `measure(quick)`, which returns numbers by name, nested or not. All figures
-of a run go to bench.json: of each number median, least and greatest, and the ratio after over before pair by pair.
+A section is a module beside this one, or in `system`, with `measure(quick)`, which returns numbers by name, nested or
+not. All figures of a run go to bench.json: of each number median, least and greatest, and the ratio after over before
+pair by pair.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import json
 import os
@@ -29,6 +29,7 @@ import growth
 import realism
 import speed_accuracy
 import speed_tables
+import system
 from maglev_mj.cli.declare import Parser
 from maglev_mj.cli.output import script_options
 from maglev_mj.errors import ParameterError
@@ -59,9 +60,9 @@ SECTIONS = {
     "loop": Section("the closed loop"),
     "options": Section("what each option costs"),
     "walls": Section("walls simulated at once"),
-    "answers": Section("answers of the theory, and maps in the engine"),
-    "start": Section("start of the program"),
-    "recorder": Section("the recorder"),
+    "answers": Section(system.SECTIONS["answers"]),
+    "start": Section(system.SECTIONS["start"]),
+    "recorder": Section(system.SECTIONS["recorder"]),
     "others": Section("what a user would take instead", compared=False),
     "realism": Section("what each piece of realism costs and changes", compared=False, repeats=1),
     "speed_accuracy": Section("speed against accuracy", compared=False, repeats=1),
@@ -93,7 +94,8 @@ def run_section(name: str, package: Path, quick: bool) -> dict[str, Any]:
     """
     # six by six matrices gain nothing from threads, and some peers lose much
     environment = os.environ | {"PYTHONPATH": str(package), "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, "-c", _CHILD, str(HERE), name, "quick" if quick else "full"]
+    module = f"system.{name}" if name in system.SECTIONS else name
+    command = [sys.executable, "-c", _CHILD, str(HERE), module, "quick" if quick else "full"]
     done = subprocess.run(command, env=environment, cwd=package, capture_output=True, text=True, check=False)
     if done.returncode:
         raise SectionFailedError(f"{name} failed: {(done.stderr.strip().splitlines() or ['no error told'])[-1]}")
@@ -200,7 +202,7 @@ def package_of(revision: str | None) -> Iterator[dict[str, Path]]:
 
 def add_options(parser: Parser) -> None:
     """Add the options of the script."""
-    there = [name for name in SECTIONS if importlib.util.find_spec(name)]
+    there = list(SECTIONS)
     parser.add_argument("--before", metavar="REV", help="revision to compare with; none by default")
     parser.add_argument(
         "--only", nargs="+", choices=there, default=there, metavar="SECTION", help=f"some of {', '.join(there)}"

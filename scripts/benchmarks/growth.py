@@ -74,7 +74,7 @@ def against_devices(quick: bool) -> dict[str, dict[int, float]]:
     found = {}
     for name, (one, batch, most) in plants().items():
         runs = [cheapest_run(one if count == 1 else batch, count) for count in counts if count <= most]
-        found[name] = {run.devices: 1e6 * run.each for run in runs}
+        found[name] = {run.devices or 1: 1e6 * run.each for run in runs}
     return found
 
 

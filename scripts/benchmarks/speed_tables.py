@@ -144,3 +144,14 @@ def _spread(figure: Mapping[str, Any] | None) -> str:
         return ""
     span = ends(spread)
     return f"{median(spread)} ({span})" if span else median(spread)
+
+
+def aligned(title: str, table: Mapping[str, Mapping[str, float]]) -> str:
+    """Return columns by heading as text: headings, then a line per row."""
+    rows = list(dict.fromkeys(row for column in table.values() for row in column))
+    first = max(map(len, [title, *rows]))
+    lines = ["  ".join([title.ljust(first), *table])]
+    for row in rows:
+        cells = [(short(column[row]) if row in column else "").rjust(len(head)) for head, column in table.items()]
+        lines.append("  ".join([row.ljust(first), *cells]).rstrip())
+    return "\n".join(lines)

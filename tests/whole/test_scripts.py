@@ -8,6 +8,7 @@ import runpy
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -195,11 +196,45 @@ def test_bench_measures_sections_and_writes_one_file(
     assert done.value.code == 0 and "| corrected, body: over by hand |" in capsys.readouterr().out
 
 
+SMALL: dict[str, dict[str, Any]] = {
+    "answers": {},
+    "start": {},
+    "recorder": {},
+    "cells": {"empty": (100.0,), "drops": (16.0,)},
+    "bridge": {},
+    "web": {"alone": True},
+}
+"""Sections of `system` but the window, by their options of a small case."""
+
+
+def check_rows(table: dict[str, dict[str, float]]) -> None:
+    """Check that the time of each row is its total divided by what it counts."""
+    (each,) = (head for head in table if head.startswith("µs a "))
+    counted = each.removeprefix("µs a ").removesuffix(" and device") + "s"
+    for name, seconds in table["seconds"].items():
+        things = table[counted][name] * table.get("devices", {}).get(name, 1)
+        assert things >= 1 and table[each][name] == pytest.approx(1e6 * seconds / things, rel=1e-9)
+
+
 @pytest.mark.machine
-def test_benchmarks_print_their_costs(run_script: Script) -> None:
-    *rows, _ = map(json.loads, run_script("benchmarks/cells.py", "--empty", "100", "--drops", "16").splitlines())
-    assert [row["cells"] for row in rows] == [100, 16] and all(row["bytes a cell"] > 8.0 for row in rows)
-    out = run_script("benchmarks/recorder.py", "--quick")
-    assert "recorded to a journal, with its thread" in out and "samples a second" in out and "is read in" in out
-    out = run_script("benchmarks/start.py", "--quick")
-    assert "complete an option" in out and "drop over numpy and mujoco" in out
+@pytest.mark.parametrize("name", SMALL)
+def test_a_row_of_system_counts_what_it_ran(name: str) -> None:
+    tables = import_module(f"system.{name}").measure(True, **SMALL[name])
+    for table in tables.values():
+        check_rows(table)
+    if name == "answers":
+        assert tables["answers"]["devices"] == dict.fromkeys(tables["answers"]["seconds"], 1) | {
+            "map of 6 x 6 in MuJoCo": 36
+        }
+    if name == "cells":
+        assert tables["sweeps"]["cells"] == {"100 empty": 100, "16 drop": 16}
+        assert min(tables["sweeps"]["bytes a cell"].values()) > 8.0
+    if name == "recorder":
+        assert set(tables["tick"]["ticks"].values()) == {200} and set(tables["file"]["samples"].values()) == {600}
+
+
+@pytest.mark.machine
+def test_system_prints_a_line_for_each_row(run_script: Script) -> None:
+    heads, *rows = run_script("benchmarks/system", "cells", "--empty", "100", "25").split("\n\n")[0].splitlines()
+    assert heads.split()[:3] == ["sweeps", "seconds", "cells"]
+    assert [row.split()[0] for row in rows] == [row.split()[3] for row in rows] == ["100", "25"]

@@ -1,0 +1,73 @@
+"""Cost of answers: stiffest wall, boundary, designed wall, checked scene, map in the engine."""
+
+from __future__ import annotations
+
+import itertools
+import statistics
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from maglev_mj.control import FiniteDifference, LowPass, VelocityEstimator, Window
+from maglev_mj.errors import ParameterError
+from maglev_mj.plants.hand import get_hand
+from maglev_mj.scenes import BUILT_IN, find_scene
+from maglev_mj.session import settable, unstable_loop
+from maglev_mj.studies.stability_map import StabilityParameters, run_stability
+from maglev_mj.theory import WallRequirements, design_wall, largest_stable_stiffness
+from maglev_mj.theory.closed_loop import LoopKeywords
+from maglev_mj.views.readings import margin
+from system import Table
+from timing import Run, answered, columns
+
+HANDS = "none", "arm", "stylus", "fingertip", "0.1,5,300,20,5000"
+ESTIMATES: Sequence[VelocityEstimator] = (FiniteDifference(), LowPass(), Window(samples=8))
+DELAYS = 0.0, 0.3, 1.0, 1.5, 3.0, 5.0, 10.0
+DESIGNED: dict[str, Any] = {"mass": (0.56, 0.84), "delay": (0.0012, 0.0018), "hands": HANDS[:4]}
+
+
+def loops(count: int) -> list[LoopKeywords]:
+    """Return loops spread over rate, delay, hand, driver lag, velocity estimate and prediction, the hardest first."""
+
+    def keywords(period: float, late: float, hand: str, lag: float, velocity: Any, ahead: float) -> LoopKeywords:
+        loop: LoopKeywords = {"period": period, "delay": late * period, "hand": get_hand(hand), "driver_lag": lag}
+        return {**loop, "velocity": velocity, "prediction": ahead * period}
+
+    every = list(itertools.product((0.0005, 0.005), DELAYS, HANDS, (0.0, 8e-5), ESTIMATES, (0.0, 0.5)))
+    order = np.random.default_rng(1).permutation(len(every))[: count - 1]
+    hardest = 0.0005, DELAYS[-1], HANDS[-1], 8e-5, ESTIMATES[-1], 0.0
+    return [keywords(*loop) for loop in (hardest, *(every[index] for index in order))]
+
+
+def measure(quick: bool) -> dict[str, Table]:
+    """Return the time of each answer, over many loops also the median and the worst."""
+    repeats, grid = (1, 6) if quick else (2, 24)
+    seconds: dict[str, list[float]] = {}
+
+    def answer(name: str, question: partial[Any], times: int = repeats) -> Any:
+        least, result = answered(question, times)
+        seconds.setdefault(name, []).append(least)
+        return result
+
+    for loop in loops(6 if quick else 40):
+        best = answer("stiffest wall", partial(largest_stable_stiffness, **loop))
+        answer("boundary at a damping", partial(largest_stable_stiffness, 0.7 * float(best.damping), **loop))
+    for scene in (find_scene(name)() for name in BUILT_IN):
+        answer("margin", partial(margin, scene))
+        if "stiffness" in settable(scene):
+            unstable = scene.replace(stiffness=6e4)
+            if answer("unstable scene", partial(unstable_loop, unstable)) is None:
+                raise ParameterError(f"{scene.name} must be unstable at 60000 N/m")
+    answer("design_wall", partial(design_wall, WallRequirements(**DESIGNED)), 1)
+    mapped = f"map of {grid} x {grid} in MuJoCo"
+    found = answer(mapped, partial(run_stability, StabilityParameters(plant="mujoco", grid=grid)), 1)
+    devices = dict.fromkeys(seconds, 1) | {mapped: found.simulated.size}
+    return {
+        "answers": {
+            **columns({name: Run(sum(some), devices[name], len(some)) for name, some in seconds.items()}, "call"),
+            "median": {name: statistics.median(some) for name, some in seconds.items()},
+            "worst": {name: max(some) for name, some in seconds.items()},
+        }
+    }
