@@ -24,7 +24,7 @@ from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.studies.cells import Workers, dask_workers, local_workers
 from maglev_mj.studies.sweep import sweep
-from timing import Run, driven, timed
+from timing import Run, columns, driven, timed
 
 MANY = 100
 CELLS = 100_000
@@ -67,19 +67,28 @@ def cheapest_run(make: Callable[..., SampledPlant], devices: int) -> Run:
     return min([first, *(run() for _ in range(more))], key=lambda one: one.seconds)
 
 
-def against_devices(quick: bool) -> dict[str, dict[int, float]]:
-    """Return the cost of a tick and device [µs], by plant and number of devices."""
+def nested(runs: Mapping[str, Mapping[int, Run]]) -> dict[str, dict[str, dict[int, float]]]:
+    """Return the columns of runs by plant and number."""
+    found: dict[str, dict[str, dict[int, float]]] = {}
+    for name, some in runs.items():
+        for head, column in columns({str(key): run for key, run in some.items()}).items():
+            found.setdefault(head, {})[name] = {int(key): value for key, value in column.items()}
+    return found
+
+
+def against_devices(quick: bool) -> dict[str, dict[str, dict[int, float]]]:
+    """Return the cost of a tick and device, by plant and number of devices."""
     counts = [1, 10, 100, 1000, 5000, 10_000, 20_000, 50_000, 100_000, 1_000_000]
     counts = counts[:3] if quick else counts
     found = {}
     for name, (one, batch, most) in plants().items():
         runs = [cheapest_run(one if count == 1 else batch, count) for count in counts if count <= most]
-        found[name] = {run.devices or 1: 1e6 * run.each for run in runs}
-    return found
+        found[name] = {run.devices or 1: run for run in runs}
+    return nested(found)
 
 
-def against_rate(quick: bool) -> dict[str, dict[int, float]]:
-    """Return simulated seconds a second by plant and rate, at a delay of 0.3 periods."""
+def against_rate(quick: bool) -> dict[str, dict[str, dict[int, float]]]:
+    """Return simulated seconds a second and what ran, by plant and rate, at a delay of 0.3 periods."""
     makers: dict[str, Callable[..., SampledPlant]] = {
         "exact plant": ExactPlant,
         "corrected, MuJoCo": partial(MuJoCoPlant, integrator="corrected", coils=False),
@@ -88,21 +97,22 @@ def against_rate(quick: bool) -> dict[str, dict[int, float]]:
     ticks, found = 40 if quick else 2000, {}
     for name, make in makers.items():
         found[name] = {
-            rate: ticks / rate / min(_rate_run(make, 1.0 / rate, ticks) for _ in range(3))
+            rate: min((_rate_run(make, 1.0 / rate, ticks) for _ in range(3)), key=lambda run: run.seconds)
             for rate in ((200, 20_000) if quick else (200, 500, 1000, 2000, 5000, 10_000, 20_000))
         }
-    return found
+    speeds = {name: {rate: 1.0 / rate / run.each for rate, run in some.items()} for name, some in found.items()}
+    return {"simulated seconds a second": speeds, **nested(found)}
 
 
-def _rate_run(make: Callable[..., SampledPlant], period: float, ticks: int) -> float:
-    """Return the time to hold a centred flotor [s]."""
+def _rate_run(make: Callable[..., SampledPlant], period: float, ticks: int) -> Run:
+    """Hold a centred flotor."""
     delay = 0.3 * period
     laws = (
         Wall(axes="z", lower=-1e-3, stiffness=6000, damping=20),
         Hold.critically_damped(inertia=INERTIA, period=period, delay=delay),
     )
     plant = make(Timing(period=period, delay=delay), pose=[1e-4, 0.0, 0.0, 0.0, 0.0, 0.0])
-    return driven(plant, Controller(list(laws), period=period), ticks).seconds
+    return driven(plant, Controller(list(laws), period=period), ticks)
 
 
 def sweep_time(workers: Workers, cells: int) -> float:
@@ -132,7 +142,7 @@ def against_cells(workers: Workers, few: int, many: int) -> dict[str, float]:
     """Return start [s] and rate [cells/s] of workers, from sweeps of few and of many cells."""
     short, long = min(sweep_time(workers, few) for _ in range(2)), sweep_time(workers, many)
     rate = (many - few) / max(long - short, 1e-9)
-    return {"cells a second": rate, "start (s)": max(short - few / rate, 0.0)}
+    return {"cells": many, "seconds": long, "cells a second": rate, "start (s)": max(short - few / rate, 0.0)}
 
 
 def against_workers(quick: bool) -> dict[str, Any]:
@@ -187,9 +197,11 @@ def estimate(found: Mapping[str, Any], workers: int = MANY, cells: int = CELLS) 
 def measure(quick: bool) -> dict[str, Any]:
     """Return costs over devices, rate and workers, and the estimate."""
     devices, workers = against_devices(quick), against_workers(quick)
+    rates = against_rate(quick)
     return {
-        "µs a tick and device": devices,
-        "simulated seconds a second": against_rate(quick),
+        **devices,
+        "simulated seconds a second": rates.pop("simulated seconds a second"),
+        "over rate": rates,
         "workers": workers,
         "estimate": estimate(workers),
         "assumed": list(ASSUMED),

@@ -18,7 +18,7 @@ from maglev_mj.frames import components
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import INERTIA, Spec
 from peers import Task, mujoco_peer
-from timing import Run, answered, driven, in_turns, medians, ratio, timed
+from timing import Run, answered, columns, driven, in_turns, ratio, timed
 
 REPEATS = 12
 TICKS = 400
@@ -127,8 +127,6 @@ def measure(quick: bool) -> dict[str, Any]:
     pairs = {f"{kind}: over {other}": (f"{kind}: closed loop", f"{kind}: {other}") for kind, other in RATIOS}
     pairs["exact plant, 1000 at once: over one alone"] = "exact plant, 1000 at once: closed loop", EXACT
     return {
-        "µs a tick and device": medians(times, 1e6),
-        "devices": {name: run.devices for name, run in last.items()},
-        "ticks": {name: run.ticks for name, run in last.items()},
+        **columns(runs),
         "ratio": {name: ratio(times[one], times[other]) for name, (one, other) in pairs.items()},
     }

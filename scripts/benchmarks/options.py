@@ -18,7 +18,7 @@ from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, MuJoCoPlant, SampledP
 from maglev_mj.plants.hand import Hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import Spec
-from timing import Run, driven, in_turns, ratio, timed
+from timing import Run, columns, driven, in_turns, ratio, timed
 
 PLAIN = "plain"
 START = np.array([0.5e-3, -0.3e-3, Spec.translation_range.value, 0.0, 0.0, 0.0])
@@ -94,7 +94,7 @@ def run(loop: Loop, name: str, ticks: int) -> Run:
 
 
 def over_plain(loop: Loop, quick: bool) -> dict[str, Any]:
-    """Return the cost of each option over the plain loop, and the devices and ticks that all of them ran.
+    """Return the cost of each option over the plain loop, and what each ran.
 
     Raises:
         ValueError: If an option ran another number of devices or ticks than the plain loop.
@@ -105,12 +105,7 @@ def over_plain(loop: Loop, quick: bool) -> dict[str, Any]:
     sizes = {name: (one.devices, one.ticks) for name, some in runs.items() for one in some}
     if len(set(sizes.values())) > 1:
         raise ValueError(f"devices and ticks must be the same for each option: {sizes}")
-    devices, done = sizes[PLAIN]
-    return {
-        "over plain": {name: ratio(values, times[PLAIN]) for name, values in times.items()},
-        "devices": devices,
-        "ticks": done,
-    }
+    return {"over plain": {name: ratio(values, times[PLAIN]) for name, values in times.items()}, **columns(runs)}
 
 
 def measure(quick: bool) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from maglev_mj import ExactPlant, MuJoCoPlant, Timing, drive
 from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.studies.levels import apart
 from peers import Simulate, Task, available
-from timing import medians, ratio, timed
+from timing import Run, columns, medians, ratio, timed
 
 OURS: dict[str, Callable[..., Any]] = {
     "this package, corrected": partial(MuJoCoPlant, integrator="corrected", coils=False),
@@ -75,10 +75,15 @@ def measure(quick: bool) -> dict[str, Any]:
             else:  # the least of several, as the method before has left the processor's caches cold
                 costs[name].append(min(timed(prepare()) for _ in range(1 if dear else _RUNS)) / task.duration)
     first = next(iter(costs.values()))
+    ticks = {name: len(motion) - 1 for name, motion in poses.items()}
+    runs = {
+        name: [Run(cost * task.duration, 1, ticks[name]) for cost in some if not math.isnan(cost)]
+        for name, some in costs.items()
+    }
     return {
         "µs a simulated ms": medians(costs, 1e3),
         "over corrected": {name: ratio(values, first) for name, values in costs.items()},
         "error (m)": errors,
-        "ticks": {name: len(motion) - 1 for name, motion in poses.items()},
+        **columns(runs),
         "missing": missing,
     }

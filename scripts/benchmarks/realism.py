@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from maglev_mj import drive
 from maglev_mj.colours import DEVICE, HAND, REFERENCE
 from maglev_mj.control.controller import Controller
 from maglev_mj.pictures import TITLE, PictureFolder, new_figure, save
@@ -22,7 +21,7 @@ from maglev_mj.plants.hand import get_hand
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.spec import RESOLUTION, Spec
 from maglev_mj.studies.levels import apart, motion_of
-from timing import in_turns, medians, ratio, timed
+from timing import Run, columns, driven, in_turns, medians, ratio
 
 EXACT, ENGINE = "exact plant", "engine, RK4"
 _TURNS, _RUNS, _DEAR = 9, 3, 0.05
@@ -72,10 +71,11 @@ def parts(piece: Piece) -> tuple[SampledPlant, Controller, int]:
     return plant, scene.controller(), scene.ticks(timing)
 
 
-def cost(piece: Piece, runs: int) -> float:
-    """Return the least time of several drops [s], of one if it takes long."""
-    first = timed(partial(drive, *parts(piece)))
-    return first if first > _DEAR else min(first, *(timed(partial(drive, *parts(piece))) for _ in range(runs - 1)))
+def cost(piece: Piece, runs: int) -> Run:
+    """Return the cheapest of several drops, the first if it takes long."""
+    first = driven(*parts(piece))
+    more = 0 if first.seconds > _DEAR else runs - 1
+    return min([first, *(driven(*parts(piece)) for _ in range(more))], key=lambda run: run.seconds)
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -85,10 +85,12 @@ def measure(quick: bool) -> dict[str, Any]:
     moved = {name: apart(motion_of(*parts(piece)).pose, truth[piece.plant]) for name, piece in PIECES.items()}
     runs = 2 if quick else _RUNS
     work = {name: partial(cost, piece, runs) for name, piece in {**plain, **PIECES}.items()}
-    times = in_turns(work, 1 if quick else _TURNS)
+    drops = in_turns(work, 1 if quick else _TURNS)
+    times = {name: [run.seconds for run in some] for name, some in drops.items()}
     return {
         "cost over plain": {name: ratio(times[name], times[PIECES[name].plant]) for name in PIECES},
         "µs a simulated ms": medians(times, 1e3 / (parts(plain[EXACT])[2] * Drop().period)),
+        **columns(drops),
         "change (µm)": {name: 1e6 * float(change) for name, change in moved.items()},
     }
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 _NAME = 28
+COUNTED = "devices", "ticks", "cells", "starts", "calls", "samples"
 
 
 def machine() -> dict[str, Any]:
@@ -27,10 +28,23 @@ def heading(found: Mapping[str, Any]) -> str:
 def grouped(figures: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """Return figures by first and further parts of their names."""
     groups: dict[str, dict[str, Any]] = {}
-    for name, figure in figures.items():
+    for name, figure in merged(figures).items():
         head, _, rest = name.partition(": ")
         groups.setdefault(head if rest else "", {})[rest or head] = figure
     return groups
+
+
+def merged(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return figures with one for all rows of a column that counts the same in each, such as devices."""
+    heads: dict[str, dict[str, Any]] = {}
+    for name, figure in figures.items():
+        heads.setdefault(name.rpartition(": ")[0], {})[name] = figure
+    found: dict[str, Any] = {}
+    for head, some in heads.items():
+        first = next(iter(some.values()))
+        whole = head.endswith(COUNTED) and len(some) > 1 and all(figure == first for figure in some.values())
+        found |= {f"{head}: all rows": first} if whole else some
+    return found
 
 
 def short(value: float) -> str:

@@ -5,7 +5,6 @@
 
 import os
 import resource
-import time
 from functools import partial
 from typing import Any
 
@@ -18,7 +17,7 @@ from maglev_mj.plants import ExactPlant, Sensor, Timing
 from maglev_mj.scenes.bench import along, wall_controller
 from maglev_mj.spec import Spec
 from maglev_mj.studies.sweep import Grid, run_scene_cells
-from timing import answered
+from timing import Run, answered, columns
 
 PART, SAMPLES = 10_000, 400
 PULSE, WIDTH, LIMIT, QUANTUM = 220.0, 0.003, 60.0, 5e-6
@@ -26,7 +25,7 @@ AROUND: dict[str, Any] = {"period": 0.005, "delay": 0.0015, "mass": 0.7}
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return costs [s, ms] and memory [MB], on one core."""
+    """Return costs and memory, on one core."""
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     try:
@@ -35,23 +34,23 @@ def measure(quick: bool) -> dict[str, Any]:
         os.sched_setaffinity(0, cores)
 
 
-def walls(count: int) -> dict[str, float]:
-    """Return the number of walls, the cost of a million in parts [s], and the memory [MB]."""
+def walls(count: int) -> dict[str, dict[str, float]]:
+    """Return the cost of walls in parts, of a million of them [s], and the memory [MB]."""
     random = np.random.default_rng(0)
     stiffness, damping = random.uniform(500.0, 12_500.0, count), random.uniform(5.0, 190.0, count)
-    start = time.perf_counter()
-    for part in range(0, count, PART):
-        swings(stiffness[part : part + PART], damping[part : part + PART])
-    taken = time.perf_counter() - start
+    parts = [slice(part, part + PART) for part in range(0, count, PART)]
+    seconds, runs = answered(lambda: [swings(stiffness[part], damping[part]) for part in parts])
+    name, (ticks,) = "nonlinear walls", {ticks for _, ticks in runs}
+    run = Run(seconds, sum(swing.size for swing, _ in runs), ticks)
     return {
-        "walls": count,
-        "million_s": taken / count * 1e6,
-        "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3,
+        **columns({name: run}),
+        "seconds a million": {name: 1e6 * run.ticks * run.each},
+        "memory (MB)": {name: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3},
     }
 
 
-def swings(stiffness: Array, damping: Array) -> Array:
-    """Return swings of dropped flotors over the last quarter of the samples [m], (N,)."""
+def swings(stiffness: Array, damping: Array) -> tuple[Array, int]:
+    """Return swings of dropped flotors over the last quarter of the samples [m], (N,), and the number of ticks."""
     plant = ExactPlant(
         Timing(period=AROUND["period"], delay=AROUND["delay"]),
         mass=AROUND["mass"],
@@ -68,20 +67,19 @@ def swings(stiffness: Array, damping: Array) -> Array:
             np.minimum(least, sample.position[2], out=least)
             np.maximum(most, sample.position[2], out=most)
 
-    drive(plant, controller, SAMPLES, observe=observe)
-    swing: Array = most - least
-    return swing
+    last = drive(plant, controller, SAMPLES, observe=observe)
+    return most - least, last.tick
 
 
-def sweeps(quick: bool) -> dict[str, float]:
-    """Return the cost of a sweep's cell [ms], by scene and number of cells."""
+def sweeps(quick: bool) -> dict[str, dict[str, float]]:
+    """Return the cost of a sweep's cell, by scene and number of cells; a cell is one device."""
     grids: dict[str, dict[str, tuple[float, float]]] = {
         "drop": {"stiffness": (1000.0, 9000.0), "damping": (40.0, 100.0)},
         "press": {"stiffness": (2000.0, 8000.0), "press": (2.0, 6.0)},
         "stick-slip": {"breakaway": (0.5, 2.5), "spring": (500.0, 1500.0)},
         "wall": {"stiffness": (2000.0, 16000.0), "damping": (20.0, 160.0)},
     }
-    found = {}
+    runs = {}
     for name, ends in grids.items():
         if quick and name != "drop":
             continue
@@ -89,5 +87,6 @@ def sweeps(quick: bool) -> dict[str, float]:
             vary = {one: np.linspace(*end, n).tolist() for (one, end), n in zip(ends.items(), (side, other))}
             cells = Grid(find_scene(name)(), vary, plant="exact")
             run_scene_cells(cells[:1])  # what is imported and kept by the first
-            found[f"{name}_{len(cells)}"] = answered(partial(run_scene_cells, cells))[0] / len(cells) * 1e3
-    return found
+            seconds, rows = answered(partial(run_scene_cells, cells))
+            runs[f"{name}, {len(cells)}"] = Run(seconds, None, len(rows))
+    return columns(runs, "cell")

@@ -10,8 +10,12 @@ import bench
 import growth
 import loop
 import options
+import realism
 import speed_tables
+import timing
+import walls
 from maglev_mj import ExactPlant
+from tests.rows import check_rows
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -53,12 +57,40 @@ def test_each_row_of_the_loop_counts_what_it_ran_and_every_drop_ends_alike() -> 
 def test_options_and_growth_count_what_they_ran(monkeypatch: pytest.MonkeyPatch) -> None:
     few = options.Loop(ExactPlant, {options.PLAIN: {}, "recording": {"record": True}}, options.many(3, 1e-4), 4, 1)
     found = options.over_plain(few, quick=False)
-    assert (found["devices"], found["ticks"], list(found["over plain"])) == (3, 4, list(few.options))
+    assert found["devices"] == dict.fromkeys(few.options, 3) and found["ticks"] == dict.fromkeys(few.options, 4)
+    assert list(found["over plain"]) == list(few.options)
+    check_rows(found)
     assert growth.cheapest_run(ExactPlant, 10).devices == 10
     run = options.run
     monkeypatch.setattr(options, "run", lambda one, name, ticks: run(one, name, ticks - (name != options.PLAIN)))
     with pytest.raises(ValueError, match="the same for each option"):
         options.over_plain(few, quick=False)
+
+
+def test_a_row_divides_its_total_by_what_it_counts_and_runs_of_a_row_count_the_same() -> None:
+    runs = [timing.Run(seconds, 10, 4) for seconds in (8.0, 2.0, 4.0)]
+    found = timing.columns({"many": runs, "one": timing.Run(3.0, 1, 6)})
+    assert found["seconds"] == {"many": 4.0, "one": 3.0} and found["devices"] == {"many": 10, "one": 1}
+    check_rows(found)
+    assert found["µs a tick and device"] == pytest.approx({"many": 1e5, "one": 5e5})
+    with pytest.raises(ValueError, match="many: runs must count the same devices and ticks"):
+        timing.columns({"many": [*runs, runs[0]._replace(devices=1)]})
+
+
+def test_walls_realism_and_growth_count_what_they_ran(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(walls, "PART", 20)
+    found = walls.walls(50)
+    assert list(found["devices"].values()) == [50] and list(found["ticks"].values()) == [walls.SAMPLES]
+    check_rows(found)
+    cells = walls.sweeps(quick=True)
+    assert cells["cells"] == {"drop, 64": 64}
+    check_rows(cells)
+    plain = realism.Piece(realism.EXACT, {})
+    assert realism.cost(plain, 2)[1:3] == (1, realism.parts(plain)[2])
+    runs = {count: growth.cheapest_run(ExactPlant, count) for count in (1, 10)}
+    table = growth.nested({"exact plant": runs})
+    assert table["devices"] == {"exact plant": {1: 1, 10: 10}} and set(table["ticks"]["exact plant"].values()) == {60}
+    check_rows({head: column["exact plant"] for head, column in table.items()})
 
 
 def test_an_estimate_is_bounded_by_the_workers_and_by_what_hands_out() -> None:

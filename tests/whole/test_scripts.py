@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from tests.rows import check_rows
 from tests.studies.test_charts import complaints
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -205,15 +206,6 @@ SMALL: dict[str, dict[str, Any]] = {
     "web": {"alone": True},
 }
 """Sections of `system` but the window, by their options of a small case."""
-
-
-def check_rows(table: dict[str, dict[str, float]]) -> None:
-    """Check that the time of each row is its total divided by what it counts."""
-    (each,) = (head for head in table if head.startswith("µs a "))
-    counted = each.removeprefix("µs a ").removesuffix(" and device") + "s"
-    for name, seconds in table["seconds"].items():
-        things = table[counted][name] * table.get("devices", {}).get(name, 1)
-        assert things >= 1 and table[each][name] == pytest.approx(1e6 * seconds / things, rel=1e-9)
 
 
 @pytest.mark.machine
