@@ -379,12 +379,14 @@ class OutputLimiter:
     def stay(self, periods: int, currents: Sequence[float]) -> None:
         """Update the thermal model by periods of constant currents [A].
 
-        A pulse still acting ends first.
+        A pulse still acting ends first: by itself, or by other currents than those after it.
         """
-        switch = None if currents == self._timeline.acting else (currents, None, 0.0)
-        self.thermal.add(self._timeline.period(0, switch))
-        if periods > 1:
-            self.thermal.add((((periods - 1) * self._period, currents),))
+        line = self._timeline
+        self.thermal.add(line.period(0, None if currents == line.acting else (currents, None, 0.0)))
+        while (periods := periods - 1) > 0 and line.now() is not line.acting:  # a pulse goes on
+            self.thermal.add(line.period(0))
+        if periods > 0:
+            self.thermal.add(((periods * self._period, currents),))
 
     def currents(
         self, command: Command, position: Sequence[float]

@@ -155,14 +155,23 @@ def limiter(**own: float) -> OutputLimiter:
     return OutputLimiter(Calibration.nominal().coils, limits.narrowed(Limits()), limits.wrench, PERIOD)
 
 
-@pytest.mark.parametrize("width", [0.001, 0.005, 0.0123])
-def test_pulses_warm_the_coils_however_long_they_are(width: float) -> None:
-    output, held, pulsed = limiter(), [1.0] * 6, [8.0] * 6
-    output.passed(held, pulsed, width)
-    for periods in (1, 1, 7):  # of the last seven nothing was heard
-        output.stay(periods, held)
-    rest = 10 * PERIOD - width
-    assert output.thermal.warmest == pytest.approx(heated((width, 8.0), (rest, 1.0)), rel=1e-9)
+@pytest.mark.parametrize("width", [0.0, 0.001, 0.005, 0.0123, 0.015, 0.0312, 1.0])
+def test_pulses_warm_the_coils_however_long_they_are_and_however_many_periods_are_missed(width: float) -> None:
+    held, pulsed = [1.0] * 6, [8.0] * 6
+    for missed in (1, 2, 3, 7, 400):
+        once, each = limiter(), limiter()
+        for output in (once, each):
+            output.passed(held, pulsed, width)
+        once.stay(missed, held)
+        for _ in range(missed):
+            each.stay(1, held)
+        length = (missed + 1) * PERIOD
+        expected = heated((min(width, length), 8.0), (max(length - width, 0.0), 1.0))
+        assert once.thermal.warmest == pytest.approx(expected, rel=1e-9)
+        assert each.thermal.warmest == pytest.approx(expected, rel=1e-9)
+        once.stay(missed, [2.0] * 6)  # of other currents, which end it
+        cooler = 4.0 / 9.0 + (expected - 4.0 / 9.0) * math.exp(-missed * PERIOD / 10.0)
+        assert once.thermal.warmest == pytest.approx(cooler, rel=1e-9)
 
 
 @pytest.mark.parametrize("axis", range(6))
