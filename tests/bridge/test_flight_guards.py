@@ -14,12 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj import Controller, Hold, Wall, find_scene, judge
+from maglev_mj import AxisLaw, Controller, Hold, Wall, find_scene, judge
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
 from maglev_mj.bridge.landing import TOLERATED, Leader, Swing
 from maglev_mj.bridge.observer import HandObserver
+from maglev_mj.bridge.safety import Limits
 from maglev_mj.frames import Command
 from maglev_mj.session import device_controller
 from maglev_mj.theory.verdict import delay_margins
@@ -67,11 +68,20 @@ def test_a_law_that_states_no_gains_has_the_margin_of_one_that_does(hand: str) -
     assert delay_margins(unstated, [hand])[hand] == pytest.approx(expected, rel=1e-3)
 
 
-def test_margins_without_any_and_without_end() -> None:
+class Jumping(AxisLaw):
+    """Law whose force jumps wherever the flotor rests, so that nothing is known of it."""
+
+    def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
+        return -1000.0 * x - 2.0 * np.sign(v)
+
+
+def test_margins_without_any_without_end_and_not_known() -> None:
     shaky = Controller([Wall(axes="z", lower=0.0, stiffness=90_000.0, damping=10.0)], period=0.005)
     assert delay_margins(shaky, ["none"]) == {"none": 0.0}
     soft = Controller([Hold(axes="z", stiffness=1.0, damping=0.1)], period=0.005)
     assert delay_margins(soft, ["none"]) == {"none": math.inf}
+    jumping = Controller([Jumping(axes="z")], period=0.005)
+    assert math.isnan(delay_margins(jumping, ["none"])["none"])
 
 
 # guards alone
@@ -109,6 +119,7 @@ def test_a_slow_line_is_found_and_a_late_answer_is_not_one(delays: list[float], 
         (11.6e-3, 0.005, 9.28e-3),
         (math.inf, 0.005, 24e-3),
         (math.nan, 0.005, 24e-3),
+        (math.nan, 0.001, 8e-3),
         (0.0, 0.005, 0.0),
     ],
 )
@@ -213,6 +224,14 @@ def test_a_loop_near_the_end_of_its_margin_does_not_swing_on_after_a_tap(tmp_pat
     flown = fly("six-axes", hand="tap", delay=delayed("step", 0.005, 2.4), folder=tmp_path)
     assert "delays are above" in flown.outcome
     assert flown.speeds(2.4).max() < 0.45 and (flown.speeds(2.4) > 0.30).sum() / 200 < 0.05
+
+
+@pytest.mark.study
+def test_laws_whose_margin_is_not_known_are_guarded_too(tmp_path: Path) -> None:
+    """Six axes at 1 kHz bear up to 10 ms, the most looked at, not 15.5."""
+    delay = delayed("step", 0.007, 1.2)
+    flown = fly("six-axes", rate=1000, delay=delay, limits=Limits(stale=0.02), folder=tmp_path, seconds=0.3)
+    assert "8 of the last 16" in flown.outcome and flown.speeds(1.2).max() < 0.05
 
 
 @pytest.mark.parametrize("rate", RATES)

@@ -18,12 +18,14 @@ from maglev_mj.bridge import HostLimits, RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.line import (
     MARGIN,
     LineReport,
+    Preflight,
     _problem,
     measure_line,
     preflight,
 )
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge
+from maglev_mj.errors import PlantError
 from maglev_mj.plants.hand import HANDS
 from maglev_mj.session import device_controller
 from maglev_mj.theory.verdict import delay_margins
@@ -76,6 +78,18 @@ def test_a_line_is_measured_without_current(way: float, rate: int, tmp_path: Pat
     assert report.clock == pytest.approx(1.0) and report.success >= 0.98
     assert report.as_json()["delay"] == pytest.approx(report.delay.tolist())
     assert "samples answered in time; 0 lost, 0 skipped, 0 answers late;" in str(report.table())
+
+
+def test_answers_too_late_to_be_obeyed_are_counted_and_an_active_device_is_not_measured(tmp_path: Path) -> None:
+    with device(tmp_path, 0.012) as plant:
+        assert measure_line(plant, 0.3).success == 0.0  # the device reports none of them
+    with device(tmp_path, 0.006) as plant:
+        plant.limits = replace(plant.limits, stale=0.01)  # one that reports them all the same
+        report = measure_line(plant, 0.3)
+        assert report.late >= 0.9 * report.samples and report.success < 0.1
+        plant.arm()
+        with pytest.raises(PlantError, match="no takeoff: the device is ACTIVE, faults none"):
+            measure_line(plant)
 
 
 NAMES = ["joystick", "drop", "table", "box", "corner", "stick-slip"]
@@ -234,6 +248,19 @@ def test_anyway_holds_for_settings_in_flight_where_it_holds_before(
     ):
         _, output, _ = flown(device(tmp_path, limits=limits), *options, address=where)
         assert output.endswith("takes off, settings too" if holds else "takes off")
+
+
+def test_a_softened_scene_is_said_and_as_written_it_is_not_softened(
+    flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def checked(plant: RemotePlant, scene: Any, *, as_written: bool, report: LineReport) -> Preflight:
+        scene = scene.replace(period=plant.period, delay=plant.delay)
+        return Preflight(scene, report, 0.01, "", "" if as_written else "the walls are softer")
+
+    monkeypatch.setattr(bridge, "preflight", checked)
+    for options, softer in (([], True), (["--as-written"], False)):
+        status, output, _ = flown(device(tmp_path), *options)
+        assert status == 0 and ("the walls are softer" in output) == softer and "takes off" in output
 
 
 @pytest.mark.parametrize(("scene", "way", "status"), [("joystick", 0.0003, 0), ("table", 0.02, 1)])
