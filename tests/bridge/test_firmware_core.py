@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from maglev_mj.bridge.links import cobs_encode
+from maglev_mj.bridge.links import cobs_decode, cobs_encode
 from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.twin.firmware import Firmware, Reading
 from maglev_mj.bridge.wire import Codec, Command, Control, ControlAck, Estop, Fault, Hello, Operation, State
@@ -236,6 +236,20 @@ def test_a_board_that_tells_no_heating_has_its_coils_heated_by_what_is_measured(
     assert tick * PERIOD * 1e-9 == pytest.approx(expected, abs=2.1 * PERIOD * 1e-9)
 
 
+@pytest.mark.parametrize("length", [15, 33])
+def test_it_does_not_start_with_a_key_of_another_length(length: int) -> None:
+    codec = Codec(KEY)
+    codec._key = bytes(length)  # which the codec itself would refuse
+    with pytest.raises(ValueError):
+        CoreFirmware(PROFILE, Amplifiers(), codec, lambda: 1)
+
+
+def test_no_session_has_the_number_0() -> None:
+    device = CoreFirmware(PROFILE, Amplifiers(), Codec(), lambda: 0)
+    assert device.receive(Codec().encode(0, 0, 0, Hello(1, CALIBRATION)), 0, "host") is not None
+    assert device.session == 1
+
+
 def test_a_frame_that_is_too_long_for_a_board_is_none() -> None:
     side = Side(CoreFirmware, PROFILE, None)
     for length, reason in ((256, "version"), (257, "length")):
@@ -258,6 +272,17 @@ def test_cobs_is_that_of_the_serial_line(length: int) -> None:
         noise = bytes(draw.randrange(1, 256) for _ in range(draw.randrange(600)))
         lengths = [core.maglev_unstuff(line, ctypes.c_uint8(byte)) for byte in noise + sent]
         assert lengths[-1] == length and line.raw[:length] == data
+
+
+def test_bytes_of_a_line_that_are_no_frame_are_skipped() -> None:
+    core, draw = library(), random.Random(3)
+    line = ctypes.create_string_buffer(512)
+    for _ in range(500):
+        piece = bytes(draw.choice([1, 2, 3, 255, draw.randrange(1, 256)]) for _ in range(draw.choice([3, 8, 300])))
+        lengths = [core.maglev_unstuff(line, ctypes.c_uint8(byte)) for byte in piece + b"\0"]
+        decoded = cobs_decode(piece) or b""
+        decoded = decoded if len(decoded) <= 256 else b""
+        assert not any(lengths[:-1]) and line.raw[: lengths[-1]] == decoded
 
 
 @pytest.mark.needs("sanitizers")

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 
@@ -204,6 +205,20 @@ def test_a_forged_sender_does_not_stop_a_server() -> None:
             assert link.receive(PATIENCE) == b"answer" and link.receive(0.0) is None
 
 
+def test_a_port_in_use_is_one_line_and_a_datagram_longer_than_any_frame_is_dropped() -> None:
+    # Linux cuts it short, which no seal fits; on Windows it is an error of the socket.
+    with closing(UdpServer(HOME, 0)) as server, closing(UdpLink(*server.address)) as link:
+        with pytest.raises(LinkError, match=r"cannot listen at udp://127\.0\.0\.1:\d+: [^\n]+$"):
+            UdpServer(HOME, server.address[1])
+        link.send(bytes(3000))
+        link.send(b"next")
+        longer, after = server.receive(PATIENCE), server.receive(PATIENCE)
+        assert longer is not None and len(longer[0]) < 3000 and after is not None and after[0] == b"next"
+        refused = [OSError(errno.EMSGSIZE, "Message too long"), BlockingIOError(errno.EAGAIN, "none")]
+        link._receive = Mock(side_effect=refused)
+        assert link.receive(0.0) is None
+
+
 def test_without_a_key_only_this_machine_is_spoken_to() -> None:
     assert is_loopback("127.8.9.10") and is_loopback("localhost") and not is_loopback("0")
     assert check_host(HOME, None) == HOME and check_host("192.0.2.1", b"0123456789abcdef") == "192.0.2.1"
@@ -307,6 +322,25 @@ def test_a_serial_line_recovers_from_garbage_both_ways() -> None:
             assert heard and answer
         assert server._deframer.dropped > 0 and link._deframer.dropped > 0
     os.close(other_end)
+
+
+@PTY
+@pytest.mark.machine
+def test_a_full_serial_line_loses_frames_and_goes_on() -> None:
+    server = PtyServer()
+    with closing(server), closing(SerialLink(server.path, 921600)) as link:
+        for _ in range(500):
+            link.send(bytes(200))
+            link.send(b"x" * 200)
+        heard: list[bytes] = []
+        while (frame := server.receive(0.1)) is not None:
+            heard.append(frame[0])
+        whole = sum(one in (bytes(200), b"x" * 200) for one in heard)
+        # each time that the line gets full one frame is cut short; its seal would tell
+        assert 0 < whole < 1000 and len(heard) - whole < 0.1 * whole
+        link.send(b"after")
+        # the frame that was cut short may come first
+        assert any(server.receive(PATIENCE) == (b"after", server.address) for _ in range(2))
 
 
 @PTY
