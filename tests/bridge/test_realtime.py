@@ -70,6 +70,22 @@ def test_ignore_goes_on_and_everything_is_given_back_when_the_loop_fails(collect
     assert state() == before
 
 
+@pytest.mark.machine
+@pytest.mark.usefixtures("unchanged")
+def test_enforce_raises_just_where_ignore_complains() -> None:
+    cpu = some_processor()
+    with realtime("ignore", cpu=cpu) as complaints:
+        pass
+    if not complaints:
+        with realtime("enforce", 70, cpu) as none:
+            _, _, *set_to = state()
+            assert none == [] and set_to == [os.SCHED_FIFO, 70, {cpu}]
+        return
+    with pytest.raises(RealtimeError) as error, realtime("enforce", cpu=cpu):
+        raise AssertionError("entered")
+    assert all(complaint in str(error.value) for complaint in complaints)
+
+
 def refuse(*_: object) -> None:
     raise PermissionError(1, "Operation not permitted")
 
