@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import Mock
@@ -15,7 +16,8 @@ from maglev_mj.bridge.fault import DeviceFault, FaultRecord, LastCycles, load_fa
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.links import LinkError
 from maglev_mj.bridge.twin.fault_injection import InjectedFault
-from maglev_mj.bridge.wire import Fault
+from maglev_mj.bridge.wire import Fault, State
+from maglev_mj.errors import PlantError
 from maglev_mj.recording import InvalidRecordingError, Recording, open_recording
 from maglev_mj.recording.journal import RECORD, open_journal
 from maglev_mj.scenes import find_scene
@@ -228,6 +230,41 @@ def test_a_full_disk_leaves_no_half_file_and_the_fault_is_told(tmp_path: Path, m
     full.add(temporary)
     _, error = flown(own)
     assert error.path is None and error.faults == Fault.COIL_NOT_FOLLOWING and not list(own.iterdir())
+
+
+@pytest.mark.parametrize("name", ["text_records", "header"])
+def test_whatever_fails_in_writing_the_fault_is_told(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(f"maglev_mj.bridge.fault.{name}", Mock(side_effect=ValueError("oh")))
+    rig, error = flown(tmp_path)
+    assert error.path is None and error.faults == Fault.COIL_NOT_FOLLOWING and rig.twin.firmware.state == State.FAULT
+
+
+def test_without_a_folder_of_its_own_the_file_goes_to_the_temporary_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken, found = tmp_path / "taken", []
+    taken.write_text("a file, not a folder")
+    for temporary in (tmp_path / "elsewhere", tmp_path / "elsewhere", taken / "nowhere"):
+        monkeypatch.setattr("tempfile.tempdir", str(temporary))
+        found.append(flown(taken / "faults")[1])
+    first, second, third = (error.path for error in found)
+    assert first is not None and second is not None and first.parent == second.parent == tmp_path / "elsewhere"
+    assert first != second and third is None and "last cycles" not in str(found[2])
+
+
+@pytest.mark.parametrize("kind", [LinkError("gone"), OSError("gone"), KeyboardInterrupt()])
+def test_an_error_within_close_still_closes_the_line_once(kind: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig, closed = Rig(), Mock()
+    monkeypatch.setattr(rig.plant._line, "control", Mock(side_effect=kind))
+    monkeypatch.setattr(rig.link, "close", closed)
+    with pytest.raises(KeyboardInterrupt) if isinstance(kind, KeyboardInterrupt) else nullcontext():
+        rig.plant.close()
+    rig.plant.close()
+    assert closed.call_count == 1
+    with pytest.raises(PlantError, match="the plant is closed"):
+        rig.plant.read()
 
 
 @pytest.mark.parametrize(

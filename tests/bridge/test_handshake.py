@@ -234,3 +234,21 @@ def test_frames_of_another_session_are_dropped_and_counted() -> None:
     assert line.codec.dropped["session"] >= 20
     link.codec.encode = spoken  # type: ignore[method-assign]
     assert line.state() is not None and twin.firmware.session == own
+
+
+def test_samples_left_out_during_a_request_count_as_skipped() -> None:
+    twin, waiting = Twin(TwinParameters()), list[Any]()
+    plant = RemotePlant(link := Doctored(twin))
+    plant.read()
+
+    def late(body: Any) -> Any:
+        """Let the device's answer wait for five samples."""
+        if isinstance(body, StateReport):
+            waiting.append(None)
+            return body
+        return body if len(waiting) > 5 else None
+
+    link.change = late
+    plant.arm()
+    plant.read()
+    assert plant.samples.skipped >= 4 and plant.samples.lost == 0 and plant.samples.tick == twin.tick

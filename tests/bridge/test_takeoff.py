@@ -155,6 +155,26 @@ def test_a_landing_waits_for_rest_before_it_disarms() -> None:
     assert operation == Operation.DISARM and 0.65 / 0.005 < ticks <= 0.9 / 0.005 + 3
 
 
+def test_at_reduced_power_it_takes_off_and_lands() -> None:
+    # a tap for which the weight leaves no current
+    tapped = late_hand([0.0, 0.0, -4.0, 0.0, 0.0, 0.0], 0.8)
+    rig = Rig(
+        host={"limits": HostLimits(max_current=1.45)},
+        hand=lambda tick, at, state: tapped(tick, at, state) if at < 0.83 else [0.0] * 6,
+    )
+    sent, command = list[float](), rig.plant._line.command
+
+    def told(frame: Any) -> None:
+        command(frame)
+        sent.extend(map(abs, (*frame.held, *frame.pulsed)))
+
+    rig.plant._line.command = told  # type: ignore[method-assign]
+    rig.plant.takeoff()
+    assert rig.twin.tick * 0.005 < 0.8
+    rig.fly(0.4)
+    assert rig.plant.land().at_rest and max(sent) == pytest.approx(1.45)
+
+
 FIRST_HOVER = HostLimits(max_current=2.0, envelope=0.003, speed_limit=0.1, force_limit=9.0)
 
 

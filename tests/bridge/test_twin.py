@@ -23,7 +23,7 @@ from maglev_mj.bridge.twin.twin import Twin, TwinParameters, TwinServer
 from maglev_mj.bridge.wire import Codec, Control, Estop, EstopAck, Fault, Hello, Operation, State
 from maglev_mj.bridge.wire import Command as CommandFrame
 from maglev_mj.cli.twin import _hand
-from maglev_mj.errors import ParameterError
+from maglev_mj.errors import ParameterError, PlantError
 from maglev_mj.frames import AXES, Array
 from maglev_mj.plants import MuJoCoPlant, Timing
 from tests.bridge.impaired import ImpairedLine, Impairment
@@ -62,6 +62,21 @@ def test_with_the_firmware_hung_the_board_opens(period: float, watchdog: float, 
     assert twin.firmware.state == State.ACTIVE and not any(twin.plant.currents)
     estop = Codec().encode(0, 0, 0, Estop(1))
     assert twin.receive(estop, twin.tick * twin.parameters.profile.period, "host") is None
+
+
+def test_with_the_firmware_hung_right_after_arming_the_board_opens() -> None:
+    rig = Rig(faults=[InjectedFault(kind="hung-firmware", which=0, at=0.02)], pose=CENTRE)
+    for _ in range(4):
+        rig.plant.read()
+    rig.link.receive(0.002)
+    rig.plant.arm()
+    currents = tuple(rig.plant.calibration.hover.tolist())
+    rig.plant._line.command(CommandFrame(rig.twin.tick, 0, currents, currents, 0.0))
+    flowed = 0.0
+    for _ in range(20):
+        rig.twin.sample()
+        flowed += sum(duration for duration, held in rig.twin.plant.segments if any(held))
+    assert flowed == pytest.approx(0.015 - 0.0015) and not any(rig.twin.plant.currents)
 
 
 def test_before_the_first_sample_and_while_its_line_stands_a_board_lets_nothing_through() -> None:
@@ -185,6 +200,16 @@ def test_stops_take_motion_along_them() -> None:
         assert (speeds_after(pose, twist, 0.15, stop_damping=True) < (1e-3, 0.05)).all(), (pose, twist)
 
 
+@pytest.mark.parametrize("torque", [(0.9, -0.6, 0.5), pytest.param((-0.4, 0.9, 0.6), marks=pytest.mark.study)])
+def test_takeoff_after_a_rough_landing(torque: Sequence[float]) -> None:
+    rig = Rig(hand=lambda _, time, state: [0.0] * 3 + [one * (time < 0.015) for one in torque])
+    for _ in range(45):
+        rig.plant.read()
+    assert np.linalg.norm(np.array(rig.witness.twists)[:, 3:], axis=1).max() > 6.0
+    rig.plant.takeoff()
+    assert rig.plant.land().at_rest
+
+
 class Queue:
     """Server with waiting frames, endless if wanted, and a virtual clock.
 
@@ -289,6 +314,18 @@ def test_in_lockstep_no_line_changes_the_motion() -> None:
         return [tuple(sample.position) for sample in seen]
 
     assert positions(ImpairedLine(BAD)) == positions(Line())
+
+
+def test_a_second_session_in_lockstep_begins_with_a_new_sample() -> None:
+    twin = Counted(TwinParameters(lockstep=True))
+    link, digest = VirtualLink(twin, Line(0.001)), twin.parameters.calibration.digest
+    for tick in range(2):
+        host = Connection(link, digest, None, 0.1)
+        assert host.state().sequence == tick == twin.tick
+        with pytest.raises(PlantError, match="no sample"):  # not answered: repeated, and the same is none newer
+            host.state()
+        assert twin.tick == tick and host.codec.dropped["old"] >= 4
+        assert host.control(Operation.BYE) is not None
 
 
 class Late(Queue):
