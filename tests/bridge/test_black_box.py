@@ -239,6 +239,7 @@ def test_whatever_fails_in_writing_the_fault_is_told(
     monkeypatch.setattr(f"maglev_mj.bridge.fault.{name}", Mock(side_effect=ValueError("oh")))
     rig, error = flown(tmp_path)
     assert error.path is None and error.faults == Fault.COIL_NOT_FOLLOWING and rig.twin.firmware.state == State.FAULT
+    assert rig.plant.cycles.write(b"") is None  # as a guard asks for it that lands a flight
 
 
 def test_without_a_folder_of_its_own_the_file_goes_to_the_temporary_one(

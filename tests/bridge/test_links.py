@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from functools import partial
 from typing import Any
 from unittest.mock import Mock
 
@@ -327,20 +328,27 @@ def test_a_serial_line_recovers_from_garbage_both_ways() -> None:
 @PTY
 @pytest.mark.machine
 def test_a_full_serial_line_loses_frames_and_goes_on() -> None:
-    server = PtyServer()
-    with closing(server), closing(SerialLink(server.path, 921600)) as link:
-        for _ in range(500):
-            link.send(bytes(200))
-            link.send(b"x" * 200)
-        heard: list[bytes] = []
-        while (frame := server.receive(0.1)) is not None:
-            heard.append(frame[0])
-        whole = sum(one in (bytes(200), b"x" * 200) for one in heard)
-        # each time that the line gets full one frame is cut short; its seal would tell
-        assert 0 < whole < 1000 and len(heard) - whole < 0.1 * whole
-        link.send(b"after")
-        # the frame that was cut short may come first
-        assert any(server.receive(PATIENCE) == (b"after", server.address) for _ in range(2))
+    link, server = serial_line()
+
+    def at_server(timeout: float) -> bytes | None:
+        heard = server.receive(timeout)
+        return None if heard is None else heard[0]
+
+    ways: list[tuple[Callable[[bytes], None], Callable[[float], bytes | None]]] = [
+        (link.send, at_server),
+        (lambda data: server.send(data, ("", 0)), link.receive),
+    ]
+    with closing(server), closing(link):
+        for send, receive in ways:
+            for _ in range(500):
+                send(bytes(200))
+                send(b"x" * 200)
+            heard = [*iter(partial(receive, 0.1), None)]
+            whole = sum(one in (bytes(200), b"x" * 200) for one in heard)
+            # each time that the line gets full one frame is cut short; its seal would tell
+            assert 0 < whole < 1000 and len(heard) - whole < 0.1 * whole
+            send(b"after")
+            assert b"after" in (receive(PATIENCE), receive(0.1))  # the frame that was cut short may come first
 
 
 @PTY

@@ -168,7 +168,7 @@ def test_at_reduced_power_it_takes_off_and_lands() -> None:
         command(frame)
         sent.extend(map(abs, (*frame.held, *frame.pulsed)))
 
-    rig.plant._line.command = told  # type: ignore[method-assign]
+    rig.plant._line.command = told  # type: ignore[method-assign, assignment]
     rig.plant.takeoff()
     assert rig.twin.tick * 0.005 < 0.8
     rig.fly(0.4)
