@@ -142,7 +142,7 @@ def test_a_study_prints_draws_and_writes_its_figures(name: str, tmp_path: Path, 
 @STUDY
 def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Path, run_script: Script) -> None:
     def run(*arguments: str) -> str:
-        return run_script("studies/flight_safety.py", *arguments, "--out", str(tmp_path))
+        return run_script("studies/flights.py", *arguments, "--out", str(tmp_path))
 
     for number in ("1", "3"):
         run("product", "--number", number)
@@ -162,7 +162,7 @@ def test_flight_safety_goes_on_where_it_ended_and_prints_its_tables(tmp_path: Pa
 
 @STUDY  # in real time: a stall of a second ends the flight before its emergency stop
 def test_an_emergency_stop_is_heard_through_every_flood() -> None:
-    command = [sys.executable, str(ROOT / "scripts" / "studies" / "fault_campaign.py"), "flood", "1"]
+    command = [sys.executable, str(ROOT / "scripts" / "studies" / "flights.py"), "flood", "--number", "1"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0 and done.stdout.count("| 1 |") == 4, done.stderr
 

@@ -1,15 +1,13 @@
-"""Slow lines and bad laws in flight: the time to their end, and the flotor's speed.
+"""Fly over slow lines, with bad laws and with faults: the time to the end, and the flotor's speed.
 
-    python scripts/studies/flight_safety.py product --number 2000
-    python scripts/studies/flight_safety.py laws
-    python scripts/studies/flight_safety.py record
-    python scripts/studies/flight_safety.py good --number 2000
-    python scripts/studies/flight_safety.py takeoffs
-    python scripts/studies/flight_safety.py attacks
-    python scripts/studies/flight_safety.py tables
+    python scripts/studies/flights.py product | laws | good | takeoffs [--number 2000]
+    python scripts/studies/flights.py record | attacks | tables
+    python scripts/studies/flights.py faults [udp | serial] [NAME ...]
+    python scripts/studies/flights.py flood --number 20
 
 Flights of the twin in simulated time, by the twin's truth. `record` measures delays of this machine in real time, over
-UDP, which `good` flies again. Each flight is a line of a file in `--out`; a second call goes on where the first ended.
+UDP, which `good` flies again; `faults` and `flood` fly in real time too, see `real_flights.py`. Each simulated flight
+is a line of a file in `--out`; a second call continues where the first ended.
 """
 
 from __future__ import annotations
@@ -17,11 +15,8 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import random
 import re
-import subprocess
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -33,20 +28,19 @@ from typing import Any
 
 import numpy as np
 
+import real_flights
 from maglev_mj import find_scene, judge
 from maglev_mj.bridge import Twin, TwinParameters
 from maglev_mj.bridge.bench.calibration import Calibration
-from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.line import LoopTiming, preflight
-from maglev_mj.bridge.links import open_link
+from maglev_mj.bridge.line import preflight
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
-from maglev_mj.errors import MaglevError
 from maglev_mj.scenes import Scene
 from maglev_mj.session import device_controller
 from maglev_mj.spec import Spec
 from maglev_mj.versions import versions
+from real_flights import print_table
 from tests.bridge.slow_lines import (
     HAND_BEGINS,
     PUSHES,
@@ -109,6 +103,12 @@ def go_on(path: Path, cells: Iterable[Row], evaluate: Callable[[Row], Row]) -> N
             row = json.dumps({"cell": cell, **evaluate(cell), "versions": versions()})
             with path.open("a", encoding="utf-8") as file:
                 file.write(row + "\n")
+
+
+def flight(name: str, **options: Any) -> Flown:
+    """Fly once; the last cycles of a fault are not kept."""
+    with tempfile.TemporaryDirectory() as folder:
+        return fly(name, folder=folder, **options)
 
 
 def outcome_kind(outcome: str) -> str:
@@ -202,15 +202,14 @@ def fly_product(cell: Row) -> Row:
     moment = HAND_BEGINS + cell["moment"]
     size, shape = cell["delay"] * 1e-3, SHAPES[cell["shape"]]
     seconds = moment - _TAKEOFF + (1.3 if cell["shape"] == "ramp" else 0.9)
-    with tempfile.TemporaryDirectory() as folder:
-        options: Row = {"rate": rate, "hand": hand, "seconds": seconds, "seed": cell["seed"], "folder": folder}
-        flown = fly(cell["scene"], delay=lambda time: shape(size, time - moment, draw), **options)
-        found = figures(flown, moment)
-        spare = (flown.bears - _DELAY) / 2.0
-        late = [time for time, delay in flown.delays if time >= moment and delay > spare]
-        found["late"] = rounded(late[0]) if late else None
-        if found["speed"] > FREE:
-            found["alone"] = figures(fly(cell["scene"], **options), moment)["speed"]
+    options: Row = {"rate": rate, "hand": hand, "seconds": seconds, "seed": cell["seed"]}
+    flown = flight(cell["scene"], delay=lambda time: shape(size, time - moment, draw), **options)
+    found = figures(flown, moment)
+    spare = (flown.bears - _DELAY) / 2.0
+    late = [time for time, delay in flown.delays if time >= moment and delay > spare]
+    found["late"] = rounded(late[0]) if late else None
+    if found["speed"] > FREE:
+        found["alone"] = figures(flight(cell["scene"], **options), moment)["speed"]
     return found
 
 
@@ -271,16 +270,11 @@ def fly_law(cell: Row) -> Row:
     links: list[Any] = []
     begun: list[float] = []
 
-    def sleep(seconds: float) -> float:
+    def sleep(seconds: float, error: bool = False) -> float:
         pass_time(links[0], seconds)
+        if error:
+            raise RuntimeError("it raises")
         return 0.0
-
-    def spin() -> float:
-        sleep(1.0)
-        raise RuntimeError("it spun for a second")
-
-    def raised() -> float:
-        raise RuntimeError("it raises")
 
     every = {"each sample": 1, "each 2nd sample": 2, "each 5th sample": 5}.get(kind.partition(", ")[2], 1)
     once = round(0.5 * rate) + 1
@@ -289,10 +283,10 @@ def fly_law(cell: Row) -> Row:
         "chatter": lambda tick, own: size * (-1.0) ** (tick // every),
         "constant push": lambda tick, own: float(size * sense),
         "NaN": lambda tick, own: math.nan,
-        "raises": lambda tick, own: raised(),
+        "raises": lambda tick, own: sleep(0.0, error=True),
         "sleeps once [ms]": lambda tick, own: sleep(size * 1e-3) if tick == once else 0.0,
         "sleeps at each sample [ms]": lambda tick, own: sleep(size * 1e-3),
-        "spins": lambda tick, own: spin(),
+        "spins": lambda tick, own: sleep(1.0, error=True),
     }
     act = acts.get(kind.partition(",")[0])
 
@@ -306,80 +300,14 @@ def fly_law(cell: Row) -> Row:
     if kind == "wall of root":
         scene = find_scene(name)().replace(stiffness=wall_of(name, rate, size))
     law = None if act is None else partial(ChangedLaw, change=change, axis=axis)
-    with tempfile.TemporaryDirectory() as folder:
-        options: Row = {"rate": rate, "hand": cell["hand"], "seed": cell["seed"], "folder": folder}
-        seconds = 1.6 if rate == 1000 else 2.0
-        bears = margin(name, rate, _DELAY)
-        flown = fly(
-            name,
-            scene=scene,
-            law=law,
-            bears=bears,
-            seconds=seconds,
-            prepare=lambda twin, link: links.append(link),
-            **options,
-        )
+    options: Row = {"scene": scene, "law": law, "bears": margin(name, rate, _DELAY), "rate": rate}
+    options |= {"hand": cell["hand"], "seed": cell["seed"], "seconds": 1.6 if rate == 1000 else 2.0}
+    flown = flight(name, prepare=lambda twin, link: links.append(link), **options)
     since = begun[0] if begun else flown.began
-    found = figures(flown, since)
-    return {"begun": rounded(since), **found}
+    return {"begun": rounded(since), **figures(flown, since)}
 
 
 # 3. good flights, over delays of a real machine
-
-
-def record_delays(path: Path, seconds: float) -> None:
-    """Fly a twin over UDP in real time, at both rates; keep each sample's delay.
-
-    Quiet as the machine is, then with every core busy. A flight that a stall of the machine ends is flown on; delays of
-    an earlier call stay.
-    """
-    print("| load, samples a second | samples | median [ms] | 99 % | largest |\n|---|---|---|---|---|", flush=True)
-    found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    for load, rate in product(("quiet", "busy"), (200, 1000)):
-        cores = range(os.cpu_count() or 1) if load == "busy" else ()
-        busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in cores]
-        name = f"{load} {rate}"
-        delays: list[int] = []
-        try:
-            for _ in range(20):
-                if len(delays) < seconds * rate:
-                    delays += real_delays(rate, seconds - len(delays) / rate)
-        finally:
-            for one in busy:
-                one.kill()
-                one.wait()
-        found[name] = found.get(name, []) + delays
-        median, most, largest = np.quantile(delays, (0.5, 0.99, 1.0)) * 1e-3
-        print(f"| {name} | {len(delays)} | {median:.2f} | {most:.2f} | {largest:.2f} |", flush=True)
-    path.write_text(json.dumps(found), encoding="utf-8")
-
-
-def real_delays(rate: int, seconds: float) -> list[int]:
-    """Return the delays of one flight in real time, beyond the device's own [µs]."""
-    delays: list[int] = []
-
-    class Timing(LoopTiming):
-        def add(self, plant: RemotePlant) -> None:
-            super().add(plant)
-            late = max(plant.answers.lateness - plant.delay, self.newest_age)
-            delays.append(round(max(late, 0.0) * 1e6))
-
-    command = [sys.executable, "-m", "maglev_mj", "twin", "--listen", "udp://127.0.0.1:0", "--rate", str(rate)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child, tempfile.TemporaryDirectory() as folder:
-        assert child.stdout is not None
-        address = re.findall(r"udp://[^\s,]+", child.stdout.readline())[0]
-        try:
-            with realtime("ignore"), RemotePlant(open_link(address), folder=folder) as plant:
-                scene = find_scene("joystick")().replace(period=plant.period, delay=plant.delay)
-                flight = Flight(plant, scene)
-                flight.timing = Timing()
-                flight.run(seconds)
-        except MaglevError as error:  # a stall of this machine ends the flight
-            print(f"after {len(delays) / rate:.1f} s: {error}", file=sys.stderr)
-        finally:
-            child.terminate()
-            child.stdout.read()
-    return delays
 
 
 GOOD_HANDS = ("none", "2", "5", "8", "12", "20", "tap")
@@ -417,17 +345,9 @@ def fly_good(delays: dict[str, list[int]], cell: Row) -> Row:
         told = {"usual": rounded(found.report.usual, 6), "softened": bool(found.softened)}
         if found.problem:
             return {"refused": found.problem, **told}
-        flown = fly(
-            cell["scene"],
-            rate=rate,
-            hand=cell["hand"],
-            delay=lambda time: delay(time + 1.0),
-            seconds=cell["seconds"],
-            seed=seed,
-            scene=found.scene,
-            bears=found.bears,
-            folder=folder,
-        )
+        options = {name: cell[name] for name in ("rate", "hand", "seconds", "seed")}
+        options |= {"scene": found.scene, "bears": found.bears, "folder": folder}
+        flown = fly(cell["scene"], delay=lambda time: delay(time + 1.0), **options)
     rms, largest = residual(flown, cell["scene"], cell["hand"], rate)
     time = rounded((flown.rows[:, 14] == 1.0).sum() / rate)
     return figures(flown, flown.began) | {"time": time, "rms": rms, "largest": largest, **told}
@@ -454,9 +374,8 @@ def fly_takeoff(cell: Row) -> Row:
     constants = truth.coils.force_constants.copy()
     constants[cell["coil"]] *= cell["gain"]
     truth = replace(truth, coils=replace(truth.coils, force_constants=constants))
-    with tempfile.TemporaryDirectory() as folder:
-        options = {name: cell[name] for name in ("rate", "seed", "noise")}
-        flown = fly(cell["scene"], truth=truth, seconds=0.05, bears=math.inf, folder=folder, **options)
+    options = {name: cell[name] for name in ("rate", "seed", "noise")}
+    flown = flight(cell["scene"], truth=truth, seconds=0.05, bears=math.inf, **options)
     named = re.findall(r"coil (\d)", flown.outcome)
     return figures(flown, 0.0) | {"said": flown.outcome[:200], "named": named == [str(cell["coil"])]}
 
@@ -491,8 +410,7 @@ def print_attacks() -> None:
     """Fly the attacks on the default scene, and print what they meet."""
     rows = []
     for name, options in ATTACKS.items():
-        with tempfile.TemporaryDirectory() as folder:
-            flown = fly("joystick", seed=91_000, folder=folder, **options)
+        flown = flight("joystick", seed=91_000, **options)
         found = figures(flown, HAND_BEGINS + 0.5)
         after = [found[end] and round(1e3 * (found[end] - HAND_BEGINS - 0.5)) for end in ("ended", "off")]
         rows.append((name, flown.outcome.partition("; the last cycles")[0], *after, found["speed"], found["current"]))
@@ -500,13 +418,6 @@ def print_attacks() -> None:
 
 
 # tables
-
-
-def print_table(*head: str, rows: Iterable[Sequence[object]]) -> None:
-    """Print a table as Markdown."""
-    print("\n| " + " | ".join(head) + " |\n|" + "---|" * len(head))
-    for row in rows:
-        print("| " + " | ".join(str(part) for part in row) + " |")
 
 
 def largest(rows: Iterable[Row], name: str, digits: int = 2) -> str:
@@ -652,46 +563,52 @@ def print_takeoffs(rows: list[Row]) -> None:
     print_table("coil", "rate", "noise [µm]", *head, rows=table)
 
 
-def print_tables(folder: Path) -> None:
-    """Print the tables of all parts that were flown."""
-    parts = {"product": print_product, "laws": print_laws, "good": print_good, "takeoffs": print_takeoffs}
-    for name, printed in parts.items():
-        if rows := read_rows(folder / f"{name}.jsonl"):
-            printed(rows)
+PARTS: dict[str, tuple[Callable[..., Iterable[Row]], Callable[..., Row], Callable[[list[Row]], None]]] = {
+    "product": (lambda given: product_cells(given.number), fly_product, print_product),
+    "laws": (lambda given: list(law_cells(range(90_000, 90_000 + given.seeds)))[: given.number], fly_law, print_laws),
+    "good": (
+        lambda given: [cell for cell in good_cells(given.number, given.seconds) if given.rate in (0, cell["rate"])],
+        fly_good,
+        print_good,
+    ),
+    "takeoffs": (lambda given: list(takeoff_cells())[: given.number], fly_takeoff, print_takeoffs),
+}
+"""Cells, evaluation and tables of each part in simulated time."""
 
 
 def main() -> None:
     """Fly one part of the study, or print its tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=("product", "laws", "record", "good", "takeoffs", "attacks", "tables"))
-    parser.add_argument("--number", type=int, default=2000, help="flights, those of before too")
-    parser.add_argument(
-        "--seconds", type=float, default=2.0, help="rendering in a good flight, or recorded in real time"
-    )
-    parser.add_argument("--rate", type=int, default=0, help="samples a second of the good flights; 0 for both")
+    parser.add_argument("part", choices=(*PARTS, "record", "attacks", "tables", "faults", "flood"))
+    parser.add_argument("names", nargs="*", help="lines and names of faults (all)")
+    parser.add_argument("--number", type=int, default=2000, help="flights, earlier ones included, or of each flood")
+    parser.add_argument("--seconds", type=float, default=2.0, help="duration of a good flight, or of a recording [s]")
+    parser.add_argument("--rate", type=int, default=0, help="sample rate of the good flights [Hz]; 0 for both")
     parser.add_argument("--seeds", type=int, default=2, help="flights of each law, scene and rate")
     parser.add_argument("--out", type=Path, default=Path("figures/flight_safety"))
     given = parser.parse_args()
     folder: Path = given.out
     folder.mkdir(parents=True, exist_ok=True)
-    delays = folder / "delays.json"
-    if given.part == "product":
-        go_on(folder / "product.jsonl", product_cells(given.number), fly_product)
-    elif given.part == "laws":
-        cells = list(law_cells(range(90_000, 90_000 + given.seeds)))
-        go_on(folder / "laws.jsonl", cells[: given.number], fly_law)
+    if given.part in PARTS:
+        cells, evaluate, _ = PARTS[given.part]
+        if given.part == "good":
+            delays = folder / "delays.json"
+            evaluate = partial(evaluate, json.loads(delays.read_text(encoding="utf-8")) if delays.exists() else {})
+        go_on(folder / f"{given.part}.jsonl", cells(given), evaluate)
     elif given.part == "record":
-        record_delays(delays, given.seconds)
-    elif given.part == "good":
-        recorded = json.loads(delays.read_text(encoding="utf-8")) if delays.exists() else {}
-        cells = [cell for cell in good_cells(given.number, given.seconds) if given.rate in (0, cell["rate"])]
-        go_on(folder / "good.jsonl", cells, partial(fly_good, recorded))
-    elif given.part == "takeoffs":
-        go_on(folder / "takeoffs.jsonl", list(takeoff_cells())[: given.number], fly_takeoff)
+        real_flights.record_delays(folder / "delays.json", given.seconds)
+    elif given.part == "faults":
+        with realtime("ignore"):
+            real_flights.campaign(given.names)
+    elif given.part == "flood":
+        with realtime("ignore"):
+            real_flights.floods(given.number)
     elif given.part == "attacks":
         print_attacks()
     else:
-        print_tables(folder)
+        for name, (_, _, printed) in PARTS.items():
+            if rows := read_rows(folder / f"{name}.jsonl"):
+                printed(rows)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,7 @@
-"""Inject every fault in flight, and time the cut; or stop a flight under a flood of frames.
+"""Flights in real time, in processes of their own: every fault, a flood of frames, the delays of a machine.
 
-    python scripts/studies/fault_campaign.py [udp | serial] [NAME ...]
-    python scripts/studies/fault_campaign.py flood [20]
-
-Each case flies a twin in a process of its own, in real time, over UDP or a serial line. `ms` is for how long currents
-flow at the device after the fault began, in simulated time; a machine that stalls adds to what the host does.
+A fault's case flies a twin over UDP or a serial line. `ms` is for how long currents flow at the device after the fault
+began, in simulated time; a machine that stalls adds to what the host does.
 
 A flood's times are from the first ESTOP leaving its sender to the firmware's cut, and to a sample without current. The
 twin's watchdog then waits for 1 s, its longest, so that currents flow although the flood drowns the host's commands.
@@ -27,13 +24,18 @@ import tempfile
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
+from maglev_mj import find_scene
 from maglev_mj.bridge.connection import estop
+from maglev_mj.bridge.flight import Flight
+from maglev_mj.bridge.line import LoopTiming
 from maglev_mj.bridge.links import open_link, parse_url
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
@@ -145,7 +147,7 @@ CASES: dict[str, Case] = {
 }
 
 
-def device(options: Sequence[str]) -> None:
+def device(*options: str) -> None:
     """Run the twin's process, and record its currents."""
     run, record = TwinServer.run, {"flowing": 0, "faults": 0, "zero": 0}
 
@@ -168,14 +170,29 @@ def device(options: Sequence[str]) -> None:
     print(json.dumps(record), flush=True)
 
 
+def calling(function: Callable[..., None], *words: str) -> tuple[str, ...]:
+    """Return a program that calls a function of this module with words."""
+    folder, name = str(Path(__file__).resolve().parent), function.__name__
+    program = f"import sys; sys.path.insert(0, {folder!r}); import real_flights; real_flights.{name}(*sys.argv[1:])"
+    return "-c", program, *words
+
+
+@contextmanager
+def process(*words: str) -> Iterator[tuple[Any, str]]:
+    """Start a twin's process; yield it and the twin's address."""
+    with subprocess.Popen([sys.executable, *words], stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        try:
+            yield child, re.findall(r"(?:udp|serial)://[^\s,]+", child.stdout.readline())[0]
+        finally:
+            child.terminate()
+            child.stdout.read() if not child.stdout.closed else None
+
+
 def flown(case: Case, k: int, line: str) -> tuple[Fault, float]:
     """Fly once; return latched faults and cut times [ms], at both ends."""
     listen = "pty" if line == "serial" else "udp://127.0.0.1:0"
     options = case.options.format(k=k % (case.largest + 1), at=AT).split()
-    command = [sys.executable, __file__, "--device", "--listen", listen, "--seed", str(k), *options]
-    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert child.stdout is not None
-    address = re.findall(r"(?:udp|serial)://[^\s,]+", child.stdout.readline())[0]
     began, extra, named = 0, 0.0, Fault(0)
 
     class Hovering(Controller):
@@ -188,7 +205,8 @@ def flown(case: Case, k: int, line: str) -> tuple[Fault, float]:
             force = super().step(sample).force
             return Command([*force[:2], force[2] + pushed, *force[3:]])
 
-    with tempfile.TemporaryDirectory() as folder:
+    words = "--listen", listen, "--seed", str(k), *options
+    with process(*calling(device, *words)) as (child, address), tempfile.TemporaryDirectory() as folder:
         plant = RemotePlant(open_link(address), limits=case.limits, folder=Path(folder))
         with suppress(MaglevError, ZeroDivisionError), plant:
             began = time.monotonic_ns() if "@0" in case.options else 0
@@ -196,18 +214,17 @@ def flown(case: Case, k: int, line: str) -> tuple[Fault, float]:
             start = plant.samples.tick
             drive(plant, Hovering(LAWS, period=0.005), round((case.seconds + AT) / 0.005))
         named = plant.faults
-    time.sleep(0.1)
-    child.send_signal(signal.SIGINT)
-    record = json.loads(child.communicate(timeout=30)[0].splitlines()[-1])
+        time.sleep(0.1)
+        child.send_signal(signal.SIGINT)
+        record = json.loads(child.communicate(timeout=30)[0].splitlines()[-1])
     named |= Fault(record["faults"])
     first = began - record["zero"] if began else AT * 1e9
     return named, (record["flowing"] - first) * 1e-6
 
 
-def campaign() -> None:
-    """Fly each case repeatedly over each line; print a table."""
-    lines = [line for line in ("udp", "serial") if line in sys.argv[1:]] or ["udp", "serial"]
-    names = [name for name in CASES if name in sys.argv[1:]] or list(CASES)
+def campaign(words: Sequence[str]) -> None:
+    """Fly each case named, or all, repeatedly over each line; print a table."""
+    lines, names = ([one for one in every if one in words] or list(every) for every in (("udp", "serial"), CASES))
     print("| fault | line | tried | cut | named | called | ms, median and largest | flown again |")
     print("|---|---|---|---|---|---|---|---|", flush=True)
     for name, line in product(names, lines):
@@ -244,13 +261,13 @@ def flooded_device() -> None:
     main(["twin", "--listen", "udp://127.0.0.1:0", "--watchdog", "1", "--seconds", "20"])
 
 
-def flood(address: str, data: bytes) -> None:
+def flood(address: str, kind: str) -> None:
     """Send a frame again and again."""
     # neither its parent's priority nor its processor
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.sched_setaffinity(0, range(os.cpu_count() or 1))
     url = parse_url(address)
-    to, link = (url.place, url.number), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    data, to, link = FLOODS[kind], (url.place, url.number), socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end = time.monotonic() + 1.0
     print("begun", flush=True)
     while data and time.monotonic() < end:
@@ -260,26 +277,20 @@ def flood(address: str, data: bytes) -> None:
 
 def stopped(kind: str) -> tuple[float, float]:
     """Fly, flood and stop once; return times to the cut, and to zero current [ms]."""
-    child: Any = subprocess.Popen([sys.executable, __file__, "--flooded"], stdout=subprocess.PIPE, text=True)
-    address = child.stdout.readline().split(" at ")[1].split(",")[0]
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            plant = RemotePlant(open_link(address), folder=Path(folder))
-            plant.takeoff()
-            command, laws = [sys.executable, __file__, "--flood", address, kind], Controller(LAWS, period=0.005)
-            flooding: Any = subprocess.Popen(command, stdout=subprocess.PIPE)
-            while not select.select([flooding.stdout], [], [], 0.0)[0]:  # the watchdog would end a flight without host
-                drive(plant, laws, 4)
-            time.sleep(0.3)
-            sent = time.monotonic_ns()
-            report = estop(open_link(address))
-            flooding.communicate()
+    with process(*calling(flooded_device)) as (child, address), tempfile.TemporaryDirectory() as folder:
+        plant = RemotePlant(open_link(address), folder=Path(folder))
+        plant.takeoff()
+        command, laws = [sys.executable, *calling(flood, address, kind)], Controller(LAWS, period=0.005)
+        flooding: Any = subprocess.Popen(command, stdout=subprocess.PIPE)
+        while not select.select([flooding.stdout], [], [], 0.0)[0]:  # the watchdog would end a flight without host
+            drive(plant, laws, 4)
+        time.sleep(0.3)
+        sent = time.monotonic_ns()
+        report = estop(open_link(address))
+        flooding.communicate()
         _, cut, faults = next(line for line in child.stdout if line.startswith("cut")).split()
         assert int(faults) == Fault.ESTOP and report.confirmed, (faults, report)
         return (int(cut) - sent) * 1e-6, report.duration * 1e3
-    finally:
-        child.kill()
-        child.communicate()
 
 
 def floods(count: int) -> None:
@@ -292,14 +303,61 @@ def floods(count: int) -> None:
         print(f"| {kind} | {count} | {figures} |", flush=True)
 
 
-if __name__ == "__main__":
-    part, given = sys.argv[1:2], sys.argv[2:]
-    if part == ["--device"]:
-        device(given)
-    elif part == ["--flooded"]:
-        flooded_device()
-    elif part == ["--flood"]:
-        flood(given[0], FLOODS[given[1]])
-    else:
-        with realtime("ignore"):
-            floods(int(given[0]) if given else 20) if part == ["flood"] else campaign()
+# delays of this machine
+
+
+def record_delays(path: Path, seconds: float) -> None:
+    """Fly a twin over UDP in real time, at both rates; keep each sample's delay.
+
+    Quiet as the machine is, then with every core busy. A flight that a stall of the machine ends is flown on; delays of
+    an earlier call stay.
+    """
+    print("| load, samples a second | samples | median [ms] | 99 % | largest |\n|---|---|---|---|---|", flush=True)
+    found = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    for load, rate in product(("quiet", "busy"), (200, 1000)):
+        cores = range(os.cpu_count() or 1) if load == "busy" else ()
+        busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in cores]
+        name = f"{load} {rate}"
+        delays: list[int] = []
+        try:
+            for _ in range(20):
+                if len(delays) < seconds * rate:
+                    delays += real_delays(rate, seconds - len(delays) / rate)
+        finally:
+            for one in busy:
+                one.kill()
+                one.wait()
+        found[name] = found.get(name, []) + delays
+        median, most, largest = np.quantile(delays, (0.5, 0.99, 1.0)) * 1e-3
+        print(f"| {name} | {len(delays)} | {median:.2f} | {most:.2f} | {largest:.2f} |", flush=True)
+    path.write_text(json.dumps(found), encoding="utf-8")
+
+
+def real_delays(rate: int, seconds: float) -> list[int]:
+    """Return the delays of one flight in real time, beyond the device's own [µs]."""
+    delays: list[int] = []
+
+    class Timing(LoopTiming):
+        def add(self, plant: RemotePlant) -> None:
+            super().add(plant)
+            late = max(plant.answers.lateness - plant.delay, self.newest_age)
+            delays.append(round(max(late, 0.0) * 1e6))
+
+    words = "-m", "maglev_mj", "twin", "--listen", "udp://127.0.0.1:0", "--rate", str(rate)
+    with process(*words) as (_, address), tempfile.TemporaryDirectory() as folder:
+        try:
+            with realtime("ignore"), RemotePlant(open_link(address), folder=folder) as plant:
+                scene = find_scene("joystick")().replace(period=plant.period, delay=plant.delay)
+                flight = Flight(plant, scene)
+                flight.timing = Timing()
+                flight.run(seconds)
+        except MaglevError as error:  # a stall of this machine ends the flight
+            print(f"after {len(delays) / rate:.1f} s: {error}", file=sys.stderr)
+    return delays
+
+
+def print_table(*head: str, rows: Iterable[Sequence[object]]) -> None:
+    """Print a table as Markdown."""
+    print("\n| " + " | ".join(head) + " |\n|" + "---|" * len(head))
+    for row in rows:
+        print("| " + " | ".join(str(part) for part in row) + " |")
