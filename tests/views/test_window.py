@@ -5,6 +5,7 @@ Words, plots and labels leave the handle and each other alone.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cache
 from itertools import combinations, product
@@ -26,15 +27,15 @@ from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import CENTRING, Joystick
-from maglev_mj.session import Note, Pacer, Session, Snapshot, device_actions
+from maglev_mj.session import Note, Pacer, Session, Snapshot, TourLine, device_actions
 from maglev_mj.session.replay import Replay
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
-from maglev_mj.views.readings import SteadyRange, banner, fitted_range, margin, met_stops
-from maglev_mj.views.window.keys import MAGNIFY
-from maglev_mj.views.window.layout import Area, Layout, arranged
+from maglev_mj.views.readings import STABILITY, SteadyRange, banner, fitted_range, margin, met_stops
+from maglev_mj.views.window.keys import KEYS, MAGNIFY, help_rows
+from maglev_mj.views.window.layout import Area, Font, Layout, arranged
 from maglev_mj.views.window.scenery import Framing, Scenery, directions
 from maglev_mj.views.window.screen import Drawn, Screen, message_rows, status_rows
-from maglev_mj.views.window.window import Grab, _Window
+from maglev_mj.views.window.window import Grab, _Window, fitted_size
 from tests.sweeps import sweep
 
 SIZES = (480, 360), (640, 400), (800, 600), (1250, 500), (1920, 1080)
@@ -91,6 +92,67 @@ def test_nothing_covers_the_handle_or_anything_else(scale: int) -> None:
         assert layout.handle.width >= 0.2 * view.width - 1 and layout.handle.height >= 0.3 * view.height
         if not panel and not help_width and width >= 640:
             assert len(layout.plots) >= 3 and arranged(view, scale).handle.height >= 0.5 * view.height
+
+
+STOPPED = {"state": "stopped", "reason": "the rendered world made 100 mJ more than it took: it is unstable"}
+TOURED = {"tour": TourLine(1, 8, "a text that is as long as the texts of the tour are", "a deed", False)}
+BUSY = {"hand": np.full(6, 12.3), "work": 9.8765, "taken": 9.8765, "cost": 0.012345, "missed": 98765}
+OFF = {"scene": Joystick(wall=False, pulse=False)}
+
+
+def drawings(shot: Snapshot, view: Area, scale: int, states: Iterable[dict[str, Any]], note: str) -> Iterator[Any]:
+    """Yield a picture of each state, with the keys and without, and with a note and without."""
+    for state, keys, notes in product(states, (False, True), ([note], [])):
+        shown, screen = replace(shot, **state), Screen()
+        if keys:
+            screen.press(KEYS, shown.scene)
+        STABILITY.wait(shown)
+        yield shown, keys, notes, screen.draw(shown, view, scale, notes)
+
+
+@pytest.mark.parametrize(("size", "scale"), sweep([(800, 600), (1280, 720), (1920, 1080)], [100, 150], every=2))
+def test_no_text_is_cut_or_wider_than_its_place(shot: Snapshot, size: tuple[int, int], scale: int) -> None:
+    view, font = Area(0, 0, *(scale * side // 100 for side in size)), Font(scale)
+    states: list[dict[str, Any]] = [{}, STOPPED, TOURED, {"time_scale": 0.01}]
+    for shown, keys, notes, drawn in drawings(shot, view, scale, states, "wrote /a/folder/of/some/depth/a-001.png"):
+        blocks = lines(drawn, "TOPLEFT"), lines(drawn, "BOTTOMLEFT")
+        assert (sum(map(len, blocks)) + 1) * font.row <= view.height
+        assert all(sum(font.columns(rows)) <= drawn.layout.text.width for rows in blocks)
+        upper, lower = ("".join(map("".join, block)).replace(" ", "") for block in blocks)
+        rows = help_rows(shown.actions) if keys else status_rows(shown)
+        wanted = [(name, value.replace("\n", " ")) for name, value in rows]
+        count = len({name for name, _ in blocks[0] if name})
+        assert "".join(map("".join, wanted[:count])).replace(" ", "") == upper  # none is there in part
+        assert count == len(wanted) or (size[0] == 800 and count >= len(wanted) - 4)
+        assert all((name + value).replace(" ", "") in lower for name, value in message_rows(shown, notes))
+        for rectangle, figure in drawn.figures:
+            assert max(font.width(str(figure.title).rstrip("\0")), font.width(str(figure.xlabel))) <= rectangle.width
+        if shown.state == "stopped":
+            words = " ".join(title.rstrip("\0") for title, _ in titles(drawn.figures))
+            assert "STOPPED: press /" in words and shown.reason in words
+
+
+@pytest.mark.parametrize(("size", "room"), [((480, 360), 4), ((800, 600), 16), ((1280, 720), 14), ((1920, 1080), 13)])
+def test_nothing_moves_when_states_change(shot: Snapshot, size: tuple[int, int], room: int) -> None:
+    # Neither the parts of the picture nor the rows of text that stay: all but the last, of a wall.
+    states: list[dict[str, Any]] = [{}, STOPPED, {"state": "paused"}, {"late": True}, BUSY, OFF]
+    places = {
+        (drawn.layout.text, drawn.layout.handle, drawn.layout.label, *drawn.layout.plots, *stay[:room])
+        for _, keys, _, drawn in drawings(shot, Area(0, 0, *size), 100, states, "shadows are off; S puts them back")
+        if (stay := [name for name, _ in lines(drawn, "TOPLEFT")]) and not keys
+    }
+    assert len(places) == 1
+
+
+def test_keys_are_shown_when_asked_for_and_the_window_fits_its_screen(shot: Snapshot) -> None:
+    screen, view = Screen(), Area(0, 0, 1280, 800)
+    first = screen.draw(shot, view, 100)
+    assert ("F11", "keys") in lines(first, "BOTTOMLEFT") and "Esc" not in dict(lines(first, "TOPLEFT"))
+    for shown in (help_rows(shot.actions)[0], ("hand", lines(first, "TOPLEFT")[0][1])):
+        screen.press(KEYS, shot.scene)
+        assert lines(screen.draw(shot, view, 100), "TOPLEFT")[0] == shown
+    for large, fitted in (((800, 600), (736, 528)), ((1280, 800), (1177, 704)), ((3840, 2160), (2560, 1440))):
+        assert fitted_size(*large) == fitted
 
 
 @pytest.mark.parametrize("size", [(1, 1), (30, 800), (800, 30), (120, 90)])
