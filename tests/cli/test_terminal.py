@@ -6,6 +6,7 @@ All within 80 columns.
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -126,6 +127,42 @@ def test_a_shell_is_offered_commands_options_scenes_and_values(tmp_path: Path) -
         answer = (here / f"answer {index}").read_text()
         assert [word.strip() for word in answer.split(",") if word] == OFFERED[line], line
     assert done.stdout.split()[:2] == ["False"] * 2  # commands are offered without loading numpy
+
+
+@pytest.mark.machine
+def test_a_shell_that_shows_descriptions_gets_those_of_commands_and_options(tmp_path: Path) -> None:
+    lines = ["maglev-mj vi", "maglev-mj drop --stif"]
+    environment = {**os.environ, "_ARGCOMPLETE_SHELL": "zsh", "_ARGCOMPLETE_SUPPRESS_SPACE": "1"}
+    subprocess.run(
+        [sys.executable, "-c", ASK], input="\n".join(lines), text=True, cwd=tmp_path, env=environment, check=True
+    )
+    answers = [(tmp_path / f"answer {index}").read_text() for index in range(len(lines))]
+    assert answers == [f"view:{COMMANDS['view'].summary}", "--stiffness:wall stiffness [N/m] (default 6000)"]
+
+
+BASH = """
+eval "$(register-python-argcomplete maglev-mj)"
+complete -p maglev-mj >/dev/null || exit 3
+COMP_WORDS=(maglev-mj drop --stif); COMP_CWORD=2; COMP_LINE="maglev-mj drop --stif"; COMP_POINT=${#COMP_LINE}
+COMP_TYPE=9; COMP_WORDBREAKS=$' \\t\\n'
+_python_argcomplete maglev-mj --stif drop
+printf '%s\\n' "${COMPREPLY[@]}"
+"""
+
+
+@pytest.mark.machine
+def test_bash_itself_completes(tmp_path: Path) -> None:
+    program = tmp_path / "maglev-mj"
+    program.write_text(f'#!/bin/sh\nexec {shlex.join(PROGRAM)} "$@"\n')
+    program.chmod(0o755)
+    path = f"{tmp_path}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-c", BASH],
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+    )
+    assert (done.stdout.split(), done.returncode) == (["--stiffness"], 0), done.stderr
 
 
 class Screen:

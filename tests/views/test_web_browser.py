@@ -250,6 +250,27 @@ def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, ta
     tab.wait_for_selector("[role=alert]:has-text('STOPPED')", state="detached")
 
 
+def test_a_refused_value_is_told_and_the_slider_goes_back(run: Run, tab: Any) -> None:
+    choose(tab, "press")
+    run.until(lambda shown: shown.scene.name == "press")
+    slider = tab.locator("[role=slider]").nth(1)
+    # the slider of the scene before had the same value
+    tab.wait_for_function("document.querySelectorAll('[role=slider]')[1].getAttribute('aria-valuemin') == '0'")
+    slider.focus()
+    tab.keyboard.press("Home")
+    tab.wait_for_selector("text=stiffness must be a finite number above 0")
+    assert stiffness(run.shown) > 0.0
+    tab.wait_for_function("document.querySelectorAll('[role=slider]')[1].getAttribute('aria-valuenow') != '0'")
+    choose(tab, "joystick")
+    run.until(lambda shown: shown.scene.name == "joystick")
+
+
+def choose(tab: Any, scene: str) -> None:
+    """Choose a scene in the list."""
+    tab.get_by_label("scene").click()
+    tab.get_by_role("option", name=scene, exact=True).click()
+
+
 def test_on_a_phone_all_is_for_a_finger_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: Any, tab: Any) -> None:
     phone = opened(browser, run, viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
     assert phone.evaluate("document.documentElement.scrollWidth") <= 390

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests import conftest
 
 TESTS = """
@@ -34,14 +36,42 @@ def test_many_flights():
 def test_rest():
     pass
 """
+BURNERS = """
+import subprocess, sys, time
+import pytest
+
+BURN = "import time\\nwhile time.process_time() < 0.3: pass"
+
+def burn(start=0.0):
+    end = time.process_time() + 0.3
+    while time.process_time() < end: pass
+
+@pytest.fixture(scope="module")
+def dear():
+    burn()
+
+def test_burns(): burn()
+def test_child_burns(): subprocess.run([sys.executable, "-c", BURN])
+def test_fixture_burns(dear): pass
+def test_fixture_is_shared(dear): pass
+def test_sleeps(): time.sleep(0.5)
+@pytest.mark.study
+def test_study_burns(): burn()
+@pytest.mark.machine
+def test_machine_burns(): burn()
+"""
 ALL_PACKAGES = "libosmesa6 xvfb libgl1 xdotool chromium gcc libc6-dev gcc-arm-none-eabi qemu-system-arm"
 SUITE, MACHINE = ("-m", "not study and not machine"), ("-m", "machine and not study")
 
 
-def run(folder: Path, *options: str) -> tuple[int, str]:
+def run(
+    folder: Path, *options: str, tests: str = TESTS, limit: str = "LIMIT, SHARED = 2.0, 5.0", load: str = "0.0"
+) -> tuple[int, str]:
     """Run tests under the settings of this suite where no program is installed; return status and output."""
-    (folder / "conftest.py").write_text(Path(conftest.__file__).read_text())
-    (folder / "test_some.py").write_text(TESTS)
+    settings = Path(conftest.__file__).read_text().replace("os.getloadavg()[0]", load)
+    assert "LIMIT, SHARED = 2.0, 5.0" in settings and f"{load} > 1.5" in settings
+    (folder / "conftest.py").write_text(settings.replace("LIMIT, SHARED = 2.0, 5.0", limit))
+    (folder / "test_some.py").write_text(tests)
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-W", "ignore", *options, str(folder)],
         env={"PATH": str(folder)},
@@ -70,3 +100,18 @@ def test_skipped_tests_are_named_by_reason_with_their_packages_and_fail_the_gate
         "to run them too: apt install xdotool chromium",
     ], out
     assert "1 passed, 4 skipped" in out.splitlines()[-1]
+
+
+@pytest.mark.machine
+def test_a_test_that_uses_too_much_processor_time_fails(tmp_path: Path) -> None:
+    """Its child processes count, waiting does not; studies and tests of the machine have no limit."""
+    status, out = run(tmp_path, "-p", "no:xdist", "-rfE", tests=BURNERS, limit="LIMIT, SHARED = 0.05, 0.05")
+    lines = [line.split(" - ")[0] for line in out.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    assert status == 1 and sorted(line.replace("test_some.py::", "") for line in lines) == [
+        "ERROR test_fixture_burns",
+        "FAILED test_burns",
+        "FAILED test_child_burns",
+    ], out
+    assert "s of processor time, limit 0." in out and "mark it study" in out
+    # where other programs share the cores nothing is judged
+    assert run(tmp_path, "-p", "no:xdist", tests=BURNERS, limit="LIMIT, SHARED = 0.05, 0.05", load="1e9")[0] == 0

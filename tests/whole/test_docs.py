@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ast
 import io
 import math
 import re
 import shlex
+import subprocess
+import sys
 import tempfile
 import threading
 import tomllib
@@ -24,7 +27,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
+import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import maglev_mj
 from maglev_mj.bridge import State, Twin, TwinParameters
@@ -112,10 +117,10 @@ BESIDE: dict[str, Callable[[list[str]], AbstractContextManager[dict[str, str]]]]
 THINNED = {
     "docs/howto/scene.md": {"print(measure_fidelity(scene, over=Range(phases=1, around=0.0)).level.level)": ""},
 }
-"""Replacements in the Python of expensive pages."""
+"""Replacements in the Python of expensive pages; as written they run as studies."""
 
 FULL = ["docs/howto/compare.md"]
-"""Pages that take minutes; `tests/studies/test_compare.py` has small cases of their calls."""
+"""Expensive pages that run as studies only; `tests/studies/test_compare.py` has small cases of their calls."""
 
 
 class PageRun(NamedTuple):
@@ -126,7 +131,7 @@ class PageRun(NamedTuple):
 
 
 @cache
-def run_page(page: str) -> PageRun:
+def run_page(page: str, thinned: bool = True) -> PageRun:
     """Run the Python of a page, block after block in one namespace and an empty folder; once per process."""
     lines: list[str] = []
     namespace: dict[str, Any] = {"__name__": page, "print": lambda *words: lines.append(" ".join(map(str, words)))}
@@ -136,7 +141,7 @@ def run_page(page: str) -> PageRun:
         write_files(page, Path())
         for before, block in code_of(page):
             code = "\n" * before + block  # a traceback tells the line of the page
-            for written, meant in {**replaced, **THINNED.get(page, {})}.items():
+            for written, meant in {**replaced, **(THINNED.get(page, {}) if thinned else {})}.items():
                 code = code.replace(written, meant)
             exec(compile(code, page, "exec", dont_inherit=True), namespace)
         return PageRun(lines, {path.name for path in Path().iterdir()})
@@ -150,9 +155,15 @@ def shared(page: str) -> list[pytest.MarkDecorator]:
 RUNNING = [page for page in PAGES if code_of(page)]
 
 
-@pytest.mark.parametrize("page", [pytest.param(page, marks=shared(page)) for page in RUNNING if page not in FULL])
-def test_the_python_of_a_page_runs(page: str) -> None:
-    lines, files = run_page(page)
+@pytest.mark.parametrize(
+    ("page", "thinned"),
+    [
+        *(pytest.param(page, True, marks=shared(page)) for page in RUNNING if page not in FULL),
+        *(pytest.param(page, False, marks=pytest.mark.study) for page in [*THINNED, *FULL]),
+    ],
+)
+def test_the_python_of_a_page_runs(page: str, thinned: bool) -> None:
+    lines, files = run_page(page, thinned)
     if page == "docs/explanation/drop.md":
         assert len(code_of(page)[0][1].strip().splitlines()) <= 12  # a drop in ten lines
         assert lines[0].startswith("height in mm:") and "force in N:" in lines[0]
@@ -163,6 +174,17 @@ def test_the_python_of_a_page_runs(page: str) -> None:
         assert lines[0] == "1.0 kg"
         for one, other in (lines[1:3], lines[3:5]):  # both plants
             assert one.split(" ", 1)[1] == other.split(" ", 1)[1]
+
+
+@pytest.mark.needs("drawing")
+def test_the_scene_of_ones_own_is_made_as_the_page_says(tmp_path: Path) -> None:
+    write_files("docs/reference/viewer.md", tmp_path)
+    command = [sys.executable, "-m", "maglev_mj", "render", "shaft.py", "--out", "shaft.png", "--width", "0.003"]
+    command += ["--size", "320x200"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "wrote shaft.png\n", "")
+    picture = imread(tmp_path / "shaft.png")
+    assert picture.shape[:2] == (200, 320) and len(np.unique(picture.reshape(200 * 320, -1), axis=0)) > 400  # colours
 
 
 def written_commands(page: str) -> Iterator[str]:
@@ -219,6 +241,21 @@ def test_the_readme_of_the_package_has_no_relative_link() -> None:
 
 def test_the_citation_has_the_version_of_the_package() -> None:
     assert re.findall(r"^version: (.*)$", text_of("CITATION.cff"), re.MULTILINE) == [maglev_mj.__version__]
+
+
+def test_pages_and_examples_take_a_name_from_the_top_of_the_package() -> None:
+    pages = [page for page in PAGES if page.startswith(("README", "docs/tutorials", "docs/howto"))]
+    code = {page: "".join(block for _, block in blocks(page, "python")) for page in pages}
+    code |= {path.name: path.read_text(encoding="utf-8") for path in ROOT.glob("scripts/examples/*.py")}
+    taken = {
+        f"{name}: {alias.name}"
+        for name, text in code.items()
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("maglev_mj.")
+        for alias in node.names
+        if alias.name in dir(maglev_mj)
+    }
+    assert taken == set() and len(code) > 15
 
 
 def test_every_name_of_the_package_has_an_example() -> None:

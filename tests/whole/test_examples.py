@@ -114,6 +114,12 @@ def test_control_export_agrees_with_verdict_and_simulation(run_example: RunExamp
     assert deflection == simulated
 
 
+@pytest.mark.study  # the environment has tests of its own
+def test_gym_environment_passes_its_check_and_is_learnable(run_example: RunExample) -> None:
+    random, controlled, many = run_example("gym_environment")
+    assert random[0] < 0.5 * controlled[0] and many[1] > 0.7 * controlled[1]
+
+
 # ppo.py has no test: PyTorch is too large for the gate, so linter and type checker alone read it
 
 

@@ -167,6 +167,11 @@ def test_heavy_packages_stay_in_their_rooms() -> None:
     assert not wrong
 
 
+def test_no_module_outgrows_its_room() -> None:
+    long = {path.name: count for path in PACKAGE.rglob("*.py") if (count := len(path.read_text().splitlines())) > 700}
+    assert not long
+
+
 FACES = [".".join(path.relative_to(PACKAGE.parent).parent.parts) for path in PACKAGE.rglob("__init__.pyi")]
 
 
