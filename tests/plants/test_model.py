@@ -75,6 +75,7 @@ def test_the_model_is_that_of_table_1(device: Device) -> None:
     assert device.driver_time_constant == DRIVER_TIME_CONSTANT
     assert 2.0 * math.pi * SPEC.driver_bandwidth.value * DRIVER_TIME_CONSTANT == pytest.approx(1.0, rel=1e-12)
     assert (compiled.actuator_gainprm[:6, 0] == SPEC.force_constant.value).all()
+    assert (compiled.actuator_ctrlrange[:6] == [-SPEC.peak_current.value, SPEC.peak_current.value]).all()
     data = mujoco.MjData(compiled)
     data.ctrl[:] = 25.0
     mujoco.mj_forward(compiled, data)
@@ -87,6 +88,16 @@ def test_the_model_is_that_of_table_1(device: Device) -> None:
         assert np.abs(coils.currents(wrench)).max() == pytest.approx(10.0)
     hover = coils.currents(np.array([0, 0, device.mass * GRAVITY, 0, 0, 0]))
     np.testing.assert_allclose(hover, [1.14, 1.14, 1.14, 0, 0, 0], atol=5e-3)
+
+
+def test_range_is_a_stop_in_the_device() -> None:
+    # Pushed with 60 N against its range the flotor stays inside it but for the stop's own softness.
+    device = load_model("maglev")
+    data = mujoco.MjData(device.model)
+    data.ctrl[:3] = 10.0
+    for _ in range(2000):
+        mujoco.mj_step(device.model, data)
+    assert data.qpos[2] == pytest.approx(SPEC.translation_range.value, abs=5e-5)
 
 
 def test_payload_of_table_1_contradicts_its_current(device: Device) -> None:

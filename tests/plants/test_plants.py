@@ -11,8 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing
-from maglev_mj.control import Wall
+from maglev_mj import Command, ExactPlant, MuJoCoPlant, Timing, drive
+from maglev_mj.control import Hold, Wall
 from maglev_mj.control.controller import Controller
 from maglev_mj.errors import DivergenceError, ModelError, ParameterError, PlantError
 from maglev_mj.frames import Array, quaternion
@@ -176,13 +176,19 @@ def _matrix(vector: Array) -> Array:
     return matrix.reshape(3, 3)
 
 
-def test_a_new_engine_warning_is_an_error_and_nothing_resets() -> None:
+def test_a_new_engine_warning_or_nan_is_an_error_and_nothing_resets() -> None:
     plant = MuJoCoPlant(escape=(1e12, 1e12), gravity=0.0)
     plant.read()
     plant._qvel[2] = 1e11  # beyond the engine's own bound: it warns, and would reset by default
     with pytest.raises(PlantError, match=r"MuJoCo warns at 0.005 s: mjWARN_BADQVEL"):
         plant.read()
     assert abs(plant._qvel[2]) > 1e10
+    for value in (math.nan, math.inf):
+        plant = MuJoCoPlant()
+        plant.read()
+        plant._qvel[2] = value
+        with pytest.raises(PlantError):
+            plant.read()
 
 
 @both
@@ -325,3 +331,14 @@ def test_recorded_force_under_driver_lag_is_the_actual_one(delay: float) -> None
     np.testing.assert_allclose(trace.wrench[inside, 2], -10.0 * np.expm1(-since / LAG), rtol=1e-12, atol=1e-12)
     # the curve between knots takes the force for constant: off by the step's square over the lag's
     assert np.diff(trace.time).max() <= 0.25 * LAG * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize("options", [{}, {"integrator": "corrected"}])
+def test_recording_changes_nothing(options: dict[str, Any]) -> None:
+    hold = Hold(axes=("rx", "ry", "rz"), stiffness=[1.0] * 3, damping=[0.05] * 3)
+    tumbling: dict[str, Any] = {"pose": [0, 0, 1e-3, 0.02, -0.01, 0.03], "twist": [0, 0, 0, 4, -3, 5], **options}
+    last = []
+    for record in (False, True):
+        with MuJoCoPlant(gravity=0.0, record=record, **tumbling) as plant:
+            last.append(drive(plant, Controller([hold], period=0.005), 20).pose)
+    np.testing.assert_allclose(last[1], last[0], atol=1e-15)

@@ -6,13 +6,17 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
+from maglev_mj import Bias, Controller
 from maglev_mj.bridge import Calibration, RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge, main
 from maglev_mj.recording import Recording
+from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.versions import hash_of
 from tests.studies.test_dask_workers import cluster
 
@@ -115,6 +119,28 @@ def test_it_is_flown_on_a_twin_recorded_and_checked(served: str, folder: Path, s
     assert stretch.setup["kind"] == "device" and stretch.setup["parameters"]["stiffness"] == 3000.0
     status, said, wrong = say("replay", "fly.maglev", "--check", "--scene", "detents.py")
     assert (status, wrong) == (0, "") and "the same: " in said
+
+
+def hold(position: Any, velocity: Any) -> Any:
+    """Return a pull towards the middle, a law that is a plain function."""
+    return [-s * (900.0 * x + 30.0 * v) for s, x, v in zip([0.7] * 3 + [9e-4] * 3, position, velocity, strict=True)]
+
+
+def pull(position: Any, velocity: Any) -> Any:
+    """Return a further pull along x, and only there."""
+    return [-3000.0 * position[0] * (1.0 + 1e4 * position[0] ** 2) - 40.0 * velocity[0], 0.0, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_a_plain_function_is_a_law_that_a_twin_is_flown_with() -> None:
+    controller, poses = Controller([Bias(WEIGHT), pull, hold], period=0.005), list[Any]()
+    with RemotePlant(twin_link()) as plant:
+        plant.takeoff()
+        for _ in range(40):
+            sample = plant.read()
+            poses.append(sample.pose)
+            plant.write(controller.step(sample))
+        plant.land()
+    assert np.abs(poses[-1]).max() < 1e-3
 
 
 TEXT = EXAMPLE.read_text()

@@ -13,11 +13,12 @@ from maglev_mj import AXES
 from maglev_mj.frames import Array
 from maglev_mj.plants.trace import Trace
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
 from maglev_mj.scenes.run import run, run_phases
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import RANGE, Spec
-from tests.sweeps import sweep
+from tests.sweeps import further, sweep
 
 LINE = re.compile(r"  Beyond the range of (.*): (.*)")
 
@@ -76,6 +77,17 @@ def test_a_drop_from_the_very_end_of_the_range_has_not_left_it() -> None:
         for height, left in ((RANGE[2], False), (RANGE[2] * 1.0001, True)):
             result = run(Drop(height=height, duration=0.05), plant=plant)
             assert (remark(str(Variants({"drop": result}).table())) is not None) == left
+
+
+@pytest.mark.parametrize("change", [{"force_limit": 5.5}, *further({}, {"height": 0.0046}, {"press": 40.0})])
+def test_a_press_says_when_it_leaves_the_range(change: dict[str, float]) -> None:
+    results = {
+        label: run(Press(hits=1, pulse=pulse, **change), plant="exact")  # type: ignore[arg-type]
+        for label, pulse in (("with pulse", 220.0), ("without pulse", 0.0))
+    }
+    said = remark(str(Variants(results).table()))
+    left = outside([one.trace for one in results.values()])
+    assert [label in [part.rsplit(" ", 2)[0] for part in (said or "").split(", ")] for label in results] == left
 
 
 @pytest.mark.parametrize("axis", ["x", "rz"])

@@ -28,6 +28,7 @@ from maglev_mj.session.replay import OwnCode, Replay, rebuild, rebuild_for, stic
 from maglev_mj.session.stretch import _MOST_STATES
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import Charts
+from maglev_mj.views.viewer_process import RemoteViewer
 from tests.session.test_session_states import Program
 
 
@@ -358,3 +359,10 @@ def test_single_steps_go_on_from_there_and_a_program_waits_for_none() -> None:
     now = session.snapshot()
     assert now.state == "paused" and session._stretch.scene == Joystick(stiffness=3000.0)
     assert now.rewound == 0.0 and now.time == pytest.approx(0.505)
+
+
+def test_a_device_refuses_a_rewind() -> None:
+    viewer, said = object.__new__(RemoteViewer), list[str]()
+    viewer._scene, viewer._note = Joystick(), type("Said", (), {"say": staticmethod(said.append)})()
+    assert viewer._asked("change", {"rewind": 1.0}) is None and viewer._asked("act", "rewind") is None
+    assert said == 2 * ["rewind is for a simulation: a device cannot be rewound"]

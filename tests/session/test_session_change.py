@@ -11,6 +11,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import Scene
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import Pacer, Session, changed
+from maglev_mj.views.readings import banner
 
 FRAME = 1.0 / 60.0
 
@@ -153,3 +154,10 @@ def test_stops_do_nothing_away_from_them() -> None:
     session.act("centre")
     session.tick(0.2)
     assert not session.snapshot().stops.any()
+
+
+def test_a_machine_that_is_too_slow_has_a_banner() -> None:
+    session = Session(pacer=Pacer(budget=1e-9, patience=0.01))
+    session.tick(1.0)
+    said = banner(session.snapshot())
+    assert said is not None and said.text.startswith("TOO SLOW") and said.way_on in session.snapshot().actions

@@ -2,14 +2,16 @@
 
 import json
 import os
+import random
 import re
 import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ from maglev_mj.cli import main
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.studies.cells import WorkersError, dask_workers, run_cells
 from maglev_mj.studies.record import Record, _read_table
-from maglev_mj.studies.sweep import Grid, run_scene_cells
+from maglev_mj.studies.sweep import Grid, run_scene_cells, sweep
 from maglev_mj.versions import versions
 
 pytestmark = [pytest.mark.machine, pytest.mark.filterwarnings("ignore")]
@@ -239,3 +241,33 @@ def test_a_scheduler_that_dies_is_one_line_and_the_record_stays_good(
 def indices_of(record: Path) -> list[np.ndarray[Any, Any]]:
     """Return the cells of each shard."""
     return [_read_table(path)["#"] for path in sorted(record.glob("cells-*"))]
+
+
+@pytest.mark.study
+def test_workers_and_schedulers_killed_at_random_lose_nothing_and_leave_nothing_twice(tmp_path: Path) -> None:
+    draw, record, ended, kept = random.Random(3), tmp_path / "record", list[str](), 0
+    grid = {"phase": np.linspace(0.0, 0.999, 2400).tolist()}
+    while "all" not in ended:
+        with made_cluster(tmp_path / f"scheduler-{len(ended)}") as cluster, ExitStack() as beside:
+            command = "worker", cluster.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-nanny"
+            workers = [beside.enter_context(dask(*command)) for _ in range(2)]
+            wait_until(lambda: len(cluster.workers()) == 2, "no workers came")
+            killed = [worker for worker in workers if draw.random() < 0.4]
+            timers = [threading.Timer(draw.uniform(0.0, 1.0), process.kill) for process in [*killed, cluster.process]]
+
+            def first(done: int, total: int, timers: list[threading.Timer] = timers) -> None:
+                while timers and len(ended) < 12:  # at last it may end
+                    timers.pop().start()
+
+            try:
+                found = sweep(
+                    "drop", grid, plant="mujoco", workers=dask_workers(cluster.address), record=record, progress=first
+                )
+                ended.append("all")
+            except WorkersError as error:
+                ended.append(str(error))
+        indices = np.concatenate([*indices_of(record), []])
+        assert np.unique(indices).size == indices.size > kept
+        kept = indices.size
+    assert len(ended) > 3 and found.resumed < kept == 2400
+    assert found.results == sweep("drop", grid, plant="mujoco").results
