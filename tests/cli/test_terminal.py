@@ -218,9 +218,10 @@ def test_a_bar_shows_on_a_terminal_alone_and_goes_away(monkeypatch: pytest.Monke
 
 
 def test_a_run_has_its_bar_on_standard_error_and_its_result_on_standard_output(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     screen: Any = Screen(True)
+    monkeypatch.chdir(tmp_path)  # for the sweep's record
     monkeypatch.setattr("sys.stderr", screen)
     monkeypatch.setattr(Progress.__init__, "__kwdefaults__", {"quiet": 0.0, "every": 0.001})
     assert cli.main("sweep drop --vary phase=0:0.8:2 --set plant=exact --workers 0 --json -".split()) == 0
