@@ -175,7 +175,7 @@ def load_model(
     Args:
         model: The device: bodies `flotor` and, on it, `handle`; the flotor's joints `x`, `y`, `z` (slides) and
             `rotation` (a ball), in this order; its first six actuators those of COILS.
-        lean: Leave out sites without an actuator: no equation of motion uses them.
+        lean: Leave out sensors, and sites without an actuator: no equation of motion uses them.
         driver_lag: Give every coil its driver's first-order lag.
         driver_time_constant: Time constant of the lag in place of the model's [s].
         coils: False removes the coils, for an ideal wrench.
@@ -275,8 +275,10 @@ def _compile(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> Device:
             for actuator in spec.actuators:
                 actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
                 actuator.dynprm[0] = constant
+        for key in list(spec.keys):  # of the device alone: a hand or a flexible handle has more coordinates
+            spec.delete(key)
         if chosen.lean:
-            _leave_out_sites(spec)
+            _delete_sensors_and_sites(spec)
         if chosen.hand is not None:
             _hold(spec, chosen.hand)
         if chosen.flexible:
@@ -328,8 +330,10 @@ def _check_names(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> None:
         raise unusable(name, f"of its {len(names)} actuators none is {' or '.join(missing)}")
 
 
-def _leave_out_sites(spec: mujoco.MjSpec) -> None:
-    """Delete the sites without an actuator."""
+def _delete_sensors_and_sites(spec: mujoco.MjSpec) -> None:
+    """Delete the sensors, and the sites without an actuator."""
+    for sensor in list(spec.sensors):
+        spec.delete(sensor)
     used = {end for actuator in spec.actuators for end in (actuator.target, actuator.refsite)}
     for site in list(spec.sites):
         if site.name not in used:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -23,6 +24,7 @@ from maglev_mj import (
     Timing,
     find_scene,
     linearise,
+    run,
     run_phases,
     sweep,
 )
@@ -87,6 +89,15 @@ def test_own_device_is_heavier_and_stronger(run_example: RunExample) -> None:
     assert published[:3] == [0.7, 60.0, 1.59] and mine[0] == 1.0
     assert mine[1] == 90.0 and mine[2] == pytest.approx(1.59 * 1.5 * 1.2, abs=0.01)
     assert 1.0 < depth[0] < mine_depth[0] < 3.0
+
+
+def test_the_plain_model_needs_no_package(run_example: RunExample, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(EXAMPLES.parents[1])
+    try:
+        assert run_example("plain_mujoco") == [[-2.98, -1.14]]
+    finally:
+        mujoco.set_mjcb_control(None)
+    assert "maglev_mj" not in (EXAMPLES / "plain_mujoco.py").read_text(encoding="utf-8")
 
 
 def test_own_sensor_makes_the_wall_bounce(run_example: RunExample) -> None:
@@ -212,3 +223,31 @@ def test_the_table_of_scripts_lists_each_one() -> None:
     listed = set(re.findall(r"^\| \[[\w.]+\]\(([\w/.]+)\) \| ", page, re.MULTILINE))
     assert listed == {name for name in there if not name.endswith("__init__.py")}
     assert [name for name in re.findall(r'src="(.+?)"', page) if not (folder / name).is_file()] == []
+
+
+@pytest.mark.parametrize("file", ["maglev", "scene"])
+def test_a_callback_on_the_plain_model_moves_as_the_command_says(file: str) -> None:
+    module = runpy.run_path(str(EXAMPLES / "plain_mujoco.py"))
+    model = mujoco.MjModel.from_xml_path(str(EXAMPLES.parents[1] / "model" / f"{file}.xml"))
+    data = mujoco.MjData(model)
+    data.joint("z").qpos = model.joint("z").range[1]
+    height, time = [], []
+    mujoco.set_mjcb_control(module["Controller"](model))
+    try:
+        while data.time < 0.4 - model.opt.timestep / 2:
+            time.append(data.time)
+            height.append(data.qpos[2])
+            mujoco.mj_step(model, data)
+    finally:
+        mujoco.set_mjcb_control(None)
+    result = run(find_scene("drop")(force_limit=60.0))
+    assert min(height) < -0.0025
+    np.testing.assert_allclose(height, result.motion(np.array(time))[0], rtol=0.0, atol=1e-4)
+
+
+def test_hover_carries_the_flotor() -> None:
+    model = mujoco.MjModel.from_xml_path(str(EXAMPLES.parents[1] / "model" / "maglev.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("hover").id)
+    mujoco.mj_step(model, data, 2000)
+    np.testing.assert_allclose(data.sensor("position").data, 0.0, atol=1e-9)
