@@ -80,7 +80,7 @@ def made(kind: str) -> bytes:
         return path.read_bytes()
 
 
-OURS = ("/maglev/stretch", "/maglev/sample", "/maglev/event")
+OURS = ("/maglev/segment", "/maglev/sample", "/maglev/event")
 
 
 def decoder(schema: Any) -> Callable[[bytes], Message]:

@@ -95,13 +95,13 @@ def test_every_json_names_its_code(
 def test_every_recording_names_its_code(tmp_path: Path, capsys: Any) -> None:
     path = tmp_path / "run.maglev"
     write_run(path, Drop(), plant="exact")
-    assert Recording.load(path).stretches[0].setup["versions"] == versions()
+    assert Recording.load(path).segments[0].setup["versions"] == versions()
     other = tmp_path / "other.maglev"  # also once it is saved anew
     Recording.load(path).save(other)
-    assert Recording.load(other).stretches[0].setup["versions"] == versions()
+    assert Recording.load(other).segments[0].setup["versions"] == versions()
     assert main(["analyse", str(other), "--no-compare", "--json", "-"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["versions"] == told["stretches"][0]["versions"] == versions()
+    assert told["versions"] == told["segments"][0]["versions"] == versions()
 
 
 def test_a_file_of_last_cycles_names_its_code(tmp_path: Path) -> None:

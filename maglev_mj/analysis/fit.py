@@ -24,7 +24,7 @@ import numpy as np
 
 from maglev_mj.analysis.motion import Numbers
 from maglev_mj.frames import Array, Mask
-from maglev_mj.recording import Stretch
+from maglev_mj.recording import Segment
 from maglev_mj.recording.sample import Face
 
 _SINGULAR, _ROUNDS = 1e-10, 40
@@ -391,23 +391,23 @@ def is_inside(position: Array, face: Face) -> Mask:
     return np.asarray(face[1] * (position - face[2]) <= 0.0)
 
 
-def fit_law(stretch: Stretch, axis: int, faces: Sequence[Face], anchors: Array | None, used: Mask) -> CommandedLaw:
+def fit_law(segment: Segment, axis: int, faces: Sequence[Face], anchors: Array | None, used: Mask) -> CommandedLaw:
     """Fit the commands on an axis by a law.
 
     The law is a sum of walls, friction, and a spring and a damper that act everywhere.
 
     Args:
-        stretch: N samples.
+        segment: N samples.
         axis: Index into AXES.
         faces: Touched walls.
         anchors: Stick positions of the axis [m, rad], (N,); None without friction.
         used: True for samples that count, (N,).
     """
-    position, applied, stated = (part[:, axis] for part in (stretch.position, stretch.applied, stretch.command))
-    command = np.where(np.isfinite(stated), stated, applied) - stretch.metadata.carried[axis]
+    position, applied, stated = (part[:, axis] for part in (segment.position, segment.applied, segment.command))
+    command = np.where(np.isfinite(stated), stated, applied) - segment.metadata.carried[axis]
     largest = float(np.abs(command).max())
-    ticks = np.diff(stretch.tick)
-    speed = np.append(0.0, np.diff(position) / (ticks * stretch.metadata.period))
+    ticks = np.diff(segment.tick)
+    speed = np.append(0.0, np.diff(position) / (ticks * segment.metadata.period))
     parts: dict[Part, Array] = {}
     outside = used.copy()
     for index, face in enumerate(faces):

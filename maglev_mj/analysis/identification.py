@@ -35,8 +35,8 @@ from maglev_mj.analysis.motion import OfWall, reconstruct
 from maglev_mj.control.timeline import recorded_switches, split_delay
 from maglev_mj.errors import check_instance
 from maglev_mj.frames import AXES, Array, unit_of
-from maglev_mj.recording import RunMetadata, Stretch
-from maglev_mj.recording.recording import READ_STRETCH
+from maglev_mj.recording import RunMetadata, Segment
+from maglev_mj.recording.recording import READ_SEGMENT
 from maglev_mj.recording.sample import Face
 from maglev_mj.result import Table, plain
 from maglev_mj.theory import largest_stable_stiffness
@@ -152,14 +152,14 @@ class _Row(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Identification:
-    """All quantities identified from a stretch.
+    """All quantities identified from a segment.
 
     Attributes:
         axes: Quantities of each axis that moves, by its name.
         walls: Every plane of a wall.
         friction: Friction of each axis that has some, by its name.
         samples: Largest number of samples used on an axis.
-        of: Number of samples in the stretch.
+        of: Number of samples in the segment.
     """
 
     axes: Mapping[str, AxisEstimates]
@@ -234,38 +234,38 @@ class Identification:
         return {"outside": self.outside, "delay": plain(self.delay), **values}
 
 
-def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: Array | None = None) -> Identification:
+def identify(segment: Segment, metadata: RunMetadata | None = None, *, anchors: Array | None = None) -> Identification:
     """Identify walls, friction, mass, delay and sensor.
 
     Each quantity has its standard error.
 
-    Each coordinate is treated separately. A long stretch is represented by 20 000 samples of each, with the least
+    Each coordinate is treated separately. A long segment is represented by 20 000 samples of each, with the least
     straight motion.
 
     Args:
-        stretch: The stretch.
-        metadata: Metadata of the run; the stretch's own by default.
+        segment: The segment.
+        metadata: Metadata of the run; the segment's own by default.
         anchors: Stick positions at each sample [m, rad], (N, 6); None without friction.
 
     Example:
         >>> from maglev_mj import record_run
         >>> from maglev_mj.scenes.drop import Drop
-        >>> (stretch,) = record_run(Drop(stiffness=5000.0, quantize=5e-6), plant="exact").stretches
-        >>> (wall,) = identify(stretch).walls
+        >>> (segment,) = record_run(Drop(stiffness=5000.0, quantize=5e-6), plant="exact").segments
+        >>> (wall,) = identify(segment).walls
         >>> bool(wall.stiffness.low < 5000.0 < wall.stiffness.high), bool(0.49 < wall.share.value < 0.5)
         (True, True)
     """
-    check_instance("stretch", stretch, Stretch, READ_STRETCH)
+    check_instance("segment", segment, Segment, READ_SEGMENT)
     if metadata is not None:
-        stretch = replace(stretch, setup={**stretch.setup, "run": metadata.as_json()})
+        segment = replace(segment, setup={**segment.setup, "run": metadata.as_json()})
     axes: dict[str, AxisEstimates] = {}
     walls: list[WallEstimates] = []
     friction: dict[str, Friction] = {}
     used = 0
     for index, name in enumerate(AXES):
         stuck = None if anchors is None or not np.isfinite(anchors[:, index]).any() else anchors[:, index]
-        faces = [face for face in stretch.metadata.faces if face[0] == index]
-        axis = _Axis.of(stretch, index, stuck)
+        faces = [face for face in segment.metadata.faces if face[0] == index]
+        axis = _Axis.of(segment, index, stuck)
         if isinstance(axis, _Axis):
             axes[name] = axis.estimates()
             used = max(used, int(axis.used.sum()))
@@ -274,14 +274,14 @@ def identify(stretch: Stretch, metadata: RunMetadata | None = None, *, anchors: 
             walls += [WallEstimates.of(face, **_every(WallEstimates, axis)) for face in faces]
         if stuck is not None:
             friction[name] = axis.friction() if isinstance(axis, _Axis) else Friction(**_every(Friction, axis))
-    return Identification(axes=axes, walls=walls, friction=friction, samples=used, of=len(stretch))
+    return Identification(axes=axes, walls=walls, friction=friction, samples=used, of=len(segment))
 
 
 class _Axis:
-    """One coordinate of a stretch, with its fits.
+    """One coordinate of a segment, with its fits.
 
     Args:
-        stretch: N samples: those used, and earlier ones whose commands take effect during them.
+        segment: N samples: those used, and earlier ones whose commands take effect during them.
         axis: Index into AXES.
         anchors: Stick positions [m, rad], (N,); None without friction.
         windows: Windows of the samples used.
@@ -297,46 +297,46 @@ class _Axis:
     """
 
     def __init__(
-        self, stretch: Stretch, axis: int, anchors: Array | None, windows: Windows, *, held: bool = False
+        self, segment: Segment, axis: int, anchors: Array | None, windows: Windows, *, held: bool = False
     ) -> None:
-        self.stretch, self.metadata, self.axis = stretch, stretch.metadata, axis
+        self.segment, self.metadata, self.axis = segment, segment.metadata, axis
         self.anchors, self.windows, self.held = anchors, windows, held
         self.period, self.inertia = self.metadata.period, float(self.metadata.inertia[axis])
-        self.position = np.ascontiguousarray(stretch.position[:, axis])
-        self.used = np.zeros(len(stretch), dtype=np.bool_)
+        self.position = np.ascontiguousarray(segment.position[:, axis])
+        self.used = np.zeros(len(segment), dtype=np.bool_)
         self.used[windows.rows[windows.there]] = True
         faces = [face for face in self.metadata.faces if face[0] == axis]
         self.faces = [face for face in faces if self._count_inside(face) >= _LEAST_INSIDE]
-        self.forces = self._forces(np.zeros((len(stretch), 0)), stretch.applied[:, axis])
+        self.forces = self._forces(np.zeros((len(segment), 0)), segment.applied[:, axis])
         self.motion = fit_motion(self.forces, windows, self.position, self.metadata.delay, self.period)
 
     @classmethod
-    def of(cls, stretch: Stretch, axis: int, anchors: Array | None) -> _Axis | Estimate:
+    def of(cls, segment: Segment, axis: int, anchors: Array | None) -> _Axis | Estimate:
         """Return the coordinate with its selected samples, or an estimate with the reason against it.
 
-        Of a long stretch, the windows with the least straight motion are selected.
+        Of a long segment, the windows with the least straight motion are selected.
         """
-        if len(stretch) < _LEAST_SAMPLES:
-            return Estimate(why=f"only {len(stretch)} samples")
-        if not np.ptp(stretch.position[:, axis]) > _STILL:
+        if len(segment) < _LEAST_SAMPLES:
+            return Estimate(why=f"only {len(segment)} samples")
+        if not np.ptp(segment.position[:, axis]) > _STILL:
             return Estimate(why="the axis does not move")
-        period = stretch.metadata.period
+        period = segment.metadata.period
         # after a gap the delayed commands are unknown
-        ahead = int(split_delay(stretch.metadata.delay, period)[0]) + 2
-        breaks = (np.flatnonzero(np.diff(stretch.tick) != 1) + 1).tolist()
-        first = 0 if stretch.time[0] < period else ahead
-        runs = zip([first, *(index + ahead for index in breaks)], [*breaks, len(stretch)])
-        windows = Windows.cut(stretch.time, [(start, end) for start, end in runs if end > start], period)
-        windows = windows.choose(stretch.position[:, axis], _MOST_SAMPLES)
+        ahead = int(split_delay(segment.metadata.delay, period)[0]) + 2
+        breaks = (np.flatnonzero(np.diff(segment.tick) != 1) + 1).tolist()
+        first = 0 if segment.time[0] < period else ahead
+        runs = zip([first, *(index + ahead for index in breaks)], [*breaks, len(segment)])
+        windows = Windows.cut(segment.time, [(start, end) for start, end in runs if end > start], period)
+        windows = windows.choose(segment.position[:, axis], _MOST_SAMPLES)
         if windows.there.sum() < _LEAST_SAMPLES:
             return Estimate(why="too few samples without a gap")
         needed = np.unique(np.maximum(windows.rows[windows.there][:, None] - np.arange(ahead + 1), 0))
         windows = windows._replace(rows=np.searchsorted(needed, windows.rows) * windows.there)
         stuck = None if anchors is None else anchors[needed]
-        free = cls(stretch[needed], axis, stuck, windows)
+        free = cls(segment[needed], axis, stuck, windows)
         if not free.disturbed:
             return free
-        held = cls(stretch[needed], axis, stuck, windows, held=True)
+        held = cls(segment[needed], axis, stuck, windows, held=True)
         return free if held.disturbed else held
 
     def _count_inside(self, face: Face) -> int:
@@ -350,22 +350,22 @@ class _Axis:
             parts: Parts of the command, (N, P).
             rest: The command without them [N, N m], (N,).
         """
-        stretch, axis = self.stretch, self.axis
+        segment, axis = self.segment, self.axis
         held = np.column_stack([parts, rest])
-        pulse = np.column_stack([np.zeros_like(parts), stretch.applied_pulse[:, axis]])
-        width = stretch.applied_pulse_width
-        switch, levels = recorded_switches(stretch.time, held, pulse, width, period=self.period, delay=0.0)
+        pulse = np.column_stack([np.zeros_like(parts), segment.applied_pulse[:, axis]])
+        width = segment.applied_pulse_width
+        switch, levels = recorded_switches(segment.time, held, pulse, width, period=self.period, delay=0.0)
         before = np.append(np.zeros(parts.shape[1]), self.metadata.before[axis])
-        hand = stretch.known_hand[:-1, axis] * self.metadata.hand_acts_on_flotor
-        prompt = unit_integrals(np.diff(stretch.time)) * np.column_stack([hand, np.ones(len(hand))])[:, None]
+        hand = segment.known_hand[:-1, axis] * self.metadata.hand_acts_on_flotor
+        prompt = unit_integrals(np.diff(segment.time)) * np.column_stack([hand, np.ones(len(hand))])[:, None]
         if self.held:
             prompt = np.concatenate([prompt, self._impedance], axis=2)
-        return Forces(time=stretch.time, switch=switch, levels=np.vstack([before, levels]), prompt=prompt)
+        return Forces(time=segment.time, switch=switch, levels=np.vstack([before, levels]), prompt=prompt)
 
     @cached_property
     def _impedance(self) -> Array:
         """Integral and double integral of a unit spring's and damper's force over each period, (N - 1, 2, 2)."""
-        motion = reconstruct(self.stretch)
+        motion = reconstruct(self.segment)
         first, starts = motion.starts[0], motion.starts - motion.starts[0]
         trace = motion.trace.along(self.axis)
         knots, position, speed = (part[first:] for part in (trace.time, trace.pose[:, 0], trace.twist[:, 0]))
@@ -377,7 +377,7 @@ class _Axis:
         remaining = np.repeat(knots[starts[1:]], np.diff(starts)) - knots[:-1]
         spring = -np.add.reduceat([whole, remaining * whole - later], starts[:-1], axis=1)
         start, end = self.position[:-1], self.position[1:]
-        damper = [start - end, np.diff(self.stretch.time) * start + spring[0]]
+        damper = [start - end, np.diff(self.segment.time) * start + spring[0]]
         return np.transpose([spring, damper])
 
     @cached_property
@@ -386,7 +386,7 @@ class _Axis:
 
         Empty if the motion is that of a mass under the recorded forces.
         """
-        travel = np.ptp(self.stretch.position, axis=0)
+        travel = np.ptp(self.segment.position, axis=0)
         travel[:3] /= _GYRATION
         # coordinates act on a rotation by the product of two of them, which is left out
         if self.axis >= 3 and np.delete(travel, self.axis).max() * travel[3:].max() > self.motion.residual:
@@ -448,7 +448,7 @@ class _Axis:
     @cached_property
     def law(self) -> CommandedLaw:
         """Law as a fit of commands by positions."""
-        return fit_law(self.stretch, self.axis, self.faces, self.anchors, self.used)
+        return fit_law(self.segment, self.axis, self.faces, self.anchors, self.used)
 
     @cached_property
     def rendered(self) -> Fit:
@@ -544,7 +544,7 @@ class _Axis:
         index = [list(law.estimates).index((name, 0)) for name in ("stuck", "sliding")]
         force = np.abs(law.parts[:, index] @ law.gains[index])
         stuck = np.isfinite(anchors)
-        next_to = self.used[:-1] & self.used[1:] & (np.diff(self.stretch.tick) == 1)
+        next_to = self.used[:-1] & self.used[1:] & (np.diff(self.segment.tick) == 1)
         last = np.flatnonzero(stuck[:-1] & ~stuck[1:] & next_to)
         if not len(last):
             return Estimate(why="it never slips")

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from maglev_mj.control.timeline import recorded_switches
 from maglev_mj.frames import AXES, Array, Mask, unit_of
 from maglev_mj.plants.trace import Trace, actuator_work, hand_work
-from maglev_mj.recording import InvalidRecordingError, RunMetadata, Stretch
+from maglev_mj.recording import InvalidRecordingError, RunMetadata, Segment
 from maglev_mj.recording.sample import Face
 from maglev_mj.result import Table, number_text, plain, with_unit
 from maglev_mj.scenes.figures import Hardness, perceived_hardness, summarise_bounce
@@ -72,8 +72,8 @@ class _Pieces(NamedTuple):
     start: Array
 
 
-def reconstruct(stretch: Stretch) -> Motion:
-    """Return the motion through the samples of a stretch.
+def reconstruct(segment: Segment) -> Motion:
+    """Return the motion through the samples of a segment.
 
     Between two samples the recorded forces and their switching times are known. The speed at the first sample is such
     that the piecewise parabola under these forces ends at the second. Without other forces this is the exact motion.
@@ -83,39 +83,39 @@ def reconstruct(stretch: Stretch) -> Motion:
     Time begins at release if the first sample is within a period of it, otherwise at the first sample.
 
     Args:
-        stretch: The stretch.
+        segment: The segment.
 
     Raises:
         InvalidRecordingError: If it has less than two samples, or they are not in order.
     """
-    if len(stretch.tick) < 2:
-        raise InvalidRecordingError(f"a stretch must have at least 2 samples to be analysed, not {len(stretch.tick)}")
-    if not (np.diff(stretch.time) > 0.0).all():
+    if len(segment.tick) < 2:
+        raise InvalidRecordingError(f"a segment must have at least 2 samples to be analysed, not {len(segment.tick)}")
+    if not (np.diff(segment.time) > 0.0).all():
         raise InvalidRecordingError("the samples of a recording must be in the order in which they were taken")
-    metadata = stretch.metadata
-    released = stretch.time[0] < metadata.period * (1.0 - _ROUNDING)
-    time = stretch.time if released else stretch.time - stretch.time[0]
-    pieces = _pieces(stretch, time)
+    metadata = segment.metadata
+    released = segment.time[0] < metadata.period * (1.0 - _ROUNDING)
+    time = segment.time if released else segment.time - segment.time[0]
+    pieces = _pieces(segment, time)
     steady = np.tile(metadata.load, (len(time) - 1, 1))
     if metadata.hand_acts_on_flotor:
-        steady += stretch.known_hand[:-1]
-    _, twist, end = _through(stretch.position, pieces, steady, metadata.inertia)
+        steady += segment.known_hand[:-1]
+    _, twist, end = _through(segment.position, pieces, steady, metadata.inertia)
     period = np.diff(time)[:, None]
     jump = twist[1:, 0] - end[:-1]
     jumps = np.full((len(time), 6), np.nan)
     jumps[2:] = jump * period[1:]
     unexplained = _held(metadata.inertia * jump / (0.5 * (period[1:] + period[:-1])), len(period))
-    pose, twist, end = _through(stretch.position, pieces, steady + unexplained, metadata.inertia)
-    trace, starts = _joined(stretch.position, pieces, pose, twist, end, float(time[-1]))
+    pose, twist, end = _through(segment.position, pieces, steady + unexplained, metadata.inertia)
+    trace, starts = _joined(segment.position, pieces, pose, twist, end, float(time[-1]))
     if time[0] > 0.0:
         trace, starts = _from_release(trace, metadata), starts + 1
     return Motion(trace, starts, jumps, unexplained)
 
 
-def _pieces(stretch: Stretch, time: Array) -> _Pieces:
+def _pieces(segment: Segment, time: Array) -> _Pieces:
     """Cut the time between samples at force switches."""
-    held, extra, widths = stretch.applied, stretch.applied_pulse, stretch.applied_pulse_width
-    metadata = stretch.metadata
+    held, extra, widths = segment.applied, segment.applied_pulse, segment.applied_pulse_width
+    metadata = segment.metadata
     when, force = recorded_switches(time, held, extra, widths, period=metadata.period, delay=metadata.delay)
     inside = when[(when > time[0]) & (when < time[-1])]
     knots = np.unique(np.concatenate([time, inside]))[:-1]
@@ -192,7 +192,7 @@ _HARDNESS_WINDOW = 0.005
 """Window of the force rise for the hardness [s]."""
 
 _REST = 0.1
-"""Final share of a stretch that counts as rest.
+"""Final share of a segment that counts as rest.
 
 The flotor must rest over it to have settled.
 """
@@ -333,8 +333,8 @@ class StickSlip(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StretchFigures:
-    """Figures of a stretch.
+class SegmentFigures:
+    """Figures of a segment.
 
     Attributes:
         samples: Number of samples.
@@ -362,7 +362,7 @@ class StretchFigures:
     unexplained: Array
     friction: Mapping[str, StickSlip]
 
-    def tables(self, beside: StretchFigures | None = None) -> list[Table]:
+    def tables(self, beside: SegmentFigures | None = None) -> list[Table]:
         """Return the tables of walls, contacts, axes and friction.
 
         Args:
@@ -378,7 +378,7 @@ class StretchFigures:
             tables[-1] = tables[-1]._replace(note=f"{tables[-1].note}\nwalls that were not touched: {self.untouched}")
         return [*tables, self._axes(beside), *([_friction(self.friction)] if self.friction else [])]
 
-    def _axes(self, beside: StretchFigures | None) -> Table:
+    def _axes(self, beside: SegmentFigures | None) -> Table:
         """Return the table of travel and energy on each axis."""
         energy = self.energy
         by_hand = np.isfinite(energy.hand).any()
@@ -410,7 +410,7 @@ def axis_row(label: str, values: Array, scale: float, unit: str) -> tuple[str, .
     return label, *(number_text(v * scale, 3, 2) if abs(v) >= _NOTHING else "0" for v in values.tolist()), unit
 
 
-def _walls(faces: Sequence[FaceFigures], beside: StretchFigures | None) -> Table:
+def _walls(faces: Sequence[FaceFigures], beside: SegmentFigures | None) -> Table:
     """Return the table of walls, and of their simulation."""
     axis = faces[0].axis
     small, force = unit_of("mm", axis), unit_of("N", axis)
@@ -572,22 +572,22 @@ def _woven(knots: Array, between: Array) -> Array:
     return woven
 
 
-def stretch_figures(
-    motion: Motion, stretch: Stretch, anchors: Array | None, rest: float | None = None
-) -> StretchFigures:
-    """Return the figures of a stretch of N samples.
+def segment_figures(
+    motion: Motion, segment: Segment, anchors: Array | None, rest: float | None = None
+) -> SegmentFigures:
+    """Return the figures of a segment of N samples.
 
     Args:
         motion: The motion through them.
-        stretch: The samples.
+        segment: The samples.
         anchors: Stick positions at each sample [m, rad], (N, 6), NaN while sliding; None without friction.
         rest: Rest position at a wall [m, rad]; found from the samples by default.
     """
-    trace, metadata, ticks = motion.trace, stretch.metadata, stretch.tick
+    trace, metadata, ticks = motion.trace, segment.metadata, segment.tick
     faces = [figures for face in metadata.faces if (figures := face_figures(trace, face, rest=rest)) is not None]
     lines = np.full((len(ticks), len(AXES)), np.nan) if anchors is None else anchors
     stuck = np.isfinite(lines)
-    return StretchFigures(
+    return SegmentFigures(
         samples=len(ticks),
         missed=round(float(ticks[-1] - ticks[0])) + 1 - len(ticks),
         start=float(motion.time[0]),
@@ -596,7 +596,7 @@ def stretch_figures(
         peak_force=np.abs(trace.wrench[:-1]).max(axis=0),
         faces=faces,
         untouched=len(metadata.faces) - len(faces),
-        energy=_energy(motion, stretch),
+        energy=_energy(motion, segment),
         unexplained=np.sqrt((motion.unexplained**2).mean(axis=0)),
         friction={
             AXES[axis]: _stick_slip(motion.time, stuck[:, axis], lines[:, axis])
@@ -605,15 +605,15 @@ def stretch_figures(
     )
 
 
-def _energy(motion: Motion, stretch: Stretch) -> Energy:
+def _energy(motion: Motion, segment: Segment) -> Energy:
     """Return the energy balance of each axis.
 
     Each force is paired with the displacement during its action.
     """
-    taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, stretch.metadata.carried), axis=0)])
+    taken = -np.vstack([np.zeros(len(AXES)), np.cumsum(actuator_work(motion.trace, segment.metadata.carried), axis=0)])
     positions = motion.trace.pose[motion.starts]
-    recorded = stretch.metadata.hand_recorded
-    work = hand_work(positions, stretch.hand).sum(axis=0) if recorded else np.full(len(AXES), np.nan)
+    recorded = segment.metadata.hand_recorded
+    work = hand_work(positions, segment.hand).sum(axis=0) if recorded else np.full(len(AXES), np.nan)
     return Energy(taken[-1], taken.min(axis=0), work, (motion.unexplained * np.diff(positions, axis=0)).sum(axis=0))
 
 

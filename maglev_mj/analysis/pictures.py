@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from maglev_mj.analysis import Run, StretchReport
+from maglev_mj.analysis import Run, SegmentReport
 from maglev_mj.colours import REFERENCE, STUCK
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.pictures import FIRST, SECOND, SHADE, TITLE, name_curves, new_grid
@@ -19,7 +19,7 @@ _SHOWN, _LEAD, _POINTS = 0.4, 0.1, 2001
 _MOST_DOTS, _MOST_MARKS, _APART = 150, 12, 0.045
 
 
-def first_contact(report: StretchReport, axis: int) -> Any:
+def first_contact(report: SegmentReport, axis: int) -> Any:
     """Draw 0.4 s around the first contact (figure 5).
 
     Args:
@@ -38,7 +38,7 @@ def first_contact(report: StretchReport, axis: int) -> Any:
     return _over_time(report, axis, (start, min(start + _SHOWN, end)), marks=False)
 
 
-def whole_run(report: StretchReport, axis: int) -> Any:
+def whole_run(report: SegmentReport, axis: int) -> Any:
     """Draw position and force of the whole run (figure 6).
 
     Each contact is marked with its depth.
@@ -95,7 +95,7 @@ def staircases(time: Array, position: Array, anchors: Array, titles: Mapping[int
     return figure
 
 
-def _over_time(report: StretchReport, axis: int, window: tuple[float, float], *, marks: bool) -> Any:
+def _over_time(report: SegmentReport, axis: int, window: tuple[float, float], *, marks: bool) -> Any:
     """Draw position and force over a time window [s].
 
     Of recording and simulation; a force that is flat is left out.
@@ -135,7 +135,7 @@ def _over_time(report: StretchReport, axis: int, window: tuple[float, float], *,
     return figure
 
 
-def _describe(report: StretchReport) -> str:
+def _describe(report: SegmentReport) -> str:
     wall = "" if report.wall is None else f"; wall: {report.wall}"
     compared = "" if report.comparison is None else f"\n{report.comparison.sentence}"
     return f"{report.run_named}{wall}{compared}"
@@ -177,7 +177,7 @@ def _marks(panel: Any, run: Run, axis: int) -> None:
         panel.margins(y=0.16)
 
 
-def _walls(panel: Any, report: StretchReport, axis: int) -> None:
+def _walls(panel: Any, report: SegmentReport, axis: int) -> None:
     """Shade the walls of an axis near the range shown."""
     bottom, top = panel.get_ylim()
     room = 0.08 * (top - bottom)

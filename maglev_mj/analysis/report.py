@@ -1,4 +1,4 @@
-"""Report on a stretch of a recording: its figures, its simulation's, and what it identifies."""
+"""Report on a segment of a recording: its figures, its simulation's, and what it identifies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.analysis.identification import Identification, identify
-from maglev_mj.analysis.motion import Motion, StretchFigures, axis_row, by_axis, reconstruct, stretch_figures
+from maglev_mj.analysis.motion import Motion, SegmentFigures, axis_row, by_axis, reconstruct, segment_figures
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.errors import MaglevError, ParameterError, check_instance
 from maglev_mj.frames import AXES, Array, unit_of
@@ -19,8 +19,8 @@ from maglev_mj.parameters import flag, number
 from maglev_mj.pictures import save
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.hand import RecordedHand
-from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Stretch
-from maglev_mj.recording.recording import READ_STRETCH
+from maglev_mj.recording import Rebuild, Recorder, RunMetadata, Segment
+from maglev_mj.recording.recording import READ_SEGMENT
 from maglev_mj.recording.setup import scripted
 from maglev_mj.result import Result, Table, plain
 from maglev_mj.scenes import Scene
@@ -120,13 +120,13 @@ class Run:
     """
 
     motion: Motion
-    figures: StretchFigures
+    figures: SegmentFigures
     anchors: Array | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StretchReport(Result):
-    """Results of a stretch's analysis.
+class SegmentReport(Result):
+    """Results of a segment's analysis.
 
     Attributes:
         kind: Kind of its setup.
@@ -188,7 +188,7 @@ class StretchReport(Result):
 
         Args:
             path: File to write; None to return the figure.
-            axis: Name from AXES; the most significant one by default, see `StretchReport.axis`.
+            axis: Name from AXES; the most significant one by default, see `SegmentReport.axis`.
 
         Raises:
             ParameterError: If the axis does not move.
@@ -234,7 +234,7 @@ class StretchReport(Result):
 
 
 def analyse(
-    stretch: Stretch,
+    segment: Segment,
     rebuild: Rebuild | None = None,
     *,
     anchors: Array | None = None,
@@ -243,16 +243,16 @@ def analyse(
     simulated: bool = True,
     rest: float | None = None,
     scene: type[Scene] | None = None,
-) -> StretchReport:
-    """Analyse a stretch of at least two samples.
+) -> SegmentReport:
+    """Analyse a segment of at least two samples.
 
     Args:
-        stretch: The stretch.
+        segment: The segment.
         rebuild: Function from a setup and a hand to plant and controller; None if there is none: then nothing is
             simulated.
         anchors: Stick positions at each sample [m, rad], (N, 6); None without friction.
-        begin: Start of the analysis, in the stretch's time [s].
-        end: End of the analysis [s]; None for the stretch's end.
+        begin: Start of the analysis, in the segment's time [s].
+        end: End of the analysis [s]; None for the segment's end.
         simulated: True to run the simulation of the same parameters and compare.
         rest: Rest position at a wall [m, rad]; found from the samples by default.
         scene: Scene class of a user's own recording.
@@ -263,34 +263,34 @@ def analyse(
 
     Example:
         >>> from maglev_mj import analyse, find_scene, rebuild, record_run
-        >>> report = analyse(record_run(find_scene("drop")(), plant="exact").stretches[0], rebuild)
+        >>> report = analyse(record_run(find_scene("drop")(), plant="exact").segments[0], rebuild)
         >>> wall = report.identified.walls[0]
         >>> round(float(wall.stiffness.value)), round(float(wall.damping.value))
         (6000, 80)
     """
     flag("simulated", simulated)
-    check_instance("stretch", stretch, Stretch, READ_STRETCH)
-    whole = reconstruct(stretch)
+    check_instance("segment", segment, Segment, READ_SEGMENT)
+    whole = reconstruct(segment)
     first, last = _rows(whole, begin, end)
     comparison = other = None
     if simulated and rebuild is not None:
-        twin = simulate(stretch, whole, rebuild, scene)
-        comparison = compare(stretch[first : last + 1], twin[first : last + 1], whole.between(first, last))
+        twin = simulate(segment, whole, rebuild, scene)
+        comparison = compare(segment[first : last + 1], twin[first : last + 1], whole.between(first, last))
         until = min(last, len(twin.tick) - 1)
         if until - first >= 1:
             other = _run(twin, reconstruct(twin), None, (first, until), rest)
-    run, wall = _run(stretch, whole, anchors, (first, last), rest), None
-    if stretch.setup["kind"] != "device":  # with the delay of a line, which no setup has
+    run, wall = _run(segment, whole, anchors, (first, last), rest), None
+    if segment.setup["kind"] != "device":  # with the delay of a line, which no setup has
         with suppress(MaglevError, KeyError):
-            known = recorded_scene(stretch.setup["scene"], stretch.setup["parameters"], scene)
-            wall = wall_margin(known, held=scripted(stretch.setup))
-    return StretchReport(
-        kind=stretch.setup["kind"],
-        metadata=stretch.metadata,
+            known = recorded_scene(segment.setup["scene"], segment.setup["parameters"], scene)
+            wall = wall_margin(known, held=scripted(segment.setup))
+    return SegmentReport(
+        kind=segment.setup["kind"],
+        metadata=segment.metadata,
         recorded=run,
         simulated=other,
         comparison=comparison,
-        identified=identify(stretch[first : last + 1], anchors=run.anchors),
+        identified=identify(segment[first : last + 1], anchors=run.anchors),
         wall=wall,
     )
 
@@ -306,15 +306,15 @@ def _rows(motion: Motion, begin: float, end: float | None) -> tuple[int, int]:
     return int(inside[0]), int(inside[-1])
 
 
-def _run(stretch: Stretch, whole: Motion, anchors: Array | None, rows: tuple[int, int], rest: float | None) -> Run:
+def _run(segment: Segment, whole: Motion, anchors: Array | None, rows: tuple[int, int], rest: float | None) -> Run:
     first, last = rows
     chosen = slice(first, last + 1)
     motion, stuck = whole.between(first, last), None if anchors is None else anchors[chosen]
-    figures = stretch_figures(motion, stretch[chosen], stuck, rest)
+    figures = segment_figures(motion, segment[chosen], stuck, rest)
     return Run(motion=motion, figures=figures, anchors=stuck)
 
 
-def simulate(stretch: Stretch, motion: Motion, rebuild: Rebuild, scene: type[Scene] | None = None) -> Stretch:
+def simulate(segment: Segment, motion: Motion, rebuild: Rebuild, scene: type[Scene] | None = None) -> Segment:
     """Simulate a recorded run again.
 
     It has the same laws, the recorded hand, and the recorded start.
@@ -323,7 +323,7 @@ def simulate(stretch: Stretch, motion: Motion, rebuild: Rebuild, scene: type[Sce
     Samples missing in the recording are left out.
 
     Args:
-        stretch: The recording.
+        segment: The recording.
         motion: Its motion.
         rebuild: Function from a setup and a hand to plant and controller.
         scene: Scene class of a user's own recording.
@@ -335,14 +335,14 @@ def simulate(stretch: Stretch, motion: Motion, rebuild: Rebuild, scene: type[Sce
         RecordingError: If the setup is not known here.
         ParameterError: If a plant cannot be made at the recorded start.
     """
-    run = stretch.whole
-    rows = np.round(stretch.tick - run.tick[0]).astype(np.intp)
+    run = segment.whole
+    rows = np.round(segment.tick - run.tick[0]).astype(np.intp)
     plant, controller = rebuild(run.setup, RecordedHand(run.known_hand))
     if plant is None:
-        device = recorded_scene(stretch.setup["scene"], stretch.setup["parameters"], scene)
+        device = recorded_scene(segment.setup["scene"], segment.setup["parameters"], scene)
         start = {"pose": motion.trace.pose[motion.starts[0]], "twist": motion.trace.twist[motion.starts[0]]}
-        plant = live_plant(device, **start, wrench=stretch.metadata.before)
-    recorder = Recorder(plant, stretch.setup)
+        plant = live_plant(device, **start, wrench=segment.metadata.before)
+    recorder = Recorder(plant, segment.setup)
     with plant, engine_warnings_silenced():
         try:
             ControlLoop(plant, controller, record=recorder).cycle(int(rows[-1]) + 1)
@@ -351,28 +351,28 @@ def simulate(stretch: Stretch, motion: Motion, rebuild: Rebuild, scene: type[Sce
         except MaglevError:
             pass  # the comparison reports the number of samples
     kept = rows[rows < len(recorder)]
-    return recorder.stretch()[kept].replace(tick=stretch.tick[: len(kept)], time=stretch.time[: len(kept)])
+    return recorder.segment()[kept].replace(tick=segment.tick[: len(kept)], time=segment.time[: len(kept)])
 
 
-def compare(stretch: Stretch, simulated: Stretch, motion: Motion) -> Comparison:
+def compare(segment: Segment, simulated: Segment, motion: Motion) -> Comparison:
     """Return the distance between a recording and its simulation.
 
     Args:
-        stretch: The recording, N samples.
+        segment: The recording, N samples.
         simulated: Its simulation, of at most N samples.
         motion: The motion of the recording.
     """
     count = len(simulated.tick)
-    gap = np.abs(simulated.position - stretch.position[:count])
+    gap = np.abs(simulated.position - segment.position[:count])
     none = np.full(len(AXES), np.nan)
     jumps = motion.jumps[np.isfinite(motion.jumps).all(axis=1)]
     return Comparison(
-        same=bool(count == len(stretch.tick) and not gap.any()),
+        same=bool(count == len(segment.tick) and not gap.any()),
         rms=np.sqrt((gap**2).mean(axis=0)) if count else none,
         most=gap.max(axis=0) if count else none,
         when=motion.time[np.argmax(gap, axis=0)] if count else none,
         one_step_rms=np.sqrt((jumps**2).mean(axis=0)) if len(jumps) else none,
-        samples=len(stretch.tick),
+        samples=len(segment.tick),
         compared=count,
-        device=stretch.setup["kind"] == "device",
+        device=segment.setup["kind"] == "device",
     )

@@ -150,7 +150,7 @@ class Flight:
         first, (self._lost, self._skipped) = plant.samples.tick, self._missing()
         last = None if duration is None else first + round(duration / plant.period)
         while not self._is_over(last):
-            self._stretch(last)
+            self._segment(last)
         ticks = plant.samples.tick - first
         if self.reason and self._file is not None:
             self._file.event("landing", self.reason)
@@ -174,7 +174,7 @@ class Flight:
             file.event("timing", f"{name}: {times}")
         file.event("timing", "{} samples lost, {} skipped".format(*self._missing()))
 
-    def _stretch(self, last: int | None) -> None:
+    def _segment(self, last: int | None) -> None:
         """Fly one segment with unchanged parameters."""
         if self._wanted is not None:
             (self._begun, self._controller), self._wanted = self._wanted, None

@@ -123,10 +123,10 @@ class HandObserver:
         if elapsed > 1:
             for missed in range(tick - min(elapsed, _KEPT), tick - 1):
                 timeline.period(missed)
-        segments = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
+        intervals = timeline.period(tick - 1, sent, after=delay if delay > 0.0 else 0.0)
         if len(self._waiting) == _KEPT:  # nobody has asked for long
             self._low = None
-        self._waiting.append((tick, position, segments))
+        self._waiting.append((tick, position, intervals))
         self.currents = timeline.now()[1] if known else None
         if self.tries:
             self._take()
@@ -144,12 +144,12 @@ class HandObserver:
     def _take(self) -> None:
         """Take up the samples that wait; across lost ones the estimate stays."""
         period, square, keep = self._period, self._period**2, self._keep
-        for tick, now, segments in self._waiting:
+        for tick, now, intervals in self._waiting:
             if tick - 1 != self._taken:
                 self._known, self.coils = 0, CoilEstimator(self._calibration, period)
             self._taken = tick
             acting, start, self._rising = self._rising, 0.0, []
-            for duration, drive in segments:
+            for duration, drive in intervals:
                 middle, share = start + 0.5 * duration, duration / square
                 acting.append(((period - middle) * share, drive))
                 self._rising.append((middle * share, drive))

@@ -203,16 +203,16 @@ class ThermalModel:
         self._scale, self._time = limits.continuous_current**-2, limits.thermal_time
         self._duration, self._share = 0.0, 0.0
 
-    def add(self, segments: Iterable[tuple[float, Sequence[float]]]) -> float:
-        """Add segments of constant currents; return the warmest coil's rise.
+    def add(self, intervals: Iterable[tuple[float, Sequence[float]]]) -> float:
+        """Add intervals of constant currents; return the warmest coil's rise.
 
-        Each segment is a duration [s] and six currents [A].
+        Each interval is a duration [s] and six currents [A].
 
         θ' = ((i / i_continuous)² - θ) / τ, solved exactly for constant currents.
         """
         p, q, r, s, t, u = self.rises
         scale = self._scale
-        for duration, (a, b, c, d, e, f) in segments:
+        for duration, (a, b, c, d, e, f) in intervals:
             if duration != self._duration:
                 self._duration, self._share = duration, -math.expm1(-duration / self._time)
             share = self._share  # written out: in half the time of a loop

@@ -16,15 +16,15 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.terminal import printable, say, wrapped
 
 if TYPE_CHECKING:
-    from maglev_mj.analysis import StretchReport
+    from maglev_mj.analysis import SegmentReport
     from maglev_mj.pictures import PictureFolder
-    from maglev_mj.recording import Recording, Stretch
+    from maglev_mj.recording import Recording, Segment
     from maglev_mj.session.replay import OwnCode
 
 _COMPARED, _LEAST_COMPARED = 10_000, 10
 """Commands compared before other code's recording is shown.
 
-In all, and the least number of each stretch.
+In all, and the least number of each segment.
 """
 
 _OWN_SCENE = (
@@ -76,7 +76,7 @@ def _check(recording: Recording, own: OwnCode | None) -> int:
     with Progress("replay"):
         verdict = verify(recording, partial(rebuild, own=own))
     print(verdict)
-    simulated = (stretch for stretch in recording.stretches if stretch.setup["kind"] != "device")
+    simulated = (segment for segment in recording.segments if segment.setup["kind"] != "device")
     for plant in sorted({*map(unmade_plant, simulated)} - {""}):
         text = f"the plant, {plant}, cannot be made here: the controller's answers alone are compared"
         for line in wrapped(text):
@@ -105,7 +105,7 @@ def _own_code(text: str | None, recording: Recording) -> OwnCode | None:
 def _other_code(recording: Recording, own: OwnCode | None) -> str:
     """Return a note if other code made a recording.
 
-    Else "". The first answers of each stretch are compared.
+    Else "". The first answers of each segment are compared.
 
     Raises:
         RecordingError: If an answer differs.
@@ -115,28 +115,28 @@ def _other_code(recording: Recording, own: OwnCode | None) -> str:
     from maglev_mj.session.replay import rebuild
     from maglev_mj.versions import differences, versions, versions_read
 
-    here, stretches = versions(), recording.stretches
-    theirs = (differences(versions_read(stretch.setup.get("versions")) or {}, here) for stretch in stretches)
+    here, segments = versions(), recording.segments
+    theirs = (differences(versions_read(segment.setup.get("versions")) or {}, here) for segment in segments)
     difference = next(filter(None, theirs), "")
     if not difference:
         return ""
-    said, most = f"recorded by other code ({difference})", max(_COMPARED // len(stretches), _LEAST_COMPARED)
+    said, most = f"recorded by other code ({difference})", max(_COMPARED // len(segments), _LEAST_COMPARED)
     try:
         other = first_other_answer(recording, partial(rebuild, own=own), most)
     except OwnCodeError:
         return f"{said}; its laws were not run again, for they are none of this package's"
     if other is not None:
-        stretch, tick, field = other
-        raise RecordingError(f"{said}, whose {field} is another from tick {tick} of stretch {stretch + 1} on")
-    return f"{said}; the first {most} answers of each stretch are the same here"
+        segment, tick, field = other
+        raise RecordingError(f"{said}, whose {field} is another from tick {tick} of segment {segment + 1} on")
+    return f"{said}; the first {most} answers of each segment are the same here"
 
 
 def analyse(
     file: Recorded,
-    stretch: Annotated[int | None, option("only the N-th stretch, from 1; parameters change between", _PART)] = None,
+    segment: Annotated[int | None, option("only the N-th segment, from 1; parameters change between", _PART)] = None,
     begin: Annotated[
         float | None,
-        option("from so long after the beginning of a stretch on [s]", _PART, "SECONDS", name="from"),
+        option("from so long after the beginning of a segment on [s]", _PART, "SECONDS", name="from"),
     ] = None,
     end: Annotated[float | None, option("up to so long after it [s]", _PART, "SECONDS", name="to")] = None,
     compare: Annotated[
@@ -162,11 +162,11 @@ def analyse(
         axis_indices(axis)
     with Progress("analyse") as progress:
         recording = Recording.load(file)
-        several = len(recording.stretches) > 1
+        several = len(recording.segments) > 1
         with progress.aside():
             own = _own_code(scene, recording)
-        wanted = _chosen(recording, file, stretch, is_part=bool(begin) or end is not None)
-        reports: list[tuple[int, StretchReport]] = []
+        wanted = _chosen(recording, file, segment, is_part=bool(begin) or end is not None)
+        reports: list[tuple[int, SegmentReport]] = []
         for place, one in wanted:
             reports.append((place, _report(one, begin or 0.0, end, compare, own)))
             if len(wanted) > 1:
@@ -177,9 +177,9 @@ def analyse(
     drawn = []
     if pictures is not None:
         for (place, report), number in zip(reports, axes, strict=True):
-            drawn += _draw(report, number, pictures, f"stretch_{place}_" if several else "analysis_")
+            drawn += _draw(report, number, pictures, f"segment_{place}_" if several else "analysis_")
     if json != "-":
-        heads = [f"stretch {place} of {len(recording.stretches)}\n" if several else "" for place, _ in reports]
+        heads = [f"segment {place} of {len(recording.segments)}\n" if several else "" for place, _ in reports]
         print("\n\n".join(f"{head}{one.table()}" for head, (_, one) in zip(heads, reports)))
         damage = [f"{file}: {recording.damage}"] if recording.damage else []
         for line in [*damage, *recording.events, *drawn]:
@@ -187,52 +187,52 @@ def analyse(
     return 0
 
 
-def _as_json(file: Path, recording: Recording, reports: Sequence[tuple[int, StretchReport]]) -> dict[str, Any]:
+def _as_json(file: Path, recording: Recording, reports: Sequence[tuple[int, SegmentReport]]) -> dict[str, Any]:
     from maglev_mj.versions import versions_read
 
     data = []
     for place, report in reports:
-        by = versions_read(recording.stretches[place - 1].setup.get("versions"))
-        data.append({"stretch": place, "versions": by, **report.as_json()})
+        by = versions_read(recording.segments[place - 1].setup.get("versions"))
+        data.append({"segment": place, "versions": by, **report.as_json()})
     about = {"file": str(file), "damage": recording.damage, "events": list(recording.events)}
-    return {**about, "stretches": data}
+    return {**about, "segments": data}
 
 
-def _chosen(recording: Recording, file: Path, number: int | None, *, is_part: bool) -> list[tuple[int, Stretch]]:
-    """Return the stretches to analyse and their numbers from 1.
+def _chosen(recording: Recording, file: Path, number: int | None, *, is_part: bool) -> list[tuple[int, Segment]]:
+    """Return the segments to analyse and their numbers from 1.
 
     Raises:
         InvalidRecordingError: If the recording has no samples.
-        ParameterError: If there is no such stretch, or the stretch of a part is ambiguous.
+        ParameterError: If there is no such segment, or the segment of a part is ambiguous.
     """
     from maglev_mj.parameters import whole
     from maglev_mj.recording import InvalidRecordingError
 
-    stretches = recording.stretches
-    usable = [(place, stretch) for place, stretch in enumerate(stretches, start=1) if len(stretch.tick) > 1]
+    segments = recording.segments
+    usable = [(place, segment) for place, segment in enumerate(segments, start=1) if len(segment.tick) > 1]
     if not usable:
         raise InvalidRecordingError(f"there is nothing in {str(file)!r} to be analysed")
     if number is not None:
-        place = whole("stretch", number, at_least=1, at_most=len(stretches))
-        return [(place, stretches[place - 1])]
+        place = whole("segment", number, at_least=1, at_most=len(segments))
+        return [(place, segments[place - 1])]
     if len(usable) > 1 and is_part:
-        raise ParameterError(f"from and to are within a stretch: choose one of {len(stretches)} with --stretch")
+        raise ParameterError(f"from and to are within a segment: choose one of {len(segments)} with --segment")
     return usable
 
 
-def _report(stretch: Stretch, begin: float, end: float | None, compare: bool, own: OwnCode | None) -> StretchReport:
+def _report(segment: Segment, begin: float, end: float | None, compare: bool, own: OwnCode | None) -> SegmentReport:
     from maglev_mj.analysis import analyse
     from maglev_mj.session.replay import rebuild_for, stick_positions_of, unmade_plant
 
-    again = rebuild_for(stretch, own)
-    anchors = stick_positions_of(stretch, again)
-    simulated = compare and not unmade_plant(stretch, own)
+    again = rebuild_for(segment, own)
+    anchors = stick_positions_of(segment, again)
+    simulated = compare and not unmade_plant(segment, own)
     scene = own.scene if own else None
-    return analyse(stretch, again, anchors=anchors, scene=scene, begin=begin, end=end, simulated=simulated)
+    return analyse(segment, again, anchors=anchors, scene=scene, begin=begin, end=end, simulated=simulated)
 
 
-def _draw(analysed: StretchReport, axis: int, pictures: PictureFolder, stem: str) -> list[str]:
-    """Draw a stretch; return lines about written and missing pictures."""
+def _draw(analysed: SegmentReport, axis: int, pictures: PictureFolder, stem: str) -> list[str]:
+    """Draw a segment; return lines about written and missing pictures."""
     from maglev_mj.analysis.pictures import first_contact, sticks, whole_run
     from maglev_mj.frames import AXES
     from maglev_mj.pictures import save

@@ -17,7 +17,7 @@ from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import number, numbers, store, whole
 from maglev_mj.spec import Spec
 
-Segment: TypeAlias = tuple[Any, Any]
+Interval: TypeAlias = tuple[Any, Any]
 """Duration [s] and acting drive.
 
 The drive is in the form of the given commands.
@@ -204,12 +204,12 @@ class Timeline:
 
     def period(
         self, tick: int, answer: tuple[Any, Any, float] | None = None, *, after: float | None = None
-    ) -> list[Segment]:
-        """Return the segments from sample `tick` to the next.
+    ) -> list[Interval]:
+        """Return the intervals from sample `tick` to the next.
 
         They are in order; their durations add up to the period.
 
-        With delays (N,) durations are (N,), and a segment missing on a device has duration 0.
+        With delays (N,) durations are (N,), and an interval missing on a device has duration 0.
 
         Args:
             tick: Number of the sample.
@@ -232,30 +232,30 @@ class Timeline:
                     after = self.timing.rest_at(tick) if self._jitters else self._rest
                 return [(after, before), (self._period - after, held)]
             self.answer(tick, held, pulsed, width, after=after)
-        segments: list[Segment] = []
+        intervals: list[Interval] = []
         done, each, least = 0.0, self._each, self._negligible
         while switches and switches[0][0] <= tick:
             _, offset, held, pulsed, width = switches.popleft()
             duration = offset - done
             if self._pulse is not None:
-                duration = self._add_pulse(duration, segments)
+                duration = self._add_pulse(duration, intervals)
             elif width == 0.0 and self.compares and held[0] == self.acting[0]:
                 continue
             if each or duration > least:
-                segments.append((duration, self.acting))
+                intervals.append((duration, self.acting))
             self.acting, self._pulse, done = held, (pulsed, width) if width > 0.0 else None, offset
         duration = self._period - done
         if self._pulse is not None:
-            duration = self._add_pulse(duration, segments)
+            duration = self._add_pulse(duration, intervals)
         if each or duration > least:
-            segments.append((duration, self.acting))
-        return segments
+            intervals.append((duration, self.acting))
+        return intervals
 
     def now(self) -> Any:
         """Return the present drive, including a pulse."""
         return self.acting if self._pulse is None else self._pulse[0]
 
-    def _add_pulse(self, duration: Any, segments: list[Segment]) -> Any:
+    def _add_pulse(self, duration: Any, intervals: list[Interval]) -> Any:
         """Add the rest of a pulse within a duration.
 
         Returns the remaining duration [s].
@@ -264,7 +264,7 @@ class Timeline:
         pulsed, width = self._pulse
         inside = np.minimum(width, duration) if self._each else min(width, duration)
         if self._each or inside > self._negligible:
-            segments.append((inside, pulsed))
+            intervals.append((inside, pulsed))
         self._pulse = (pulsed, width - inside) if np.any(width - inside > self._negligible) else None
         return duration - inside
 

@@ -16,7 +16,7 @@ from typing import Any, Self, TypeAlias, TypedDict
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.timeline import Segment, Timeline, Timing
+from maglev_mj.control.timeline import Interval, Timeline, Timing
 from maglev_mj.errors import DivergenceError, ParameterError, PlantError, check_instance
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, Six, clipped, components, join
 from maglev_mj.parameters import flag, number, six
@@ -110,11 +110,11 @@ class SampledPlant(ABC):
         self._tick = -1
         self._offset: Component = 0.0
         self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
-        self._segments: list[Segment] = []
+        self._intervals: list[Interval] = []
         self._closed = False
         # local copies, because they are used on every tick
         self._period, self._phase = timing.period, timing.phase
-        self._segments_of = self._timeline.period
+        self._intervals_of = self._timeline.period
         self._answer: tuple[Any, Any, float] | None = None
         if np.shape(timing.delay) not in ((), batch):
             raise ParameterError(f"delay must be a number or have the shape {batch}, not {np.shape(timing.delay)}")
@@ -180,9 +180,9 @@ class SampledPlant(ABC):
         if tick >= 0:
             self._offset = 0.0
             run = self._run
-            self._segments = segments = self._segments_of(tick, self._answer)
+            self._intervals = intervals = self._intervals_of(tick, self._answer)
             self._answer = None
-            for duration, drive in segments:
+            for duration, drive in intervals:
                 run(duration, drive)
         elif np.count_nonzero(self._phase):  # free fall from release to the first sample, which is tick 0
             ahead = self._phase * self._period
@@ -332,7 +332,7 @@ class SampledPlant(ABC):
         self._total = self._total + self._work(drive, before, self._where())
 
     def _run_in_pieces(self, duration: Component, drive: Any) -> None:
-        """Advance over one segment with recording and step limit."""
+        """Advance over one interval with recording and step limit."""
         pieces = 1
         if self._longest_step is not None:
             whole = duration if duration.__class__ is float else float(np.max(duration))

@@ -286,7 +286,7 @@ class CorrectedSteps(Steps):
         self._put = partial(struct.pack_into, "7d", self._position.data, 0)
         # with damping in the engine the velocity gains something else than the step times the acceleration
         self._damped = bool(device.model.dof_damping.any() or device.model.tendon_damping.any())
-        # excess of each segment since the last correction: a factor, and the velocity gain or acceleration
+        # excess of each interval since the last correction: a factor, and the velocity gain or acceleration
         self._excess: list[tuple[float, Sequence[float]]] = []
 
     def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:

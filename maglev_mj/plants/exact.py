@@ -392,7 +392,7 @@ class HeldAxis:
 
 
 class DryFriction:
-    """Coulomb friction of the device, with stops within a segment.
+    """Coulomb friction of the device, with stops within an interval.
 
     Args:
         friction: Friction of the axes with friction, by index into AXES [N, N m].

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.timeline import Segment, Timing
+from maglev_mj.control.timeline import Interval, Timing
 from maglev_mj.frames import Array, Component, Six, rotation_matrix
 from maglev_mj.plants.coils import CoilMap
 from maglev_mj.plants.engine import STOP_TIME
@@ -26,7 +26,7 @@ class ExactCoilPlant(ExactPlant):
     of a rotation about one axis is of second order in the time between switches. The coupling between rotations is left
     out, as in `ExactPlant`.
 
-    Stops are inelastic: at the end of a segment, an axis beyond its range is put on its stop and keeps no velocity,
+    Stops are inelastic: at the end of an interval, an axis beyond its range is put on its stop and keeps no velocity,
     which never adds energy. As in `MuJoCoPlant` with `stop_damping`, a touched stop also slows motion along it. Each
     axis has its own stops at `RANGE`; the engine limits the angle instead of each rotation.
 
@@ -40,7 +40,7 @@ class ExactCoilPlant(ExactPlant):
         hand_force: Force of a hand on the flotor; see `SampledPlant`.
 
     Attributes:
-        stop_wrench: Mean wrench of the stops over the last segment [N, N m], (6,).
+        stop_wrench: Mean wrench of the stops over the last interval [N, N m], (6,).
 
     Raises:
         ParameterError: If a value is outside its bounds or the shapes do not fit.
@@ -87,9 +87,9 @@ class ExactCoilPlant(ExactPlant):
         return np.array(self._timeline.now())
 
     @property
-    def segments(self) -> list[Segment]:
+    def intervals(self) -> list[Interval]:
         """Durations [s] and six currents [A] of the last period, in order."""
-        return self._segments
+        return self._intervals
 
     def _prepare(self, force: Six) -> Any:
         return tuple(self._coils.inverse_turned(*self._place[3:]).dot(force).tolist())

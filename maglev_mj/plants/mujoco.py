@@ -305,12 +305,12 @@ class MuJoCoPlant(SampledPlant):
             self._measure = self._sensor
 
     @property
-    def segments(self) -> list[tuple[float, Sequence[float]]]:
+    def intervals(self) -> list[tuple[float, Sequence[float]]]:
         """Durations [s] and six currents [A] of the last period.
 
         They are the engine's controls between the last two samples, in order; without coils, wrenches.
         """
-        return [(duration, drive[1]) for duration, drive in self._segments]
+        return [(duration, drive[1]) for duration, drive in self._intervals]
 
     def _limited(self, command: Command) -> Command:
         command = super()._limited(command)

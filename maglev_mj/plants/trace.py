@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.control.timeline import Segment, Timing
+from maglev_mj.control.timeline import Interval, Timing
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, Command, Component, Sample, unit_of
 from maglev_mj.parameters import numbers
@@ -379,14 +379,14 @@ class PassivityObserver:
         self._commands = [part[-late - 1 :] for part in commands]
         count, end = len(poses) - (not begun), len(commands[0]) - late
         moved = np.diff(poses, axis=0, prepend=self._pose[None])[len(poses) - count :]
-        work = self._work(moved, self._segments(*(part[end - count - 1 : end] for part in commands)))
+        work = self._work(moved, self._intervals(*(part[end - count - 1 : end] for part in commands)))
         energy: Array = np.subtract.accumulate(np.concatenate([self.energy[None], work]))[int(begun) :]
         self.energy, self._pose, self._count = energy[-1], poses[-1], self._count + count
         self.least = np.minimum(self.least, energy.min(axis=0))
         return energy
 
-    def _segments(self, held: Array, pulsed: Array, width: Array) -> list[Segment]:
-        """Return the segments of the next K periods.
+    def _intervals(self, held: Array, pulsed: Array, width: Array) -> list[Interval]:
+        """Return the intervals of the next K periods.
 
         They are those of a `Timeline`; one that is missing in a period has the duration 0 there.
 
@@ -411,19 +411,21 @@ class PassivityObserver:
         """Return durations with 0 in place of rounding errors."""
         return np.where(duration > self._timing.negligible, duration, 0.0)
 
-    def _work(self, moved: Array, periods: Sequence[Segment]) -> Array:
+    def _work(self, moved: Array, periods: Sequence[Interval]) -> Array:
         """Return the work of the forces over a period.
 
-        It follows from the displacement between the samples and the segments of the period.
+        It follows from the displacement between the samples and the intervals of the period.
         """
-        segments = [(duration, force, duration * ((force + self._load) / self._inertia)) for duration, force in periods]
-        # speed at the start, such that the segments add up to the displacement between the samples
+        intervals = [
+            (duration, force, duration * ((force + self._load) / self._inertia)) for duration, force in periods
+        ]
+        # speed at the start, such that the intervals add up to the displacement between the samples
         place: Component = 0.0
         speed: Component = 0.0
-        for duration, _, gained in segments:
+        for duration, _, gained in intervals:
             place, speed = place + duration * (speed + 0.5 * gained), speed + gained
         work: Component = 0.0
         speed = (moved - place) / self._timing.period
-        for duration, force, gained in segments:
+        for duration, force, gained in intervals:
             work, speed = work + force * duration * (speed + 0.5 * gained), speed + gained
         return np.asarray(work)

@@ -3,7 +3,7 @@ from maglev_mj.recording.journal import InvalidRecordingError as InvalidRecordin
 from maglev_mj.recording.journal import RecordingError as RecordingError
 from maglev_mj.recording.recording import Recording as Recording
 from maglev_mj.recording.recording import Samples as Samples
-from maglev_mj.recording.recording import Stretch as Stretch
+from maglev_mj.recording.recording import Segment as Segment
 from maglev_mj.recording.recording import load_samples as load_samples
 from maglev_mj.recording.sample import RunMetadata as RunMetadata
 from maglev_mj.recording.sample import Setup as Setup

@@ -49,7 +49,7 @@ def export(recording: Recording, kind: str, path: Path | str) -> None:
         ...     export(record_run(find_scene("drop")(duration=0.1), plant="exact"), "csv", Path(folder, "run.csv"))
         ...     lines = Path(folder, "run.csv").read_text().splitlines()
         >>> [line.split(",")[:2] for line in lines if not line.startswith("#")][:2]
-        [['stretch', 'tick'], ['0', '0']]
+        [['segment', 'tick'], ['0', '0']]
     """
     check_one_of("to", EXPORTS, kind)
     check_instance("recording", recording, Recording, READ)
@@ -64,15 +64,15 @@ def _as_npz(recording: Recording, partial: Path, _path: Path) -> None:
         for place, data in enumerate(recording.attachments.values())
     }
     stored = {**ARRAYS, **{one.name: [one] for one in TOTALS}}
-    for index, stretch in enumerate(recording.stretches):
+    for index, segment in enumerate(recording.segments):
         for name, fields in stored.items():
-            columns = [stretch.arrays[one.name] for one in fields if one.name in stretch.arrays]
+            columns = [segment.arrays[one.name] for one in fields if one.name in segment.arrays]
             if any(is_recorded(one, values) for one, values in zip(fields, columns)):
                 arrays[f"{index}/{name}"] = columns[0] if len(columns) == 1 else np.column_stack(columns)
     header = _about(recording, list(recording.attachments)) | {
         "format": "maglev_mj recording 1",
         "axes": AXES,
-        "gaps": [list(stretch.gaps) for stretch in recording.stretches],
+        "gaps": [list(segment.gaps) for segment in recording.segments],
         "event_samples": list(recording.event_samples),
     }
     with partial.open("wb") as file:
@@ -155,8 +155,8 @@ def _as_mcap(recording: Recording, partial: Path, _path: Path) -> None:
 
 def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
     """Return each known column of all samples, (N,)."""
-    stretches = recording.stretches
-    fields = [*FIELDS, *(one for one in TOTALS if stretches and all(one.name in part.arrays for part in stretches))]
+    segments = recording.segments
+    fields = [*FIELDS, *(one for one in TOTALS if segments and all(one.name in part.arrays for part in segments))]
     samples = recording.samples([field.name for field in fields])
     recorded = {one.name: values for one in fields if is_recorded(one, values := samples.arrays[one.name])}
     return replace(samples, arrays=recorded).columns()
@@ -166,7 +166,7 @@ def _about(recording: Recording, attachments: Any) -> dict[str, Any]:
     """Return the content besides samples, ready for JSON."""
     return {
         "units": units(),
-        "setups": [stretch.setup for stretch in recording.stretches],
+        "setups": [segment.setup for segment in recording.segments],
         "events": list(recording.events),
         "about": dict(recording.about),
         "damage": recording.damage,
@@ -213,9 +213,9 @@ _STEP = 0.005  # at which a sound is filtered, at least [s]
 def _as_wav(recording: Recording, partial: Path, _path: Path) -> None:
     if not recording.ticks:
         raise InvalidRecordingError("there is nothing to hear: the recording has no samples")
-    parts = [(one.applied, one.metadata.period) for one in recording.stretches]
+    parts = [(one.applied, one.metadata.period) for one in recording.segments]
     with partial.open("wb") as file:
-        write_sound(file, parts, turns=AXES.index(recording.stretches[0].metadata.axis) > 2)
+        write_sound(file, parts, turns=AXES.index(recording.segments[0].metadata.axis) > 2)
 
 
 def write_sound(file: IO[bytes], parts: Sequence[tuple[Array, float]], *, turns: bool) -> None:

@@ -14,16 +14,16 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from maglev_mj.frames import AXES, Array
 from maglev_mj.recording.sample import FIELDS, TOTALS, Field, Rows
 
-STRETCH, SAMPLE, EVENT = "/maglev/stretch", "/maglev/sample", "/maglev/event"
+SEGMENT, SAMPLE, EVENT = "/maglev/segment", "/maglev/sample", "/maglev/event"
 
 NAME = "maglev_mj.Sample"
 """Full name of the message type."""
 
-STRETCH_NUMBER = Field("stretch", "", "number of the stretch, from 0")
-"""Number of the stretch, first field of a sample's message."""
+SEGMENT_NUMBER = Field("segment", "", "number of the segment, from 0")
+"""Number of the segment, first field of a sample's message."""
 
 _ORDERED = (
-    STRETCH_NUMBER,
+    SEGMENT_NUMBER,
     *(field for field in FIELDS if not field.optional),
     *TOTALS,
     *(field for field in FIELDS if field.optional),
@@ -67,16 +67,16 @@ def sample_type() -> Any:
     return message_factory.GetMessageClass(pool.FindMessageTypeByName(NAME))
 
 
-def packed(stretch: int, rows: Rows, totals: Array) -> list[bytes]:
+def packed(segment: int, rows: Rows, totals: Array) -> list[bytes]:
     """Return N samples as messages.
 
     Args:
-        stretch: Number of the stretch.
+        segment: Number of the segment.
         rows: Their values, (N,).
         totals: Running totals in the order of TOTALS, (N, 3).
     """
     kind = sample_type()
-    columns: dict[str, Any] = {STRETCH_NUMBER.name: [stretch] * len(rows)}
+    columns: dict[str, Any] = {SEGMENT_NUMBER.name: [segment] * len(rows)}
     for field, values in [(field, rows[field.name]) for field in FIELDS] + list(zip(TOTALS, totals.T)):
         if field.six:
             columns[field.name] = [dict(zip(AXES, six)) for six in values.tolist()]

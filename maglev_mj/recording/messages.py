@@ -16,7 +16,7 @@ from foxglove.channels import FrameTransformsChannel, LogChannel, SceneUpdateCha
 
 from maglev_mj.frames import Array, quaternion, rotation_matrix
 from maglev_mj.plants.shapes import ARROW, GRIP, LEAST_FORCE, Shape, arrow_start, shapes, wall_plate
-from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, STRETCH, STRETCH_NUMBER, descriptor, packed
+from maglev_mj.recording.mcap import EVENT, NAME, SAMPLE, SEGMENT, SEGMENT_NUMBER, descriptor, packed
 from maglev_mj.recording.sample import FIELDS, Field, Rows, RunMetadata, Setup, Totals, schema
 
 FRAMES, SHAPES, ARROWS, LOG = "/tf", "/maglev/shapes", "/maglev/arrows", "/log"
@@ -31,15 +31,15 @@ _LEVELS = {
     "missed": messages.LogLevel.Warning,
 }
 _WRENCH = "N", "N m"
-_NUMBER = schema(STRETCH_NUMBER)
+_NUMBER = schema(SEGMENT_NUMBER)
 
 
 def _of(kind: str, description: str) -> dict[str, Any]:
     return {"type": kind, "description": description}
 
 
-_STRETCH_FIELDS = {
-    "stretch": _NUMBER,
+_SEGMENT_FIELDS = {
+    "segment": _NUMBER,
     "setup": _of(
         "object", "what plant and controller are made from: kind, scene, parameters, controller, plant, versions"
     ),
@@ -57,7 +57,7 @@ _STRETCH_FIELDS = {
     "hand_acts_on_flotor": _of("boolean", "whether it acts there, not on a hand in a soft grip"),
 }
 _EVENT_FIELDS = {
-    "stretch": _NUMBER,
+    "segment": _NUMBER,
     "tick": schema(FIELDS[0]),
     "kind": _of("string", "fault, missed, lost, timing or landing"),
     "text": _of("string", "what happened"),
@@ -84,7 +84,7 @@ class Messages:
     def __init__(self, context: Context, *, model: str = "maglev") -> None:
         begins = "a controller and a plant begin; axes are those of the stator"
         happens = "something that a person should know of"
-        self._stretch_channel = Channel(STRETCH, schema=_schema("Stretch", _STRETCH_FIELDS, begins), context=context)
+        self._segment_channel = Channel(SEGMENT, schema=_schema("Segment", _SEGMENT_FIELDS, begins), context=context)
         self._event_channel = Channel(EVENT, schema=_schema("Event", _EVENT_FIELDS, happens), context=context)
         sample = Schema(name=NAME, encoding="protobuf", data=descriptor())
         self._sample = Channel(SAMPLE, message_encoding="protobuf", schema=sample, context=context).base
@@ -94,7 +94,7 @@ class Messages:
         self._arrows = SceneUpdateChannel(ARROWS, context=context)
         self._log = LogChannel(LOG, context=context)
         self._device = _device(shapes(model))
-        self._stretch, self._tick = -1, 0
+        self._segment, self._tick = -1, 0
         self._began = self._now = 0
         self._first: float | None = None
         self._shown = -1
@@ -102,13 +102,13 @@ class Messages:
         self._totals: Totals | None = None
 
     def begin(self, setup: Setup, began_ns: int) -> None:
-        """Begin a stretch.
+        """Begin a segment.
 
         Args:
             setup: Setup of plant and controller, with the metadata as `run`.
             began_ns: Time of the beginning since 1970 [ns].
         """
-        self._stretch += 1
+        self._segment += 1
         self._first, self._shown = None, -1
         # a run that is faster than real time must not lie over the next
         self._began = self._now = max(began_ns, self._now + 1)
@@ -119,9 +119,9 @@ class Messages:
         walls = [Shape(False, "box", half, place, _UPRIGHT, _WALL) for place, half in plates]
         self._stick = None
         whole = {name: part for name, part in setup.items() if name != "run"}
-        self._send(self._stretch_channel, {"stretch": self._stretch, "setup": whole, **run})
+        self._send(self._segment_channel, {"segment": self._segment, "setup": whole, **run})
         self._draw(self._shapes, [*self._device, ("stator", "walls", _primitives(walls))])
-        self._tell(messages.LogLevel.Info, f"stretch {self._stretch + 1}: {metadata.name or setup.get('kind', '')}")
+        self._tell(messages.LogLevel.Info, f"segment {self._segment + 1}: {metadata.name or setup.get('kind', '')}")
 
     def stick(self, position: Sequence[float] | None) -> None:
         """Set the stick position [m, rad], six.
@@ -133,7 +133,7 @@ class Messages:
     def rows(self, rows: Rows) -> None:
         """Log samples, a structured array (N,)."""
         assert self._totals is not None
-        for values, message in zip(rows, packed(self._stretch, rows, self._totals.take(rows))):
+        for values, message in zip(rows, packed(self._segment, rows, self._totals.take(rows))):
             time, self._tick = float(values["time"]), int(values["tick"])
             self._first = time if self._first is None else self._first
             self._now = max(self._now, self._began + round((time - self._first) * 1e9))
@@ -153,7 +153,7 @@ class Messages:
         """
         if self._totals is not None:
             self._totals.miss(missed)
-        message = {"stretch": self._stretch, "tick": self._tick, "kind": kind, "text": text, "missed": missed}
+        message = {"segment": self._segment, "tick": self._tick, "kind": kind, "text": text, "missed": missed}
         self._send(self._event_channel, message)
         self._tell(_LEVELS.get(kind, messages.LogLevel.Info), f"{kind}: {text}")
 

@@ -32,8 +32,8 @@ from maglev_mj.result import Result, Table
 _RECORDED = [one.name for one in FIELDS]
 
 READ = "a Recording, as Recording.load(FILE) returns"
-READ_STRETCH = "a Stretch, such as Recording.load(FILE).stretches[0]"
-"""Allowed values of a recording and a stretch, for messages."""
+READ_SEGMENT = "a Segment, such as Recording.load(FILE).segments[0]"
+"""Allowed values of a recording and a segment, for messages."""
 
 
 class _Fields:
@@ -47,11 +47,11 @@ class _Fields:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Stretch(_Fields):
+class Segment(_Fields):
     """N samples under one controller.
 
-    Each field of a sample is an attribute: `stretch.position` is `stretch.arrays["position"]`, (N, 6). An index gives
-    some of the samples, without totals and gaps: `stretch[100:200]`.
+    Each field of a sample is an attribute: `segment.position` is `segment.arrays["position"]`, (N, 6). An index gives
+    some of the samples, without totals and gaps: `segment[100:200]`.
 
     Attributes:
         setup: Setup of plant and controller, with the metadata as `run`.
@@ -59,7 +59,7 @@ class Stretch(_Fields):
             it for that reason. The totals, if recorded, are energy absorbed by the rendered world, `taken` [J], work
             of the hand, `hand_work` [J], and samples `missed`, each from the beginning on.
         gaps: Samples missed without a gap in the ticks: row that follows, and number.
-        before: Samples of earlier stretches of the same run, if it goes on from them after a rewind; else None.
+        before: Samples of earlier segments of the same run, if it goes on from them after a rewind; else None.
         began: Time of the beginning since 1970 [µs]; 0 if not known.
         sticks: Row that follows and stick position from there on [m, rad], six, NaN for sliding axes; None without
             friction.
@@ -72,7 +72,7 @@ class Stretch(_Fields):
     setup: Setup
     arrays: Mapping[str, Array]
     gaps: Sequence[tuple[int, int]] = ()
-    before: Stretch | None = None
+    before: Segment | None = None
     began: int = 0
     sticks: Sequence[tuple[int, Sequence[float] | None]] = ()
     metadata: RunMetadata = field(init=False)
@@ -83,13 +83,13 @@ class Stretch(_Fields):
     def __len__(self) -> int:
         return len(next(iter(self.arrays.values())))
 
-    def __getitem__(self, rows: slice | NDArray[Any]) -> Stretch:
+    def __getitem__(self, rows: slice | NDArray[Any]) -> Segment:
         totals = {one.name for one in TOTALS}
         arrays = {name: self.arrays[name][rows] for name in self.arrays if name not in totals}
         return replace(self, arrays=arrays, gaps=(), sticks=())
 
     @property
-    def whole(self) -> Stretch:
+    def whole(self) -> Segment:
         """The run since its plant and controller were made: with the samples before it."""
         if self.before is None:
             return self
@@ -97,14 +97,14 @@ class Stretch(_Fields):
         while (part := parts[0].before) is not None:
             parts.insert(0, part)
         arrays = {name: np.concatenate([part.arrays[name] for part in parts]) for name in _RECORDED}
-        return Stretch(setup={**parts[0].setup, "run": self.setup["run"]}, arrays=arrays)
+        return Segment(setup={**parts[0].setup, "run": self.setup["run"]}, arrays=arrays)
 
     @property
     def known_hand(self) -> Array:
         """Hand's wrench [N, N m], (N, 6); zero where it is unknown or estimated."""
         return np.nan_to_num(self.hand * self.metadata.hand_recorded)
 
-    def replace(self, **values: ArrayLike) -> Stretch:
+    def replace(self, **values: ArrayLike) -> Segment:
         """Return a copy with other values of some fields, one for each sample or for all."""
         new = {name: np.array(np.broadcast_to(one, self.arrays[name].shape), float) for name, one in values.items()}
         return replace(self, arrays={**self.arrays, **new})
@@ -115,7 +115,7 @@ class Recording(Result):
     """Recording of one run.
 
     Attributes:
-        stretches: Stretches in order of time.
+        segments: Segments in order of time.
         events: Texts of events for the user, such as faults.
         event_samples: Number of samples before each event; empty in files without it.
         damage: Description of damage to the file, such as a missing end; empty for none.
@@ -125,12 +125,12 @@ class Recording(Result):
     Example:
         >>> from maglev_mj import find_scene, record_run
         >>> recording = record_run(find_scene("drop")(duration=0.1), plant="exact")
-        >>> stretch = recording.stretches[0]
-        >>> len(stretch), stretch.position.shape
+        >>> segment = recording.segments[0]
+        >>> len(segment), segment.position.shape
         (21, (21, 6))
     """
 
-    stretches: Sequence[Stretch]
+    segments: Sequence[Segment]
     events: Sequence[str] = ()
     event_samples: Sequence[int] = ()
     damage: str = ""
@@ -139,32 +139,32 @@ class Recording(Result):
     units: ClassVar = units()
 
     def __post_init__(self) -> None:
-        check_instance("stretches", self.stretches, list | tuple, "a list of Stretch, as Recording.load(FILE) reads")
-        store(self, stretches=_joined(self.stretches))
+        check_instance("segments", self.segments, list | tuple, "a list of Segment, as Recording.load(FILE) reads")
+        store(self, segments=_joined(self.segments))
 
     def samples(self, fields: Sequence[str] = _RECORDED) -> Samples:
         """Return fields of all samples as arrays; NaN for totals that were not recorded."""
 
         def joined(name: str) -> Array:
-            parts = [one.arrays.get(name, np.full(len(one), np.nan)) for one in self.stretches]
+            parts = [one.arrays.get(name, np.full(len(one), np.nan)) for one in self.segments]
             if len(parts) == 1:
                 return parts[0]
             return np.concatenate(parts) if parts else np.empty((0, 6) if _FIELDS[name].six else 0)
 
-        sizes = [len(one) for one in self.stretches]
+        sizes = [len(one) for one in self.segments]
         numbers = np.repeat(np.arange(len(sizes)), sizes)
-        return Samples(arrays={name: joined(name) for name in fields}, stretch=numbers, recording=self)
+        return Samples(arrays={name: joined(name) for name in fields}, segment=numbers, recording=self)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns of all samples, (N,) each; see `Samples.columns`."""
         return self.samples().columns()
 
     def table(self) -> Table:
-        """Return a row for each stretch."""
-        head = "stretch", "kind", "samples", "from [s]", "to [s]"
+        """Return a row for each segment."""
+        head = "segment", "kind", "samples", "from [s]", "to [s]"
         rows = [
             (index, one.setup["kind"], len(one), *map(float, one.time[[0, -1]]))
-            for index, one in enumerate(self.stretches)
+            for index, one in enumerate(self.segments)
         ]
         events = f", {len(self.events)} events" if self.events else ""
         return Table(f"recording of {self.ticks} samples{events}", head, rows)
@@ -176,16 +176,16 @@ class Recording(Result):
     def parts(self) -> Iterator[tuple[str, Any]]:
         """Yield the content in order of time, as a journal has it: a kind and its value.
 
-        Kinds are "begin" (a stretch), "rows" (samples of it, a structured array (N,)), "stick" (position, six or None)
+        Kinds are "begin" (a segment), "rows" (samples of it, a structured array (N,)), "stick" (position, six or None)
         and "event" (kind, text and number of samples missed with it).
         """
         events = list(zip(self.event_samples, self.events))
         first = 0
-        for stretch in self.stretches:
-            yield "begin", stretch
-            rows, gaps, start = _rows(stretch), list(stretch.gaps), 0
-            beside: list[tuple[int, tuple[str, Any]]] = [(row, ("stick", stuck)) for row, stuck in stretch.sticks]
-            while events and events[0][0] <= first + len(rows):  # one between two stretches is of the first
+        for segment in self.segments:
+            yield "begin", segment
+            rows, gaps, start = _rows(segment), list(segment.gaps), 0
+            beside: list[tuple[int, tuple[str, Any]]] = [(row, ("stick", stuck)) for row, stuck in segment.sticks]
+            while events and events[0][0] <= first + len(rows):  # one between two segments is of the first
                 place, text = events.pop(0)
                 kind, _, words = text.partition(": ")
                 at = next((gap for gap in gaps if gap[0] == place - first), None) if kind == "missed" else None
@@ -248,14 +248,14 @@ class Recording(Result):
     @property
     def ticks(self) -> int:
         """Total number of samples."""
-        return sum(len(stretch) for stretch in self.stretches)
+        return sum(len(segment) for segment in self.segments)
 
 
-def _joined(stretches: Sequence[Stretch]) -> list[Stretch]:
-    """Return the stretches of a session, each with the samples that it goes on from."""
-    joined: list[Stretch] = []
-    begun: list[tuple[int, Stretch]] = []
-    for one in stretches:
+def _joined(segments: Sequence[Segment]) -> list[Segment]:
+    """Return the segments of a session, each with the samples that it goes on from."""
+    joined: list[Segment] = []
+    begun: list[tuple[int, Segment]] = []
+    for one in segments:
         if (session := one.setup.get("session")) is not None:
             after = value_in(session, "after")
             if after is not None and (known := [part for part in begun if part[0] <= whole("after", after)]):
@@ -267,11 +267,11 @@ def _joined(stretches: Sequence[Stretch]) -> list[Stretch]:
     return joined
 
 
-def _rows(stretch: Stretch) -> Rows:
-    """Return the samples of a stretch as a structured array (N,)."""
-    rows = np.empty(len(stretch), ROW)
+def _rows(segment: Segment) -> Rows:
+    """Return the samples of a segment as a structured array (N,)."""
+    rows = np.empty(len(segment), ROW)
     for name in _RECORDED:
-        rows[name] = stretch.arrays[name]
+        rows[name] = segment.arrays[name]
     return rows
 
 
@@ -287,7 +287,7 @@ def _read(path: Path | str, names: frozenset[str] | None = None) -> Recording:
         content = Content(path, names)
         return Recording(
             [
-                Stretch(setup=one.setup, arrays=one.arrays(), gaps=one.gaps, began=one.began, sticks=one.sticks)
+                Segment(setup=one.setup, arrays=one.arrays(), gaps=one.gaps, began=one.began, sticks=one.sticks)
                 for one in content.segments
             ],
             events=content.events,
@@ -335,16 +335,16 @@ class Samples(_Fields, Result):
     Attributes:
         arrays: Fields by name, (N,) or (N, 6), not to be changed; NaN for values missing in the file.
         units: Unit of each column, such as `position.z`; empty for a whole number.
-        stretch: Number of the stretch of each sample, from 0, (N,).
+        segment: Number of the segment of each sample, from 0, (N,).
         recording: The recording, with setups, metadata, events, attachments and damage.
     """
 
     arrays: Mapping[str, Array]
-    stretch: NDArray[np.int64]
+    segment: NDArray[np.int64]
     recording: Recording
 
     def __len__(self) -> int:
-        return len(self.stretch)
+        return len(self.segment)
 
     @property
     def units(self) -> Mapping[str, str]:
@@ -354,9 +354,9 @@ class Samples(_Fields, Result):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns by name, (N,) each.
 
-        `stretch` comes first, then those of `units`. Columns without unit are whole numbers.
+        `segment` comes first, then those of `units`. Columns without unit are whole numbers.
         """
-        columns: dict[str, NDArray[Any]] = {"stretch": self.stretch}
+        columns: dict[str, NDArray[Any]] = {"segment": self.segment}
         for name, values in self.arrays.items():
             field = _FIELDS[name]
             for place, (column, unit) in enumerate(field.units):

@@ -88,7 +88,7 @@ class Field(NamedTuple):
 
 FIELDS: Sequence[Field] = (
     Field("tick", "", "sample number, as the plant counts"),
-    Field("time", "s", "of the sample, as the plant counts: a device counts on from stretch to stretch", at_most=1e9),
+    Field("time", "s", "of the sample, as the plant counts: a device counts on from segment to segment", at_most=1e9),
     Field("position", _POSE, "what the controller saw", at_most=1e3),
     Field("command", _WRENCH, "what it answered, held", "command"),
     Field("pulse", _WRENCH, "what it answered, for as long as a pulse", "command"),
@@ -110,9 +110,9 @@ A further value takes one further line here, and one in `row_of`.
 """
 
 TOTALS: Sequence[Field] = (
-    Field("taken", "J", "energy that the rendered world has taken in, in the stretch; below 0 it has made some"),
-    Field("hand_work", "J", "work of the hand in the stretch, if known"),
-    Field("missed", "", "samples that did not arrive, or that were not kept up with, in the stretch so far"),
+    Field("taken", "J", "energy that the rendered world has taken in, in the segment; below 0 it has made some"),
+    Field("hand_work", "J", "work of the hand in the segment, if known"),
+    Field("missed", "", "samples that did not arrive, or that were not kept up with, in the segment so far"),
 )
 """Running totals, computed from the samples; exports have them with each sample."""
 
@@ -360,7 +360,7 @@ class Totals:
     """Running totals of energy, hand work and missed samples.
 
     Args:
-        metadata: Metadata of the stretch.
+        metadata: Metadata of the segment.
     """
 
     def __init__(self, metadata: RunMetadata) -> None:
@@ -385,7 +385,7 @@ class Totals:
         energy = self._observer.take(poses, force, rows["applied_pulse"], rows["applied_pulse_width"])
         work = self._hand.take(poses, np.ascontiguousarray(rows["hand"]))
         ticks = rows["tick"]
-        # a device counts on from stretch to stretch
+        # a device counts on from segment to segment
         gaps = np.diff(ticks, prepend=ticks[:1] - 1.0 if self._tick is None else self._tick)
         missed = self._missed + np.add.accumulate(np.maximum(np.trunc(gaps) - 1.0, 0.0))
         self._tick, self._missed = float(ticks[-1]), int(missed[-1])

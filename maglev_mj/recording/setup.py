@@ -94,7 +94,7 @@ def setup_of(
         parameters: Parameters of the run by name, ready for JSON.
         samples: Number of samples unless the run fails before; None if not known.
         session: Numbers in a session of the `first` sample, and of that `after` which it goes on, None for a run of its
-            own; see `Stretch.before`.
+            own; see `Segment.before`.
         metadata: Values in place of those of plant and controller: see `RunMetadata.of`.
 
     Raises:
@@ -131,7 +131,7 @@ class RecordingFile(Protocol):
     """Interface of a file that records a run."""
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
-        """Begin a stretch; return the loop's recording function.
+        """Begin a segment; return the loop's recording function.
 
         Args:
             plant: The controlled plant.

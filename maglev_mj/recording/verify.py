@@ -14,7 +14,7 @@ from maglev_mj.frames import ZERO, Array, Command, Mask, Sample
 from maglev_mj.parameters import whole
 from maglev_mj.plants import SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HandForce, RecordedHand
-from maglev_mj.recording.recording import READ, Recording, Stretch
+from maglev_mj.recording.recording import READ, Recording, Segment
 from maglev_mj.recording.sample import (
     ARRAYS,
     FIELDS,
@@ -43,9 +43,9 @@ class FieldVerdict(NamedTuple):
     """Comparison of one recorded field with its replay.
 
     Attributes:
-        same: Number of bitwise equal values, one per sample or one per stretch.
+        same: Number of bitwise equal values, one per sample or one per segment.
         compared: Number of compared values; 0 for a field that is not replayed.
-        first: Stretch and tick of the first difference; None without differences.
+        first: Segment and tick of the first difference; None without differences.
     """
 
     same: int
@@ -73,7 +73,7 @@ class Verdict(NamedTuple):
 
     @property
     def first(self) -> tuple[int, int] | None:
-        """Stretch and tick of the first difference, or None."""
+        """Segment and tick of the first difference, or None."""
         return min((field.first for field in self.fields.values() if field.first is not None), default=None)
 
     def __str__(self) -> str:
@@ -84,8 +84,8 @@ class Verdict(NamedTuple):
             if field.first is None:
                 same.setdefault(field.compared, []).append(name)
             else:
-                stretch, tick = field.first
-                where = f"{name}, which first differs at tick {tick} of stretch {stretch + 1}"
+                segment, tick = field.first
+                where = f"{name}, which first differs at tick {tick} of segment {segment + 1}"
                 remarks.append(f"{field.same} of {field.compared} the same: {where}")
         copied = same.pop(0, [])
         remarks = [*(f"{count} of {count} the same: {', '.join(names)}" for count, names in same.items()), *remarks]
@@ -115,28 +115,28 @@ def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
     """
     check_instance("recording", recording, Recording, READ)
     verdicts: dict[str, FieldVerdict] = {}
-    for place, stretch in enumerate(recording.stretches):
-        for name, values, again in _fields(stretch, rebuild):
+    for place, segment in enumerate(recording.segments):
+        for name, values, again in _fields(segment, rebuild):
             same = np.ones(0, np.bool_) if again is None else _same(values, again)
-            verdicts[name] = _added(verdicts.get(name, FieldVerdict(0, 0, None)), same, place, stretch.tick)
+            verdicts[name] = _added(verdicts.get(name, FieldVerdict(0, 0, None)), same, place, segment.tick)
     return Verdict(recording.ticks, verdicts, recording.damage)
 
 
 def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tuple[int, int, str] | None:
     """Return the first command that differs from a new controller's.
 
-    Stretch, tick and field; None if all are equal.
+    Segment, tick and field; None if all are equal.
 
     Args:
         recording: The recording.
         rebuild: Makes plant and controller from a setup and a hand.
-        most: Number of compared samples of each stretch, from its first.
+        most: Number of compared samples of each segment, from its first.
 
     Raises:
         ParameterError: If a setup cannot be rebuilt.
     """
-    for place, stretch in enumerate(recording.stretches):
-        part = stretch[:most]
+    for place, segment in enumerate(recording.segments):
+        part = segment[:most]
         run = part.whole
         answers = _answers(run, rebuild(run.setup, None)[1])[-len(part) :]
         same = {field.name: _same(part.arrays[field.name], answers[field.name]) for field in _COMMANDED}
@@ -148,7 +148,7 @@ def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tup
 
 
 def _added(before: FieldVerdict, same: Mask, place: int, ticks: Array) -> FieldVerdict:
-    """Return a verdict extended by another stretch: a value per tick, one, or none."""
+    """Return a verdict extended by another segment: a value per tick, one, or none."""
     good, compared, first = before
     if first is None and not same.all():
         first = place, int(ticks[np.argmin(same)])
@@ -166,26 +166,26 @@ def _same(recorded: Array, again: Array) -> Mask:
     return np.asarray(good.all(axis=1))
 
 
-def _fields(stretch: Stretch, rebuild: Rebuild) -> Iterator[_Field]:
+def _fields(segment: Segment, rebuild: Rebuild) -> Iterator[_Field]:
     """Yield name, recorded and replayed values of each field.
 
     None in place of values that are not replayed.
     """
-    run = stretch.whole
+    run = segment.whole
     _, controller = rebuild(run.setup, None)
     # after a rewind a recorded hand may act again
-    has_hand = stretch.before is None and scripted(run.setup)
+    has_hand = segment.before is None and scripted(run.setup)
     plant, other = rebuild(run.setup, None if has_hand else RecordedHand(run.known_hand))
     with refused(KeyError, TypeError, ParameterError):
-        metadata = _metadata(stretch, plant, controller, has_hand)
+        metadata = _metadata(segment, plant, controller, has_hand)
         samples = None if run.setup.get("samples") is None else float(whole("samples", run.setup["samples"]))
     seen, failed = (None, False) if plant is None else _seen(plant, other, len(run))
     if samples is not None:
-        count = float(len(stretch))
+        count = float(len(segment))
         yield "samples", np.array([count]), np.array([count if failed else samples])
     answers = _answers(run, controller)
     for field in (field for array in ARRAYS.values() for field in array):
-        recorded = stretch.arrays[field.name]
+        recorded = segment.arrays[field.name]
         if not is_recorded(field, recorded):
             continue
         again = answers if field in _COMMANDED else seen if field.name != "hand" or has_hand else None
@@ -193,9 +193,9 @@ def _fields(stretch: Stretch, rebuild: Rebuild) -> Iterator[_Field]:
     yield from metadata
 
 
-def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controller, has_hand: bool) -> list[_Field]:
+def _metadata(segment: Segment, plant: SampledPlant | None, controller: Controller, has_hand: bool) -> list[_Field]:
     """Return the metadata fields, one row each, names excluded."""
-    recorded, setup = stretch.metadata, stretch.whole.setup
+    recorded, setup = segment.metadata, segment.whole.setup
     values: dict[str, Any] = {name: getattr(controller, name) for name in ("period", "carried", "faces")}
     names = "period", "delay", "carried", "inertia", "load", "before", "faces", "hand_recorded", "hand_acts_on_flotor"
     if plant is not None:
@@ -204,8 +204,8 @@ def _metadata(stretch: Stretch, plant: SampledPlant | None, controller: Controll
         values["hand_recorded"] = plant.held if has_hand else True if isinstance(setup.get("plant"), dict) else None
     if setup["kind"] == "device":  # inertia and previous wrench are recorded with the flight, not in the setup
         values |= {"delay": setup["parameters"]["delay"], "hand_recorded": False, "hand_acts_on_flotor": True}
-    if stretch.before is not None:
-        values["before"] = stretch.before.applied[-1]
+    if segment.before is not None:
+        values["before"] = segment.before.applied[-1]
     return [(name, *_rows(getattr(recorded, name), values.get(name))) for name in names]
 
 
@@ -219,12 +219,12 @@ def _row(value: ArrayLike) -> Array:
     return np.array([np.size(value), *np.ravel(value)], dtype=np.float64)[None]
 
 
-def _answers(stretch: Stretch, controller: Controller) -> Rows:
+def _answers(segment: Segment, controller: Controller) -> Rows:
     """Return a new controller's commands for the recorded samples.
 
     The array is (N,), with the fields of a command.
     """
-    samples = zip(stretch.tick.tolist(), stretch.time.tolist(), stretch.position.tolist(), strict=True)
+    samples = zip(segment.tick.tolist(), segment.time.tolist(), segment.position.tolist(), strict=True)
     commands = [controller.step(Sample(int(tick), time, place)) for tick, time, place in samples]
     values = [(*one.force, *(one.extra or ZERO), one.pulse_width if one.extra else 0.0) for one in commands]
     return as_rows(values, _COMMANDED)

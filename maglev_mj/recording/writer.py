@@ -13,7 +13,7 @@ from maglev_mj.errors import ParameterError, file_path
 from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import flag
 from maglev_mj.recording.journal import PACK_SAMPLE, SUFFIX, Journal, microseconds
-from maglev_mj.recording.recording import Recording, Stretch, stick_as_json
+from maglev_mj.recording.recording import Recording, Segment, stick_as_json
 from maglev_mj.recording.sample import ROW, RecordedPlant, Row, Setup, as_rows, row_of
 from maglev_mj.recording.setup import RecordingFile, attach_parts, whole_setup
 from maglev_mj.versions import versions
@@ -41,11 +41,11 @@ class JournalFile:
         self._waits, self._attached = wait, set[str]()
         self._controller: Controller | None = None
         self._stuck = repr(None)
-        self._versions = versions()  # here, for a stretch may begin in real time
+        self._versions = versions()  # here, for a segment may begin in real time
         self._journal = Journal(path, wait=wait)
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
-        """Begin a stretch; return the loop's recording function."""
+        """Begin a segment; return the loop's recording function."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
         attach_parts(self, plant, controller)
         self._journal.text({"begin": whole, "time": microseconds()})
@@ -139,18 +139,18 @@ class Recorder:
         """Record the number of samples missed before the next."""
         self._gaps.append((len(self._rows), count))
 
-    def stretch(self) -> Stretch:
+    def segment(self) -> Segment:
         """Return the recorded samples."""
         rows = as_rows(self._rows)
         arrays = {name: np.ascontiguousarray(rows[name]) for name in ROW.names or ()}
-        return Stretch(setup=self._setup, arrays=arrays, gaps=tuple(self._gaps), began=self._began)
+        return Segment(setup=self._setup, arrays=arrays, gaps=tuple(self._gaps), began=self._began)
 
 
 class MemoryFile:
     """Recording in memory; see `RecordingFile`."""
 
     def __init__(self) -> None:
-        self._versions = versions()  # here, for a stretch may begin in real time
+        self._versions = versions()  # here, for a segment may begin in real time
         self._recorders: list[Recorder] = []
         self._events: list[str] = []
         self._event_samples: list[int] = []
@@ -160,14 +160,14 @@ class MemoryFile:
     def recording(self) -> Recording:
         """Recording of all samples so far."""
         return Recording(
-            [recorder.stretch() for recorder in self._recorders if len(recorder)],
+            [recorder.segment() for recorder in self._recorders if len(recorder)],
             events=tuple(self._events),
             event_samples=tuple(self._event_samples),
             attachments=self._attachments,
         )
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Recorder:
-        """Begin a stretch; return the loop's recording function."""
+        """Begin a segment; return the loop's recording function."""
         whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
         attach_parts(self, plant, controller)
         self._recorders.append(Recorder(plant, whole))

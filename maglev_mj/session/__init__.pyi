@@ -16,6 +16,9 @@ from maglev_mj.session.pacing import Note as Note
 from maglev_mj.session.pacing import Pacer as Pacer
 from maglev_mj.session.pacing import next_scale as next_scale
 from maglev_mj.session.pacing import real_time as real_time
+from maglev_mj.session.segment import KEPT as KEPT
+from maglev_mj.session.segment import begin_scene as begin_scene
+from maglev_mj.session.segment import live_plant as live_plant
 from maglev_mj.session.session import Session as Session
 from maglev_mj.session.session import device_controller as device_controller
 from maglev_mj.session.snapshot import REPLACED as REPLACED
@@ -28,6 +31,3 @@ from maglev_mj.session.snapshot import SampledMotion as SampledMotion
 from maglev_mj.session.snapshot import Snapshot as Snapshot
 from maglev_mj.session.snapshot import SnapshotSource as SnapshotSource
 from maglev_mj.session.snapshot import TourLine as TourLine
-from maglev_mj.session.stretch import KEPT as KEPT
-from maglev_mj.session.stretch import begin_scene as begin_scene
-from maglev_mj.session.stretch import live_plant as live_plant

@@ -30,8 +30,8 @@ from maglev_mj.recording import (
     Recording,
     RecordingError,
     RecordingFile,
+    Segment,
     Setup,
-    Stretch,
     open_recording,
 )
 from maglev_mj.recording.sample import check_setup
@@ -80,7 +80,7 @@ class OwnCode:
 
     def __init__(self, text: str, recording: Recording) -> None:
         self._attached = recording.attachments if text == ATTACHED else None
-        setups = [stretch.setup for stretch in recording.stretches]
+        setups = [segment.setup for segment in recording.segments]
         sources = [(setup.get("scene"), setup.get("source")) for setup in setups]
         named = {(scene, source) for scene, source in sources if isinstance(scene, str) and isinstance(source, str)}
         hashes, self._text, self._file = {source for _, source in named}, "", text
@@ -145,8 +145,8 @@ def rebuild(
 
     Example:
         >>> from maglev_mj import find_scene, rebuild, record_run
-        >>> stretch = record_run(find_scene("drop")(duration=0.1), plant="exact").stretches[0]
-        >>> plant, controller = rebuild(stretch.setup, None)
+        >>> segment = record_run(find_scene("drop")(duration=0.1), plant="exact").segments[0]
+        >>> plant, controller = rebuild(segment.setup, None)
         >>> type(plant).__name__, [type(law).__name__ for law in controller.laws]
         ('ExactPlant', ['Wall', 'Hold'])
     """
@@ -157,7 +157,7 @@ def rebuild(
 
 def _controller(setup: Setup, own: OwnCode | None) -> Controller:
     if (setup.get("session") or {}).get("after") is not None:
-        raise OwnCodeError("a stretch goes on, after a rewind, from a sample that is not in the recording")
+        raise OwnCodeError("a segment goes on, after a rewind, from a sample that is not in the recording")
     if own is None or own.scene is None or not setup.get("scene"):
         return controller_again(setup, own)
     with refused(*_INVALID):
@@ -179,35 +179,35 @@ def _scene(setup: Setup, own: OwnCode | None) -> Scene:
     return recorded_scene(name, setup["parameters"], None if own is None else own.scene)
 
 
-def rebuild_for(stretch: Stretch, own: OwnCode | None = None) -> Rebuild | None:
-    """Return the function that rebuilds a stretch, or None.
+def rebuild_for(segment: Segment, own: OwnCode | None = None) -> Rebuild | None:
+    """Return the function that rebuilds a segment, or None.
 
     It makes plant and controller; None if it needs user code.
 
     A recording never makes this program execute code that it names or contains: only the user can allow it.
 
     Args:
-        stretch: The stretch.
+        segment: The segment.
         own: User code allowed to run.
     """
     try:
-        _controller(stretch.whole.setup, own)
+        _controller(segment.whole.setup, own)
     except OwnCodeError:
         return None
     return partial(rebuild, own=own)
 
 
-def unmade_plant(stretch: Stretch, own: OwnCode | None = None) -> str:
+def unmade_plant(segment: Segment, own: OwnCode | None = None) -> str:
     """Return the class name of a plant not simulated here.
 
     Empty for one that can be simulated, as a device of a known scene.
 
     Args:
-        stretch: The stretch.
+        segment: The segment.
         own: User code allowed to run.
     """
-    plant = stretch.whole.setup.get("plant")
-    is_twin = stretch.setup["kind"] == "device" and not isinstance(shown_scene(stretch, own), _Unknown)
+    plant = segment.whole.setup.get("plant")
+    is_twin = segment.setup["kind"] == "device" and not isinstance(shown_scene(segment, own), _Unknown)
     return plant if isinstance(plant, str) and not is_twin else ""
 
 
@@ -313,37 +313,37 @@ def recorded_to(path: Path | str, written: list[Path], *, quiet: bool = False) -
             written.append(done)
 
 
-def shown_scene(stretch: Stretch, own: OwnCode | None = None) -> Scene:
-    """Return the scene that displays a stretch.
+def shown_scene(segment: Segment, own: OwnCode | None = None) -> Scene:
+    """Return the scene that displays a segment.
 
-    It is the stretch's own if that is known here.
+    It is the segment's own if that is known here.
 
     Args:
-        stretch: The stretch.
+        segment: The segment.
         own: User code allowed to run.
     """
     try:
         with refused(*_INVALID):
-            return _scene(stretch.setup, own)
+            return _scene(segment.setup, own)
     except InvalidRecordingError:
-        metadata = stretch.metadata
+        metadata = segment.metadata
         return _Unknown(period=metadata.period, delay=metadata.delay, axis=metadata.axis)
 
 
-def stick_positions(stretch: Stretch, again: Rebuild | None = rebuild) -> Iterator[Array]:
-    """Yield the stick positions at each sample of a stretch's whole run [m, rad], (6,).
+def stick_positions(segment: Segment, again: Rebuild | None = rebuild) -> Iterator[Array]:
+    """Yield the stick positions at each sample of a segment's whole run [m, rad], (6,).
 
     They are as seen by the controller; there are none without friction.
 
     Args:
-        stretch: The stretch.
+        segment: The segment.
         again: Function from a setup and a hand to plant and controller; None if there is none: then nothing is yielded.
     """
     if again is None:
         return
-    whole = stretch.whole
+    whole = segment.whole
     _, controller = again(whole.setup, None)
-    for first in range(0, len(whole), _CHUNK):  # as lists, a long stretch would take a second and much memory
+    for first in range(0, len(whole), _CHUNK):  # as lists, a long segment would take a second and much memory
         part = slice(first, first + _CHUNK)
         for tick, place in zip(whole.tick[part].tolist(), whole.position[part].tolist(), strict=True):
             controller.step(Sample(int(tick), 0.0, place))
@@ -352,12 +352,12 @@ def stick_positions(stretch: Stretch, again: Rebuild | None = rebuild) -> Iterat
             yield found
 
 
-def stick_positions_of(stretch: Stretch, again: Rebuild | None = rebuild) -> Array | None:
+def stick_positions_of(segment: Segment, again: Rebuild | None = rebuild) -> Array | None:
     """Return the stick positions at all samples, (N, 6).
 
     None without friction. See `stick_positions`.
     """
-    positions = list(stick_positions(stretch, again))[-len(stretch) :]
+    positions = list(stick_positions(segment, again))[-len(segment) :]
     return np.array(positions) if positions else None
 
 
@@ -380,8 +380,8 @@ It takes some ms.
 class Replay:
     """Recording shown in time; a `SnapshotSource`.
 
-    All its stretches are on one time axis, one after the other. The time of opening and seeking does not grow with the
-    number of samples: stick positions are found during playback, in each stretch from its first sample on.
+    All its segments are on one time axis, one after the other. The time of opening and seeking does not grow with the
+    number of samples: stick positions are found during playback, in each segment from its first sample on.
 
     Args:
         recording: The recording, of at least one sample.
@@ -398,13 +398,13 @@ class Replay:
     def __init__(self, recording: Recording, own: OwnCode | None = None) -> None:
         self.hand = SpringHand()
         self.simulated = 0.0
-        self._stretches = [_Shown(stretch, own) for stretch in recording.stretches if len(stretch)]
-        if not self._stretches:
+        self._segments = [_Shown(segment, own) for segment in recording.segments if len(segment)]
+        if not self._segments:
             raise InvalidRecordingError("there is nothing in the recording")
-        begins = np.cumsum([0.0, *(one.duration for one in self._stretches)])
+        begins = np.cumsum([0.0, *(one.duration for one in self._segments)])
         self._duration = float(begins[-1])
-        self._times: Array = np.concatenate([begin + one.time for begin, one in zip(begins, self._stretches)])
-        self._firsts = np.cumsum([0, *(len(one.time) for one in self._stretches)])
+        self._times: Array = np.concatenate([begin + one.time for begin, one in zip(begins, self._segments)])
+        self._firsts = np.cumsum([0, *(len(one.time) for one in self._segments)])
         last = len(self._times) - 1
         self._marks = [float(self._times[min(max(count - 1, 0), last)]) for count in recording.event_samples]
         self._events = list(recording.events)
@@ -483,7 +483,7 @@ class Replay:
     def snapshot(self) -> Snapshot:
         """Return the present snapshot."""
         now, row = self._now, self._row - self._firsts[self._place]
-        samples, time = now.stretch.arrays, float(self._times[self._row])
+        samples, time = now.segment.arrays, float(self._times[self._row])
         since = SHOWN * max(self._scale, 1.0)
         passed = [event for event, mark in zip(self._events, self._marks) if 0.0 <= time - mark < since]
         return Snapshot(
@@ -495,7 +495,7 @@ class Replay:
             pose=np.array(samples["position"][row]),
             force=samples["applied"][row] - now.carried,
             hand=np.array(samples["hand"][row]),
-            hand_estimated=now.stretch.setup["kind"] == "device",
+            hand_estimated=now.segment.setup["kind"] == "device",
             currents=_current_per_wrench() @ samples["applied"][row],
             faces=now.faces,
             anchors=now.anchors(row),
@@ -516,12 +516,12 @@ class Replay:
 
     @property
     def _place(self) -> int:
-        """Index of the stretch shown."""
+        """Index of the segment shown."""
         return int(np.searchsorted(self._firsts, self._row, side="right")) - 1
 
     @property
     def _now(self) -> _Shown:
-        return self._stretches[self._place]
+        return self._segments[self._place]
 
     def _seek(self, time: float) -> None:
         self._time, self._row = time, int(np.searchsorted(self._times, time + _ROUNDING, side="right")) - 1
@@ -529,34 +529,34 @@ class Replay:
     def _history(self) -> Array:
         """Return the samples of the last two seconds.
 
-        Those of earlier stretches are included.
+        Those of earlier segments are included.
         """
         end, firsts = self._row + 1, self._firsts
         first = int(np.searchsorted(self._times, self._times[self._row] - SHOWN))
         rows = []
         for place in range(int(np.searchsorted(firsts, first, side="right")) - 1, self._place + 1):
             low, high = max(first, firsts[place]), min(end, firsts[place + 1])
-            part = self._stretches[place].history(low - firsts[place], high - firsts[place])
+            part = self._segments[place].history(low - firsts[place], high - firsts[place])
             rows.append(np.column_stack([self._times[low:high], part]))
         return np.concatenate(rows)
 
 
 class _Shown:
-    """Stretch of a recording with its metadata."""
+    """Segment of a recording with its metadata."""
 
-    def __init__(self, stretch: Stretch, own: OwnCode | None) -> None:
-        self._again = rebuild_for(stretch, own)
-        metadata = stretch.metadata
-        self.stretch, self.scene = stretch, shown_scene(stretch, own)
-        self.time: Array = stretch.time - stretch.time[0]
+    def __init__(self, segment: Segment, own: OwnCode | None) -> None:
+        self._again = rebuild_for(segment, own)
+        metadata = segment.metadata
+        self.segment, self.scene = segment, shown_scene(segment, own)
+        self.time: Array = segment.time - segment.time[0]
         self.duration = float(self.time[-1]) + metadata.period
         self.carried, self.faces = metadata.carried, tuple(metadata.faces)
-        if "hand_work" in stretch.arrays:
-            self.work: Array = stretch.hand_work
+        if "hand_work" in segment.arrays:
+            self.work: Array = segment.hand_work
         else:
-            work = hand_work(stretch.position, stretch.hand).sum(axis=1)
+            work = hand_work(segment.position, segment.hand).sum(axis=1)
             self.work = np.concatenate([[0.0], np.cumsum(work)])
-        self._sticking, self._lead = stick_positions(stretch, self._again), len(stretch.whole) - len(stretch)
+        self._sticking, self._lead = stick_positions(segment, self._again), len(segment.whole) - len(segment)
         self._anchors: list[Array] = []
 
     def find_sticking(self) -> None:
@@ -576,13 +576,13 @@ class _Shown:
 
         (N, 24): pose, speed, wrench of the device, wrench of the hand.
         """
-        stretch, before = self.stretch, max(low - 1, 0)
-        pose, time = stretch.position[before:high], self.time[before:high]
+        segment, before = self.segment, max(low - 1, 0)
+        pose, time = segment.position[before:high], self.time[before:high]
         speed = np.diff(pose, axis=0) / np.diff(time)[:, None]
         if low == 0:  # the first sample has no speed: it gets the next one's
             speed = np.concatenate([speed[:1] if len(speed) else np.zeros((1, 6)), speed])
-        force = stretch.applied[low:high] - self.carried
-        return np.column_stack([pose[low - before :], speed, force, stretch.hand[low:high]])
+        force = segment.applied[low:high] - self.carried
+        return np.column_stack([pose[low - before :], speed, force, segment.hand[low:high]])
 
 
 @cache

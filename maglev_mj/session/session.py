@@ -28,8 +28,8 @@ from maglev_mj.scenes.rooms import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
 from maglev_mj.session.changes import CHOOSES, EMERGENCY_STOP, actions, changed, settable
 from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
+from maglev_mj.session.segment import KEPT, HandAgain, LiveSegment, Past
 from maglev_mj.session.snapshot import SHOWN, Publisher, Publishers, Snapshot
-from maglev_mj.session.stretch import KEPT, HandAgain, LiveStretch, Past
 
 
 class SessionRecorder:
@@ -160,7 +160,7 @@ _RENEWED = 0.1
 class Session:
     """Scene running in real time, with changeable parameters.
 
-    After a change, plant and controller are rebuilt at the present pose and speed, so that every stretch
+    After a change, plant and controller are rebuilt at the present pose and speed, so that every segment
     between two changes is a run like any other: it can be recorded, and run again.
 
     Args:
@@ -217,7 +217,7 @@ class Session:
         self._publishers, self._ticks, self._since = Publishers(publishers), 0, 0
         self._pulses = 0
         self._step_force = number("step_force", step_force, above=0.0)
-        self._stretch = self._begin(self._scene.start().pose)
+        self._segment = self._begin(self._scene.start().pose)
 
     def tick(self, elapsed: float) -> int:
         """Advance by elapsed real time, within the pacer's budget.
@@ -245,7 +245,7 @@ class Session:
                     self._steps -= 1
                     self._one()
             else:
-                self._pacer.advance(elapsed * self._time_scale, self._stretch.scene.period, self._one)
+                self._pacer.advance(elapsed * self._time_scale, self._segment.scene.period, self._one)
         except MaglevError as error:
             self._stop(str(error))
         ticks, self._steps = self._ticks - before, 0
@@ -281,7 +281,7 @@ class Session:
             "slower": partial(self._scale, "slower"),
             "faster": partial(self._scale, "faster"),
             "record": self._record,
-            "rewind": lambda: self._show_past(self._stretch.time - _BACK),
+            "rewind": lambda: self._show_past(self._segment.time - _BACK),
             "go on from here": partial(self._pause, False),
             "same hand again": partial(self._leave_past, again=True),
             EMERGENCY_STOP: partial(self._stop, EMERGENCY_STOP),
@@ -310,7 +310,7 @@ class Session:
         scale = number("time_scale", changes.pop("time_scale", self._time_scale), at_least=least, at_most=most)
         back = number("rewind", changes.pop("rewind", 0.0), at_least=0.0, at_most=KEPT)
         if "rewind" in parameters:
-            self._show_past(self._past.bounds(self._stretch.time)[1] - back)
+            self._show_past(self._past.bounds(self._segment.time)[1] - back)
         if changes:
             self._adopt(changes)
         self.hand.stiffness, self._time_scale = stiffness, scale
@@ -341,51 +341,51 @@ class Session:
             True
         """
         again = flag("again", again)
-        least, most = self._past.bounds(self._stretch.time)
+        least, most = self._past.bounds(self._segment.time)
         self._show_past(number("time", time, at_least=least, at_most=most))
         self._leave_past(again=again)
 
     def _show_past(self, time: float) -> None:
         """Show, paused, the scene of an earlier time [s], or of the earliest."""
-        least, most = self._past.bounds(self._stretch.time)
-        self._stretch = self._past.show(min(max(time, least), most), self._stretch.time)
-        self._scene, self._since = self._stretch.scene, self._ticks
+        least, most = self._past.bounds(self._segment.time)
+        self._segment = self._past.show(min(max(time, least), most), self._segment.time)
+        self._scene, self._since = self._segment.scene, self._ticks
         self._paused, self._changed, self._stopped, self._steps = True, False, "", 0
 
     def _leave_past(self, *, again: bool = False) -> None:
         """Go on from the time shown, by the live hand or the recorded one."""
-        rows, end = self._past.leave(self._stretch.time)
+        rows, end = self._past.leave(self._segment.time)
         self._paused = self._steps > 0
-        self._acting = HandAgain(rows, end, lambda: self._stretch.time, self._hand) if again else self._hand
-        if self._scene == self._stretch.scene:
+        self._acting = HandAgain(rows, end, lambda: self._segment.time, self._hand) if again else self._hand
+        if self._scene == self._segment.scene:
             self._changed = False
-            self._stretch.begin(self._acting, self._recorder.file, self._ticks)
-            self._past.keep(self._stretch)  # with where this part begins
+            self._segment.begin(self._acting, self._recorder.file, self._ticks)
+            self._past.keep(self._segment)  # with where this part begins
         else:
             self._go_on()
 
     def snapshot(self) -> Snapshot:
         """Return the snapshot of now."""
-        stretch, target = self._stretch, self.hand.goal
+        segment, target = self._segment, self.hand.goal
         return Snapshot(
             scene=self._scene,
             since=self._since,
             delay=self._scene.delay,
             tick=self._ticks,
-            time=stretch.time,
-            pose=stretch.pose,
-            force=stretch.rendered,
-            hand=np.array(stretch.plant.hand_wrench),
-            stops=stretch.plant.stop_wrench,
+            time=segment.time,
+            pose=segment.pose,
+            force=segment.rendered,
+            hand=np.array(segment.plant.hand_wrench),
+            stops=segment.plant.stop_wrench,
             target=None if isinstance(target, Trajectory) else target,
             hand_stiffness=self.hand.stiffness,
-            currents=stretch.plant.currents,
-            faces=stretch.controller.faces,
-            anchors=stretch.controller.stick_positions,
+            currents=segment.plant.currents,
+            faces=segment.controller.faces,
+            anchors=segment.controller.stick_positions,
             history=self._past.history.last(SHOWN),
-            work=stretch.energy.hand,
-            taken=stretch.energy.taken,
-            rewound=self._past.bounds(stretch.time)[1] - stretch.time,
+            work=segment.energy.hand,
+            taken=segment.energy.taken,
+            rewound=self._past.bounds(segment.time)[1] - segment.time,
             first=self._past.first,
             pulses=self._pulses,
             cost=self._pacer.cost,
@@ -404,7 +404,7 @@ class Session:
         try:
             self._recorder.close()
         finally:
-            self._stretch.plant.close()
+            self._segment.plant.close()
 
     def _stop(self, reason: str) -> None:
         """Stop until a change or a restart at the centre."""
@@ -415,15 +415,15 @@ class Session:
     def _one(self) -> None:
         """Run one tick; stop an unstable scene."""
         self._take_wanted()
-        self._stretch.tick()
+        self._segment.tick()
         self._ticks += 1
-        self._pulses += self._stretch.pulsed
-        self.simulated += self._stretch.scene.period
-        if self._stretch.energy.stored < _MADE:
-            energy = -self._stretch.energy.stored
+        self._pulses += self._segment.pulsed
+        self.simulated += self._segment.scene.period
+        if self._segment.energy.stored < _MADE:
+            energy = -self._segment.energy.stored
             raise MaglevError(f"the rendered world made {energy * 1e3:.0f} mJ more than it took: it is unstable")
-        if not self._stretch.ticks % self._stretch.every:
-            self._past.keep(self._stretch)
+        if not self._segment.ticks % self._segment.every:
+            self._past.keep(self._segment)
 
     def _take_wanted(self) -> None:
         """Apply the parameters that another program requests.
@@ -442,8 +442,8 @@ class Session:
                 self._go_on()
             wanted = changed(scene, request.scene)
             if not self._stopped:  # otherwise it starts anew
-                stretch = self._stretch
-                check_step(stretch.controller, wanted.controller(), stretch.pose.tolist(), self._step_force)
+                segment = self._segment
+                check_step(segment.controller, wanted.controller(), segment.pose.tolist(), self._step_force)
         except MaglevError as error:
             request.reply(str(error))
             return
@@ -451,14 +451,14 @@ class Session:
         self._go_on()
         request.reply(self._since)
 
-    def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveStretch:
-        """Return a new stretch, at rest or continuing the last."""
+    def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveSegment:
+        """Return a new segment, at rest or continuing the last."""
         self._changed = False
         began, self._since, start = 0.0, self._ticks, self._scene.start()
         twist, wrench = start.twist, start.wrench
         if going_on:
-            twist, wrench, began = self._stretch.twist.tolist(), self._stretch.force, self._stretch.time
-        stretch = LiveStretch(
+            twist, wrench, began = self._segment.twist.tolist(), self._segment.force, self._segment.time
+        segment = LiveSegment(
             self._scene,
             self._acting,
             pose=pose,
@@ -469,8 +469,8 @@ class Session:
             first=self._since,
             keep=self._past.history.add,
         )
-        self._past.keep(stretch)
-        return stretch
+        self._past.keep(segment)
+        return segment
 
     def _adopt(self, change: Mapping[str, Any] | str) -> None:
         """Change parameters from the next tick on.
@@ -526,14 +526,14 @@ class Session:
         if self._stopped:
             self._restart()
         elif not self._past.rewound:  # otherwise when it goes on
-            self._stretch = self._begin(self._stretch.pose.tolist(), going_on=True)
+            self._segment = self._begin(self._segment.pose.tolist(), going_on=True)
 
     def _restart(self, pose: Sequence[float] | None = None) -> None:
         """Start the scene anew, at its own pose by default [m, rad]."""
         pose = self._scene.start().pose if pose is None else pose
         self._past.clear()
         self._acting = self._hand
-        self._stretch = self._begin(pose)
+        self._segment = self._begin(pose)
         self._stopped = ""
         self._pacer.forgive()
 

@@ -320,7 +320,7 @@ class FidelityResult(Result):
         ]
         diverged = sum(not math.isfinite(step.error) for step in self.steps)
         title = (
-            f"On the level {chosen.level}, cheapest first: longest step (- for that of a segment), error against 20 µs "
+            f"On the level {chosen.level}, cheapest first: longest step (- for an interval), error against 20 µs "
             f"of RK4, shift of the stability boundary (at most {100.0 * self.over.boundary:.3g} % allowed), worst over "
             "all cases"
         )
@@ -660,5 +660,5 @@ def stepping_name(integrator: str, step: float | None) -> str:
 
     The longest step is in [s].
     """
-    length = "a step a segment" if step is None else f"{step * 1e3:g} ms"
+    length = "a step an interval" if step is None else f"{step * 1e3:g} ms"
     return integrator if integrator == "closed form" else f"{integrator}, {length}"

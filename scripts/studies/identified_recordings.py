@@ -25,7 +25,7 @@ from maglev_mj.control.loop import ControlLoop
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants.hand import HANDS, Hand, Trajectory
 from maglev_mj.plants.sensor import Sensor
-from maglev_mj.recording import MemoryFile, Stretch, setup_of
+from maglev_mj.recording import MemoryFile, Segment, setup_of
 from maglev_mj.recording.sample import mechanics
 from maglev_mj.result import plain
 from maglev_mj.spec import GRAVITY, INERTIA
@@ -109,7 +109,7 @@ class Draws:
         return [_PULL * (target[0] - float(pose[0])), 0.0, self.pull * target[2], 0.0, 0.0, 0.0]
 
 
-def record(case: Case) -> tuple[Stretch, Array]:
+def record(case: Case) -> tuple[Segment, Array]:
     """Return a recording of a case, and its stick positions."""
     period, reach, z = 1.0 / case.rate, 1e-3 + 2.0 * case.breakaway / _PULL, case.height
     arm = Hand(mass=ARM[0], damping=ARM[1], stiffness=ARM[2], axes="z") if case.arm else None
@@ -147,8 +147,8 @@ def record(case: Case) -> tuple[Stretch, Array]:
 
     with plant:
         ControlLoop(plant, controller, record=keep, observe=look).cycle(round(_TIME * case.rate))
-    (stretch,) = file.recording.stretches
-    return stretch, np.array(anchors)
+    (segment,) = file.recording.segments
+    return segment, np.array(anchors)
 
 
 def truth(case: Case) -> dict[str, float]:
@@ -207,8 +207,8 @@ def main() -> None:
     data = []
     for seed in range(options.first, options.first + options.count):
         case = draw(seed)
-        stretch, anchors = record(case)
-        found, true = estimates(identify(stretch, anchors=anchors)), truth(case)
+        segment, anchors = record(case)
+        found, true = estimates(identify(segment, anchors=anchors)), truth(case)
         data.append({"case": asdict(case), "found": plain(found)})
         for name, one in found.items():
             if one.known:

@@ -156,7 +156,7 @@ def device(*options: str) -> None:
 
         def each() -> None:
             nanoseconds = 0.0
-            for duration, currents in twin.plant.segments:
+            for duration, currents in twin.plant.intervals:
                 nanoseconds += duration * 1e9
                 if any(one for coil, one in enumerate(currents) if coil not in twin.board.stuck):
                     record["flowing"] = round((twin.tick - 1) * period + nanoseconds)

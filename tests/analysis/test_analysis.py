@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import Controller, ExactPlant, Hold
-from maglev_mj.analysis import StretchReport, analyse, face_figures, reconstruct
+from maglev_mj.analysis import SegmentReport, analyse, face_figures, reconstruct
 from maglev_mj.analysis.motion import _stick_slip
 from maglev_mj.bridge.bench.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
@@ -26,7 +26,7 @@ from maglev_mj.frames import AXES, Command, Sample
 from maglev_mj.plants import Timing
 from maglev_mj.plants.hand import SpringHand, Trajectory
 from maglev_mj.plants.trace import PassivityObserver
-from maglev_mj.recording import MemoryFile, Recording, RecordingError, Stretch, open_recording
+from maglev_mj.recording import MemoryFile, Recording, RecordingError, Segment, open_recording
 from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import perceived_hardness, summarise_bounce
@@ -51,17 +51,17 @@ TOUR = Trajectory(
 """Path of a hand against walls on three axes."""
 
 
-def recorded(scene: Scene, plant: str = "exact", phase: float = 0.0) -> Stretch:
-    (stretch,) = record_run(scene, plant=plant, phase=phase).stretches
-    return stretch
+def recorded(scene: Scene, plant: str = "exact", phase: float = 0.0) -> Segment:
+    (segment,) = record_run(scene, plant=plant, phase=phase).segments
+    return segment
 
 
-def analysed(stretch: Stretch, **keywords: Any) -> StretchReport:
-    return analyse(stretch, rebuild, anchors=stick_positions_of(stretch), **keywords)
+def analysed(segment: Segment, **keywords: Any) -> SegmentReport:
+    return analyse(segment, rebuild, anchors=stick_positions_of(segment), **keywords)
 
 
 @cache
-def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parameters: float) -> Stretch:
+def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parameters: float) -> Segment:
     """Return a flight of a joystick on a twin, whose mass may differ from the calibration's."""
     truth = replace(Calibration.nominal(), mass=mass)
     spring = SpringHand(target=Trajectory(np.asarray(TOUR.times) + 0.6, TOUR.poses))
@@ -73,8 +73,8 @@ def flown(mass: float = MASS, *, hand: bool = False, loss: float = 0.0, **parame
     with RemotePlant(VirtualLink(twin, ImpairedLine(Impairment(loss=loss)))) as plant:
         file = MemoryFile()
         Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(2.0 if hand else 1.2)
-    (stretch,) = file.recording.stretches
-    return stretch
+    (segment,) = file.recording.segments
+    return segment
 
 
 @pytest.fixture
@@ -165,28 +165,28 @@ def test_the_table_has_the_figures_of_a_wall_and_its_contacts_in_order() -> None
 
 
 def test_the_hardness_is_that_of_the_fastest_contact_alone() -> None:
-    stretch = recorded(Press(hits=2))
-    (whole,) = analysed(stretch, simulated=False).recorded.figures.faces
+    segment = recorded(Press(hits=2))
+    (whole,) = analysed(segment, simulated=False).recorded.figures.faces
     fastest = int(np.nanargmax([contact.approach_speed for contact in whole.contacts]))
     assert fastest > 0
     before, this = whole.contacts[fastest - 1 : fastest + 1]
     between = 0.5 * (before.start + before.duration + this.start)
-    (alone,) = analysed(stretch, begin=between, simulated=False).recorded.figures.faces
+    (alone,) = analysed(segment, begin=between, simulated=False).recorded.figures.faces
     assert float(whole.rate_hardness) == pytest.approx(float(alone.rate_hardness), rel=1e-9)
     assert float(whole.extended_hardness) == pytest.approx(float(alone.extended_hardness), rel=1e-3)  # from a sample on
 
 
 def test_where_a_drop_rests_is_found_in_its_samples() -> None:
     drop = Drop()
-    stretch = recorded(drop, phase=0.3)
-    (found,), (told,) = (analysed(stretch, rest=rest).recorded.figures.faces for rest in (None, drop.rest))
+    segment = recorded(drop, phase=0.3)
+    (found,), (told,) = (analysed(segment, rest=rest).recorded.figures.faces for rest in (None, drop.rest))
     assert found.rest == pytest.approx(drop.rest, abs=1e-8)
     assert found.settling_time == pytest.approx(told.settling_time, abs=1e-6)
-    (cut,) = analysed(stretch, end=0.06).recorded.figures.faces
+    (cut,) = analysed(segment, end=0.06).recorded.figures.faces
     assert np.isnan(cut.settling_time)  # on its way still
     for share, settled in ((0.85, True), (0.95, False)):  # of the time: in the last tenth it is no rest
         end = float(told.settling_time) / share
-        (cut,) = analysed(stretch, end=end, rest=drop.rest).recorded.figures.faces
+        (cut,) = analysed(segment, end=end, rest=drop.rest).recorded.figures.faces
         assert np.isfinite(cut.settling_time) == settled
 
 
@@ -201,8 +201,8 @@ def test_a_constant_force_is_found_over_samples_that_were_lost() -> None:
         if tick not in lost:
             command = controller.step(sample)
             record(sample, command, plant.write(command))
-    (stretch,) = file.recording.stretches
-    found = reconstruct(stretch.replace(hand=np.zeros_like(stretch.hand)))
+    (segment,) = file.recording.segments
+    found = reconstruct(segment.replace(hand=np.zeros_like(segment.hand)))
     assert len(found.unexplained) == 59 - len(lost)
     np.testing.assert_allclose(found.unexplained, np.tile(push, (len(found.unexplained), 1)), rtol=1e-8)
 
@@ -260,34 +260,34 @@ def test_a_stick_lasts_to_the_next_sample_and_ends_where_its_spring_did() -> Non
 @pytest.mark.parametrize("delay", [0.0, 0.0015, 0.004, 0.007])
 def test_the_energy_taken_is_what_the_observer_of_the_loop_finds(delay: float) -> None:
     scene = StickSlip(delay=delay, duration=0.06)
-    stretch = recorded(scene)
+    segment = recorded(scene)
     observer = PassivityObserver(Timing(period=scene.period, delay=delay), INERTIA)
-    for row, (place, applied) in enumerate(zip(stretch.position.tolist(), stretch.applied.tolist(), strict=True)):
+    for row, (place, applied) in enumerate(zip(segment.position.tolist(), segment.applied.tolist(), strict=True)):
         observer(Sample(row, 0.0, place), Command(applied))
-    energy = analysed(stretch, simulated=False).recorded.figures.energy
+    energy = analysed(segment, simulated=False).recorded.figures.energy
     assert abs(observer.energy[0]) > 1e-7
     assert energy.taken[0] == pytest.approx(observer.energy[0], rel=1e-9)
     assert energy.least[0] <= observer.least[0] + 1e-15  # which looks at samples alone
 
 
 def test_a_simulated_recording_is_its_simulation_bit_for_bit(session: Path) -> None:
-    _, with_friction = Recording.load(session).stretches
-    for stretch in (recorded(Drop(quantize=5e-6), "mujoco"), with_friction):
-        comparison = analysed(stretch).comparison
+    _, with_friction = Recording.load(session).segments
+    for segment in (recorded(Drop(quantize=5e-6), "mujoco"), with_friction):
+        comparison = analysed(segment).comparison
         assert comparison is not None and comparison.same
 
 
 def test_how_far_a_changed_recording_is_apart_is_found_to_the_digit() -> None:
-    stretch = recorded(Drop())
-    place = stretch.position.copy()
+    segment = recorded(Drop())
+    place = segment.position.copy()
     place[:, 0] += 2e-6
     place[30, 0] += 3e-6
-    comparison = analysed(stretch.replace(position=place)).comparison
+    comparison = analysed(segment.replace(position=place)).comparison
     assert comparison is not None and not comparison.same
     count = len(place)
     assert comparison.rms[0] == pytest.approx(np.sqrt((4.0 * (count - 1) + 25.0) / count) * 1e-6)
     assert comparison.most[0] == pytest.approx(5e-6)
-    assert comparison.when[0] == stretch.time[30]
+    assert comparison.when[0] == segment.time[30]
     assert comparison.rms[2] == 0.0
     assert "5 µm at most, on x at 0.15 s" in comparison.sentence
     # a sample that is 3 µm off is 3 µm ahead of its neighbours, twice that behind, and 3 µm ahead again
@@ -330,15 +330,15 @@ def test_samples_that_a_device_lost_are_counted_and_bridged() -> None:
     assert found.simulated is not None and not found.simulated.figures.faces
 
 
-def test_a_part_of_a_stretch_has_the_figures_of_that_part() -> None:
-    stretch = recorded(Press())
-    whole = analysed(stretch).recorded.figures.faces[0]
-    part = analysed(stretch, begin=0.6, end=1.3).recorded
+def test_a_part_of_a_segment_has_the_figures_of_that_part() -> None:
+    segment = recorded(Press())
+    whole = analysed(segment).recorded.figures.faces[0]
+    part = analysed(segment, begin=0.6, end=1.3).recorded
     (face,) = part.figures.faces
     assert [one.start for one in face.contacts] == pytest.approx([one.start for one in whole.contacts[1:3]])
     assert face.penetration == max(one.penetration for one in face.contacts)
     assert part.figures.start == 0.6 and part.figures.end == 1.3
-    assert (part.motion.time == stretch.time[120:261]).all()
+    assert (part.motion.time == segment.time[120:261]).all()
     (face,) = analysed(fallen := recorded(Drop(), phase=0.3), begin=0.1).recorded.figures.faces
     (contact,) = face.contacts  # which begins inside the wall
     assert np.isnan([contact.approach_speed, face.rate_hardness]).all()
@@ -346,11 +346,11 @@ def test_a_part_of_a_stretch_has_the_figures_of_that_part() -> None:
 
 
 def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
-    stretch = recorded(Press())
-    turned = stretch.replace(
-        **{name: -stretch.arrays[name] for name in ("position", "hand", "applied", "applied_pulse")}
+    segment = recorded(Press())
+    turned = segment.replace(
+        **{name: -segment.arrays[name] for name in ("position", "hand", "applied", "applied_pulse")}
     )
-    down = face_figures(reconstruct(stretch).trace, (2, 1.0, 0.0))
+    down = face_figures(reconstruct(segment).trace, (2, 1.0, 0.0))
     up = face_figures(reconstruct(turned).trace, (2, -1.0, 0.0))
     assert down is not None and up is not None
     assert up.contacts == down.contacts
@@ -360,33 +360,33 @@ def test_upper_walls_are_seen_as_lower_ones_in_a_mirror() -> None:
 
 
 def test_what_cannot_be_analysed_is_refused(session: Path, tmp_path: Path, capsys: Any) -> None:
-    stretch = recorded(Drop())
+    segment = recorded(Drop())
     with pytest.raises(RecordingError, match="at least 2 samples to be analysed, not 1"):
-        analysed(stretch[:1])
+        analysed(segment[:1])
     with pytest.raises(RecordingError, match="in the order in which they were taken"):
-        analysed(stretch.replace(time=stretch.time[::-1]))
-    for name, recording in (("none", Recording([])), ("one", Recording([stretch[:1]]))):
+        analysed(segment.replace(time=segment.time[::-1]))
+    for name, recording in (("none", Recording([])), ("one", Recording([segment[:1]]))):
         recording.save(tmp_path / f"{name}.maglev")
         assert main(["analyse", str(tmp_path / f"{name}.maglev")]) == 2
         said = capsys.readouterr().err
         assert len(said.splitlines()) == 1 and "there is nothing in" in said
     assert main(["analyse", str(session), "--from", "1"]) == 2
-    assert "choose one of 2 with --stretch" in capsys.readouterr().err
+    assert "choose one of 2 with --segment" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("no_pixels")
-def test_a_session_is_analysed_stretch_by_stretch(session: Path, tmp_path: Path, capsys: Any) -> None:
+def test_a_session_is_analysed_segment_by_segment(session: Path, tmp_path: Path, capsys: Any) -> None:
     assert main(["analyse", str(session), "--json", "-"]) == 0
-    both = json.loads(capsys.readouterr().out)["stretches"]
-    assert [one["stretch"] for one in both] == [1, 2]
+    both = json.loads(capsys.readouterr().out)["segments"]
+    assert [one["segment"] for one in both] == [1, 2]
     assert [one["name"] for one in both] == ["scene joystick"] * 2
     assert not both[0]["recorded"]["friction"] and set(both[1]["recorded"]["friction"]) == set(AXES)
-    arguments = ["analyse", str(session), "--stretch", "2", "--from", "0.4", "--axis", "y", "--no-compare"]
+    arguments = ["analyse", str(session), "--segment", "2", "--from", "0.4", "--axis", "y", "--no-compare"]
     assert main([*arguments, "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "stretch 2 of 2\nscene joystick, " in said and " 100 samples, " in said and "simulation" not in said
+    assert "segment 2 of 2\nscene joystick, " in said and " 100 samples, " in said and "simulation" not in said
     assert {path.name for path in tmp_path.glob("*.png")} == {
-        f"stretch_2_{name}.png" for name in ("contact", "run", "sticks")
+        f"segment_2_{name}.png" for name in ("contact", "run", "sticks")
     }
 
 
@@ -430,12 +430,12 @@ def test_the_hand_on_a_device_is_an_estimate_and_taken_for_none(tmp_path: Path) 
         Flight(plant, Joystick(period=plant.period, delay=plant.delay), file=file).run(0.3)
     file.close()
     recording = Recording.load(path)
-    (stretch,) = recording.stretches
-    assert stretch.metadata.inertia.tolist() == [0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3]
-    assert stretch.metadata.load[2] == pytest.approx(-0.75 * GRAVITY)
-    assert np.isfinite(stretch.hand).all() and stretch.hand.any() and not stretch.metadata.hand_recorded
-    assert not stretch.known_hand.any() and len(stretch) == 60
-    found, before = (analysed(one, simulated=False) for one in (stretch, stretch.replace(hand=0.0)))
+    (segment,) = recording.segments
+    assert segment.metadata.inertia.tolist() == [0.75, 0.75, 0.75, 1e-3, 2e-3, 3e-3]
+    assert segment.metadata.load[2] == pytest.approx(-0.75 * GRAVITY)
+    assert np.isfinite(segment.hand).all() and segment.hand.any() and not segment.metadata.hand_recorded
+    assert not segment.known_hand.any() and len(segment) == 60
+    found, before = (analysed(one, simulated=False) for one in (segment, segment.replace(hand=0.0)))
     assert found.recorded.motion.trace.pose.tobytes() == before.recorded.motion.trace.pose.tobytes()
     replay = Replay(recording)
     replay.tick(0.25)

@@ -22,7 +22,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.frames import Array
 from maglev_mj.plants.sensor import Sensor
-from maglev_mj.recording import MemoryFile, Stretch
+from maglev_mj.recording import MemoryFile, Segment
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.scene import Scene
@@ -38,14 +38,14 @@ EXACT = {"wall stiffness, commanded", "wall damping, commanded", "stick stiffnes
 
 
 @cache
-def recorded(scene: Scene, phase: float = 0.0) -> Stretch:
-    (stretch,) = record_run(scene, plant="exact", phase=phase).stretches
-    return stretch
+def recorded(scene: Scene, phase: float = 0.0) -> Segment:
+    (segment,) = record_run(scene, plant="exact", phase=phase).segments
+    return segment
 
 
 def found_in(scene: Scene, phase: float = 0.0) -> Identification:
-    stretch = recorded(scene, phase)
-    return identify(stretch, anchors=stick_positions_of(stretch))
+    segment = recorded(scene, phase)
+    return identify(segment, anchors=stick_positions_of(segment))
 
 
 def coverage(seeds: range) -> dict[str, list[bool]]:
@@ -53,9 +53,9 @@ def coverage(seeds: range) -> dict[str, list[bool]]:
     kept: dict[str, list[bool]] = {}
     for seed in seeds:
         case = draw(seed)
-        stretch, anchors = record(case)
+        segment, anchors = record(case)
         true = truth(case)
-        for name, one in estimates(identify(stretch, anchors=anchors)).items():
+        for name, one in estimates(identify(segment, anchors=anchors)).items():
             if one.known:
                 kept.setdefault(name, []).append(holds(one, true[name]))
     return kept
@@ -116,8 +116,8 @@ def test_a_walls_share_is_that_of_all_springs_and_dampers_on_its_axis(spring: fl
             damping = 20.0 if spring else 0.0
             return [*super().laws(), Hold(axes="z", stiffness=spring, damping=damping)]
 
-    stretch = recorded(scene := Suspended(stiffness=4000.0, pulse=0.0), 0.3)
-    (wall,), mass = found_in(scene, 0.3).walls, stretch.metadata.inertia[2]
+    segment = recorded(scene := Suspended(stiffness=4000.0, pulse=0.0), 0.3)
+    (wall,), mass = found_in(scene, 0.3).walls, segment.metadata.inertia[2]
     damping = scene.damping + (20.0 if spring else 0.0)
     true = (4000.0 + spring) / float(largest_stable_stiffness(damping, delay=scene.delay, mass=mass))
     assert wall.stiffness.value == pytest.approx(4000.0, rel=1e-9)
@@ -125,11 +125,11 @@ def test_a_walls_share_is_that_of_all_springs_and_dampers_on_its_axis(spring: fl
 
 
 def test_a_delay_and_a_mass_other_than_stated_are_found() -> None:
-    stretch = recorded(Drop(quantize=5e-6), 0.3)
-    known = stretch.metadata
+    segment = recorded(Drop(quantize=5e-6), 0.3)
+    known = segment.metadata
     for late in (0.0, 0.0005, 0.004, 0.02):
         stated = replace(known, delay=late, inertia=1.2 * known.inertia)
-        found = identify(stretch, stated)
+        found = identify(segment, stated)
         assert holds(found.delay, known.delay)
         assert holds(found.axes["z"].inertia, known.inertia[2])
         # in the newtons of the mass that is stated
@@ -145,8 +145,8 @@ def test_the_lag_of_drivers_counts_as_delay() -> None:
     file = MemoryFile()
     with plant:
         ControlLoop(plant, controller, record=file.begin(plant, controller)).cycle(80)
-    (stretch,) = file.recording.stretches
-    assert identify(stretch).delay.value == pytest.approx(0.0018, abs=1e-5)
+    (segment,) = file.recording.segments
+    assert identify(segment).delay.value == pytest.approx(0.0018, abs=1e-5)
 
 
 @pytest.mark.parametrize("law", ["stick-slip", "spring-reset", "dahl", "kikuuwe"])
@@ -164,7 +164,7 @@ CASE = replace(draw(3), rate=400.0, arm=False, height=0.004, noise=1e-6, quantum
 
 
 @cache
-def sample_case(**changes: Any) -> tuple[Stretch, Array]:
+def sample_case(**changes: Any) -> tuple[Segment, Array]:
     return record(replace(CASE, **changes))
 
 
@@ -173,8 +173,8 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
         assert np.isnan([one.value, one.standard_error]).all()
         return one.why
 
-    stretch, anchors = sample_case()
-    whole = identify(stretch, anchors=anchors)
+    segment, anchors = sample_case()
+    whole = identify(segment, anchors=anchors)
     assert all(one.known for name, one in estimates(whole).items() if name != "quantum")
 
     fall, _ = sample_case(rate=1000.0)
@@ -185,30 +185,30 @@ def test_what_a_recording_does_not_tell_is_said_with_its_reason() -> None:
     assert why(free.axes["z"].inertia) == "the force on it does not change by more than noise"  # no motion under forces
     assert holds(free.axes["z"].noise, 1e-6)
 
-    still = stretch.position.copy()
+    still = segment.position.copy()
     still[:, 0] = 0.0
-    stuck = identify(stretch.replace(position=still), anchors=anchors)
+    stuck = identify(segment.replace(position=still), anchors=anchors)
     assert "x" not in stuck.axes and why(stuck.friction["x"].breakaway) == "the axis does not move"
-    assert why(identify(stretch[:9]).walls[0].stiffness) == "only 9 samples"
+    assert why(identify(segment[:9]).walls[0].stiffness) == "only 9 samples"
 
-    hand = stretch.hand.copy()
+    hand = segment.hand.copy()
     hand[:, 0] = 0.0
-    alone = identify(stretch.replace(hand=hand), anchors=anchors)
+    alone = identify(segment.replace(hand=hand), anchors=anchors)
     assert why(alone.axes["x"].inertia) == why(alone.axes["x"].noise) == "forces act that were not recorded"
     assert why(alone.friction["x"].stiffness) == "forces act that were not recorded"
     assert alone.friction["x"].commanded_stiffness.known
 
-    gaps = stretch[np.arange(len(stretch)) % 3 > 0]
+    gaps = segment[np.arange(len(segment)) % 3 > 0]
     assert why(identify(gaps).walls[0].stiffness) == "too few samples without a gap"
 
     short = recorded(Drop(height=2e-4, quantize=5e-6), 0.3)[:12]
     assert why(identify(short).walls[0].stiffness) == "too few samples for all that acts on the axis"
 
     first = int(np.argmax(np.isnan(anchors[:, 0])))
-    held = identify(stretch[:first], anchors=anchors[:first])
+    held = identify(segment[:first], anchors=anchors[:first])
     assert why(held.friction["x"].commanded_stiffness) == "nothing tells it from the other laws on the axis"
-    random = np.random.default_rng(1).normal(size=stretch.command.shape)
-    other = identify(stretch.replace(command=stretch.command + random), anchors=anchors).walls[0]
+    random = np.random.default_rng(1).normal(size=segment.command.shape)
+    other = identify(segment.replace(command=segment.command + random), anchors=anchors).walls[0]
     assert "commands are not those of a spring and a damper" in why(other.commanded_stiffness)
     assert why(other.stiffness) == why(other.commanded_stiffness)
 
@@ -222,26 +222,26 @@ def test_a_sensor_without_noise_or_without_steps_is_seen_to_be_one() -> None:
     assert "only 1 different positions" in estimate_quantum(np.full(9, 1e-3)).why
     lattice = 3e-7 * np.array([0.0, 14.0, 35.0, 56.0, 63.0, 105.0, 1_000_005.0])  # no two a step apart
     assert estimate_quantum(lattice).value == pytest.approx(3e-7, rel=1e-9)
-    stretch, anchors = record(case := draw(20))  # at rest within a step
+    segment, anchors = record(case := draw(20))  # at rest within a step
     assert case.noise == 0.0 < case.quantum
-    assert identify(stretch, anchors=anchors).axes["z"].noise.why == "it hides in the sensor's steps"
+    assert identify(segment, anchors=anchors).axes["z"].noise.why == "it hides in the sensor's steps"
 
 
 def test_samples_behind_a_gap_are_left_out_until_every_command_is_known() -> None:
-    stretch, anchors = sample_case()
-    kept = np.ones(len(stretch), dtype=bool)
+    segment, anchors = sample_case()
+    kept = np.ones(len(segment), dtype=bool)
     kept[60:63] = kept[200:201] = False
-    found = identify(stretch[kept], anchors=anchors[kept])
-    assert found.of == len(stretch) - 4 and found.samples == found.of - 2 * 2
+    found = identify(segment[kept], anchors=anchors[kept])
+    assert found.of == len(segment) - 4 and found.samples == found.of - 2 * 2
     for name, one in estimates(found).items():
         if name != "quantum":
             assert abs(one.value - truth(CASE)[name]) <= 3.5 * one.standard_error + 1e-9 * abs(one.value)
 
 
 def test_a_long_recording_is_told_by_the_part_that_moves_least_straight(monkeypatch: pytest.MonkeyPatch) -> None:
-    stretch, anchors = sample_case()
+    segment, anchors = sample_case()
     monkeypatch.setattr(identification, "_MOST_SAMPLES", 160)
-    found = identify(stretch, anchors=anchors)
+    found = identify(segment, anchors=anchors)
     assert found.samples <= 160 < found.of
     assert holds(found.walls[0].stiffness, truth(CASE)["wall stiffness, rendered"])
     assert f"from {found.samples} of {found.of} samples" in found.table().note.splitlines()[-1]
@@ -270,8 +270,8 @@ def test_the_table_and_the_json_say_every_estimate(tmp_path: Path, capsys: Any) 
         "it hides in",
     ):
         assert words in said
-    (stretch,) = json.loads((tmp_path / "run.json").read_text())["stretches"]
-    identified: Mapping[str, Any] = stretch["identified"]
+    (segment,) = json.loads((tmp_path / "run.json").read_text())["segments"]
+    identified: Mapping[str, Any] = segment["identified"]
     (wall,) = identified["walls"]
     assert wall["stiffness"]["value"] == pytest.approx(6000.0, rel=0.01)
     assert set(wall["stiffness"]) == {"value", "standard_error", "low", "high", "residual", "why"}
@@ -302,8 +302,8 @@ def test_a_force_that_switches_at_a_sample_is_counted_once(delay: float) -> None
 
 
 def test_a_stop_that_nobody_recorded_does_not_pass_for_a_weight() -> None:
-    (stretch,) = record_run("let-go", plant="mujoco").stretches  # falls on the stop with the currents off
-    one = identify(stretch).axes["z"].force_error
+    (segment,) = record_run("let-go", plant="mujoco").segments  # falls on the stop with the currents off
+    one = identify(segment).axes["z"].force_error
     assert not one.known or holds(one, 0.0)
 
 

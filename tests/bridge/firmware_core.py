@@ -204,7 +204,7 @@ class CoreFirmware:
         six = (_Six(*values) for values in (reading.spots, reading.measured, reading.commanded))
         number, conversions = tick & 0xFFFFFFFF, reading.conversions & 0xFFFFFFFF
         self._reading = _Reading(now, *six, number, conversions, reading.valid, reading.enabled)
-        for seconds, currents in (reading.segments or ((0.0, reading.measured),)) if self.heats else ():
+        for seconds, currents in (reading.intervals or ((0.0, reading.measured),)) if self.heats else ():
             self._core.maglev_heat(self._memory, seconds, _Six(*currents))
         frame = ctypes.create_string_buffer(_LARGEST)
         length = self._core.maglev_sample(self._memory, frame)

@@ -116,7 +116,7 @@ class Rig:
     def currents(self) -> Sequence[float]:
         """Advance one sample; return the largest currents [A], (6,)."""
         self.twin.sample()
-        flowed = [currents for _, currents in self.twin.plant.segments] + [tuple(self.twin.plant.currents)]
+        flowed = [currents for _, currents in self.twin.plant.intervals] + [tuple(self.twin.plant.currents)]
         return np.abs(flowed).max(axis=0).tolist()  # type: ignore[no-any-return]
 
 
@@ -214,7 +214,7 @@ def test_a_device_that_is_told_too_much_gets_what_it_bears_and_the_host_is_told(
     assert twice.force == pytest.approx(applied.force) and twice.extra == pytest.approx(applied.extra)
     plant.read()
     assert rig.twin.firmware.state == State.ACTIVE  # rounding is no over-current
-    assert max(abs(current) for _, one in rig.twin.plant.segments for current in one) == pytest.approx(10.0)
+    assert max(abs(current) for _, one in rig.twin.plant.intervals for current in one) == pytest.approx(10.0)
 
 
 @pytest.mark.parametrize(

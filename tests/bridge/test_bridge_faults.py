@@ -310,7 +310,7 @@ def test_a_flotor_that_is_held_is_not_led() -> None:
 class Cold(ThermalModel):
     """Coils that never warm."""
 
-    def add(self, segments: Any) -> float:
+    def add(self, intervals: Any) -> float:
         return 0.0
 
 

@@ -76,11 +76,11 @@ def assert_runs_again(path: Path) -> None:
     """Assert that the commands of a recording follow from its samples, and that one bit more is found."""
     status, said = said_by("replay", str(path), "--check")
     assert status == 0 and re.search(r"(\d+) of \1 the same: command, pulse, pulse_width\n", said), said
-    (stretch,) = Recording.load(path).stretches
-    row = len(stretch) // 2
-    stretch.command[row, 2] = np.nextafter(stretch.command[row, 2], 1e3)
+    (segment,) = Recording.load(path).segments
+    row = len(segment) // 2
+    segment.command[row, 2] = np.nextafter(segment.command[row, 2], 1e3)
     other = path.with_name("other.maglev")
-    Recording([stretch]).save(other)
+    Recording([segment]).save(other)
     status, said = said_by("replay", str(other), "--check")
     assert status == 1 and "tick" in said
 

@@ -59,7 +59,7 @@ class Beside:
             link.time = max(link.time, link._next_sample())
             link._sample()
             plant = self._rig.twin.plant
-            self._currents.append((link.time, any(plant.currents) or any(any(one) for _, one in plant.segments[1:])))
+            self._currents.append((link.time, any(plant.currents) or any(any(one) for _, one in plant.intervals[1:])))
         link.time = max(link.time, end)
         return None
 

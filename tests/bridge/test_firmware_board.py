@@ -152,7 +152,7 @@ def test_a_hand_presses_the_wall_and_it_lands(
     program: Program, start: Starter, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     board = start()
-    (flight,) = flown(board.address, tmp_path / "flight.maglev", *program.options).stretches
+    (flight,) = flown(board.address, tmp_path / "flight.maglev", *program.options).segments
     said = capsys.readouterr().out
     assert "120 samples, 0 lost, 0 skipped" in said and "landed 0.00 mm from where it lay, at rest" in said
     told = board.wait(state=State.INACTIVE, flows=0)
@@ -181,7 +181,7 @@ def test_a_hand_presses_the_wall_and_it_lands(
     known += ["--calibration-hash", Calibration.nominal().digest.hex(), *program.options]
     with closing(Child(str(program_of_pc), *known, "--hover-limit", str(PROFILE.limits.hover_limit))) as device:
         port = device.wait_for(r"^listening udp://127\.0\.0\.1:(\d+)$")
-        (on_pc,) = flown(f"udp://127.0.0.1:{port}", tmp_path / "pc.maglev", *program.options).stretches
+        (on_pc,) = flown(f"udp://127.0.0.1:{port}", tmp_path / "pc.maglev", *program.options).segments
     for name in on_pc.arrays.keys() - {"arrival"}:
         assert np.array_equal(on_pc.arrays[name], flight.arrays[name], equal_nan=True), name
 

@@ -170,9 +170,9 @@ class Exchange:
             measured[draw.randrange(6)] = draw.choice([9.0, 2.0, 0.26, 0.24, math.nan])
         if self.bad("hot", 0.2):
             heating = draw.choice([(8.0,) * 6, (*ZERO[:5], math.inf), measured])
-        segments = ((draw.choice([0.001, 0.002]), flowing), (draw.choice([0.0, 0.004, 1.0]), heating))
+        intervals = ((draw.choice([0.001, 0.002]), flowing), (draw.choice([0.0, 0.004, 1.0]), heating))
         enabled = not self.bad("disabled", 0.4)
-        reading = Reading(spots, valid, measured, flowing, segments, self.conversions, enabled)
+        reading = Reading(spots, valid, measured, flowing, intervals, self.conversions, enabled)
         told = self.tick, self.now, reading
         self.compare([side.outcome(side.device.sample(*told)) for side in self.sides])
 

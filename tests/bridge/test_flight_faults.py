@@ -46,13 +46,13 @@ class Witnessed:
         self.link = VirtualLink(self.twin, ImpairedLine(Impairment(delay=way)))
         self.plant = RemotePlant(self.link, folder=folder)
         self.flight = Flight(self.plant, Joystick(period=self.plant.period, delay=self.plant.delay), **options)
-        self.segments: list[tuple[float, float]] = []
+        self.intervals: list[tuple[float, float]] = []
         self.state: list[State] = []
         self._sample, self.twin.sample = self.twin.sample, self._witness  # type: ignore[method-assign]
 
     def _witness(self) -> bytes | None:
         frame = self._sample()
-        self.segments += [(span, max(map(abs, currents))) for span, currents in self.twin.plant.segments]
+        self.intervals += [(span, max(map(abs, currents))) for span, currents in self.twin.plant.intervals]
         self.state.append(self.twin.firmware.state)
         return frame
 
@@ -77,17 +77,17 @@ class Witnessed:
 
     def forget(self) -> None:
         """Keep the currents from here on."""
-        self.segments.clear()
+        self.intervals.clear()
         self.state.clear()
 
     def check(self, first: Fault) -> None:
         """Check that a fault ended the currents at once."""
         self.wait()
         assert self.twin.firmware._first == first and self.state[1] == State.FAULT
-        carried = [most > 0.0 for _, most in self.segments]
+        carried = [most > 0.0 for _, most in self.intervals]
         zero = carried.index(False)
         assert not any(carried[zero:])
-        assert sum(span for span, _ in self.segments[:zero]) <= 2 * self.plant.period
+        assert sum(span for span, _ in self.intervals[:zero]) <= 2 * self.plant.period
 
 
 @pytest.mark.parametrize(("delays", "at"), sweep(DELAYS, range(200), every=199))

@@ -131,13 +131,13 @@ def test_currents_and_temperatures_that_cannot_be_are_found(place: int) -> None:
     assert both == Fault.COIL_OVERCURRENT | Fault.COIL_OVERTEMP
 
 
-def heated(*segments: tuple[float, float]) -> float:
+def heated(*intervals: tuple[float, float]) -> float:
     """Return a coil's temperature rise after currents [A].
 
     By the default limits, each for a duration [s].
     """
     warm = 0.0
-    for duration, current in segments:
+    for duration, current in intervals:
         goal = (current / 3.0) ** 2
         warm = goal + (warm - goal) * math.exp(-duration / 10.0)
     return warm

@@ -57,7 +57,7 @@ def test_with_the_firmware_hung_the_board_opens(period: float, watchdog: float, 
     flowed = 0.0
     for _ in range(100):
         assert twin.sample() is None
-        flowed += sum(duration for duration, currents in twin.plant.segments if any(currents))
+        flowed += sum(duration for duration, currents in twin.plant.intervals if any(currents))
     assert flowed == pytest.approx(enable, abs=1e-9)
     assert twin.firmware.state == State.ACTIVE and not any(twin.plant.currents)
     estop = Codec().encode(0, 0, 0, Estop(1))
@@ -75,7 +75,7 @@ def test_with_the_firmware_hung_right_after_arming_the_board_opens() -> None:
     flowed = 0.0
     for _ in range(20):
         rig.twin.sample()
-        flowed += sum(duration for duration, held in rig.twin.plant.segments if any(held))
+        flowed += sum(duration for duration, held in rig.twin.plant.intervals if any(held))
     assert flowed == pytest.approx(0.015 - 0.0015) and not any(rig.twin.plant.currents)
 
 

@@ -104,7 +104,7 @@ REFUSED: Mapping[str, tuple[Callable[[], Any], str]] = {
     "time of a session": (lambda: m.Session("box").tick("1"), "elapsed must be a finite number, not '1'"),
     "a scene to be found": (lambda: m.find_scene(DROP), "scene must be a name, .* not Drop"),
     "requirements": (lambda: m.design_wall("pd"), "requirements must be WallRequirements.* not 'pd'"),
-    "a file to analyse": (lambda: m.analyse("f.maglev"), "stretch must be a Stretch, .* not 'f.maglev'"),
+    "a file to analyse": (lambda: m.analyse("f.maglev"), "segment must be a Segment, .* not 'f.maglev'"),
     "a file to verify": (lambda: m.verify("f.maglev", m.rebuild), "recording must be .*load.* not 'f.maglev'"),
     "a file to export": (lambda: m.export("f.maglev", "csv", "f.csv"), "recording must be .*load.* not 'f.maglev'"),
     "a number as file": (lambda: m.Recording.load(3), "path must be the path of a file, not 3"),

@@ -78,7 +78,7 @@ def test_every_result_has_a_frame_with_units_a_picture_and_a_table(name: str) ->
     frame = found.to_pandas()
     assert len(frame) and list(frame.columns) == list(found.columns()) and set(frame.attrs["units"]) <= set(frame)
     numbers = [column for column in frame if frame[column].dtype == np.float64]
-    known = {"phase", "modulus", "real", "imaginary", "stretch", "keeps"}
+    known = {"phase", "modulus", "real", "imaginary", "segment", "keeps"}
     assert {column for column in numbers if not frame.attrs["units"].get(column)} <= known
     assert found.plot().axes
     table, html = found.table(), found._repr_html_()
@@ -253,14 +253,14 @@ def test_a_linearised_wall_answers_now_and_one_sample_later() -> None:
 
 def test_a_recording_and_its_samples_are_the_same_frame() -> None:
     recording: Any = results()["recording"]
-    frame, (stretch,) = recording.to_pandas(), recording.stretches
-    np.testing.assert_array_equal(frame["position.z"], stretch.position[:, 2])
+    frame, (segment,) = recording.to_pandas(), recording.segments
+    np.testing.assert_array_equal(frame["position.z"], segment.position[:, 2])
     assert frame.equals(results()["samples"].to_pandas()) and frame.attrs["units"]["command.rx"] == "N m"
     assert recording.table().rows == [(0, "run", 81, 0.0, 0.4)]
     assert "73 more rows and" in results()["samples"].table().note
     upper, lower = recording.plot().axes
-    np.testing.assert_array_equal(upper.get_lines()[0].get_ydata(), stretch.position[:, 2] * 1e3)
-    np.testing.assert_array_equal(lower.get_lines()[0].get_ydata(), stretch.command[:, 2])
+    np.testing.assert_array_equal(upper.get_lines()[0].get_ydata(), segment.position[:, 2] * 1e3)
+    np.testing.assert_array_equal(lower.get_lines()[0].get_ydata(), segment.command[:, 2])
 
 
 def test_an_analysis_has_both_sides_and_what_was_identified() -> None:

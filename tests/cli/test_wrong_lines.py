@@ -188,7 +188,7 @@ replay nosuch.maglev                                | nosuch.maglev
 replay garbage.npz                                  | garbage.npz
 replay run.maglev --scene nosuch.py --check         | nosuch.py
 replay run.maglev --port 80                         | port
-analyse run.maglev --stretch 9                      | 9
+analyse run.maglev --segment 9                      | 9
 analyse run.maglev --axis w                         | w
 analyse run.maglev --json run.maglev                | must be another file than the recording
 export run.maglev --to npz --out run.maglev         | run.maglev

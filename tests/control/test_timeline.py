@@ -1,4 +1,4 @@
-"""Times of commands: segments, pulses, delays, recorded commands."""
+"""Times of commands: intervals, pulses, delays, recorded commands."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from maglev_mj.control.timeline import Timeline, recorded_switches, split_delay
 T = 0.005
 
 
-def rounded(segments: list[tuple[float, object]]) -> list[tuple[float, object]]:
-    return [(round(duration, 9), drive) for duration, drive in segments]
+def rounded(intervals: list[tuple[float, object]]) -> list[tuple[float, object]]:
+    return [(round(duration, 9), drive) for duration, drive in intervals]
 
 
 @pytest.mark.parametrize(("periods", "period"), [(0, T), (1, 1e-4), (3, 0.1), (7, 1.0 / 3.0)])
@@ -64,11 +64,11 @@ def test_an_answer_with_the_request_is_as_one_before_it(timing: dict[str, Any]) 
     for tick in range(12):
         answer = (tick, -tick, 0.002 if tick % 3 == 2 else 0.0)
         one.answer(tick, *answer)
-        segments = other.period(tick, answer)
-        assert one.period(tick) == segments
-        assert all(duration > 0.0 for duration, _ in segments)
+        intervals = other.period(tick, answer)
+        assert one.period(tick) == intervals
+        assert all(duration > 0.0 for duration, _ in intervals)
         if "jitter" in timing and tick % 3 == 0:
-            assert segments[0][0] == made.rest_at(tick)
+            assert intervals[0][0] == made.rest_at(tick)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.0015, T, 0.0123])
@@ -98,7 +98,7 @@ def test_a_pulse_of_currents_runs_out_after_an_unanswered_sample() -> None:
     seen = []
     for _ in range(3):
         driven.read()
-        seen += [(round(duration, 9), currents[0]) for duration, currents in driven.segments]
+        seen += [(round(duration, 9), currents[0]) for duration, currents in driven.intervals]
     assert seen == [(0.0015, 0.0), (0.0035, 1.0), (0.005, 1.0), (0.0005, 1.0), (0.0045, 0.0)]
 
 

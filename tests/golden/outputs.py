@@ -154,12 +154,12 @@ def pressed(count: int = 40, seed: int = 19) -> list[dict[str, Any]]:
                 session.hand.target = [*(0.02 * pull for pull in pulls[:3]), *(0.3 * pull for pull in pulls[3:])]
             made.append({"action": action, "ticks": session.tick(draw.choice((1.0 / 60.0, 0.05)))})
         session.close()
-        stretches = Recording.load(path).stretches
+        segments = Recording.load(path).segments
     names = "position", "command", "applied", "hand"
     rows = [
-        (stretch.setup, row)
-        for stretch in stretches
-        for row in zip(*(stretch.arrays[name].tolist() for name in names), strict=True)
+        (segment.setup, row)
+        for segment in segments
+        for row in zip(*(segment.arrays[name].tolist() for name in names), strict=True)
     ]
     assert len(rows) == sum(one["ticks"] for one in made)
     for one in made:

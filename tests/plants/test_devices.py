@@ -180,8 +180,8 @@ def test_a_plant_takes_wrenches_and_currents_in_turn() -> None:
         carried = plant.currents
         plant.drive([0.0] * 6, after=0.002)
         plant.read()
-        assert [round(duration, 9) for duration, _ in plant.segments] == [0.002, 0.003]
-        np.testing.assert_array_equal([one for _, one in plant.segments], [carried, np.zeros(6)])
+        assert [round(duration, 9) for duration, _ in plant.intervals] == [0.002, 0.003]
+        np.testing.assert_array_equal([one for _, one in plant.intervals], [carried, np.zeros(6)])
     with pytest.raises(PlantError, match="no currents: the plant was made with coils=False"):
         MuJoCoPlant(coils=False).drive([0.0] * 6)
 

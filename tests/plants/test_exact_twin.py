@@ -215,7 +215,7 @@ def flown(plant: str, folder: Path, kind: type, hand: Any = None, **parameters: 
 
     def sample() -> bytes | None:
         frame = take()
-        spans = [span * np.array(currents) for span, currents in twin.plant.segments]
+        spans = [span * np.array(currents) for span, currents in twin.plant.intervals]
         rows.append(np.concatenate([*twin.plant.state(), np.sum(spans, axis=0) / 0.005 if spans else np.zeros(6)]))
         return frame
 

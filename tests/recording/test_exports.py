@@ -68,11 +68,11 @@ def _npz(path: Path) -> Content:
         arrays = {name: file[name] for name in file.files}
     told, columns = json.loads(str(arrays["header"])), dict[str, list[Any]]()
     for index in range(len(told["setups"])):
-        columns.setdefault("stretch", []).append(np.full(len(arrays[f"{index}/tick"]), index))
+        columns.setdefault("segment", []).append(np.full(len(arrays[f"{index}/tick"]), index))
         for array, fields in {**ARRAYS, **{one.name: [one] for one in TOTALS}}.items():
             names = [name for field in fields for name, _ in field.units]
             if f"{index}/{array}" in arrays:
-                values = arrays[f"{index}/{array}"].reshape(len(columns["stretch"][-1]), -1).T
+                values = arrays[f"{index}/{array}"].reshape(len(columns["segment"][-1]), -1).T
                 for name, column in zip(names, values, strict=True):
                     columns.setdefault(name, []).append(column)
     assert told["axes"] == ["x", "y", "z", "rx", "ry", "rz"] and len(told["gaps"]) == len(told["setups"])
@@ -93,8 +93,8 @@ def _mcap(path: Path) -> Content:
     assert {channel.topic for channel in summary.channels.values()} >= shown
     columns, events, setups = dict[str, list[Any]](), list[str](), list[Any]()
     for topic, message in messages_in(path.read_bytes()):
-        if topic == "/maglev/stretch":
-            run = {name: part for name, part in message.items() if name not in ("stretch", "setup")}
+        if topic == "/maglev/segment":
+            run = {name: part for name, part in message.items() if name not in ("segment", "setup")}
             setups.append({**message["setup"], "run": run})
         elif topic == "/maglev/event":
             events.append(f"{message['kind']}: {message['text']}")
@@ -121,7 +121,7 @@ assert {*READERS, "wav"} == {*EXPORTS}
 
 @pytest.fixture(params=["scene", "stick-slip", "press, cut"])
 def whole(request: pytest.FixtureRequest, tmp_path: Path) -> Recording:
-    """Return a recording with an attachment of its own: several stretches and an event, friction, a missing end."""
+    """Return a recording with an attachment of its own: several segments and an event, friction, a missing end."""
     kind, _, cut = request.param.partition(", ")
     recording = load(made(kind)[: -700 if cut else None], tmp_path)
     assert recording.damage.startswith("not closed: read to 0." if cut else "") and bool(recording.damage) == bool(cut)
@@ -154,7 +154,7 @@ def test_what_is_recorded_is_found_in_an_export_by_name_with_its_units(
         "N m",
     ]
     assert (found.events, found.about) == (list(whole.events), whole.about)
-    assert found.setups == json.loads(json.dumps([stretch.setup for stretch in whole.stretches]))
+    assert found.setups == json.loads(json.dumps([segment.setup for segment in whole.segments]))
     assert found.attachments == whole.attachments and found.damage in (None, whole.damage)
 
 
@@ -167,8 +167,8 @@ def test_a_recording_that_is_saved_holds_the_same(whole: Recording, tmp_path: Pa
         whole.event_samples,
         whole.attachments,
     )
-    assert [(one.gaps, one.began, repr(one.sticks)) for one in again.stretches] == [
-        (one.gaps, one.began, repr(one.sticks)) for one in whole.stretches
+    assert [(one.gaps, one.began, repr(one.sticks)) for one in again.segments] == [
+        (one.gaps, one.began, repr(one.sticks)) for one in whole.segments
     ]
     with pytest.raises(ParameterError, match=r"path must end in \.maglev, not 'run\.npz'"):
         whole.save(tmp_path / "run.npz")
@@ -176,9 +176,9 @@ def test_a_recording_that_is_saved_holds_the_same(whole: Recording, tmp_path: Pa
 
 def same(one: Recording, other: Recording) -> bool:
     """Whether two recordings hold the same, to the last bit."""
-    return len(one.stretches) == len(other.stretches) and all(
+    return len(one.segments) == len(other.segments) and all(
         a.setup == b.setup and all(b.arrays[name].tobytes() == a.arrays[name].tobytes() for name in ROW.names or ())
-        for a, b in zip(one.stretches, other.stretches, strict=True)
+        for a, b in zip(one.segments, other.segments, strict=True)
     )
 
 
@@ -189,18 +189,18 @@ def test_a_file_holds_what_memory_does_and_is_read_without_the_package_in_three_
     records = np.fromfile(tmp_path / "run.maglev", np.dtype(header["dtype"]), offset=header["offset"])
     written = Recording.load(tmp_path / "run.maglev")
     assert same(written, record_run(StickSlip(duration=0.06), plant="exact"))
-    (stretch,) = written.stretches
+    (segment,) = written.segments
     for name in ROW.names or ():
-        assert records[records["kind"] == 0][name].tobytes() == stretch.arrays[name].tobytes()
-    assert stretch.sticks and any(one.gaps for one in load(made("scene"), tmp_path).stretches)
+        assert records[records["kind"] == 0][name].tobytes() == segment.arrays[name].tobytes()
+    assert segment.sticks and any(one.gaps for one in load(made("scene"), tmp_path).segments)
 
 
 def test_fields_are_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.maglev"
     path.write_bytes(made("drop"))
-    samples, (stretch,) = load_samples(path), Recording.load(path).stretches
+    samples, (segment,) = load_samples(path), Recording.load(path).segments
     for name in (*(ROW.names or ()), *(field.name for field in TOTALS)):
-        np.testing.assert_array_equal(samples.arrays[name], stretch.arrays[name])
+        np.testing.assert_array_equal(samples.arrays[name], segment.arrays[name])
     assert samples.position.shape == (len(samples), 6) and not samples.recording.damage
     some = load_samples(path, fields=("time", "hand"))
     assert list(some.arrays) == ["time", "hand"] and (some.time == samples.time).all()

@@ -45,8 +45,8 @@ def test_a_fault_of_another_run_is_no_event_of_a_recording() -> None:
 
 
 def test_a_setup_that_is_not_known_is_refused() -> None:
-    (stretch,) = record_run(Drop(), plant="exact").stretches
-    unknown = Recording([replace(stretch, setup={"kind": "pinball", "run": stretch.setup["run"]})])
+    (segment,) = record_run(Drop(), plant="exact").segments
+    unknown = Recording([replace(segment, setup={"kind": "pinball", "run": segment.setup["run"]})])
     for refuse in (lambda: verify(unknown, rebuild), lambda: Replay(unknown)):
         with pytest.raises(RecordingError, match="cannot be made here"):
             refuse()
@@ -60,13 +60,13 @@ def test_a_replay_shows_what_was_recorded_in_real_time() -> None:
     shown = sum(replay.tick(0.0125) for _ in range(10))
     view = replay.snapshot()
     assert shown == 25
-    assert (view.pose == recording.stretches[0].position[25]).all()
+    assert (view.pose == recording.segments[0].position[25]).all()
     assert view.history.shape == (26, 25)
     assert view.anchors is not None
     replay.act("pause")
     assert replay.tick(1.0) == 0
     replay.act("start")
-    assert (replay.snapshot().pose == recording.stretches[0].position[0]).all()
+    assert (replay.snapshot().pose == recording.segments[0].position[0]).all()
 
 
 @pytest.mark.needs("drawing")
@@ -118,8 +118,8 @@ def test_each_gap_of_a_slow_session_is_its_own_ticks(tmp_path: Path) -> None:
         session.tick(frame)
     session.close()
     recording = Recording.load(tmp_path / "run.maglev")
-    (stretch,) = recording.stretches
-    assert list(stretch.gaps) == [(1, 9), (2, 5), (3, 9)]
+    (segment,) = recording.segments
+    assert list(segment.gaps) == [(1, 9), (2, 5), (3, 9)]
     assert list(recording.events) == [f"missed: {count} ticks were given up: too slow" for count in (9, 5, 9)]
 
 
@@ -148,10 +148,10 @@ def test_a_recorded_run_is_the_run_of_the_table(
     assert main([*words, "--json", "-"]) == 0
     assert len(made) == 1  # one run, recorded and told
     said = json.loads(capsys.readouterr().out)
-    (stretch,) = Recording.load(tmp_path / "run.maglev").stretches
+    (segment,) = Recording.load(tmp_path / "run.maglev").segments
     trace = made[0].trace()
-    pose, _, _ = trace.at(stretch.time)
-    assert stretch.position.tolist() == pose.tolist() and said["parameters"]["phase"] == 0.3
+    pose, _, _ = trace.at(segment.time)
+    assert segment.position.tolist() == pose.tolist() and said["parameters"]["phase"] == 0.3
 
 
 def test_the_values_of_a_cycle_are_in_the_order_of_the_fields() -> None:

@@ -39,7 +39,7 @@ TICKS = 80
 
 
 def record(path: Path, plants: list[str], names: Iterable[str] | None = None, ticks: int = TICKS) -> None:
-    """Record as a user's script does, one stretch per law."""
+    """Record as a user's script does, one segment per law."""
     file = open_recording(path, wait=True)
     for name in plants:
         for law in names or LAWS:
@@ -85,15 +85,15 @@ def test_a_script_s_recording_is_checked_analysed_and_shown(
     assert f"{count} of {count} the same: tick, time, position, command, pulse," in said
     assert "not run again" not in said and "hand" in said
     assert say("analyse", str(path), "--json", str(tmp_path / "found.json"))[0] == 0
-    found = json.loads((tmp_path / "found.json").read_text())["stretches"]
+    found = json.loads((tmp_path / "found.json").read_text())["segments"]
     assert [one["comparison"]["same"] for one in found] == [True] * len(names)
     recording = Recording.load(path)
     replay, shown = Replay(recording), list[int]()
-    for place, (law, stretch) in enumerate(zip(names, recording.stretches, strict=True)):
+    for place, (law, segment) in enumerate(zip(names, recording.segments, strict=True)):
         shown += [replay.tick(PERIOD) for _ in range(ticks - (not place))]
         view = replay.snapshot()
-        assert (view.pose == stretch.position[-1]).all() and view.delay == DELAY
-        assert (view.anchors is not None) == ("breakaway" in stretch.setup["controller"]["laws"][0]), law
+        assert (view.pose == segment.position[-1]).all() and view.delay == DELAY
+        assert (view.anchors is not None) == ("breakaway" in segment.setup["controller"]["laws"][0]), law
         assert len(view.faces) == len(controller_of(law).faces)
     assert set(shown) == {1}
     if "mujoco" in plant:
@@ -123,23 +123,23 @@ def unseen(plant: str, names: list[str], part: str, every: int, ticks: int = TIC
     for law in names:
         made, controller = PLANTS[plant](), controller_of(law)
         drive(made, controller, ticks=ticks, record=file.begin(made, controller))
-    for law, stretch in zip(names, file.recording.stretches, strict=True):
+    for law, segment in zip(names, file.recording.segments, strict=True):
         places = [
             place
-            for place in numbers_in(stretch.setup[part])
-            if other(place[-1], at(stretch.setup[part], place)) != at(stretch.setup[part], place)
+            for place in numbers_in(segment.setup[part])
+            if other(place[-1], at(segment.setup[part], place)) != at(segment.setup[part], place)
         ]
         for place in (
             some_of(places, lambda place: str(place[: -isinstance(place[-1], int) or None]), 0)[::every]
             if every
             else places
         ):
-            new = other(place[-1], at(stretch.setup[part], place))
-            setup = deepcopy(dict(stretch.setup))
+            new = other(place[-1], at(segment.setup[part], place))
+            setup = deepcopy(dict(segment.setup))
             at(setup[part], place[:-1])[place[-1]] = new
             tried += 1
             try:
-                same = verify(Recording([replace(stretch, setup=setup)]), rebuild).same
+                same = verify(Recording([replace(segment, setup=setup)]), rebuild).same
             except InvalidRecordingError:
                 continue
             missed += [f"{law} {' '.join(map(str, place))}"] * same
@@ -486,7 +486,7 @@ def of_other_code(monkeypatch: pytest.MonkeyPatch, path: Path) -> str:
     """Simulate other code; return its differences from that of a recording."""
     now = {**versions(), **OTHER}
     monkeypatch.setattr("maglev_mj.versions.versions", lambda: now)
-    return differences(Recording.load(path).stretches[0].setup["versions"], now)
+    return differences(Recording.load(path).segments[0].setup["versions"], now)
 
 
 @pytest.mark.parametrize("kind", ["session", "device"])
@@ -494,11 +494,11 @@ def test_other_code_is_shown_with_a_note_or_with_other_answers_refused_in_one_li
     kind: str, folder: Path, say: Any, shown: list[Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, before = RECORDED[kind](folder), Bias.__call__
-    difference, stretches = of_other_code(monkeypatch, path), Recording.load(path).stretches
+    difference, segments = of_other_code(monkeypatch, path), Recording.load(path).segments
     monkeypatch.setattr("maglev_mj.cli.recordings._COMPARED", 1000)  # fewer than some of them have
     status, said, wrong = say("replay", str(path))
     assert (status, wrong, len(shown)) == (0, "", 1)
-    same = f"the first {1000 // len(stretches)} answers of each stretch are the same"
+    same = f"the first {1000 // len(segments)} answers of each segment are the same"
     assert f"recorded by other code ({difference}); {same}" in unwrapped(said)
 
     def heavier(self: Any, position: Any, velocity: Any, state: Any, wrench: Any) -> Any:
@@ -509,7 +509,7 @@ def test_other_code_is_shown_with_a_note_or_with_other_answers_refused_in_one_li
     monkeypatch.setattr(Bias, "__call__", heavier)
     status, _, wrong = say("replay", str(path))
     assert (status, len(shown), wrong.count("\n")) == (1, 1, 1)
-    first = f"whose command is another from tick {int(stretches[0].tick[0])} of stretch 1 on"
+    first = f"whose command is another from tick {int(segments[0].tick[0])} of segment 1 on"
     assert f"recorded by other code ({difference}), {first}" in wrong and OTHER["sources"] in wrong
 
 
@@ -521,7 +521,7 @@ def test_laws_of_one_s_own_of_other_code_are_shown_and_said_to_be(
     status, said, wrong = say("replay", "run.maglev")
     assert (status, wrong, len(shown)) == (0, "", 1) and "its laws were not run again" in said
     said = unwrapped(say("replay", "run.maglev", "--scene", "attached")[1])
-    assert "answers of each stretch are the same here" in said
+    assert "answers of each segment are the same here" in said
     assert not (folder / "executed").exists()
 
 
@@ -542,12 +542,12 @@ def test_a_flight_has_the_delay_of_its_setup_and_an_unmeasured_hand() -> None:
     flight = Recording.load(of_device(Path()))
     fields = verify(flight, rebuild).fields
     assert {fields[name].compared for name in ("delay", "hand_recorded", "hand_acts_on_flotor")} == {
-        len(flight.stretches)
+        len(flight.segments)
     }
-    setup = dict(flight.stretches[0].setup)
+    setup = dict(flight.segments[0].setup)
     setup["parameters"] = {name: one for name, one in setup["parameters"].items() if name != "delay"}
     with pytest.raises(InvalidRecordingError, match="setup cannot be made here: 'delay'"):
-        verify(Recording([replace(flight.stretches[0], setup=setup)]), rebuild)
+        verify(Recording([replace(flight.segments[0], setup=setup)]), rebuild)
 
 
 RECORDED = {"session": of_session, "device": of_device}
@@ -556,7 +556,7 @@ RECORDED = {"session": of_session, "device": of_device}
 # what is in a file
 
 
-def test_stretches_of_one_file_attach_a_source_once(folder: Path) -> None:
+def test_segments_of_one_file_attach_a_source_once(folder: Path) -> None:
     run_script(folder, "run.maglev")
     parts = [part for part in parts_in((folder / "run.maglev").read_bytes()) if isinstance(part, dict)]
     found = [(part["attach"], part["type"], base64.b64decode(part["data"])) for part in parts if "attach" in part]
@@ -565,7 +565,7 @@ def test_stretches_of_one_file_attach_a_source_once(folder: Path) -> None:
         ["model/drop.xml", "model/maglev.xml", f"source/{hash_of(text)}/script.py"]
     )
     assert (f"source/{hash_of(text)}/script.py", "text/x-python", text.encode()) in found
-    assert len(Recording.load(folder / "run.maglev").stretches) == 2
+    assert len(Recording.load(folder / "run.maglev").segments) == 2
 
 
 IMPORTS = """
@@ -589,11 +589,11 @@ def test_leave_is_for_the_laws_that_a_file_defines(wanted: str, given: str, fold
     run_script(folder, "run.maglev")
     (folder / "script.py").write_text(IMPORTS)
     recording = Recording.load(folder / "run.maglev")
-    setup: Any = recording.stretches[0].setup
+    setup: Any = recording.segments[0].setup
     digest, arguments = hash_of(IMPORTS), ["touch", "made"] if wanted == "Popen" else ["made"]
     setup["controller"]["laws"] = [{"class": f"script.py:{wanted}@{digest}", "args": arguments}]
     replace(
-        recording, stretches=recording.stretches[:1], attachments={f"source/{digest}/script.py": IMPORTS.encode()}
+        recording, segments=recording.segments[:1], attachments={f"source/{digest}/script.py": IMPORTS.encode()}
     ).save(folder / "run.maglev")
     status, _, wrong = say("replay", "run.maglev", "--check", "--scene", given)
     assert (status, wrong.count("\n")) == (2, 1), wrong

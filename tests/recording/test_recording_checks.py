@@ -121,7 +121,7 @@ def test_a_number_that_is_none_is_refused_or_answered(kind: str, every: int, tmp
 @pytest.mark.parametrize("every", [13, pytest.param(1, marks=pytest.mark.study)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_no_finite_number_is_no_number_of_a_file(kind: str, every: int, tmp_path: Path) -> None:
-    # In turn for each n-th number of the messages: of each stretch, of each event, of a stick position.
+    # In turn for each n-th number of the messages: of each segment, of each event, of a stick position.
     parts, turn = parts_in(made(kind)), 0
     for index in texts_in(parts):
         for place in numbers_in(parts[index]):
@@ -295,7 +295,7 @@ def test_a_newer_kind_of_record_and_a_further_value_are_skipped(tmp_path: Path) 
     whole = begun + newer + block + newer + ended
     check_of = journal._HEAD.pack(3, len(whole) // 344) + journal._COUNT.pack(zlib.crc32(whole))
     new = json.dumps(entries).encode().ljust(offset - 1) + b"\n" + whole + check_of.ljust(344, b"\0")
-    (one,), (other,) = load(new, tmp_path).stretches, load(data, tmp_path).stretches
+    (one,), (other,) = load(new, tmp_path).segments, load(data, tmp_path).segments
     assert all(values.tobytes() == other.arrays[name].tobytes() for name, values in one.arrays.items())
 
 
@@ -470,11 +470,11 @@ def test_what_steers_a_terminal_is_escaped(tmp_path: Path, capsys: Any) -> None:
         assert "\\x1b[2J" in text and "\n 81 of 81" not in text
 
 
-def test_a_part_of_a_stretch_has_no_totals_of_the_whole(tmp_path: Path) -> None:
-    (stretch,) = load(made("drop"), tmp_path).stretches
-    part = stretch[2:6]
-    assert "taken" not in part.arrays and part.setup is stretch.setup and len(part) == 4
-    assert "taken" in stretch.replace(hand=stretch.hand).arrays
+def test_a_part_of_a_segment_has_no_totals_of_the_whole(tmp_path: Path) -> None:
+    (segment,) = load(made("drop"), tmp_path).segments
+    part = segment[2:6]
+    assert "taken" not in part.arrays and part.setup is segment.setup and len(part) == 4
+    assert "taken" in segment.replace(hand=segment.hand).arrays
 
 
 def in_blocks(samples: list[Message], folder: Path, monkeypatch: pytest.MonkeyPatch) -> Recording:
@@ -500,10 +500,10 @@ def test_a_field_that_is_another_one_for_some_blocks_is_itself_in_all(
         {"tick": tick, "command": command, "applied": applied}
         for tick, (command, applied) in enumerate(one for one in values for _ in range(4))
     ]
-    (stretch,) = in_blocks(samples, tmp_path, monkeypatch).stretches
-    assert stretch.command[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [5.0] * 4 + [6.0] * 4
-    assert stretch.applied[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [4.0] * 4 + [6.0] * 4
-    assert stretch.tick.tolist() == [*range(16)] and (stretch.position == stretch.position[0]).all()
+    (segment,) = in_blocks(samples, tmp_path, monkeypatch).segments
+    assert segment.command[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [5.0] * 4 + [6.0] * 4
+    assert segment.applied[:, 1].tolist() == [2.0] * 4 + [3.0] * 4 + [4.0] * 4 + [6.0] * 4
+    assert segment.tick.tolist() == [*range(16)] and (segment.position == segment.position[0]).all()
 
 
 def test_ticks_and_times_go_up_from_block_to_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,7 +32,7 @@ def parts() -> tuple[ExactPlant, Controller]:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Return a recording of two stretches with an attachment and events."""
+    """Return a recording of two segments with an attachment and events."""
     path = tmp_path_factory.mktemp("whole") / "run.maglev"
     file = open_recording(path, wait=True)
     file.attach("device.xml", "text/xml", b"<mujoco/>" * 50)
@@ -57,7 +57,7 @@ def read(data: bytes, folder: Path) -> Recording | None:
 
 def same_so_far(part: Recording, full: Recording) -> None:
     """Check that the readable part is unchanged, the rest reported."""
-    for one, other in zip(part.stretches, full.stretches, strict=False):
+    for one, other in zip(part.segments, full.segments, strict=False):
         assert one.arrays.keys() == other.arrays.keys() == {field.name for field in (*FIELDS, *TOTALS)}
         for name, values in one.arrays.items():
             assert values.tobytes() == other.arrays[name][: len(one)].tobytes()

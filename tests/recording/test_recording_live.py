@@ -49,8 +49,8 @@ def test_energy_taken_is_what_the_actuators_took_from_a_fall(phase: float, delay
     path = tmp_path / "run.maglev"
     drop = Drop(delay=delay, stiffness=2000.0)
     write_run(path, drop, plant="exact", phase=phase)
-    (stretch,) = Recording.load(path).stretches
-    result, end = run_scene(drop, plant="exact", phase=phase), stretch.time[-1]
+    (segment,) = Recording.load(path).segments
+    result, end = run_scene(drop, plant="exact", phase=phase), segment.time[-1]
     z, speed = (float(part[0, 2]) for part in result.trace.at(np.array([end]))[:2])
     fallen = 0.7 * 9.81 * (drop.height - z) - 0.5 * 0.7 * speed**2
     assert messages(path)[-1][1]["taken"] == pytest.approx(fallen, rel=1e-9)
@@ -66,10 +66,10 @@ def test_energy_of_a_session_goes_on_with_what_acted_before(tmp_path: Path) -> N
             session.act("damping up")
     session.close()
     recording = Recording.load(path)
-    assert len(recording.stretches) == 4
-    for place, stretch in enumerate(recording.stretches):
-        last = [m for topic, m in messages(path) if topic == "/maglev/sample" and m["stretch"] == place][-1]
-        found = analyse(stretch, rebuild, simulated=False).recorded.figures.energy
+    assert len(recording.segments) == 4
+    for place, segment in enumerate(recording.segments):
+        last = [m for topic, m in messages(path) if topic == "/maglev/sample" and m["segment"] == place][-1]
+        found = analyse(segment, rebuild, simulated=False).recorded.figures.energy
         assert last["taken"] == pytest.approx(sum(found.taken), rel=1e-6, abs=1e-9)
 
 
@@ -81,7 +81,7 @@ class Still:
 
 
 def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
-    # A device counts on from stretch to stretch: where one begins, nothing is missing yet.
+    # A device counts on from segment to segment: where one begins, nothing is missing yet.
     from mcap.reader import make_reader
 
     path = tmp_path / "run.maglev"
@@ -96,7 +96,7 @@ def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
     for tick in (4, 5):
         record(Sample(tick, tick * 0.001, list(ZERO)), none, none)
     assert file.close() == path
-    assert [(m["stretch"], m["missed"]) for topic, m in messages(path) if topic == "/maglev/sample"] == [
+    assert [(m["segment"], m["missed"]) for topic, m in messages(path) if topic == "/maglev/sample"] == [
         *[(0, 0), (0, 0), (0, 2)],
         *[(1, 0), (1, 0), (1, 5), (1, 5)],
     ]
@@ -105,7 +105,7 @@ def test_missed_samples_and_faults_are_in_it(tmp_path: Path) -> None:
     logged = [message.log_time for _, _, message in read][-4:]
     assert [round((after - logged[0]) * 1e-6) for after in logged] == [0, 1, 2, 3]  # its ticks are 2 to 5
     assert list(recording.events) == ["missed: too slow", "fault: it fell"]
-    assert [len(stretch.tick) for stretch in recording.stretches] == [3, 4]
+    assert [len(segment.tick) for segment in recording.segments] == [3, 4]
 
 
 RUN = """
@@ -233,10 +233,10 @@ def test_an_answer_that_the_plant_refuses_is_the_last_row(odd: float, tmp_path: 
         drive(plant, controller, 20, record=record)
     assert file.close() == path
     recording = Recording.load(path)
-    (stretch,) = recording.stretches
-    assert stretch.tick.tolist() == list(range(8))
-    assert not np.isfinite(stretch.command[-1, 0]) and not stretch.applied[-1].any()
-    assert np.isfinite(stretch.command[:-1]).all() and not recording.damage
+    (segment,) = recording.segments
+    assert segment.tick.tolist() == list(range(8))
+    assert not np.isfinite(segment.command[-1, 0]) and not segment.applied[-1].any()
+    assert np.isfinite(segment.command[:-1]).all() and not recording.damage
     verdict = verify(recording, lambda setup, hand: (ExactPlant(Timing(), hand_force=hand), Mad([], period=0.005)))
     assert verdict.same
 
@@ -300,17 +300,17 @@ def test_a_recording_of_ones_own_is_shown_and_analysed_without_its_scene_and_che
     file.close()
     write_run(tmp_path / "whole.maglev", cls(), plant="exact")  # attaches its source
     script.rename(tmp_path / "elsewhere.py")  # what a recording names is never executed
-    (stretch,) = Recording.load(path).stretches
-    known = stretch.metadata
+    (segment,) = Recording.load(path).segments
+    known = segment.metadata
     assert known is not None and known.faces == [(2, -1.0, 0.001)]
     assert (known.name, known.axis, known.delay, known.hand_recorded) == ("tap", "z", scene.delay, False)
     assert known.inertia.tolist() == list(INERTIA) and known.load.tolist() == [0.0, 0.0, -0.7, 0.0, 0.0, 0.0]
-    assert stretch.setup["kind"] == "run" and stretch.setup["plant"]["pose"][3] == 0.01
-    replay = Replay(Recording([stretch]))
-    assert replay.tick(0.05) == 10 and (replay.snapshot().pose == stretch.position[10]).all()
+    assert segment.setup["kind"] == "run" and segment.setup["plant"]["pose"][3] == 0.01
+    replay = Replay(Recording([segment]))
+    assert replay.tick(0.05) == 10 and (replay.snapshot().pose == segment.position[10]).all()
     assert replay.snapshot().faces == ((2, -1.0, 0.001),)
     assert main(["analyse", str(path), "--json", str(tmp_path / "own.json")]) == 0
-    (found,) = json.loads((tmp_path / "own.json").read_text())["stretches"]
+    (found,) = json.loads((tmp_path / "own.json").read_text())["segments"]
     (face,) = found["recorded"]["faces"]
     assert face["edge"] == 0.001 and face["penetration"] > 1e-4 and found["comparison"]["same"]
     assert abs(found["recorded"]["unexplained_force"]["z"]) < 1e-9  # gravity and mass are those of the run

@@ -25,7 +25,7 @@ from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.session.replay import write_run
 from tests.recorded import decoder, exported, load, messages_in
 
-TOPICS = ("/maglev/stretch", "/maglev/sample", "/maglev/event", "/tf", "/maglev/shapes", "/maglev/arrows", "/log")
+TOPICS = ("/maglev/segment", "/maglev/sample", "/maglev/event", "/tf", "/maglev/shapes", "/maglev/arrows", "/log")
 
 
 RUNS: dict[str, Scene] = {"press": Press(hits=1), "stick-slip turned": StickSlip(axis="ry")}
@@ -66,16 +66,16 @@ def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(n
 
     path = tmp_path / "run.mcap"
     path.write_bytes(file_of(name))
-    (stretch,) = load(run_of(name), tmp_path).stretches
-    sticks, found = stick_positions_of(stretch, rebuild), found_in(path)
-    turns = np.floor((stretch.time - stretch.time[0]) * 60.0 + 1e-6)
-    shown = [row for row in range(len(stretch)) if row == 0 or turns[row] > turns[row - 1]]
+    (segment,) = load(run_of(name), tmp_path).segments
+    sticks, found = stick_positions_of(segment, rebuild), found_in(path)
+    turns = np.floor((segment.time - segment.time[0]) * 60.0 + 1e-6)
+    shown = [row for row in range(len(segment)) if row == 0 or turns[row] > turns[row - 1]]
     assert len(found["/tf"]) == len(shown) > 10
     for message, row in zip(found["/tf"], shown, strict=True):
         frames = {frame["child_frame_id"]: frame for frame in message["transforms"]}
-        wanted = {"flotor": stretch.position[row]}
+        wanted = {"flotor": segment.position[row]}
         if sticks is not None:
-            wanted["stick position"] = np.where(np.isnan(sticks[row]), stretch.position[row], sticks[row])
+            wanted["stick position"] = np.where(np.isnan(sticks[row]), segment.position[row], sticks[row])
         assert set(frames) == {*wanted, "hand"}
         for frame, pose in wanted.items():
             assert frames[frame]["parent_frame_id"] == "stator"
@@ -89,7 +89,7 @@ def test_frames_are_where_the_flotor_is_and_the_stick_position_where_it_sticks(n
 def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(file_of("press"))
-    (stretch,) = load(run_of("press"), tmp_path).stretches
+    (segment,) = load(run_of("press"), tmp_path).segments
     found = found_in(path)
     (first,), updates = found["/maglev/shapes"], found["/maglev/arrows"]
     entities = {entity["id"]: entity for entity in first["entities"]}
@@ -115,7 +115,7 @@ def test_the_scene_has_the_device_its_walls_and_forces_from_the_knob_on(tmp_path
                 along = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)]
                 force = np.array(along) * (arrow["shaft_length"] + arrow["head_length"]) / ARROW
                 name = "hand" if "hand" in entity["id"] else "applied"
-                near = np.abs(getattr(stretch, name)[:, :3] - force).max(axis=1).min()
+                near = np.abs(getattr(segment, name)[:, :3] - force).max(axis=1).min()
                 assert near < 1e-9
                 most += 1
     assert most > 20
@@ -135,7 +135,7 @@ def test_events_are_in_the_log_each_with_its_level(tmp_path: Path) -> None:
     file.close()
     path.write_bytes(exported(path.read_bytes(), "mcap"))
     begun, *told = found_in(path)["/log"]
-    assert begun["level"] == 2 and begun["message"] == "stretch 1: own run"
+    assert begun["level"] == 2 and begun["message"] == "segment 1: own run"
     assert [(one["level"], one["message"]) for one in told] == [
         (level, f"{kind}: for a test") for kind, level in kinds.items()
     ]
@@ -175,12 +175,12 @@ def test_each_topic_and_field_of_the_foxglove_layout_is_in_a_recording() -> None
 def test_rerun_finds_the_flotors_transform_and_fields_by_name(tmp_path: Path) -> None:
     path, script = tmp_path / "run.mcap", Path(__file__).parents[2] / "scripts" / "examples" / "rerun_recording.py"
     path.write_bytes(file_of("press"))
-    (stretch,) = load(run_of("press"), tmp_path).stretches
+    (segment,) = load(run_of("press"), tmp_path).segments
     done = subprocess.run([sys.executable, str(script), str(path), "position.z"], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    least = float(stretch.position[:, 2].min())
+    least = float(segment.position[:, 2].min())
     assert "Transform3D of the flotor: " in done.stdout
-    assert f"Scalars of position.z: {len(stretch)} rows, least {least!r}" in done.stdout
+    assert f"Scalars of position.z: {len(segment)} rows, least {least!r}" in done.stdout
 
 
 def test_totals_of_many_samples_are_those_of_one_by_one_to_the_last_bit() -> None:

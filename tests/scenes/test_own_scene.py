@@ -112,11 +112,11 @@ def fly(say: Say, address: str) -> None:
 def test_it_is_flown_on_a_twin_recorded_and_checked(served: str, folder: Path, say: Say) -> None:
     fly(say, served)
     recording = Recording.load(folder / "fly.maglev")
-    (stretch,) = recording.stretches
+    (segment,) = recording.segments
     source = f"source/{hash_of((folder / 'detents.py').read_text())}/detents.py"
     assert {"calibration.json", "model/maglev.xml", source} <= recording.attachments.keys()
     assert json.loads(recording.attachments["calibration.json"]) == Calibration.nominal().as_json()
-    assert stretch.setup["kind"] == "device" and stretch.setup["parameters"]["stiffness"] == 3000.0
+    assert segment.setup["kind"] == "device" and segment.setup["parameters"]["stiffness"] == 3000.0
     status, said, wrong = say("replay", "fly.maglev", "--check", "--scene", "detents.py")
     assert (status, wrong) == (0, "") and "the same: " in said
 

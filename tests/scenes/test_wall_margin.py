@@ -154,11 +154,11 @@ def test_charts_of_runs_and_recordings_say_it() -> None:
     )
     runs = {f"{gain:g} N/m": run(Press(stiffness=gain, hits=1), plant="exact") for gain in (3000.0, 6000.0)}
     assert "wall of" not in Variants(runs).plot().axes[0].get_title("left")  # they differ
-    stretch = record_run(Press(hits=1), plant="exact").stretches[0]
-    report = analyse(stretch, rebuild)
+    segment = record_run(Press(hits=1), plant="exact").segments[0]
+    report = analyse(segment, rebuild)
     assert _describe(report).startswith("press, 200 Hz, delay 1.5 ms; wall: root 0.853, stiffness 39 % of its limit\n")
     for other in ({"kind": "device"}, {"scene": "unknown"}):
-        assert analyse(replace(stretch, setup={**stretch.setup, **other})).wall is None
-    bare = {name: value for name, value in stretch.setup.items() if name != "scene"}  # of a loop of one's own
-    assert analyse(replace(stretch, setup=bare)).wall is None
-    assert "wall" not in _describe(analyse(replace(stretch, setup={**stretch.setup, "scene": "unknown"})))
+        assert analyse(replace(segment, setup={**segment.setup, **other})).wall is None
+    bare = {name: value for name, value in segment.setup.items() if name != "scene"}  # of a loop of one's own
+    assert analyse(replace(segment, setup=bare)).wall is None
+    assert "wall" not in _describe(analyse(replace(segment, setup={**segment.setup, "scene": "unknown"})))

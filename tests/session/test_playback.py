@@ -13,12 +13,12 @@ from maglev_mj.session import Pacer, Session
 from maglev_mj.session.replay import Replay
 
 FIRST, SECOND = 600, 1000
-"""Samples of two stretches at 200 Hz and 1 kHz."""
+"""Samples of two segments at 200 Hz and 1 kHz."""
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """Record two stretches with a hand; the second stops early."""
+    """Record two segments with a hand; the second stops early."""
     path = tmp_path_factory.mktemp("playback") / "run.maglev"
     hand = SpringHand(target=[6e-3, 0.0, 0.0, 0.0, 0.0, 0.0])
     session = Session(hand=hand, record=path, pacer=Pacer(budget=60.0, patience=3600.0))
@@ -38,8 +38,8 @@ def replay(recording: Recording) -> Replay:
     return Replay(recording)
 
 
-def test_all_stretches_are_on_one_time_axis(replay: Replay, recording: Recording) -> None:
-    first, second = recording.stretches
+def test_all_segments_are_on_one_time_axis(replay: Replay, recording: Recording) -> None:
+    first, second = recording.segments
     assert (len(first), len(second)) == (FIRST, SECOND)
     assert replay.snapshot().duration == pytest.approx(4.0)
     replay.change({"time": 1.0})
@@ -57,7 +57,7 @@ def test_all_stretches_are_on_one_time_axis(replay: Replay, recording: Recording
 
 
 def test_searching_gives_the_last_two_seconds_at_once(replay: Replay, recording: Recording) -> None:
-    first, second = recording.stretches
+    first, second = recording.segments
     replay.change({"time": 3.5})
     history = replay.snapshot().history
     assert history[0, 0] == pytest.approx(1.5) and history[-1, 0] == pytest.approx(3.5)
@@ -66,7 +66,7 @@ def test_searching_gives_the_last_two_seconds_at_once(replay: Replay, recording:
     assert (history[300:, 1:7] == second.position[:501]).all()
     speed = np.diff(first.position[299:], axis=0) / 0.005
     assert history[:300, 7:13] == pytest.approx(speed, rel=1e-9, abs=1e-12)
-    assert (history[300, 7:13] == history[301, 7:13]).all()  # nothing before a stretch tells its speed
+    assert (history[300, 7:13] == history[301, 7:13]).all()  # nothing before a segment tells its speed
     assert (history[300:, 19:] == second.hand[:501]).all()
     replay.change({"time": 0.0})
     assert replay.snapshot().history.shape == (1, 25)
@@ -137,7 +137,7 @@ def test_events_are_marked_and_told_when_they_are_passed(replay: Replay, recordi
     assert told == [[], list(recording.events[:1]), list(recording.events)]
     replay.change({"time": 1.0})
     assert len(replay.snapshot().notes) == 1
-    assert not Replay(Recording(recording.stretches, events=recording.events)).snapshot().marks  # of unknown times
+    assert not Replay(Recording(recording.segments, events=recording.events)).snapshot().marks  # of unknown times
 
 
 def test_stick_positions_are_found_while_it_is_shown(replay: Replay) -> None:
@@ -164,6 +164,6 @@ def test_what_a_recording_cannot_be_changed_to(replay: Replay) -> None:
 
 
 def test_one_sample_is_shown(recording: Recording, tmp_path: Path) -> None:
-    replay = Replay(Recording([recording.stretches[0][:1]]))
+    replay = Replay(Recording([recording.segments[0][:1]]))
     assert replay.tick(0.02) == 4 and replay.snapshot().duration == pytest.approx(0.005)
     assert replay.snapshot().history.shape == (1, 25)

@@ -109,14 +109,14 @@ def test_a_flight_is_recorded_through_changes_as_one_run(
         flown.run(0.5)
     file.close()
     recording = Recording.load(tmp_path / "run.maglev")
-    assert [stretch.setup["parameters"]["friction"] for stretch in recording.stretches] == [False, True, False]
-    ticks = np.concatenate([stretch.tick for stretch in recording.stretches])
+    assert [segment.setup["parameters"]["friction"] for segment in recording.segments] == [False, True, False]
+    ticks = np.concatenate([segment.tick for segment in recording.segments])
     assert (np.diff(ticks) >= 1).all() and ticks[0] > 100  # it counts from takeoff on
     for before, after in zip(asks.snapshots, asks.snapshots[1:], strict=False):
         assert after.tick - before.tick <= 3
-    begun = [int(stretch.tick[0]) for stretch in recording.stretches]
+    begun = [int(segment.tick[0]) for segment in recording.segments]
     assert asks.answers == begun[1:]
-    since = [next(one.since for one in asks.snapshots if one.scene == stretch) for stretch in (Joystick(), *wishes)]
+    since = [next(one.since for one in asks.snapshots if one.scene == segment) for segment in (Joystick(), *wishes)]
     assert since == begun and 1 <= since[1] - asks.snapshots[2].tick <= 3
     assert cli.main(["replay", str(tmp_path / "run.maglev"), "--check"]) == 0
     assert f"{recording.ticks} of {recording.ticks} the same: command," in capsys.readouterr().out

@@ -25,7 +25,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.session import EMERGENCY_STOP, KEPT, Pacer, Session, live_plant
 from maglev_mj.session.replay import OwnCode, Replay, rebuild, rebuild_for, stick_positions_of
-from maglev_mj.session.stretch import _MOST_STATES
+from maglev_mj.session.segment import _MOST_STATES
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import Charts
 from maglev_mj.views.viewer_process import RemoteViewer
@@ -142,10 +142,10 @@ def test_a_changed_gain_gives_the_run_from_the_same_state(again: bool) -> None:
     first, end = rows(session).copy(), session.snapshot().time
     session.change({"rewind": end - 0.6})
     session.change({"stiffness": 3000.0})
-    shown, wrench = session.snapshot(), session._stretch.force
+    shown, wrench = session.snapshot(), session._segment.force
     session.act("same hand again" if again else "go on from here")
     run_to(session, end)
-    stretch = session._stretch
+    segment = session._segment
     efforts = first[120:, 19:] if again else np.zeros((80, 6))
     assert shown.time == pytest.approx(0.6) and shown.state == "paused"
     assert shown.pose.tobytes() == first[119, 1:7].tobytes()
@@ -153,7 +153,7 @@ def test_a_changed_gain_gives_the_run_from_the_same_state(again: bool) -> None:
     plant = live_plant(scene, hand, pose=first[119, 1:7], twist=first[119, 7:13], wrench=wrench)
     poses: list[Array] = []
     drive(plant, scene.controller(), 80, observe=lambda sample, command: poses.append(plant.state()[0]))
-    assert stretch.scene == scene and np.array(poses).tobytes() == rows(session)[120:, 1:7].tobytes()
+    assert segment.scene == scene and np.array(poses).tobytes() == rows(session)[120:, 1:7].tobytes()
     assert np.array(poses).tobytes() != first[120:, 1:7].tobytes()
     times = [saved[0] for saved in session._past._states]
     assert times == sorted(times)  # those of the first try take no room
@@ -188,7 +188,7 @@ def test_the_first_try_is_shown_until_its_end_and_the_live_hand_follows() -> Non
 @pytest.mark.parametrize("kept", [KEPT / 10.0, pytest.param(KEPT, marks=pytest.mark.study)])
 def test_no_more_than_a_minute_is_kept_whatever_is_changed(kept: float, monkeypatch: pytest.MonkeyPatch) -> None:
     every = 0.5 * kept / KEPT
-    for name, value in {"stretch.KEPT": kept, "stretch._EVERY": every, "session.KEPT": kept}.items():
+    for name, value in {"segment.KEPT": kept, "segment._EVERY": every, "session.KEPT": kept}.items():
         monkeypatch.setattr(f"maglev_mj.session.{name}", value)
     session = made()
     past, most = session._past, kept / 0.005
@@ -234,9 +234,9 @@ def test_a_recording_of_many_rewinds_is_checked_to_the_last_bit(
     played(session, 0.1)
     session.close()
     recording = Recording.load(path)
-    leads = [0 if one.before is None else len(one.whole) - len(one) for one in recording.stretches]
+    leads = [0 if one.before is None else len(one.whole) - len(one) for one in recording.segments]
     assert len(leads) > 8 and sum(map(bool, leads)) > 4 and not leads[-1]
-    assert any(one.before is not None and one.before.before is not None for one in recording.stretches)
+    assert any(one.before is not None and one.before.before is not None for one in recording.segments)
     assert first_other_answer(recording, rebuild, 10) is None
     assert main(["replay", str(path), "--check"]) == 0
     said, count = " ".join(capsys.readouterr().out.split()), len(leads)
@@ -255,7 +255,7 @@ def test_a_rewind_before_a_change_takes_its_scripted_hand_along_and_sticks_alike
     run_to(session, 1.2)
     session.close()
     recording = Recording.load(record)
-    first, changed, again = recording.stretches
+    first, changed, again = recording.segments
     verdict = verify(recording, rebuild)
     assert verdict.same and verdict.fields["hand"].compared == len(first) + len(changed)
     firsts, sticks = stick_positions_of(first), stick_positions_of(again)
@@ -279,26 +279,26 @@ def test_a_recording_goes_on_and_loses_nothing(tmp_path: Path) -> None:
     session.tick(0.15)
     session.close()
     recording = Recording.load(tmp_path / "run.maglev")
-    assert [len(one) for one in recording.stretches] == [100, 60, 30]
-    again = recording.stretches[1]
-    assert again.metadata.before.tobytes() == recording.stretches[0].applied[39].tobytes()
-    assert again.position.tobytes() == recording.stretches[0].position[40:].tobytes()
+    assert [len(one) for one in recording.segments] == [100, 60, 30]
+    again = recording.segments[1]
+    assert again.metadata.before.tobytes() == recording.segments[0].applied[39].tobytes()
+    assert again.position.tobytes() == recording.segments[0].position[40:].tobytes()
     assert verify(recording, rebuild).same
     report = analyse(again, rebuild_for(again))
     assert len(report.recorded.motion.time) == 60 and report.comparison is not None and report.comparison.same
     assert Replay(recording).snapshot().duration == pytest.approx(0.95)
     wrong = again.replace(position=again.position + 1e-12 * (again.tick == 60.0)[:, None])
-    first, alone = recording.stretches[0], replace(again, before=None)
+    first, alone = recording.segments[0], replace(again, before=None)
     assert verify(Recording([first, wrong]), rebuild).first == (1, 60)
     assert verify(Recording([first[:39], alone]), rebuild).first == (1, 40)
     assert rebuild_for(alone) is None and analyse(alone).as_json()["recorded"] == report.as_json()["recorded"]
-    for stretches in (
+    for segments in (
         [alone],
         [alone, first],
         [first[50:], alone],
         [replace(first, setup={**first.setup, "session": None}), alone],
     ):
-        lost = Recording(stretches)  # with nothing that it goes on from
+        lost = Recording(segments)  # with nothing that it goes on from
         with pytest.raises(OwnCodeError, match="from a sample that is not in the recording"):
             verify(lost, partial(rebuild, own=OwnCode("joystick", lost)))
     for broken, said in (("no", "a message must have after"), ({"first": 0.5, "after": None}, "first must be")):
@@ -357,7 +357,7 @@ def test_single_steps_go_on_from_there_and_a_program_waits_for_none() -> None:
     session.act("step")
     assert session.tick(0.1) == 1
     now = session.snapshot()
-    assert now.state == "paused" and session._stretch.scene == Joystick(stiffness=3000.0)
+    assert now.state == "paused" and session._segment.scene == Joystick(stiffness=3000.0)
     assert now.rewound == 0.0 and now.time == pytest.approx(0.505)
 
 

@@ -45,7 +45,7 @@ def test_changes_in_quick_succession_act_together() -> None:
         begun.add(session.snapshot().since)
     assert len(begun) == pytest.approx(1.0 / 0.1, abs=2)
     session.tick(0.1)
-    assert session._stretch.scene == session.snapshot().scene == Joystick(stiffness=3049.0)
+    assert session._segment.scene == session.snapshot().scene == Joystick(stiffness=3049.0)
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_a_step_is_made_with_what_was_changed_just_before() -> None:
         session.act("step")
         session.tick(0.001)
         now = session.snapshot()
-        assert session._stretch.scene == now.scene == Joystick(stiffness=stiffness) and now.since == now.tick - 1
+        assert session._segment.scene == now.scene == Joystick(stiffness=stiffness) and now.since == now.tick - 1
 
 
 @pytest.mark.parametrize("scale", [0.002, 0.5])

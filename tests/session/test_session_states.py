@@ -129,7 +129,7 @@ class SessionStates(RuleBasedStateMachine):
         for _ in range(2):
             self.tick(0.11)
         if not self.stopped:
-            assert self.session._stretch.scene == self.scene
+            assert self.session._segment.scene == self.scene
 
     @rule(x=st.sampled_from([-2e-3, 0.0, 3e-3, 8e-3]), held=st.booleans())
     def move_hand(self, x: float, held: bool) -> None:
@@ -252,9 +252,9 @@ class SessionStates(RuleBasedStateMachine):
         files = [Recording.load(path) for path in self.session.recordings]
         assert sum(file.ticks for file in files) == self.recorded
         for file in files:
-            for stretch in file.stretches:
-                if isinstance(stretch.setup["plant"], dict):  # after a rewind it begins in the middle of a run
-                    assert verify(replace(file, stretches=[stretch]), rebuild).same
+            for segment in file.segments:
+                if isinstance(segment.setup["plant"], dict):  # after a rewind it begins in the middle of a run
+                    assert verify(replace(file, segments=[segment]), rebuild).same
         self.folder.cleanup()
         assert np.isfinite(self.session.snapshot().pose).all()
 

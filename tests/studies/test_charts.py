@@ -195,23 +195,23 @@ def test_charts_and_results_of_a_recording(
     said = capsys.readouterr().out
     assert "the same to the last bit" in said and max(map(len, said.splitlines())) <= 110
     assert [complaints(figure) for figure in figures] == [[], []]
-    (stretch,) = json.loads((tmp_path / "run.json").read_text())["stretches"]
-    assert stretch["comparison"]["same"] is True
-    assert stretch["recorded"] == stretch["simulated"] | {"friction": stretch["recorded"]["friction"]}
+    (segment,) = json.loads((tmp_path / "run.json").read_text())["segments"]
+    assert segment["comparison"]["same"] is True
+    assert segment["recorded"] == segment["simulated"] | {"friction": segment["recorded"]["friction"]}
     if kind == "stick-slip":
         assert "analysis_run.png" in said and "analysis_sticks.png" in said
         assert [len(panel.lines) for panel in figures[1].axes] == [2]  # no panel for an axis without friction
-        assert stretch["recorded"]["friction"]["x"]["slips"] == 1
+        assert segment["recorded"]["friction"]["x"]["slips"] == 1
         assert "there are no walls" in said and "no wall was touched on x" in said
     else:
         assert "analysis_run.png" in said and "analysis_contact.png" in said
-        assert len(stretch["recorded"]["faces"][0]["contacts"]) == 5
+        assert len(segment["recorded"]["faces"][0]["contacts"]) == 5
         assert "no picture of where it sticks" in said
 
 
 def test_the_chart_of_a_recording_that_differs_can_be_read() -> None:
-    stretch = recorded(Drop())
-    other = stretch.replace(position=stretch.position + 1e-5)
+    segment = recorded(Drop())
+    other = segment.replace(position=segment.position + 1e-5)
     assert complaints(whole_run(analysed(other), 2)) == []
 
 

@@ -26,18 +26,18 @@ PERIOD = 0.001
 
 def recording_of(force: Any, axis: int = 2) -> Recording:
     """Return a recording at 1 kHz with a force [N] on one axis, (N,)."""
-    (stretch,) = record_run(Drop(period=PERIOD, delay=0.0, duration=0.1), plant="exact").stretches
+    (segment,) = record_run(Drop(period=PERIOD, delay=0.0, duration=0.1), plant="exact").segments
     rows = len(force)
-    assert abs(stretch.metadata.period - PERIOD) < 1e-12
-    arrays = {name: np.resize(values, (rows, *values.shape[1:])) for name, values in stretch.arrays.items()}
+    assert abs(segment.metadata.period - PERIOD) < 1e-12
+    arrays = {name: np.resize(values, (rows, *values.shape[1:])) for name, values in segment.arrays.items()}
     arrays["applied"] = np.zeros((rows, 6))
     arrays["applied"][:, axis] = force
-    return Recording([replace_arrays(stretch, arrays)])
+    return Recording([replace_arrays(segment, arrays)])
 
 
-def replace_arrays(stretch: Any, arrays: dict[str, Any]) -> Any:
-    """Return a stretch with other arrays."""
-    return type(stretch)(setup=stretch.setup, arrays=arrays, gaps=())
+def replace_arrays(segment: Any, arrays: dict[str, Any]) -> Any:
+    """Return a segment with other arrays."""
+    return type(segment)(setup=segment.setup, arrays=arrays, gaps=())
 
 
 def heard(recording: Recording, path: Path) -> tuple[int, Any]:
@@ -61,11 +61,11 @@ def test_a_sine_of_force_is_heard_at_its_frequency_and_on_the_stated_scale(tmp_p
 
 
 def test_a_torque_is_heard_where_the_scene_turns_and_what_is_not_known_is_silent(tmp_path: Path) -> None:
-    (stretch,) = record_run(StickSlip(period=PERIOD, delay=0.0, axis="ry", duration=0.1), plant="exact").stretches
+    (segment,) = record_run(StickSlip(period=PERIOD, delay=0.0, axis="ry", duration=0.1), plant="exact").segments
     applied = np.zeros((100, 6))
     applied[:, 2], applied[50:, 4], applied[60:, 4] = np.arange(100.0), -0.5, np.nan
-    arrays = {name: values[:100] for name, values in stretch.arrays.items()} | {"applied": applied}
-    held = heard(Recording([replace_arrays(stretch, arrays)]), tmp_path / "torque.wav")[1].reshape(-1, 48)[:, 0]
+    arrays = {name: values[:100] for name, values in segment.arrays.items()} | {"applied": applied}
+    held = heard(Recording([replace_arrays(segment, arrays)]), tmp_path / "torque.wav")[1].reshape(-1, 48)[:, 0]
     kept = np.exp(-2 * np.pi * 20 * PERIOD)
     step = -0.5 * kept ** np.arange(1, 11)  # of 1 N m
     assert not held[:50].any() and held[50:60] == pytest.approx(step, abs=1e-4)

@@ -106,7 +106,7 @@ def test_all_outputs_of_a_scene_have_the_units_of_its_axis(axis: str) -> None:
         "window": "\n".join(map(" ".join, [row for row in status_rows(session.snapshot()) if row[0] not in arrows])),
         "window's plots": window_curves(session.snapshot()),
         "page's plots": page_curves(session.snapshot()),
-        "identified": str(identify(record_run(whole, plant="exact").stretches[0]).table()),
+        "identified": str(identify(record_run(whole, plant="exact").segments[0]).table()),
         "tables": "\n".join(str(found.table()) for found in (result, phases)),
         "frames": "\n".join(f" {unit} " for found in (result, phases, swept) for unit in found.units.values()),
         "figure 8": "\n".join(texts_of(stick_slip(both))),

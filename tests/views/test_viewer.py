@@ -245,8 +245,8 @@ def test_a_window_closed_while_it_loads_a_model_ends_the_program(session: Sessio
 def test_a_drag_moves_the_flotor_as_the_hands_stiffness_says(session: Session) -> None:
     # Far end of the spring from pixels and camera alone; then two springs in balance.
     recording = session.recordings[0]
-    position = np.concatenate([stretch.position for stretch in recording.stretches])
-    hand = np.concatenate([stretch.hand for stretch in recording.stretches])
+    position = np.concatenate([segment.position for segment in recording.segments])
+    hand = np.concatenate([segment.hand for segment in recording.segments])
     held = np.flatnonzero(np.abs(hand).max(axis=1) > 0.0)
     assert held.size > 20
     drawn = camera_drag(Joystick(), DRAG, VIEW)
@@ -259,9 +259,9 @@ def test_a_drag_moves_the_flotor_as_the_hands_stiffness_says(session: Session) -
 
 @needs_screen
 def test_letting_go_brings_it_back(session: Session) -> None:
-    stretch = session.recordings[0].stretches[-1]
-    assert not stretch.hand[-100:].any()
-    assert np.abs(stretch.position[-1]).max() < 1e-5
+    segment = session.recordings[0].segments[-1]
+    assert not segment.hand[-100:].any()
+    assert np.abs(segment.position[-1]).max() < 1e-5
 
 
 @needs_screen
@@ -274,12 +274,12 @@ def test_a_session_by_mouse_runs_again_bit_for_bit(session: Session) -> None:
 
 @needs_screen
 def test_keys_do_what_the_overlay_says(session: Session) -> None:
-    stretches = session.recordings[1].stretches
-    settings = [stretch.setup["parameters"] for stretch in stretches]
+    segments = session.recordings[1].segments
+    settings = [segment.setup["parameters"] for segment in segments]
     for before, after, (name, value) in zip(settings, settings[1:], PRESSED.values(), strict=False):
         assert after[name] == pytest.approx(value)
         assert {key for key in after if after[key] != before[key]} == {name}
-    dropped, centred, following = stretches[len(PRESSED) + 1 : len(PRESSED) + 4]
+    dropped, centred, following = segments[len(PRESSED) + 1 : len(PRESSED) + 4]
     assert dropped.setup["plant"]["pose"][2] == 0.004
     assert not dropped.setup["parameters"]["weightless"]
     assert centred.setup["plant"]["pose"] == [0.0] * 6

@@ -48,7 +48,7 @@ CHANGES: list[tuple[str, Any, bool]] = [
     ("stderr", ["a warning"], False),
     ("status", 1, False),
 ]
-WALL = "files.out_json.stretches.0.identified.walls.0.stiffness."
+WALL = "files.out_json.segments.0.identified.walls.0.stiffness."
 FITTED: list[tuple[str, Any, bool]] = [
     (f"{WALL}value", lambda value: value * (1.0 + 1e-6), True),
     (f"{WALL}value", lambda value: value * (1.0 + 1e-4), False),

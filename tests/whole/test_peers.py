@@ -24,10 +24,10 @@ SCENES = ["drop", "drop-no-pulse", "press", "stick-slip", "twist", "six-axes"]
 EXACT = {
     "mujoco": ("split, RK4", "split, Euler, half-kick", "RK4, steps of 0.5 ms"),
     "drake": ("scripted, RK2", "LeafSystem, RK2"),
-    "pybullet": ("step a segment, corrected, force as gravity",),
-    "scipy": ("solve_ivp a segment, RK45, default tolerances", "ode a segment, dopri5, one step"),
-    "pinocchio": ("mean velocity, step a segment",),
-    "control": ("ss, sampled for each length, A x + B u", "nlsys a segment, RK23, one step"),
+    "pybullet": ("step an interval, corrected, force as gravity",),
+    "scipy": ("solve_ivp an interval, RK45, default tolerances", "ode an interval, dopri5, one step"),
+    "pinocchio": ("mean velocity, step an interval",),
+    "control": ("ss, sampled for each length, A x + B u", "nlsys an interval, RK23, one step"),
 }
 """Variants that are exact to rounding in translation."""
 
@@ -113,7 +113,7 @@ def test_the_chart_holds_every_scene_and_says_what_is_missing(tmp_path: Path, mo
     for scene in data["scenes"].values():
         errors = {method["name"]: method["error"] for method in scene["methods"]}
         assert scene["front"] and set(scene["front"]) <= set(errors)
-        assert errors["rk4, a step a segment"] < 1e-9 < errors["euler, a step a segment"]
+        assert errors["rk4, a step an interval"] < 1e-9 < errors["euler, a step an interval"]
     misjudged = data["sweep"]["misjudged"]
     assert misjudged["MuJoCo, corrected"] == misjudged["MuJoCo, rk4"] == 0 < misjudged["MuJoCo, raw euler"]
     assert data["boundary"]["orders"]["euler"] == pytest.approx(1.0, abs=0.1)

@@ -42,7 +42,7 @@ class Reading(NamedTuple):
     valid: int  # bit k: diode k's spot can be trusted
     measured: Sequence[float]  # currents [A], six
     commanded: Sequence[float]  # of the amplifiers [A], six
-    segments: Iterable[tuple[float, Sequence[float]]] = ()  # currents since the sample before: how long [s], six [A]
+    intervals: Iterable[tuple[float, Sequence[float]]] = ()  # currents since the sample before: how long [s], six [A]
     conversions: int = 0  # counter of the sensor interface
     enabled: bool = True  # by the amplifier board
 
@@ -127,10 +127,10 @@ class Firmware:
 
         Sensors raise no fault outside the active state: an idle device may be opened and turned over.
         """
-        spots, valid, measured, commanded, segments, conversions, enabled = reading
+        spots, valid, measured, commanded, intervals, conversions, enabled = reading
         steps, self._sampled = (tick - self._sampled) & WRAP, tick & WRAP
         self._sampled_at, self._measured = now, measured
-        faults = Fault.COIL_OVERTEMP if self._thermal.add(segments) >= 1.0 else Fault(0)
+        faults = Fault.COIL_OVERTEMP if self._thermal.add(intervals) >= 1.0 else Fault(0)
         if self.state == State.ACTIVE:
             faults |= self._coils.check(commanded, measured)
             faults |= self._spots.check(spots, valid, conversions, steps)

@@ -236,7 +236,7 @@ class Twin:
             spots = [spot + offset for spot, offset in zip(spots, self._offsets)]
         currents, board = self.plant.currents.tolist(), self.board
         told = board.commanded(currents) if board.stuck else currents
-        reading = Reading(spots, _ALL, currents, told, self.plant.segments, self.tick + 1, board.enabled)
+        reading = Reading(spots, _ALL, currents, told, self.plant.intervals, self.tick + 1, board.enabled)
         if self._waiting:
             self._begin(reading)
         for effect, which, first in self._live:

@@ -17,13 +17,13 @@ from peers.task import Array, Simulate, Task, Variant, closed_loop
 def variants() -> list[Variant]:
     """Return the methods to simulate the task with python-control."""
     return [
-        Variant("control", "nlsys a segment, RK23, one step", _nonlinear, "python-control, response"),
+        Variant("control", "nlsys an interval, RK23, one step", _nonlinear, "python-control, response"),
         Variant("control", "ss, sampled for each length, A x + B u", _sampled, "python-control, sampled matrices"),
     ]
 
 
 def _nonlinear(task: Task) -> Simulate:
-    """Respond segment by segment with an integrator of SciPy's, whose first step is the segment."""
+    """Respond interval by interval with an integrator of SciPy's, whose first step is the interval."""
     bodies, gravity = task.body, task.gravity
     start, states = np.array([*task.pose, *[0.0] * 6]), np.zeros(12)
 
@@ -52,14 +52,14 @@ def _nonlinear(task: Task) -> Simulate:
 
 
 def _sampled(task: Task) -> Simulate:
-    """Sample the system at each segment length, and step by the products of its matrices."""
+    """Sample the system at each interval length, and step by the products of its matrices."""
     rates, inputs = np.zeros((12, 12)), np.zeros((12, 7))
     rates[:6, 6:] = np.eye(6)
     inputs[6:, :6] = np.diag([1.0 / part for part in task.body])
     inputs[8, 6] = -task.gravity  # a seventh input, 1, for the weight
     flotor = control.ss(rates, inputs, np.eye(6, 12), np.zeros((6, 7)))
-    segments = task.segments([], [], []) + task.segments([], [], None)
-    systems = {length: control.sample_system(flotor, length, method="zoh") for length, _ in segments}
+    intervals = task.intervals([], [], []) + task.intervals([], [], None)
+    systems = {length: control.sample_system(flotor, length, method="zoh") for length, _ in intervals}
     matrices = {length: (system.A, system.B) for length, system in systems.items()}
     start, states = np.array([*task.pose, *[0.0] * 6]), np.zeros(12)
 

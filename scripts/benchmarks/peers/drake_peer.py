@@ -71,7 +71,7 @@ def _read(state: Any) -> list[float]:
 
 
 def _simulator(system: Any, task: Task, continuous: bool = True) -> Any:
-    """Return a simulator that takes one step of RK2 a segment of a continuous plant."""
+    """Return a simulator that takes one step of RK2 an interval of a continuous plant."""
     simulator: Any = Simulator(system)
     if continuous:
         ResetIntegratorFromFlags(simulator, "runge_kutta2", task.period).set_fixed_step_mode(True)

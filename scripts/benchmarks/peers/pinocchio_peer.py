@@ -2,7 +2,7 @@
 
 Pinocchio has dynamics and the arithmetic of configurations, but no simulator: its users write the step. That of its
 examples is semi-implicit Euler. A step by the mean of the velocities at both ends costs no more, and is exact in
-translation under a constant force, so that one step a segment will do.
+translation under a constant force, so that one step an interval will do.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ def variants() -> list[Variant]:
         for step in (1e-3, 5e-4, 1e-4)
     ]
     table += [
-        ("semi-implicit Euler, step a segment", partial(_simulated, share=_RAW), ""),
-        ("mean velocity, step a segment", partial(_simulated, share=_MEAN), "Pinocchio, mean velocity"),
+        ("semi-implicit Euler, step an interval", partial(_simulated, share=_RAW), ""),
+        ("mean velocity, step an interval", partial(_simulated, share=_MEAN), "Pinocchio, mean velocity"),
     ]
     return [Variant("pinocchio", *row) for row in table]
 

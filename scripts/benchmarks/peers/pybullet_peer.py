@@ -1,7 +1,7 @@
 """The task in PyBullet, without a window.
 
 Bullet steps by semi-implicit Euler: the velocity is exact under a constant force, the position h/2 dv off after each
-step. That offset adds up in closed form, so a user who knows it takes one long step a segment and is exact.
+step. That offset adds up in closed form, so a user who knows it takes one long step an interval and is exact.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ def variants() -> list[Variant]:
     grid = [
         Variant("pybullet", f"steps of {step * 1e3:g} ms", partial(_stepped, step=step)) for step in (1e-3, 5e-4, 1e-4)
     ]
-    name, title = "step a segment, corrected, force as gravity", "PyBullet, force as gravity"
-    return [*grid, Variant("pybullet", name, _segmented, title)]
+    name, title = "step an interval, corrected, force as gravity", "PyBullet, force as gravity"
+    return [*grid, Variant("pybullet", name, _by_intervals, title)]
 
 
 class _Flotor:
@@ -76,7 +76,7 @@ def _stepped(task: Task, step: float) -> Simulate:
     return closed_loop(task, restart, flotor.pose, advance, task.grid(step))
 
 
-def _segmented(task: Task) -> Simulate:
+def _by_intervals(task: Task) -> Simulate:
     """Take one step from switch to switch of the wrench.
 
     The force is given as gravity, which lasts and needs no point of attack; what semi-implicit Euler is off by is taken

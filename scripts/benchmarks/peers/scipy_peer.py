@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from scipy.integrate import ode, solve_ivp
 
-from peers.task import Array, Segments, Simulate, Task, Variant, closed_loop, quaternion, rotation_vector
+from peers.task import Array, Intervals, Simulate, Task, Variant, closed_loop, quaternion, rotation_vector
 
 _Rates: TypeAlias = Callable[[Array, list[float]], list[float]]
 
@@ -24,8 +24,8 @@ _DEFAULT: dict[str, Any] = {"rtol": 1e-3, "atol": 1e-6}
 def variants() -> list[Variant]:
     """Return the methods to simulate the task with SciPy."""
     table: list[tuple[str, Callable[[Task], Simulate], str]] = [
-        ("solve_ivp a segment, RK45, default tolerances", _segmented, "SciPy, solve_ivp"),
-        ("ode a segment, dopri5, one step", _ode, "SciPy, ode dopri5"),
+        ("solve_ivp an interval, RK45, default tolerances", _by_intervals, "SciPy, solve_ivp"),
+        ("ode an interval, dopri5, one step", _ode, "SciPy, ode dopri5"),
         ("solve_ivp a period, RK45, default tolerances", partial(_periodic, options=_DEFAULT), ""),
     ]
     for step in (5e-4, 1e-4):
@@ -77,8 +77,8 @@ def _pose(state: Array) -> list[float]:
     return [x, y, z, *rotation_vector(*turned)]
 
 
-def _segmented(task: Task) -> Simulate:
-    """Solve each segment under its constant wrench: no switch to step over."""
+def _by_intervals(task: Task) -> Simulate:
+    """Solve each interval under its constant wrench: no switch to step over."""
     rates, start, state = _rates(task), _start(task), _start(task)
 
     def restart() -> None:
@@ -92,7 +92,7 @@ def _segmented(task: Task) -> Simulate:
 
 
 def _ode(task: Task) -> Simulate:
-    """Solve each segment by ode, set up once; its loop is compiled."""
+    """Solve each interval by ode, set up once; its loop is compiled."""
     rates, start, state, wrench_now = _rates(task), _start(task), _start(task), [0.0] * 6
     # a first step given need not be guessed, which costs evaluations
     solver = ode(lambda _, y: rates(y, wrench_now)).set_integrator("dopri5", first_step=task.period, **_ONE_STEP)
@@ -121,7 +121,7 @@ def _periodic(task: Task, options: dict[str, Any]) -> Simulate:
         held, first, last = switches
         return rates(y, held if time < delay else first if time < pulse_end else last)
 
-    def whole(held: list[float], force: list[float], pulse: list[float] | None) -> Segments:
+    def whole(held: list[float], force: list[float], pulse: list[float] | None) -> Intervals:
         switches[:] = held, pulse or force, force
         return [(task.period, force)]
 

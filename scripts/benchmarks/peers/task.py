@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 
-Segments: TypeAlias = list[tuple[float, list[float]]]
+Intervals: TypeAlias = list[tuple[float, list[float]]]
 """Duration [s] and wrench [N, N m] of a period's parts."""
 
 Simulate: TypeAlias = Callable[[], Array]
@@ -112,8 +112,8 @@ class Task:
 
         return answer
 
-    def segments(self, held: list[float], force: list[float], pulse: list[float] | None) -> Segments:
-        """Return a period's segments: duration [s], wrench [N, N m].
+    def intervals(self, held: list[float], force: list[float], pulse: list[float] | None) -> Intervals:
+        """Return a period's intervals: duration [s], wrench [N, N m].
 
         Args:
             held: Wrench in effect at the sample [N, N m].
@@ -125,12 +125,12 @@ class Task:
         rest = self.period - self.delay - self.pulse_width
         return [(self.delay, held), (self.pulse_width, pulse), (rest, force)]
 
-    def grid(self, step: float) -> Callable[[list[float], list[float], list[float] | None], Segments]:
-        """Return a `segments` for steps on a fixed grid [s]; a command waits for the next."""
+    def grid(self, step: float) -> Callable[[list[float], list[float], list[float] | None], Intervals]:
+        """Return a `intervals` for steps on a fixed grid [s]; a command waits for the next."""
         steps = round(self.period / step)
         begins, ends = steps_in(self.delay, step), steps_in(self.delay + self.pulse_width, step)
 
-        def on_grid(held: list[float], force: list[float], pulse: list[float] | None) -> Segments:
+        def on_grid(held: list[float], force: list[float], pulse: list[float] | None) -> Intervals:
             pulsed = [(step, pulse or force)] * (ends - begins)
             return [(step, held)] * begins + pulsed + [(step, force)] * (steps - ends)
 
@@ -160,7 +160,7 @@ def closed_loop(
     restart: Callable[[], object],
     pose: Callable[[], list[float]],
     advance: Callable[[float, list[float]], object],
-    segments: Callable[[list[float], list[float], list[float] | None], Segments] | None = None,
+    intervals: Callable[[list[float], list[float], list[float] | None], Intervals] | None = None,
 ) -> Simulate:
     """Return a run from sample to sample, answered by the law.
 
@@ -169,9 +169,9 @@ def closed_loop(
         restart: Puts the flotor back to the start, at rest.
         pose: Reads its pose [m, rad].
         advance: Moves it on for a time [s] under a constant wrench [N, N m].
-        segments: Divides a period; None for `Task.segments`.
+        intervals: Divides a period; None for `Task.intervals`.
     """
-    divided = segments or task.segments
+    divided = intervals or task.intervals
 
     def run() -> Array:
         restart()

@@ -1,4 +1,4 @@
-"""Stretch of a session, a scene running with constant parameters; and the last minute of all."""
+"""Segment of a session, a scene running with constant parameters; and the last minute of all."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _ROUNDING = 1e-9
 
 
 def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **details: Any) -> Record:
-    """Begin a stretch of a recording with a scene's metadata.
+    """Begin a segment of a recording with a scene's metadata.
 
     Args:
         file: The file.
@@ -53,7 +53,7 @@ def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Contr
     return file.begin(plant, controller, setup_of(plant, controller, **details))
 
 
-class LiveStretch:
+class LiveSegment:
     """Scene running with constant parameters from a given state.
 
     Args:
@@ -220,7 +220,7 @@ class Past:
 
     def __init__(self) -> None:
         self.history = History(KEPT)
-        self._states: deque[tuple[float, LiveStretch, Any]] = deque(maxlen=_MOST_STATES)
+        self._states: deque[tuple[float, LiveSegment, Any]] = deque(maxlen=_MOST_STATES)
         self.clear()
 
     def clear(self) -> None:
@@ -230,18 +230,18 @@ class Past:
         self.rewound, self._end = False, 0.0
         self._whole = self._first = self.history.rows
 
-    def keep(self, stretch: LiveStretch) -> None:
+    def keep(self, segment: LiveSegment) -> None:
         """Keep the present state of a running scene."""
         for oldest in self.history.rows[:1, 0]:
             while self._states and self._states[0][0] < oldest - _ROUNDING:
                 self._states.popleft()
-        self._states.append((stretch.time, stretch, stretch.saved()))
+        self._states.append((segment.time, segment, segment.saved()))
 
     def bounds(self, now: float) -> tuple[float, float]:
         """Return the earliest and the newest time that can be shown [s]."""
         return self._states[0][0], self._end if self.rewound else now
 
-    def show(self, time: float, now: float) -> LiveStretch:
+    def show(self, time: float, now: float) -> LiveSegment:
         """Return the running scene of an earlier time, as it was then.
 
         It is run again from the last state kept before, by the recorded hand.
@@ -252,11 +252,11 @@ class Past:
         """
         if not self.rewound:
             self.rewound, self._end, self._whole = True, now, self.history.rows
-        since, stretch, state = [saved for saved in self._states if saved[0] <= time + _ROUNDING][-1]
+        since, segment, state = [saved for saved in self._states if saved[0] <= time + _ROUNDING][-1]
         begin, end = np.searchsorted(self._whole[:, 0], (since - _ROUNDING, time - _ROUNDING))
         self.history.replace(self._whole[:begin])  # the rest is added by the run
-        stretch.restore(state, self._whole[begin:end, 19:].tolist())
-        return stretch
+        segment.restore(state, self._whole[begin:end, 19:].tolist())
+        return segment
 
     def leave(self, now: float) -> tuple[Array, float]:
         """Go on from the time shown; return the first try's samples, and their end [s]."""
