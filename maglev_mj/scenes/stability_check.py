@@ -55,7 +55,7 @@ class UnstableLoop(NamedTuple):
             state its gains.
         stiffness: Total stiffness [N/m, N m/rad].
         damping: Total damping [N s/m, N m s/rad].
-        modulus: Largest modulus of the loop's eigenvalues; from 1 on it is unstable.
+        spectral_radius: Spectral radius of the loop's eigenvalues; from 1 on it is unstable.
         largest_stable: Largest stable stiffness at that damping [N/m, N m/rad]; 0 for none, None if a law does not
             state its gains.
         period: Sample period [s].
@@ -66,7 +66,7 @@ class UnstableLoop(NamedTuple):
     acting: str
     stiffness: float
     damping: float
-    modulus: float
+    spectral_radius: float
     largest_stable: float | None
     period: float
     delay: float
@@ -81,8 +81,8 @@ class UnstableLoop(NamedTuple):
             bound = "; at this damping it is unstable at any stiffness"
         return (
             f"{self.acting} on {self.axis}: {self.stiffness:.4g} {stiff} and {self.damping:.4g} {damp} in all, at "
-            f"{1.0 / self.period:.4g} Hz with {self.delay * 1e3:.3g} ms of delay, have the largest root modulus "
-            f"{self.modulus:.4f}, which must be below 1{bound}"
+            f"{1.0 / self.period:.4g} Hz with {self.delay * 1e3:.3g} ms of delay, have the spectral radius "
+            f"{self.spectral_radius:.4f}, which must be below 1{bound}"
         )
 
 
@@ -136,7 +136,7 @@ def unstable_loop(scene: Scene, *, inertia: ArrayLike | None = None, delay: floa
         or ("nothing but the scene" if verdict.stated else "the laws"),
         stiffness=float(verdict.stiffness[index, index]),
         damping=damping,
-        modulus=verdict.modulus,
+        spectral_radius=verdict.spectral_radius,
         largest_stable=bound,
         period=period,
         delay=delay,
@@ -148,20 +148,20 @@ class WallMargin(NamedTuple):
 
     Attributes:
         stiffness: Static stiffness [N/m, N m/rad].
-        modulus: Largest modulus of the wall's own eigenvalues, below 1 for a stable wall; NaN if not known.
+        spectral_radius: Spectral radius of the wall's own eigenvalues, below 1 for a stable wall; NaN if not known.
         margin: Factor of the scene's stiffness at which that changes, the other gains as they are; NaN if it does not
             change up to tenfold.
     """
 
     stiffness: float
-    modulus: float
+    spectral_radius: float
     margin: float
 
     def __str__(self) -> str:
-        if math.isnan(self.modulus):
+        if math.isnan(self.spectral_radius):
             return "root not known"
         limit = "" if math.isnan(self.margin) else f", stiffness {100.0 / self.margin:.0f} % of its limit"
-        return f"root {self.modulus:.3f}{'' if self.modulus < 1.0 else ' UNSTABLE'}{limit}"
+        return f"root {self.spectral_radius:.3f}{'' if self.spectral_radius < 1.0 else ' UNSTABLE'}{limit}"
 
 
 def wall_margin(
@@ -169,8 +169,8 @@ def wall_margin(
 ) -> WallMargin | None:
     """Return the margin of a scene's wall; None without a stiff one.
 
-    Of several walls it is that with the largest root. Laws that state no gains are linearised at the depth at which the
-    wall bears the weight.
+    Of several walls it is that with the largest spectral radius. Laws that state no gains are linearised at the depth
+    at which the wall carries the weight.
 
     Args:
         scene: See `unstable_loop`.
@@ -200,19 +200,19 @@ def wall_margin(
 
     loops = {face: loop(1.0, *face) for face in faces}
     worst = max(faces, key=lambda face: loops[face][1])
-    (stiffness, modulus), margin = loops[worst], math.nan
-    if math.isnan(modulus):  # nor is it with another stiffness
-        return WallMargin(stiffness, modulus, margin)
+    (stiffness, spectral_radius), margin = loops[worst], math.nan
+    if math.isnan(spectral_radius):  # nor is it with another stiffness
+        return WallMargin(stiffness, spectral_radius, margin)
 
     def changed(factor: Any) -> Any:
         other = loop(float(factor), *worst)[1]
-        return other >= 1.0 if modulus < 1.0 else other < 1.0  # NaN, not known, is no change
+        return other >= 1.0 if spectral_radius < 1.0 else other < 1.0  # NaN, not known, is no change
 
-    factors = (_FACTOR if modulus < 1.0 else 1.0 / _FACTOR) ** np.arange(_MOST)
+    factors = (_FACTOR if spectral_radius < 1.0 else 1.0 / _FACTOR) ** np.arange(_MOST)
     with suppress(StopIteration, ParameterError):  # not up to tenfold, or beyond the scene's bounds
         last = next(index for index, factor in enumerate(factors[1:]) if changed(factor))
         margin = float(bisect(changed, factors[last], factors[last + 1], _HALVINGS))
-    return WallMargin(stiffness, modulus, margin)
+    return WallMargin(stiffness, spectral_radius, margin)
 
 
 def check_step(present: Controller, wanted: Controller, pose: Sequence[float], step_force: float = STEP_FORCE) -> None:

@@ -145,8 +145,8 @@ def fly_impedance(scene: Scene, mass: float, stiffness: float, damping: float, c
     It is NaN for a wall that does not settle. Each number of cycles in 400 samples has a device; a hand's force is
     constant from sample to sample.
     """
-    modulus = SampledLoop(period=scene.period, delay=scene.delay, mass=mass).modulus(stiffness, damping)
-    settle = math.ceil(math.log(_SETTLED) / math.log(modulus)) if modulus < 1.0 else _LONGEST
+    spectral_radius = SampledLoop(period=scene.period, delay=scene.delay, mass=mass).spectral_radius(stiffness, damping)
+    settle = math.ceil(math.log(_SETTLED) / math.log(spectral_radius)) if spectral_radius < 1.0 else _LONGEST
     if settle >= _LONGEST:
         return np.full(cycles.size, np.nan)
     none, turn, moved = np.zeros(cycles.size), 2.0 * np.pi * cycles / _WINDOW, list[Any]()

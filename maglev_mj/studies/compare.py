@@ -55,9 +55,9 @@ LAWS: Mapping[str, LawMaker] = {
 """Published laws by name; colgate is pd at the largest passive stiffness, without damping."""
 
 
-_MARGINS = {"stiffness": "N/m", "noise": "N", "modulus": "", "stiffest": "N/m", "margin": ""}
+_MARGINS = {"stiffness": "N/m", "noise": "N", "spectral_radius": "", "stiffest": "N/m", "margin": ""}
 """Unit of each figure of `Comparison.margins`."""
-_AT_REST = "at rest in the wall: static stiffness and force noise, largest root, stiffest stable gain and its margin"
+_AT_REST = "at rest in the wall: static stiffness and force noise, spectral radius, stiffest stable gain and its margin"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,8 @@ class Comparison(Variants):
 
     Attributes:
         margins: Figures of each law at rest in the wall, in the scene's hand: `stiffness` against a slow push [N/m];
-            `noise`, the standard deviation of the force over a quantized sensor [N], see `hum`; `modulus`, the largest
-            of the wall's own eigenvalues, below 1 for a stable wall; `stiffest`, the stiffness gain at which that
+            `noise`, the standard deviation of the force over a quantized sensor [N], see `hum`; `spectral_radius`,
+            that of the wall alone, below 1 for a stable wall; `stiffest`, the stiffness gain at which that
             changes, the other gains as they are [N/m]; and `margin`, that over the law's own gain. The last two are
             NaN if it does not change up to tenfold, and for a law without a stiffness.
         scene: The scene with its own wall.
@@ -224,11 +224,11 @@ def _margins(scene: WallScene) -> dict[str, float]:
     """
     found = wall_margin(scene, held=True)
     assert found is not None
-    stiffness, modulus, margin = found
+    stiffness, spectral_radius, margin = found
     law: Any = scene.laws()[0]
     around: Any = {name: getattr(scene, name) for name in ("delay", "period", "mass")}
     around |= {"hand": _hand(scene), "quantum": scene.quantize or Spec.translation_resolution.value}
     rest = stiffness if 1.0 < stiffness < 1e9 else scene.stiffness
     noise = hum(0.0, law=law, stiffness=rest, duration=_TICKS * scene.period, **around).force.item()
     gain = margin * float(getattr(law, "stiffness", math.nan))
-    return dict(zip(_MARGINS, (stiffness, noise, modulus, gain, margin), strict=True))
+    return dict(zip(_MARGINS, (stiffness, noise, spectral_radius, gain, margin), strict=True))

@@ -84,7 +84,7 @@ class DesignResult(Result):
         hum: Standard deviation of the force at rest over the sensor [N]: middle of the ranges, first hand, worst start.
         masses: Masses of the map [kg], (M,).
         delays: Delays of the map [s], (D,).
-        map: Largest modulus over the hands, (M, D).
+        map: Spectral radius over the hands, (M, D).
     """
 
     wall: DesignedWall
@@ -102,12 +102,12 @@ class DesignResult(Result):
     units: ClassVar = {"mass": "kg", "delay": "s"}
 
     def columns(self) -> dict[str, Array]:
-        """Return mass, delay and largest modulus of each cell."""
+        """Return mass, delay and spectral radius of each cell."""
         mass, delay = np.meshgrid(self.masses, self.delays, indexing="ij")
-        return {"mass": mass.ravel(), "delay": delay.ravel(), "modulus": self.map.ravel()}
+        return {"mass": mass.ravel(), "delay": delay.ravel(), "spectral_radius": self.map.ravel()}
 
     def plot(self, path: Path | None = None) -> Any:
-        """Draw the largest modulus over mass and delay; see `Result.plot`."""
+        """Draw the spectral radius over mass and delay; see `Result.plot`."""
         from maglev_mj.studies.pictures import design_map
 
         return save(design_map(self), path)
@@ -122,7 +122,7 @@ class DesignResult(Result):
         rows: list[tuple[str, float, str, str]] = [
             ("stiffness", wall.stiffness, "N/m", slow),
             ("damping", wall.damping, "N s/m", ""),
-            ("largest modulus", wall.modulus, "", str(wall.worst)),
+            ("spectral radius", wall.spectral_radius, "", str(wall.worst)),
             ("least dynamic stiffness", wall.dynamic_stiffness, "N/m", str(wall.softest)),
             ("hum, at rest", self.hum, "N", f"{contact.quantize * 1e6:g} µm sensor, hand {needs.hands[0]}"),
             (f"depth, at {contact.speed:g} m/s", self.depth * 1e3, "mm", far),
@@ -139,7 +139,7 @@ class DesignResult(Result):
         growing = [str(case) for case, grows in zip(self.cases, self.grows) if grows]
         more = [f"and {len(growing) - _MOST_LISTED} more"] if len(growing) > _MOST_LISTED else []
         note = f"{len(self.cases)} cases simulated, in and out of contact: {len(growing) or 'none'} grow or go on"
-        title = f"Stiffest {law} at {1.0 / needs.period:g} Hz, every modulus at most {needs.modulus:g}"
+        title = f"Stiffest {law} at {1.0 / needs.period:g} Hz, every spectral radius at most {needs.spectral_radius:g}"
         return Table(
             f"{title}, over the product of {needs.cases_named}",
             ("", "value", "unit", ""),
@@ -191,8 +191,8 @@ def evaluate_wall(
         duration = _TICKS * needs.period
         noise = hum(0.0, law=wall.make(), stiffness=wall.rendered, damping=wall.damping, duration=duration, **around)
         heard = float(noise.force[0])
-    masses, delays, modulus = needs.map(wall.stiffness, wall.damping, wall.design)
-    return DesignResult(wall, contact, reference, cases, grows, depth, peak, heard, masses, delays, modulus)
+    masses, delays, spectral_radius = needs.map(wall.stiffness, wall.damping, wall.design)
+    return DesignResult(wall, contact, reference, cases, grows, depth, peak, heard, masses, delays, spectral_radius)
 
 
 def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *, seed: int = 0) -> Mask:
@@ -202,7 +202,8 @@ def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *
 
     Each starts at random from 1 mm behind the wall to 2 mm above it, moving down at up to the approach speed, at a
     random phase of the sampler. It settles if its swing in the last quarter is below 20 steps of the sensor, or below
-    half of that in the second quarter; if a modulus near 1 is allowed, below the share that this modulus leaves.
+    half of that in the second quarter; if the
+    allowed spectral radius is near 1, below the share that remains at it.
 
     Args:
         wall: The wall, below z = 0.
@@ -214,7 +215,7 @@ def growing_cases(wall: DesignedWall, contact: Contact, cases: Sequence[Case], *
     height, speed = random.uniform(-1e-3, 2e-3, count), contact.speed * random.uniform(0.05, 1.0, count)
     grows, phase = np.zeros(count, dtype=bool), random.uniform(0.0, 1.0, count)
     quarter, floor = _TICKS // 4, max(_SETTLED_STEPS * contact.quantize, 1e-9)
-    slowest = min(max(0.5, 1.02 * wall.requirements.modulus ** (2 * quarter)), 0.98)
+    slowest = min(max(0.5, 1.02 * wall.requirements.spectral_radius ** (2 * quarter)), 0.98)
     for index, plant in _plants(wall, contact, cases, height, speed, phase):
         seen: list[Array] = []
 

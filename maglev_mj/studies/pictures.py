@@ -46,30 +46,30 @@ _GAINS = {"xlabel": "damping (N s/m)", "ylabel": "stiffness (N/m)"}
 _LEVELS = np.array([0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 1.0])
 
 
-def level_sets(panel: Any, x: Array, y: Array, modulus: Array) -> None:
-    """Draw level sets of the largest modulus that have room for a number, the boundary bold.
+def level_sets(panel: Any, x: Array, y: Array, spectral_radius: Array) -> None:
+    """Draw level sets of the spectral radius that have room for a number, the boundary bold.
 
     Args:
         panel: matplotlib axes.
         x: Values along the abscissa, (B,).
         y: Values along the ordinate, (K,).
-        modulus: (K, B).
+        spectral_radius: (K, B).
     """
-    sets = panel.contour(x, y, modulus, levels=_LEVELS[:-1])
+    sets = panel.contour(x, y, spectral_radius, levels=_LEVELS[:-1])
     extents = np.ptp(x), np.ptp(y)
     wide = [level for level, segments in zip(sets.levels, sets.allsegs) if _room(segments, extents)]
     sets.remove()
     floor = min(wide, default=1.0) - 0.1  # all below it has one shade
-    shown = np.maximum(modulus, floor + 0.05)
+    shown = np.maximum(spectral_radius, floor + 0.05)
     panel.contourf(x, y, shown, levels=[floor, *wide, 1.0], cmap="GnBu_r", vmin=0.2, vmax=1.1)
     panel.set_facecolor(_UNSTABLE)
     panel.grid(visible=False)
     if wide:
-        lines = panel.contour(x, y, modulus, levels=wide, colors=[REFERENCE], linewidths=0.7)
+        lines = panel.contour(x, y, spectral_radius, levels=wide, colors=[REFERENCE], linewidths=0.7)
         panel.clabel(lines, fmt="%g", fontsize=8)
-    panel.contour(x, y, modulus, levels=[1.0], colors=[FIRST], linewidths=2.2)
-    panel.plot([], [], color=REFERENCE, linewidth=0.7, label="lines: largest modulus of the eigenvalues")
-    panel.plot([], [], color=FIRST, linewidth=2.2, label="modulus 1: boundary of stability")
+    panel.contour(x, y, spectral_radius, levels=[1.0], colors=[FIRST], linewidths=2.2)
+    panel.plot([], [], color=REFERENCE, linewidth=0.7, label="lines: spectral radius")
+    panel.plot([], [], color=FIRST, linewidth=2.2, label="spectral radius 1: boundary of stability")
     panel.plot([], [], "s", color=_UNSTABLE, markersize=9, label="unstable")
 
 
@@ -91,8 +91,8 @@ def stability_map(result: StabilityMap) -> Any:
     """
     p = result.parameters
     figure, (panel,) = new_figure(1, 1, 6.0)
-    x, y, modulus = result.level_sets()
-    level_sets(panel, x, y, modulus)
+    x, y, spectral_radius = result.level_sets()
+    level_sets(panel, x, y, spectral_radius)
     used = Drop()
 
     def is_shown(gains: Any) -> bool:
@@ -117,7 +117,7 @@ def stability_map(result: StabilityMap) -> Any:
     name_curves(figure, [panel])
     hand = "" if p.hand == "none" else f", hand {p.hand}"
     panel.set_title(
-        f"largest modulus: {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, {p.mass:g} kg{hand}\n"
+        f"spectral radius: {1.0 / p.period:g} Hz, delay {p.delay * 1e3:g} ms, {p.mass:g} kg{hand}\n"
         f"stiffest wall: {best.describe()}",
         **TITLE,
     )
@@ -180,7 +180,7 @@ def _outer(values: Array) -> tuple[float, float]:
 
 
 def design_map(result: DesignResult) -> Any:
-    """Draw the largest modulus over mass and delay.
+    """Draw the spectral radius over mass and delay.
 
     The worst of the hands, with the worst case marked.
 
@@ -199,7 +199,7 @@ def design_map(result: DesignResult) -> Any:
     if sizes == (1, 1):
         raise ParameterError("mass or delay must be a range for a picture, not one value each")
     figure, (panel,) = new_figure(1, 1, 5.6)
-    marked = f"worst: {wall.modulus:.4f}, hand {worst.hand}"
+    marked = f"worst: {wall.spectral_radius:.4f}, hand {worst.hand}"
     if min(sizes) > 1:
         low, high = float(result.map.min()), float(result.map.max())
         levels = np.linspace(low, high, 9)
@@ -207,7 +207,7 @@ def design_map(result: DesignResult) -> Any:
             result.delays * 1e3, result.masses, result.map, levels=levels, cmap="GnBu", vmax=2.0 * high - low
         )
         lines = panel.contour(result.delays * 1e3, result.masses, result.map, levels=levels[1:-1], colors=[REFERENCE])
-        panel.plot([], [], color=REFERENCE, label="lines: largest modulus of the eigenvalues")
+        panel.plot([], [], color=REFERENCE, label="lines: spectral radius")
         panel.clabel(lines, fmt="%.3f", fontsize=8.5)
         panel.plot(worst.delay * 1e3, worst.mass, label=marked, **_STAR)
         panel.set(xlabel="delay (ms)", ylabel="mass (kg)")
@@ -216,14 +216,16 @@ def design_map(result: DesignResult) -> Any:
         x = result.masses if along_mass else result.delays * 1e3
         panel.plot(x, result.map.ravel(), color=FIRST, linewidth=2.0)
         at = worst.mass if along_mass else worst.delay * 1e3
-        panel.plot(at, wall.modulus, label=marked, **_STAR)
-        panel.axhline(needs.modulus, color=REFERENCE, linestyle=":", label=f"allowed: {needs.modulus:g}")
-        panel.set(xlabel="mass (kg)" if along_mass else "delay (ms)", ylabel="largest modulus")
+        panel.plot(at, wall.spectral_radius, label=marked, **_STAR)
+        panel.axhline(
+            needs.spectral_radius, color=REFERENCE, linestyle=":", label=f"allowed: {needs.spectral_radius:g}"
+        )
+        panel.set(xlabel="mass (kg)" if along_mass else "delay (ms)", ylabel="spectral radius")
     name_curves(figure, [panel])
     law = "PD wall" if wall.pole is None else "Observer wall"
     panel.set_title(
         f"{law} of {wall.stiffness:.0f} N/m and {wall.damping:.1f} N s/m, {1.0 / needs.period:g} Hz\n"
-        f"largest modulus over the hands {', '.join(needs.hands)}",
+        f"spectral radius over the hands {', '.join(needs.hands)}",
         **TITLE,
     )
     return figure

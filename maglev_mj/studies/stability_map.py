@@ -145,7 +145,7 @@ class RestingWall(Scene):
             first = walls[0]
             stiffest = stiffest_in(first.period, first.delay, first.mass, first.hand)
             columns = {
-                "modulus": theory.largest_modulus(stiffness, damping, **first.loop),
+                "spectral_radius": theory.spectral_radius(stiffness, damping, **first.loop),
                 "largest_stiffness": theory.largest_stable_stiffness(damping, **first.loop),
                 "stiffest_wall": np.full(len(walls), stiffest.stiffness),
                 "at_damping": np.full(len(walls), stiffest.damping),
@@ -355,23 +355,25 @@ class StabilityMap(GainMap):
     """Stability of each cell by theory and simulation; see `GainMap`.
 
     Attributes:
-        modulus: Largest eigenvalue modulus, (K, B).
+        spectral_radius: Spectral radius, (K, B).
         simulated: True if the simulated wall settles, (K, B); None for theory alone.
         near: True if half a percent of a gain changes the theory's verdict, (K, B); False throughout for theory alone.
     """
 
-    modulus: Array
+    spectral_radius: Array
     simulated: Mask | None
     near: Mask
 
     def cells(self) -> dict[str, NDArray[Any]]:
-        """Return modulus, and `settles` if walls were simulated."""
-        return {"modulus": self.modulus} | ({} if self.simulated is None else {"settles": self.simulated})
+        """Return spectral radius, and `settles` if walls were simulated."""
+        return {"spectral_radius": self.spectral_radius} | (
+            {} if self.simulated is None else {"settles": self.simulated}
+        )
 
     def level_sets(self) -> tuple[Array, Array, Array]:
-        """Return dampings and stiffnesses of a fine grid, (200,) each, and the modulus there, (200, 200)."""
+        """Return dampings and stiffnesses of a fine grid, (200,) each, and the spectral radius there, (200, 200)."""
         x, y = (np.linspace(values.min(), values.max(), _FINE) for values in (self.damping, self.stiffness))
-        return x, y, theory.largest_modulus(y[:, None], x, **self.parameters.loop)
+        return x, y, theory.spectral_radius(y[:, None], x, **self.parameters.loop)
 
     @property
     def misjudged(self) -> Mask | None:
@@ -379,7 +381,9 @@ class StabilityMap(GainMap):
 
         Cells within half a percent of the boundary are left out.
         """
-        return None if self.simulated is None else (theory.is_stable(self.modulus) != self.simulated) & ~self.near
+        return (
+            None if self.simulated is None else (theory.is_stable(self.spectral_radius) != self.simulated) & ~self.near
+        )
 
     def plot(self, path: Path | None = None) -> Any:
         """Draw level sets by theory and simulated verdicts; see `Result.plot`."""
@@ -398,7 +402,7 @@ class StabilityMap(GainMap):
         beside = "; at a damping slightly beside the jump, softer walls are unstable" if self.maximum.on_jump else ""
         rows = [("stiffest stable wall", best, 1.0, f"at {damping:.1f} N s/m{beside}" if best else "no wall is stable")]
         rows += [(name, float(one), float(one) / best if best else math.nan, sense) for name, one, sense in published]
-        stable = theory.is_stable(self.modulus)
+        stable = theory.is_stable(self.spectral_radius)
         note = [f"grid: {stable.sum()} of {stable.size} cells stable by theory"]
         if self.simulated is not None and self.misjudged is not None:
             note.append(
@@ -428,20 +432,20 @@ def run_stability(
     p, loop = parameters, parameters.loop
     damping, stiffness, best = gain_axes(p)
     k, b = stiffness[:, None], damping[None, :]
-    modulus = _moduli(stiffness, damping, loop, progress)
-    simulated, near = None, np.zeros(modulus.shape, dtype=bool)
+    spectral_radius = _spectral_radii(stiffness, damping, loop, progress)
+    simulated, near = None, np.zeros(spectral_radius.shape, dtype=bool)
     if p.plant != "none":
         for share in (1.0 - _NEAR, 1.0 + _NEAR):
-            for moved in (theory.largest_modulus(share * k, b, **loop), theory.largest_modulus(k, share * b, **loop)):
-                near |= theory.is_stable(moved) != theory.is_stable(modulus)
-        cells = _cells(p, stiffness, damping, modulus)
+            for moved in (theory.spectral_radius(share * k, b, **loop), theory.spectral_radius(k, share * b, **loop)):
+                near |= theory.is_stable(moved) != theory.is_stable(spectral_radius)
+        cells = _cells(p, stiffness, damping, spectral_radius)
         results = run_cells(
             simulate_walls, cells, record=record, workers=workers, together=_TOGETHER, progress=progress
         )
         verdict = {(cell["stiffness"], cell["damping"]): _stable(result) for cell, result in zip(cells, results)}
         simulated = np.array([[verdict.get((row, column), False) for column in damping] for row in stiffness])
     boundary = theory.largest_stable_stiffness(damping, **loop)
-    return StabilityMap(p, damping, stiffness, boundary, best, modulus, simulated, near)
+    return StabilityMap(p, damping, stiffness, boundary, best, spectral_radius, simulated, near)
 
 
 def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall]:
@@ -456,28 +460,30 @@ def gain_axes(p: StabilityParameters) -> tuple[Array, Array, theory.StiffestWall
     return damping, stiffness, best
 
 
-def _moduli(stiffness: Array, damping: Array, loop: LoopKeywords, progress: Callable[[int, int], None] | None) -> Array:
-    """Return each cell's largest modulus, computed in groups of rows.
+def _spectral_radii(
+    stiffness: Array, damping: Array, loop: LoopKeywords, progress: Callable[[int, int], None] | None
+) -> Array:
+    """Return each cell's spectral radius, computed in groups of rows.
 
     The groups report progress.
     """
     rows = max(_AT_ONCE // damping.size, 1)
     parts = []
     for start in range(0, stiffness.size, rows):
-        parts.append(theory.largest_modulus(stiffness[start : start + rows, None], damping, **loop))
+        parts.append(theory.spectral_radius(stiffness[start : start + rows, None], damping, **loop))
         if progress is not None:
             progress(min(start + rows, stiffness.size) * damping.size, stiffness.size * damping.size)
     return np.concatenate(parts)
 
 
-def _cells(p: StabilityParameters, stiffness: Array, damping: Array, modulus: Array) -> list[Cell]:
+def _cells(p: StabilityParameters, stiffness: Array, damping: Array, spectral_radius: Array) -> list[Cell]:
     """Return the cells to simulate, slow ones last.
 
     These are near the boundary and so run together.
     """
     around = {name: getattr(p, name) for name in _AROUND}
-    order = np.argsort(np.abs(np.log(np.maximum(modulus, 1e-9))).ravel())[::-1]
-    places = zip(*np.unravel_index(order, modulus.shape), strict=True)
+    order = np.argsort(np.abs(np.log(np.maximum(spectral_radius, 1e-9))).ravel())[::-1]
+    places = zip(*np.unravel_index(order, spectral_radius.shape), strict=True)
     gains = [{"stiffness": float(stiffness[row]), "damping": float(damping[column])} for row, column in places]
     return [around | cell for cell in gains if cell["stiffness"] > 0.0]
 

@@ -31,7 +31,7 @@ from maglev_mj.theory.closed_loop import ROUNDING, LoopKeywords, SampledLoop, is
 _HIGHEST = 8.0
 _NEAR = np.array([-1e-4, -1e-7, 1e-7, 1e-4])
 _CLOSE = np.array([-1e-4, -2e-7, 2e-7, 1e-4])
-_ALIKE = 2e-15  # moduli that rounding does not tell apart
+_ALIKE = 2e-15  # spectral radii that rounding does not tell apart
 _EVEN = np.array([0.0, 0.3, 0.7, 1.0])
 _LOWEST, _ROUGH, _FINEST = 8e-5, 1e-5, 1e-7
 _GRID = np.array([0.0, *np.geomspace(_LOWEST, _HIGHEST, 720)])
@@ -79,7 +79,7 @@ def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]
     Args:
         loop: One loop, or N of them.
         damping: (N,).
-        limit: Largest modulus allowed.
+        limit: Spectral radius allowed.
     """
     stiff, damp = scales(loop)
     crossed = np.minimum(crossings(characteristic(loop, limit), damping / damp), _HIGHEST)
@@ -89,7 +89,7 @@ def spans(loop: SampledLoop, damping: Array, limit: float) -> tuple[Array, Mask]
     rows, column = np.nonzero(high > low)
     good = np.zeros(low.shape, dtype=bool)
     middle = 0.5 * (low + high)[rows, column]
-    good[rows, column] = is_stable(loop.part(damping.shape, rows).modulus(middle, damping[rows]), limit)
+    good[rows, column] = is_stable(loop.part(damping.shape, rows).spectral_radius(middle, damping[rows]), limit)
     return edges, good
 
 
@@ -117,7 +117,7 @@ def stable_ranges(damping: float, *, limit: float = 1.0, **loop: Unpack[LoopKeyw
 
     Args:
         damping: Wall damping [N s/m].
-        limit: Largest modulus allowed; 1 for stability.
+        limit: Spectral radius allowed; 1 for stability.
         loop: Keywords of `SampledLoop`, each a number.
 
     Returns:
@@ -181,15 +181,15 @@ def boundary_of(loop: SampledLoop, damping: Array) -> Array:
     near = np.clip(rough[:, None] * (1.0 + _NEAR), low[:, None], high[:, None])
     middle = np.concatenate([low[:, None], near, high[:, None]], axis=1)
     while True:
-        moduli = wide.modulus(middle, b)
-        steady = is_stable(moduli[:, 1:-1])
+        spectral_radii = wide.spectral_radius(middle, b)
+        steady = is_stable(spectral_radii[:, 1:-1])
         # the part that ends with the first unstable one; the upper end is always unstable
         part = np.where(steady.all(axis=-1), steady.shape[-1], np.argmin(steady, axis=-1))
         low, high = middle[rows, part], middle[rows, part + 1]
-        below, above = moduli[rows, part], moduli[rows, part + 1]
+        below, above = spectral_radii[rows, part], spectral_radii[rows, part + 1]
         if not (bracketed & (high - low > 1e-13 * high) & (above - below > _ALIKE)).any():
             break
-        # closely around the point of modulus 1 by linear interpolation; evenly, because the modulus is not linear
+        # densely around the interpolated point of spectral radius 1; evenly too, because the radius is not linear
         with np.errstate(divide="ignore", invalid="ignore"):
             crossing = (1.0 - ROUNDING - below) / (above - below)
         shares = np.where(np.isfinite(crossing), crossing, 0.5)[:, None] + _CLOSE

@@ -177,8 +177,8 @@ class SampledLoop:
         waiting = int((whole + (rest > 0.0)).max())
         return after @ before, (after @ old)[..., 0], new[..., 0], whole, waiting
 
-    def modulus(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
-        """Return the largest eigenvalue modulus, broadcast over gains and loop."""
+    def spectral_radius(self, stiffness: ArrayLike, damping: ArrayLike) -> Array:
+        """Return the spectral radius, broadcast over gains and loop."""
         gains = self.broadcast(stiffness, damping)
         shape, (k, b) = gains[0].shape, (gain.reshape(-1) for gain in gains)
         result = np.empty(k.size)
@@ -291,16 +291,16 @@ def bisect(holds: Callable[[Array], Mask], low: Array, high: Array, halvings: in
     return high
 
 
-def is_stable(modulus: ArrayLike, limit: float = 1.0) -> Mask:
-    """Return True for a modulus below the limit.
+def is_stable(spectral_radius: ArrayLike, limit: float = 1.0) -> Mask:
+    """Return True for a spectral radius below the limit.
 
     The difference must exceed rounding.
     """
-    return np.asarray(modulus) < limit * (1.0 - ROUNDING)
+    return np.asarray(spectral_radius) < limit * (1.0 - ROUNDING)
 
 
-def largest_modulus(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
-    """Return the closed loop's largest eigenvalue modulus.
+def spectral_radius(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
+    """Return the closed loop's spectral radius.
 
     Inside the wall; below 1 it is stable.
 
@@ -312,7 +312,7 @@ def largest_modulus(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loo
     Raises:
         ParameterError: If a value is outside its bounds.
     """
-    return SampledLoop(**loop).modulus(stiffness, damping)
+    return SampledLoop(**loop).spectral_radius(stiffness, damping)
 
 
 def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[LoopKeywords]) -> Array:
@@ -345,7 +345,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
     low, high = np.zeros(shape), np.full(shape, np.inf)
     for whole in range(MOST_PERIODS):
         grid = period * np.linspace(whole, whole + 1, 41)
-        unstable = ~is_stable(replace(wide, delay=grid).modulus(k, b))
+        unstable = ~is_stable(replace(wide, delay=grid).spectral_radius(k, b))
         first = np.argmax(unstable, axis=-1)
         pick = np.stack([np.maximum(first - 1, 0), first], axis=-1)
         bracketed = unstable.any(axis=-1) & np.isinf(high)
@@ -355,7 +355,7 @@ def critical_delay(stiffness: ArrayLike, damping: ArrayLike, **loop: Unpack[Loop
             break
     some = np.isfinite(high)
     high = bisect(
-        lambda delay: ~is_stable(replace(wide, delay=delay[..., None]).modulus(k, b)[..., 0]),
+        lambda delay: ~is_stable(replace(wide, delay=delay[..., None]).spectral_radius(k, b)[..., 0]),
         low,
         np.where(some, high, 0.0),
         _HALVINGS,
@@ -388,7 +388,7 @@ def least_dynamic_stiffness(
     around = SampledLoop(**loop)
     if np.ndim(around.period):
         raise ParameterError(f"period must be one number here, not {np.shape(around.period)}")
-    stable = is_stable(around.modulus(stiffness, damping))
+    stable = is_stable(around.spectral_radius(stiffness, damping))
     half = 0.5 / float(np.asarray(around.period))
     if frequencies is None:
         frequencies = [0.0, *np.geomspace(0.01 * half, 0.999 * half, 50)]

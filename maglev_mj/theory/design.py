@@ -80,7 +80,9 @@ class WallRequirements(Parameters):
         parse=lambda hands: (hands,) if isinstance(hands, str) else tuple(hands),
     )
     driver_lag: bool = param("the current drivers lag, as the device's do", default=False)
-    modulus: float = param("largest modulus allowed; 1 for stability alone", default=0.97, above=0.0, at_most=1.0)
+    spectral_radius: float = param(
+        "spectral radius allowed; 1 for stability alone", default=0.97, above=0.0, at_most=1.0
+    )
 
     def check(self) -> None:
         """See `Parameters`."""
@@ -125,9 +127,9 @@ class WallRequirements(Parameters):
         return [Case(float(m), float(d), hand) for (m, d), hand in zip(drawn, itertools.cycle(self.hands))]
 
     def map(self, stiffness: float, damping: float, design: Design | None = None) -> tuple[Array, Array, Array]:
-        """Return the largest modulus over masses and delays.
+        """Return the spectral radius over masses and delays.
 
-        Returns masses (M,), delays (D,) and the largest modulus over the hands, (M, D); a range of one value has length
+        Returns masses (M,), delays (D,) and the spectral radius over the hands, (M, D); a range of one value has length
         1.
 
         Args:
@@ -136,15 +138,17 @@ class WallRequirements(Parameters):
             design: Another linear controller in place of the PD wall.
         """
         cases = self.grid(_MAP)
-        moduli = self.moduli(cases, stiffness, damping, design)
+        spectral_radii = self.spectral_radii(cases, stiffness, damping, design)
         masses, delays = (np.unique([case[place] for case in cases]) for place in (0, 1))
-        return masses, delays, moduli.reshape(masses.size, delays.size, len(self.hands)).max(axis=-1)
+        return masses, delays, spectral_radii.reshape(masses.size, delays.size, len(self.hands)).max(axis=-1)
 
-    def moduli(self, cases: Sequence[Case], stiffness: float, damping: float, design: Design | None = None) -> Array:
-        """Return the largest modulus of each case, (C,); see `map`."""
+    def spectral_radii(
+        self, cases: Sequence[Case], stiffness: float, damping: float, design: Design | None = None
+    ) -> Array:
+        """Return the spectral radius of each case, (C,); see `map`."""
         result = np.zeros(len(cases))
         for index, loop in self.loops(cases, design):
-            result[index] = loop.modulus(stiffness, damping)
+            result[index] = loop.spectral_radius(stiffness, damping)
         return result
 
     def loops(self, cases: Sequence[Case], design: Design | None) -> list[tuple[Array, SampledLoop]]:
@@ -178,8 +182,8 @@ class DesignedWall:
         damping: Gain on the velocity [N s/m].
         pole: Pole of the observer; None for PD.
         rendered: Static stiffness [N/m]; the gain itself for PD.
-        modulus: Largest modulus found over the requirements.
-        worst: Case of the largest modulus.
+        spectral_radius: Spectral radius found over the requirements.
+        worst: Case of the spectral radius.
         dynamic_stiffness: Least dynamic stiffness over the requirements [N/m].
         softest: Case of the least dynamic stiffness.
         island: Lower end of the first stable island at this damping in any case [N/m]; None if there is none.
@@ -191,7 +195,7 @@ class DesignedWall:
     damping: float
     pole: float | None
     rendered: float
-    modulus: float
+    spectral_radius: float
     worst: Case
     dynamic_stiffness: float
     softest: Case
@@ -247,11 +251,11 @@ def design_wall(
 ) -> DesignedWall:
     """Return the stiffest wall that meets all requirements.
 
-    Each loop's largest modulus is at most the limit, and all softer walls of that damping are stable in it. The gains
+    Each loop's spectral radius is at most the limit, and all softer walls of that damping are stable in it. The gains
     are found for the corners and the middle of the ranges. Then the worst case over the whole product is searched (a
-    grid, random cases, and decreasing steps from the worst of them). If its modulus is too large, it is added to the
-    cases and the gains are found again. Dampings from 0 to 8 m/T are searched; the static stiffness is within 1 % of a
-    dense scan over both gains.
+    grid, random cases, and decreasing steps from the worst of them). If its spectral radius is too large, it is added
+    to the cases and the search is repeated. Dampings from 0 to 8 m/T are searched; the static stiffness is within 1 %
+    of a dense scan over both gains.
 
     Args:
         requirements: Requirements on the wall.
@@ -280,7 +284,7 @@ def design_wall(
             best = gains, chosen
     if best is None:
         raise ParameterError(
-            f"modulus must be above {requirements.modulus:g} here: no {law} wall keeps to that in all of the cases"
+            f"spectral_radius must be above {requirements.spectral_radius:g} here: no {law} wall reaches it in all"
         )
     return _evaluated(requirements, law, *best)
 
@@ -299,17 +303,17 @@ def _robust_gains(requirements: WallRequirements, design: Design | None, goal: s
     Worse cases found on the way are added to `cases`.
     """
     best = _Gains(0.0, 0.0, 0.0)
-    grid, limit = requirements.grid(_COARSE), requirements.modulus * (1.0 + 1e-9)
+    grid, limit = requirements.grid(_COARSE), requirements.spectral_radius * (1.0 + 1e-9)
     for _ in range(_ROUNDS):
         stiffest = (_stiffest_static if goal == "static" else _stiffest_dynamic)(requirements, design, cases)
         if stiffest is None:
             break
         for share in _SOFTER:  # a crossing of the limit is exact to about 1e-6
             gains = stiffest._replace(stiffness=stiffest.stiffness * share, figure=stiffest.figure * share)
-            modulus, case = worst_case(requirements, gains.stiffness, gains.damping, design)
-            if not limit < modulus < limit * (1.0 + _NEAR):
+            spectral_radius, case = worst_case(requirements, gains.stiffness, gains.damping, design)
+            if not limit < spectral_radius < limit * (1.0 + _NEAR):
                 break
-        if modulus > limit:
+        if spectral_radius > limit:
             cases.append(case)
             continue
         if goal == "static":
@@ -336,10 +340,10 @@ def _common_stiffness(
     ranges, caps = [], []
     for _, loop in requirements.loops(cases, design):
         flat, b, shape = flattened(loop, damping[:, None])
-        edges, good = spans(flat, b, requirements.modulus)
+        edges, good = spans(flat, b, requirements.spectral_radius)
         ends = np.stack([edges[:, :-1], edges[:, 1:]], axis=-1)
         ranges.append(np.where(good[..., None], ends, np.nan).reshape(*shape, -1, 2))
-        stable = (edges, good) if requirements.modulus == 1.0 else spans(flat, b, 1.0)
+        stable = (edges, good) if requirements.spectral_radius == 1.0 else spans(flat, b, 1.0)
         caps.append(first_end(*stable)[0].reshape(shape))
     most = np.concatenate(caps, axis=1).min(axis=1)
     width = max(part.shape[2] for part in ranges)
@@ -433,7 +437,7 @@ def _dynamic_stiffness(
 def worst_case(
     requirements: WallRequirements, stiffness: float, damping: float, design: Design | None = None
 ) -> tuple[float, Case]:
-    """Return the largest modulus over the requirements, and its case.
+    """Return the spectral radius over the requirements, and its case.
 
     Args:
         requirements: Requirements on the wall.
@@ -442,23 +446,23 @@ def worst_case(
         design: Another linear controller in place of the PD wall.
     """
     cases = [*requirements.grid(_GRID), *requirements.random(_RANDOM)]
-    moduli = requirements.moduli(cases, stiffness, damping, design)
-    worst, largest = cases[int(np.argmax(moduli))], float(moduli.max())
+    spectral_radii = requirements.spectral_radii(cases, stiffness, damping, design)
+    worst, largest = cases[int(np.argmax(spectral_radii))], float(spectral_radii.max())
     for hand in requirements.hands:  # from the worst case of each hand in decreasing steps
-        place = max((index for index, case in enumerate(cases) if case.hand == hand), key=lambda at: moduli[at])
-        centre, size, modulus = cases[place], 1.0 / _GRID, float(moduli[place])
+        place = max((index for index, case in enumerate(cases) if case.hand == hand), key=lambda at: spectral_radii[at])
+        centre, size, spectral_radius = cases[place], 1.0 / _GRID, float(spectral_radii[place])
         for _ in range(12):
             mass, delay = (
                 np.unique(np.clip(at + size * (high - low) * np.linspace(-1.0, 1.0, 5), low, high))
                 for at, (low, high) in ((centre.mass, requirements.mass), (centre.delay, requirements.delay))
             )
             near = [Case(float(m), float(d), hand) for m, d in itertools.product(mass, delay)]
-            around = requirements.moduli(near, stiffness, damping, design)
-            if around.max() > modulus:
-                centre, modulus = near[int(np.argmax(around))], float(around.max())
+            around = requirements.spectral_radii(near, stiffness, damping, design)
+            if around.max() > spectral_radius:
+                centre, spectral_radius = near[int(np.argmax(around))], float(around.max())
             size *= 0.5
-        if modulus > largest:
-            worst, largest = centre, modulus
+        if spectral_radius > largest:
+            worst, largest = centre, spectral_radius
     return largest, worst
 
 
@@ -468,7 +472,7 @@ def _evaluated(requirements: WallRequirements, law: str, gains: _Gains, pole: fl
     They are over the whole product of the requirements.
     """
     design = _design(requirements, law, pole)
-    modulus, worst = worst_case(requirements, gains.stiffness, gains.damping, design)
+    spectral_radius, worst = worst_case(requirements, gains.stiffness, gains.damping, design)
     cases = [*requirements.grid(_COARSE), worst]
     k, b = np.asarray(gains.stiffness), np.asarray(gains.damping)
     least = _dynamic_stiffness(requirements, design, cases, k, b)
@@ -486,7 +490,7 @@ def _evaluated(requirements: WallRequirements, law: str, gains: _Gains, pole: fl
         damping=gains.damping,
         pole=pole,
         rendered=float(_static_stiffness(design, requirements.period, k, b)),
-        modulus=modulus,
+        spectral_radius=spectral_radius,
         worst=worst,
         dynamic_stiffness=float(least.min()),
         softest=cases[int(np.argmin(least))],

@@ -179,31 +179,31 @@ class ClosedLoop(Result):
 
     @property
     def eigenvalues(self) -> NDArray[np.complex128]:
-        """Eigenvalues of the matrix, the largest modulus first, (S,)."""
+        """Poles: eigenvalues of the matrix, in descending magnitude, (S,)."""
         poles = np.linalg.eigvals(self.matrix).astype(np.complex128)
         return poles[np.argsort(-np.abs(poles))]
 
     @property
-    def modulus(self) -> float:
-        """Largest eigenvalue modulus; below 1 the loop is stable."""
+    def spectral_radius(self) -> float:
+        """Largest magnitude of the poles; below 1 the loop is stable."""
         return float(np.abs(self.eigenvalues[0]))
 
     def columns(self) -> dict[str, Array]:
-        """Return the eigenvalues, the largest modulus first, (S,) each."""
+        """Return the poles in descending magnitude, (S,) each."""
         poles = self.eigenvalues
         frequency = np.abs(np.angle(poles)) / (2.0 * np.pi * self.period)
-        return {"real": poles.real, "imaginary": poles.imag, "modulus": np.abs(poles), "frequency": frequency}
+        return {"real": poles.real, "imaginary": poles.imag, "magnitude": np.abs(poles), "frequency": frequency}
 
     def plot(self, path: Path | None = None) -> Any:
-        """Draw the eigenvalues in the unit circle; see `Result.plot`."""
+        """Draw the poles in the unit circle; see `Result.plot`."""
         from maglev_mj.theory.pictures import pole_map
 
         return save(pole_map(self), path)
 
     def table(self) -> Table:
-        """Return the first eigenvalues."""
-        word = "stable" if self.modulus < 1.0 else "not stable"
-        return super().table()._replace(title=f"closed loop, {word}: largest modulus {self.modulus:.4g}")
+        """Return the first poles."""
+        word = "stable" if self.spectral_radius < 1.0 else "not stable"
+        return super().table()._replace(title=f"closed loop, {word}: spectral radius {self.spectral_radius:.4g}")
 
     def to_statespace(self) -> Any:
         """Return python-control's StateSpace: from a hand's wrench to the position.

@@ -31,7 +31,7 @@ def pole_map(loop: ClosedLoop | Verdict) -> Any:
         if poles.size:
             panel.plot(poles.real, poles.imag, "x", color=color, markersize=9, markeredgewidth=2.0, label=label)
     panel.set(aspect="equal", xlabel="real part", ylabel="imaginary part")
-    panel.set_title(f"largest modulus {loop.modulus:.4g}", **TITLE)
+    panel.set_title(f"spectral radius {loop.spectral_radius:.4g}", **TITLE)
     name_curves(figure, [panel])
     return figure
 

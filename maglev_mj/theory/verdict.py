@@ -29,7 +29,7 @@ from maglev_mj.theory.closed_loop import MOST_PERIODS, SampledLoop
 from maglev_mj.theory.linearise import Linearised, StateSpace, linearise, realise
 
 _ROUNDING, _FREE, _PAIR = 1e-9, 1e-6, 1e-8
-"""Tolerances of a modulus, of gains beside their responses, and of a mean root."""
+"""Tolerances of a spectral radius, of gains beside their responses, and of a mean root."""
 _SHORT = 16
 """Samples of a response whose closed loop is exact as it is."""
 _POINTS, _STRIDE = 23, 0.9871
@@ -54,30 +54,30 @@ class LoopState(NamedTuple):
         axes: Names of the axes.
         acting: States of the laws that act, such as "contact"; () for none.
         others: States of laws on these axes that do not act.
-        modulus: Largest modulus of the eigenvalues, those of free motion left out; 0 if there are no others.
+        spectral_radius: Spectral radius, those of free motion left out; 0 if there are no others.
         free: True if nothing pulls back: there are roots at exactly 1.
     """
 
     axes: tuple[str, ...]
     acting: tuple[str, ...]
     others: tuple[str, ...]
-    modulus: float
+    spectral_radius: float
     free: bool
 
     @property
     def margin(self) -> float:
-        """Distance of the largest root from 1; negative for an unstable loop."""
-        return 1.0 - self.modulus
+        """Distance of the spectral radius from 1; negative for an unstable loop."""
+        return 1.0 - self.spectral_radius
 
     def row(self) -> tuple[str, ...]:
-        """Return axes, state, largest root, margin and verdict as texts for a table."""
+        """Return axes, state, spectral radius, margin and verdict as texts for a table."""
         where = "all axes" if self.axes == AXES else ", ".join(self.axes)
         lacking = (f"no {name}" if name == "contact" else f"not {name}" for name in self.others)
         state = ", ".join([*self.acting, *lacking]) or "always"
-        if not self.modulus:
+        if not self.spectral_radius:
             return where, state, "-", "-", "free"
         word = f"{'free, else ' * self.free}{_word(self.margin > 0.0)}"
-        return where, state, f"{self.modulus:.4f}", f"{self.margin:.4f}", word
+        return where, state, f"{self.spectral_radius:.4f}", f"{self.margin:.4f}", word
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,8 +86,8 @@ class Verdict(Result):
 
     Attributes:
         stable: True if all loops are stable, apart from free motion; None if not known.
-        modulus: Largest modulus of the worst loop's eigenvalues, those of free motion left out: they are exactly 1, by
-            structure, where nothing pulls back. Below 1 for a stable loop; NaN if not known.
+        spectral_radius: Spectral radius of the worst loop, without the eigenvalues of free motion: they are exactly 1
+            where nothing pulls back. Below 1 for a stable loop; NaN if not known.
         axes: Names of the worst loop's axes; () if not known.
         acting: States of the acting laws: "always", "contact", "stuck" and so on; () if gains are not stated.
         pose: Pose of the worst loop [m, rad], (6,).
@@ -102,7 +102,7 @@ class Verdict(Result):
     """
 
     stable: bool | None
-    modulus: float
+    spectral_radius: float
     axes: tuple[str, ...]
     acting: tuple[str, ...] = ()
     pose: Array
@@ -138,17 +138,20 @@ class Verdict(Result):
             where = f"; at {', '.join(parts) or 'centre'} (m, rad)"
             means = "by the answers of the laws to small displacements"
         remarks = "\n".join([f"found {means}", *self.remarks])
-        return Table(f"{self}{where}", ("axes", "state", "largest root", "margin", "verdict"), rows, remarks)
+        return Table(f"{self}{where}", ("axes", "state", "spectral radius", "margin", "verdict"), rows, remarks)
 
     def __str__(self) -> str:
-        if self.stable and not self.modulus:
+        if self.stable and not self.spectral_radius:
             return f"{', '.join(self.axes)}: free"
-        loop = f"{', '.join(self.axes)}: largest root {self.modulus:.4g}" if self.axes else "stability"
+        loop = f"{', '.join(self.axes)}: spectral radius {self.spectral_radius:.4g}" if self.axes else "stability"
         return f"{loop} {_word(self.stable)}"
 
     def as_json(self) -> dict[str, Any]:
         """Return the verdict, ready for JSON."""
-        kept = {name: plain(getattr(self, name)) for name in ("stable", "modulus", "axes", "acting", "pose", "stated")}
+        kept = {
+            name: plain(getattr(self, name))
+            for name in ("stable", "spectral_radius", "axes", "acting", "pose", "stated")
+        }
         states = [{**plain(state), "margin": state.margin} for state in self.states]
         return {**kept, "states": states, "remarks": list(self.remarks)}
 
@@ -300,14 +303,14 @@ def _by_gains(gains: _Gains, controller: Controller, delay: float, pose: Array, 
             free = 0 if stiffness > 0.0 else 1 if damping > 0.0 else 2
             roots = known[mass, stiffness, damping]
             others = tuple(name for name in here if name not in acting)
-            kind = acting, others, round(_modulus(roots, free), 12), free > 0
+            kind = acting, others, round(_spectral_radius(roots, free), 12), free > 0
             kinds.setdefault(kind, ([], roots))[0].append(axis)
     states = tuple(LoopState(tuple(axes), *kind) for kind, (axes, _) in kinds.items())
-    worst, (_, roots) = max(zip(states, kinds.values(), strict=True), key=lambda pair: pair[0].modulus)
+    worst, (_, roots) = max(zip(states, kinds.values(), strict=True), key=lambda pair: pair[0].spectral_radius)
     stiff, damp = gains[worst.acting]
     return Verdict(
-        stable=worst.modulus < 1.0 - _ROUNDING,
-        modulus=worst.modulus,
+        stable=worst.spectral_radius < 1.0 - _ROUNDING,
+        spectral_radius=worst.spectral_radius,
         axes=worst.axes[:1],
         acting=worst.acting,
         pose=pose,
@@ -336,8 +339,8 @@ def _word(stable: bool | None) -> str:
     return {True: "stable", False: "UNSTABLE", None: "not known"}[stable]
 
 
-def _modulus(roots: NDArray[Any], free: int) -> float:
-    """Return the largest modulus without the roots of free motion, those nearest to 1."""
+def _spectral_radius(roots: NDArray[Any], free: int) -> float:
+    """Return the spectral radius without the roots of free motion, those nearest to 1."""
     kept = np.argsort(np.abs(roots - 1.0))[free:]
     return float(np.abs(roots[kept]).max(initial=0.0))
 
@@ -395,8 +398,8 @@ def _alike(one: Array, other: Array) -> bool:
     return bool(np.abs(one - other).max() <= _ROUNDING * np.abs(other).max())
 
 
-def _own_modulus(roots: NDArray[np.complex128], still: int) -> float:
-    """Return the largest modulus without the roots of free motion.
+def _own_spectral_radius(roots: NDArray[np.complex128], still: int) -> float:
+    """Return the spectral radius without the roots of free motion.
 
     Each direction without stiffness has a root at exactly 1, and a second where there is no damping either. A virtual
     mass leaves both: nothing holds it and the flotor in place together. Such a pair is known to half of the digits, and
@@ -404,7 +407,7 @@ def _own_modulus(roots: NDArray[np.complex128], still: int) -> float:
     """
     near = roots[np.argsort(np.abs(roots - 1.0))][: 2 * still]
     free = [count for count in range(still, 2 * still + 1) if abs(near[:count].mean() - 1.0) < _PAIR] if still else []
-    return _modulus(roots, max(free, default=still))
+    return _spectral_radius(roots, max(free, default=still))
 
 
 class _Found(NamedTuple):
@@ -449,16 +452,16 @@ def _numerically(controller: Controller, delay: float, pose: Array, body: Array)
     """Return the verdict by linearisation."""
     found = _linearised(controller, pose, body)
     worst: _Loop | None = None
-    modulus, eigenvalues = np.nan, np.empty(0, dtype=np.complex128)
+    spectral_radius, eigenvalues = np.nan, np.empty(0, dtype=np.complex128)
     for loop, roots in _roots(_grouped(found.loops), delay, body):
-        own = _own_modulus(roots, loop.still)
-        if worst is None or own > modulus * (1.0 + _ROUNDING):
-            worst, modulus, eigenvalues = loop, own, roots
-    unstable = modulus >= 1.0 - _ROUNDING
+        own = _own_spectral_radius(roots, loop.still)
+        if worst is None or own > spectral_radius * (1.0 + _ROUNDING):
+            worst, spectral_radius, eigenvalues = loop, own, roots
+    unstable = spectral_radius >= 1.0 - _ROUNDING
     stiffness, damping = np.full((2, 6, 6), np.nan) if worst is None else worst.gains(body)
     return Verdict(
         stable=not unstable if unstable or found.complete else None,
-        modulus=modulus,
+        spectral_radius=spectral_radius,
         axes=() if worst is None else tuple(AXES[axis] for axis in worst.axes),
         pose=pose if worst is None else worst.near.pose,
         stiffness=stiffness,
@@ -502,7 +505,7 @@ def _grouped(loops: Sequence[_Loop]) -> Iterator[_Group]:
 def axis_loop(
     controller: Controller, axis: int, *, pose: ArrayLike, delay: float, inertia: Array, hand: Hand | None = None
 ) -> tuple[float, float]:
-    """Return static stiffness and largest modulus of one axis' loop with all that acts there.
+    """Return static stiffness and spectral radius of one axis' loop with all that acts there.
 
     By the laws' own gains if all state them, otherwise by linearisation at a pose.
 
@@ -515,7 +518,8 @@ def axis_loop(
         hand: The hand on the axis; None for a free flotor.
 
     Returns:
-        Stiffness [N/m, N m/rad], infinite for an integrator, and modulus, below 1 for a stable loop; NaN if not known.
+        Stiffness [N/m, N m/rad], infinite for an integrator, and spectral radius, below 1 for a stable loop; NaN if
+        not known.
 
     Raises:
         MaglevError: If a law fails at the pose.
@@ -526,22 +530,22 @@ def axis_loop(
         >>> from maglev_mj.spec import INERTIA
         >>> wall = Controller([Wall(axes="z", lower=0.0, stiffness=6000.0, damping=80.0)], period=0.005)
         >>> inside, body = (0, 0, -1e-3, 0, 0, 0), np.array(INERTIA)
-        >>> stiffness, modulus = axis_loop(wall, 2, pose=inside, delay=0.0015, inertia=body)
-        >>> round(stiffness), round(modulus, 3)
+        >>> stiffness, spectral_radius = axis_loop(wall, 2, pose=inside, delay=0.0015, inertia=body)
+        >>> round(stiffness), round(spectral_radius, 3)
         (6000, 0.877)
     """
     held = hand if hand is not None and axis in hand.indices else None
     if (gains := stated_gains(controller)) is not None:
         stiffness, damping = (float(both[axis]) for both in list(gains.values())[-1])
         around: Any = {"period": controller.period, "delay": delay, "velocity": controller.velocity}
-        modulus = SampledLoop(mass=inertia[axis], hand=held, **around).modulus(stiffness, damping)
-        return stiffness, float(modulus)
+        spectral_radius = SampledLoop(mass=inertia[axis], hand=held, **around).spectral_radius(stiffness, damping)
+        return stiffness, float(spectral_radius)
     (near,) = linearise(controller, pose)
     loop = _loop(near, (axis,), near.scaled(inertia)[:, axis : axis + 1, axis : axis + 1], [])
     if near.jumps[axis] or (loop.system is None and not loop.settles):
         return math.nan, math.nan
     ((_, roots),) = _roots(_grouped([loop]), delay, inertia, hand)
-    return float(loop.gains(inertia)[0][axis, axis]), _own_modulus(roots, loop.still)
+    return float(loop.gains(inertia)[0][axis, axis]), _own_spectral_radius(roots, loop.still)
 
 
 def delay_margins(
@@ -580,17 +584,19 @@ def delay_margins(
             return dict.fromkeys(hands, math.nan)
         loops = [*_grouped(found.loops)]
 
-    def modulus(delay: float, hand: Hand | None) -> float:
+    def spectral_radius(delay: float, hand: Hand | None) -> float:
         if gains is not None:
-            return _stated_modulus(gains, controller, delay, body, hand)
-        roots = (_own_modulus(own, loop.still) for loop, own in _roots(loops, delay, body, hand))
+            return _stated_spectral_radius(gains, controller, delay, body, hand)
+        roots = (_own_spectral_radius(own, loop.still) for loop, own in _roots(loops, delay, body, hand))
         return max(roots, default=0.0)
 
-    return {name: _margin(partial(modulus, hand=get_hand(name)), period) for name in hands}
+    return {name: _margin(partial(spectral_radius, hand=get_hand(name)), period) for name in hands}
 
 
-def _stated_modulus(gains: _Gains, controller: Controller, delay: float, body: Array, hand: Hand | None) -> float:
-    """Return the largest modulus of the axes' loops, those of free motion left out."""
+def _stated_spectral_radius(
+    gains: _Gains, controller: Controller, delay: float, body: Array, hand: Hand | None
+) -> float:
+    """Return the spectral radius of the axes' loops, those of free motion left out."""
     worst = 0.0
     for part, held in ((slice(3), hand), (slice(3, 6), None)):
         stiffness, damping = (np.array([both[kind][part] for both in gains.values()]).ravel() for kind in (0, 1))
@@ -598,20 +604,20 @@ def _stated_modulus(gains: _Gains, controller: Controller, delay: float, body: A
         loop = SampledLoop(period=controller.period, delay=delay, mass=mass, hand=held, velocity=controller.velocity)
         roots = np.linalg.eigvals(loop.matrix(stiffness, damping))
         free = np.where(stiffness > 0.0, 0, np.where(damping > 0.0, 1, 2)) * (held is None)
-        worst = max(worst, *map(_modulus, roots, free))
+        worst = max(worst, *map(_spectral_radius, roots, free))
     return worst
 
 
-def _margin(modulus: Callable[[float], float], period: float) -> float:
-    """Return the first delay at which a modulus reaches 1 [s]."""
+def _margin(spectral_radius: Callable[[float], float], period: float) -> float:
+    """Return the first delay at which a spectral radius reaches 1 [s]."""
     grid = np.arange(0.0, min(_LONGEST, MOST_PERIODS * period) + 1e-12, max(period / _PER_PERIOD, _FINEST))
-    first = next((place for place, delay in enumerate(grid) if modulus(delay) >= 1.0 - _ROUNDING), None)
+    first = next((place for place, delay in enumerate(grid) if spectral_radius(delay) >= 1.0 - _ROUNDING), None)
     if not first:
         return math.inf if first is None else 0.0
     low, high = grid[first - 1], grid[first]
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        low, high = (low, middle) if modulus(middle) >= 1.0 - _ROUNDING else (middle, high)
+        low, high = (low, middle) if spectral_radius(middle) >= 1.0 - _ROUNDING else (middle, high)
     return float(low)
 
 

@@ -480,7 +480,7 @@ def _wall(snapshot: Snapshot) -> Reading:
     wall = STABILITY.of(snapshot).wall
     if STABILITY.scene != snapshot.scene:
         return Reading("wall", "..." if snapshot.faces else "")
-    return Reading("wall", str(wall or ""), BAD if wall and wall.modulus >= 1.0 else None)
+    return Reading("wall", str(wall or ""), BAD if wall and wall.spectral_radius >= 1.0 else None)
 
 
 def _makes_energy(snapshot: Snapshot) -> bool:

@@ -17,7 +17,7 @@ controller = Controller([spring, others], period=PERIOD)
 loop = near.closed_loop(delay=DELAY, axes="z").to_statespace()  # from a hand's force [N] to the position [m]
 
 print(f"slowest pole: {np.abs(control.poles(loop)).max():.9f} (python-control)")
-print(f"              {judge(controller, delay=DELAY).modulus:.9f} (maglev_mj)")
+print(f"              {judge(controller, delay=DELAY).spectral_radius:.9f} (maglev_mj)")
 
 # The hand pushes with 1 N from the first sample on.
 response = control.step_response(loop, T=np.arange(60) * PERIOD)

@@ -2,7 +2,7 @@
 
     python scripts/figures/paper.py [--figure 2 3 4 6 8 9] [--quick]
 
-Figure 2: level sets of the largest root modulus over the gains (c_p, c_v), with one sample of delay and the device's.
+Figure 2: level sets of the spectral radius over the gains (c_p, c_v), with one sample of delay and the device's.
 3: height and force of a drop on an emulated wall, with both readings of the braking pulse. 4: the same in the phase
 plane, beside the ideal analog wall. 6: a hand hits the wall several times, then presses against it. 8: the flotor is
 pulled out of emulated friction by a virtual spring, beside exact Karnopp friction. 9: a smooth seeded hand moves the
@@ -26,7 +26,7 @@ from maglev_mj.scenes.run import run_variants
 from maglev_mj.scenes.stick_slip import StickSlip
 from maglev_mj.spec import INERTIA, RANGE, Spec
 from maglev_mj.studies.pictures import level_sets
-from maglev_mj.theory import largest_modulus, stiffest_wall
+from maglev_mj.theory import spectral_radius, stiffest_wall
 from six_axes import run_six_axes
 
 
@@ -39,9 +39,9 @@ def figure_2(pictures: PictureFolder, quick: bool) -> Path:
         best = stiffest_wall(period=period, delay=delay, mass=mass)
         stiffness = np.linspace(1.0, 1.2 * float(best.stiffness), count)
         damping = np.linspace(0.0, 2.2 * float(best.damping), count)
-        modulus = largest_modulus(stiffness[:, None], damping, period=period, delay=delay, mass=mass)
+        radius = spectral_radius(stiffness[:, None], damping, period=period, delay=delay, mass=mass)
         to_cp, to_cv = period**2 / (2.0 * mass), period / (2.0 * mass)
-        level_sets(panel, to_cv * damping, to_cp * stiffness, modulus)
+        level_sets(panel, to_cv * damping, to_cp * stiffness, radius)
         top = (to_cv * float(best.damping), to_cp * float(best.stiffness))
         panel.plot(*top, "*", color=SECOND, markersize=14, label="largest stable stiffness")
         words = {"textcoords": "offset points", "xytext": (0, 9), "ha": "center", "fontsize": 9.0}

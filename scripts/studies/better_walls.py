@@ -49,7 +49,11 @@ def requirements(case: str, delay: float) -> WallRequirements:
     low, high = (0.8, 1.2) if case in ("off", "all") else (1.0, 1.0)
     hands = GRIPS if case in ("hands", "all") else ("none",)
     return WallRequirements(
-        period=PERIOD, mass=(low * MASS, high * MASS), delay=(low * delay, high * delay), hands=hands, modulus=1.0
+        period=PERIOD,
+        mass=(low * MASS, high * MASS),
+        delay=(low * delay, high * delay),
+        hands=hands,
+        spectral_radius=1.0,
     )
 
 
@@ -71,7 +75,7 @@ def returned(laws: list[Law], delay: float) -> Array:
 
 
 print("least dynamic stiffness in N/m, the best over the gains, at 200 Hz and 0.7 kg: model right, mass and delay off")
-print("by 20 % either way, every hand, and the product of these; its gains, largest modulus, and growing cases of 500")
+print("by 20 % either way, every hand, and the product of these; its gains, spectral radius, and growing cases of 500")
 print(f"  {'delay, design':<42}{''.join(f'{name:>8}' for name in CASES.values())}   gains of the last")
 rows, walls = [], {}
 for delay in DELAYS:
@@ -87,13 +91,13 @@ for delay in DELAYS:
         name = f"PD (statically at most {float(top.stiffness):.0f})" if pole is None else f"{law}, poles at {pole:g}"
         figures = "".join(f"{wall.dynamic_stiffness:>8.0f}" for wall in found.values())
         print(f"  {f'{delay * 1e3:g} ms, {name}':<42}{figures}   {last.stiffness:.0f} N/m, {last.damping:.0f} N s/m")
-        print(f"  {'':<42}modulus {last.modulus:.4f}; grow: {growing[None]}, at 60 N {growing[60.0]}")
+        print(f"  {'':<42}spectral radius {last.spectral_radius:.4f}; grow: {growing[None]}, at 60 N {growing[60.0]}")
         rows.append(
             {
                 "delay": delay,
                 "design": name,
                 **{case: [wall.dynamic_stiffness, wall.stiffness, wall.damping] for case, wall in found.items()},
-                "modulus": last.modulus,
+                "spectral_radius": last.spectral_radius,
                 "growing": list(growing.values()),
             }
         )

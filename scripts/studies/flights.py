@@ -217,14 +217,14 @@ def fly_product(cell: Row) -> Row:
 
 
 @cache
-def wall_of(name: str, rate: int, modulus: float) -> float:
-    """Return the stiffness at which a scene's largest root has a modulus [N/m]."""
+def wall_of(name: str, rate: int, spectral_radius: float) -> float:
+    """Return the stiffness at which a scene's spectral radius has a spectral radius [N/m]."""
     scene = find_scene(name)().replace(period=1.0 / rate, delay=_DELAY)
     low, high = 1.0, 1e8  # of the logarithm's middle
     for _ in range(60):
         middle = math.sqrt(low * high)
-        root = judge(device_controller(scene.replace(stiffness=middle)), delay=_DELAY).modulus
-        low, high = (middle, high) if root < modulus else (low, middle)
+        root = judge(device_controller(scene.replace(stiffness=middle)), delay=_DELAY).spectral_radius
+        low, high = (middle, high) if root < spectral_radius else (low, middle)
     return high
 
 

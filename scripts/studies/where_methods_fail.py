@@ -20,7 +20,7 @@ from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import RANGE, Spec
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.studies.stability_map import RestingWall, measure_growth
-from maglev_mj.theory import largest_modulus, stiffest_wall
+from maglev_mj.theory import spectral_radius, stiffest_wall
 from maglev_mj.versions import versions
 from tests.theory.failures import corner, press_at_edge, random_delay_rate
 from tests.theory.impacts import RATTLE, limited_drop, rattle
@@ -55,8 +55,8 @@ def just_above_the_boundary() -> Panel:
     over = np.geomspace(0.1 if options.quick else 0.01, 0.3, COUNT)
     stiffness, damping = float(best.stiffness) * (1.0 + over), np.full(COUNT, float(best.damping))
     walls = [RestingWall(stiffness=k, damping=float(best.damping), delay=T) for k in stiffness.tolist()]
-    foretold = np.log(1e4) / np.log(largest_modulus(stiffness, damping, period=T, delay=T))
-    curves = [("foretold by the modulus", over * 100.0, foretold)]
+    foretold = np.log(1e4) / np.log(spectral_radius(stiffness, damping, period=T, delay=T))
+    curves = [("foretold by the spectral radius", over * 100.0, foretold)]
     for plant in ("exact", "mujoco"):
         seen = measure_growth(walls, plant).ticks
         curves.append((f"simulated, {plant}", over * 100.0, seen))
@@ -72,7 +72,7 @@ def just_above_the_boundary() -> Panel:
 def jitter() -> Panel:
     """Return the panel of delays drawn anew each sample, spread evenly around their mean."""
     means = np.linspace(0.0025, 0.004, COUNT)
-    curves = [("no jitter", means * 1e3, largest_modulus(6000.0, 80.0, period=T, delay=means))]
+    curves = [("no jitter", means * 1e3, spectral_radius(6000.0, 80.0, period=T, delay=means))]
     for spread in (0.5e-3, 1e-3):
         rates = []
         for mean in means:
@@ -194,10 +194,10 @@ def hands() -> Panel:
     clamp = Hand(stiffness=20000.0 * share)
     arm = Hand(mass=0.554 * share, damping=6.45 * share, stiffness=135.0 * share)
     curves = [
-        (f"{k:g} N/m, {b:g} N s/m: {name}", share, largest_modulus(k, b, period=T, delay=DELAY, hand=hand))
+        (f"{k:g} N/m, {b:g} N s/m: {name}", share, spectral_radius(k, b, period=T, delay=DELAY, hand=hand))
         for k, b, name, hand in ((6000.0, 80.0, "a clamp of 20 000 N/m", clamp), (9000.0, 130.0, "an arm's hold", arm))
     ]
-    return panel("hands too stiff, and hands that let go", "share of the hand", "largest modulus", curves, level=1.0)
+    return panel("hands too stiff, and hands that let go", "share of the hand", "spectral radius", curves, level=1.0)
 
 
 def corners() -> Panel:

@@ -78,7 +78,7 @@ def test_every_result_has_a_frame_with_units_a_picture_and_a_table(name: str) ->
     frame = found.to_pandas()
     assert len(frame) and list(frame.columns) == list(found.columns()) and set(frame.attrs["units"]) <= set(frame)
     numbers = [column for column in frame if frame[column].dtype == np.float64]
-    known = {"phase", "modulus", "real", "imaginary", "segment", "keeps"}
+    known = {"phase", "magnitude", "spectral_radius", "real", "imaginary", "segment", "keeps"}
     assert {column for column in numbers if not frame.attrs["units"].get(column)} <= known
     assert found.plot().axes
     table, html = found.table(), found._repr_html_()
@@ -229,10 +229,10 @@ def test_a_sweep_has_a_row_for_each_cell_and_a_line_for_each_value() -> None:
 def test_a_verdict_and_its_closed_loop_have_the_same_worst_eigenvalue() -> None:
     verdict: Any = results()["verdict"]
     loop: Any = results()["closed loop"]
-    assert np.abs(verdict.eigenvalues).max() == pytest.approx(verdict.modulus, rel=1e-12)
-    assert loop.modulus == pytest.approx(verdict.modulus, rel=1e-9) and verdict.modulus > 1.0
+    assert np.abs(verdict.eigenvalues).max() == pytest.approx(verdict.spectral_radius, rel=1e-12)
+    assert loop.spectral_radius == pytest.approx(verdict.spectral_radius, rel=1e-9) and verdict.spectral_radius > 1.0
     frame = loop.to_pandas()
-    assert list(frame["modulus"]) == sorted(frame["modulus"], reverse=True)
+    assert list(frame["magnitude"]) == sorted(frame["magnitude"], reverse=True)
     assert frame["frequency"][0] == pytest.approx(np.angle(loop.eigenvalues[0]) / (2.0 * np.pi * 0.005))
     assert list(verdict.to_pandas()["stiffness"])[2] == 12000.0
     assert "UNSTABLE, with contact" in verdict.table().title and "not stable" in loop.table().title
@@ -286,7 +286,7 @@ def test_maps_have_a_row_for_each_wall() -> None:
     np.testing.assert_array_equal(growth.to_pandas()["settles"], growth.simulated.ravel())
     assert (drops.to_pandas()["ending"] == "settles").sum() == drops.settles.sum()
     design: Any = results()["design"]
-    assert design.to_pandas()["modulus"].max() == pytest.approx(design.wall.modulus, abs=1e-3)
+    assert design.to_pandas()["spectral_radius"].max() == pytest.approx(design.wall.spectral_radius, abs=1e-3)
     assert design.table().rows[0][1] == design.wall.stiffness
 
 

@@ -32,7 +32,7 @@ from maglev_mj.spec import INERTIA, RANGE
 from maglev_mj.theory.ideal import karnopp
 from six_axes import run_six_axes
 from tests.sweeps import further
-from tests.theory.closed_loop import largest_modulus
+from tests.theory.closed_loop import spectral_radius
 
 T, K, F = 0.005, 6000.0, 2.0
 FIGURE_8: dict[str, Any] = {"spring": 1000.0, "damping": 80.0, "breakaway": 2.0, "v_min": 0.005, "mass": 0.7}
@@ -149,9 +149,9 @@ def test_series_and_summary_follow_the_events() -> None:
 def test_a_full_period_of_delay_limit_cycles_as_the_stuck_loop_s_eigenvalues_say() -> None:
     # Stuck, spring and law are one PD of 7000 N/m and 80 N s/m: stable at 1.5 ms, not at 5 ms; 2.96 ms between.
     for delay in (0.0015, 0.0025, 0.0033, 0.005):
-        modulus = largest_modulus(K + 1000.0, 80.0, period=T, delay=delay, mass=0.7)
+        radius = spectral_radius(K + 1000.0, 80.0, period=T, delay=delay, mass=0.7)
         figures = run(StickSlipScene(delay=delay, duration=3.0), plant="exact").figures
-        if modulus < 1.0:
+        if radius < 1.0:
             assert delay <= 0.0025
             assert figures["ripple"] < 1e-7
             assert figures["transitions"] == 2

@@ -10,7 +10,7 @@ import pytest
 from maglev_mj import AXES, Command, Controller, Hold, Sample, Wall
 from maglev_mj.errors import ParameterError
 from tests.sweeps import sweep
-from tests.theory.closed_loop import largest_modulus
+from tests.theory.closed_loop import spectral_radius
 
 T = 0.005
 K, B, PULSE, WIDTH = 6000.0, 80.0, 220.0, 0.003
@@ -123,7 +123,7 @@ def test_carried_braking_stops_when_the_flotor_turns_back() -> None:
 def test_critically_damped_hold_is_stable_at_every_delay(period: float, share: float) -> None:
     hold = Hold.critically_damped("z", inertia=0.7, period=period, delay=share * period)
     stiffness, damping = float(np.max(hold.stiffness)), float(np.max(hold.damping))
-    assert largest_modulus(stiffness, damping, period=period, delay=share * period, mass=0.7) < 0.999
+    assert spectral_radius(stiffness, damping, period=period, delay=share * period, mass=0.7) < 0.999
     frequency = min(50.0, 0.25 / (period * (1.0 + share)))
     assert stiffness == pytest.approx(0.7 * frequency**2)
     assert damping == pytest.approx(2.0 * 0.7 * frequency)

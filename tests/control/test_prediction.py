@@ -81,8 +81,8 @@ def test_observer_wall_moves_and_yields_as_its_matrix_says(poles: tuple[float, b
     pole, disturbance = poles
     law = observer(2000.0, 60.0, pole=pole, disturbance=disturbance, delay=delay)
     loop = SampledLoop(period=T, delay=delay, design=design_of(law))
-    modulus = float(loop.modulus(2000.0, 60.0))
-    assert modulus < 1.0
+    spectral_radius = float(loop.spectral_radius(2000.0, 60.0))
+    assert spectral_radius < 1.0
     static = float(rendered_stiffness(law.linear(np.asarray(2000.0), np.asarray(60.0))))
     assert static == pytest.approx(2000.0) if disturbance else static < 2000.0
     plant = ExactPlant(Timing(period=T, delay=delay), pose=[0.0, 0.0, -M * GRAVITY / static, 0.0, 0.0, 0.0])

@@ -26,7 +26,7 @@ def growth(rate: int, share: float) -> tuple[float, float]:
     drive(plant, controller, 400, observe=lambda sample, _: places.append(float(sample.position[0])))
     bends: Array = np.diff(places, 4)[-200:]
     first, last = (float(np.sqrt(np.mean(part**2))) for part in (bends[:100], bends[100:]))
-    return (last / first) ** (1.0 / 100), judge(controller, delay=timing.delay).modulus
+    return (last / first) ** (1.0 / 100), judge(controller, delay=timing.delay).spectral_radius
 
 
 @pytest.mark.parametrize("rate", RATES)

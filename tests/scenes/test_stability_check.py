@@ -145,7 +145,7 @@ def test_settings_are_refused_from_the_boundary_of_theory_on(name: str, delay: f
     bound = float(largest_stable_stiffness(chosen.damping + dampers, period=period, delay=delay, mass=MASS))
     assert unstable_loop(chosen.replace(stiffness=0.999 * (bound - springs))) is None
     refused = unstable_loop(chosen.replace(stiffness=1.001 * (bound - springs)))
-    assert refused is not None and refused.acting == on and refused.modulus > 1.0
+    assert refused is not None and refused.acting == on and refused.spectral_radius > 1.0
     share = 1.0 if refused.axis in AXES[:3] else INERTIA[AXES.index(refused.axis)] / MASS
     assert refused.largest_stable == pytest.approx(bound * share, rel=1e-6)
     assert refused.largest_stable is not None and refused.stiffness > refused.largest_stable
@@ -198,7 +198,7 @@ def test_a_law_that_states_no_gains_is_judged_too() -> None:
     assert unstable_loop(Detents()) is None
     refused = unstable_loop(Detents(stiffness=9870.0))
     assert refused is not None and refused.axis == "x" and refused.acting == "the laws"
-    assert refused.modulus == pytest.approx(1.0308, abs=1e-4) and refused.largest_stable is None
+    assert refused.spectral_radius == pytest.approx(1.0308, abs=1e-4) and refused.largest_stable is None
     assert refused.stiffness == pytest.approx(9870.0, rel=1e-6) and refused.damping == pytest.approx(50.0, rel=1e-6)
     assert str(refused).endswith("which must be below 1")
 
@@ -216,7 +216,7 @@ def test_a_scene_that_may_be_unstable_warns_in_one_line(monkeypatch: pytest.Monk
     wrong = Detents(stiffness=9870.0)
     warned = str(stability_warning(wrong))
     assert warned == f"detents is unstable: {unstable_loop(wrong)}"
-    assert "have the largest root modulus 1.0308, which must be below 1" in warned
+    assert "have the spectral radius 1.0308, which must be below 1" in warned
     unknown = stability_warning(Echoing(stiffness=1000.0))
     assert unknown is not None and "\n" not in unknown
     refused = "echoing may be unstable: it is not known whether the scene would be stable; not judged at "
@@ -264,6 +264,6 @@ def test_a_scene_is_judged_with_its_own_flotor(options: dict[str, Any], inertia:
     body = inertia_of(scene)
     np.testing.assert_allclose(body, inertia, rtol=2e-3)
     np.testing.assert_array_equal(scene.plant("exact").inertia, body)  # type: ignore[attr-defined]
-    assert stability(scene).modulus == stability(scene, inertia=body).modulus
+    assert stability(scene).spectral_radius == stability(scene, inertia=body).spectral_radius
     warned = stability_warning(scene, inertia=[10.0] * 3 + [1.0] * 3)
     assert warned is None and (stability_warning(scene) is None) == (body[0] > 1.0)

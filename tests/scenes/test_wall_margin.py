@@ -37,10 +37,10 @@ class Echoing(WallScene):
 
 
 def contact_root(scene: Scene) -> float:
-    """Return the largest root of all states in contact on axes with a wall."""
+    """Return the spectral radius of all states in contact on axes with a wall."""
     axes = {axis for axis, _, _ in scene.controller().faces}
     states = [one for one in stability(scene).states if "contact" in one.acting]
-    return max(one.modulus for one in states if axes & set(map("x y z rx ry rz".split().index, one.axes)))
+    return max(one.spectral_radius for one in states if axes & set(map("x y z rx ry rz".split().index, one.axes)))
 
 
 @pytest.mark.parametrize(
@@ -49,8 +49,8 @@ def contact_root(scene: Scene) -> float:
 def test_the_margin_is_where_the_walls_own_root_passes_one(name: str, stiffness: float) -> None:
     scene = find_scene(name)().replace(stiffness=stiffness)
     found = wall_margin(scene)
-    assert found is not None and found.modulus == pytest.approx(contact_root(scene), abs=1e-9)
-    assert (found.margin > 1.0) == (found.modulus < 1.0)
+    assert found is not None and found.spectral_radius == pytest.approx(contact_root(scene), abs=1e-9)
+    assert (found.margin > 1.0) == (found.spectral_radius < 1.0)
     below, above = (scene.replace(stiffness=share * found.margin * stiffness) for share in (0.999, 1.001))
     assert contact_root(below) < 1.0 < contact_root(above)
 

@@ -23,7 +23,7 @@ from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.compare import _MARGINS, Comparison, compare
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory.boundary import boundary_of, largest_stable_stiffness
-from maglev_mj.theory.closed_loop import SampledLoop, largest_modulus
+from maglev_mj.theory.closed_loop import SampledLoop, spectral_radius
 
 OWN = """
 from maglev_mj import AxisLaw, Law, gain
@@ -87,7 +87,7 @@ def test_figures_are_those_of_single_studies_to_the_last_bit(drops: Comparison, 
 def check_margin(found: Mapping[str, float], **more: Any) -> None:
     """Assert the margin of a wall in a drop."""
     loop: dict[str, Any] = {"period": 0.005, "delay": 0.0015, "mass": 0.7, **more}
-    assert found["modulus"] == pytest.approx(float(largest_modulus(6000.0, 80.0, **loop)), abs=1e-6)
+    assert found["spectral_radius"] == pytest.approx(float(spectral_radius(6000.0, 80.0, **loop)), abs=1e-6)
     stiffest = float(boundary_of(SampledLoop(**loop), np.array(80.0)))
     assert found["stiffest"] == pytest.approx(stiffest, rel=5e-5)
     assert found["margin"] == pytest.approx(stiffest / 6000.0, rel=5e-5)
@@ -99,23 +99,23 @@ def test_margins_are_those_of_the_exact_closed_loop(drops: Comparison, presses: 
     held: dict[str, Any] = {"period": 0.005, "delay": 0.0015, "mass": 0.7, "hand": "arm"}
     for label, damping in {"pd": 80.0, "colgate": 0.0}.items():
         found, stiffness = presses.margins[label], 6000.0 if damping else PASSIVE["stiffness"]
-        assert found["modulus"] == pytest.approx(float(largest_modulus(stiffness, damping, **held)), abs=1e-6)
+        assert found["spectral_radius"] == pytest.approx(float(spectral_radius(stiffness, damping, **held)), abs=1e-6)
         stiffest = float(largest_stable_stiffness(damping, **held))
         assert found["stiffest"] == pytest.approx(stiffest, rel=5e-5)
         assert found["stiffness"] == pytest.approx(stiffness, rel=1e-6)
-    assert presses.margins["colgate"]["modulus"] < 1.0
+    assert presses.margins["colgate"]["spectral_radius"] < 1.0
 
 
 @pytest.mark.study
 def test_margins_of_predictive_walls_are_those_of_the_exact_closed_loop() -> None:
     found = compare(Drop(duration=0.1), ["half-sample", "disturbance-observer"], phases=1).margins
     check_margin(found["half-sample"], prediction=0.004)
-    assert 0.0 < found["disturbance-observer"]["modulus"] < 1.0 < found["disturbance-observer"]["margin"]
+    assert 0.0 < found["disturbance-observer"]["spectral_radius"] < 1.0 < found["disturbance-observer"]["margin"]
     held = compare(Press(hits=1, duration=1.0), ["observer"], phases=1).margins["observer"]  # beyond tenfold
     loop = SampledLoop(period=0.005, delay=0.0015, mass=0.7, hand="arm", **OBSERVED)
     assert boundary_of(loop, np.array(80.0)) > 10.0 * 6000.0
     assert np.isnan(held["margin"]) and np.isnan(held["stiffest"])
-    assert held["modulus"] == pytest.approx(float(loop.modulus(6000.0, 80.0)), abs=1e-6)
+    assert held["spectral_radius"] == pytest.approx(float(loop.spectral_radius(6000.0, 80.0)), abs=1e-6)
 
 
 def test_a_margin_is_of_the_walls_own_stiffness_and_none_beyond_tenfold() -> None:
@@ -127,11 +127,11 @@ def test_a_margin_is_of_the_walls_own_stiffness_and_none_beyond_tenfold() -> Non
         if law is fixed:
             assert found["stiffness"] == pytest.approx(9000.0, rel=1e-6) and np.isnan(found["margin"])
             continue
-        assert found["modulus"] == pytest.approx(float(largest_modulus(stiffness, 80.0, **loop)), abs=1e-6)
+        assert found["spectral_radius"] == pytest.approx(float(spectral_radius(stiffness, 80.0, **loop)), abs=1e-6)
         if stiffness == 900.0:
             assert stiffest > 10.0 * stiffness and np.isnan([found["margin"], found["stiffest"]]).all()
         else:
-            assert found["modulus"] > 1.0 and found["margin"] == pytest.approx(stiffest / stiffness, rel=5e-5)
+            assert found["spectral_radius"] > 1.0 and found["margin"] == pytest.approx(stiffest / stiffness, rel=5e-5)
 
 
 class Bang(AxisLaw):
@@ -147,7 +147,7 @@ class Bang(AxisLaw):
 def test_a_law_that_jumps_where_it_rests_has_noise_and_no_margin() -> None:
     found = compare(Drop(duration=0.1), [Bang], phases=1).margins["Bang"]
     assert found["noise"] > 1.0
-    assert np.isnan([found[name] for name in ("stiffness", "modulus", "stiffest", "margin")]).all()
+    assert np.isnan([found[name] for name in ("stiffness", "spectral_radius", "stiffest", "margin")]).all()
 
 
 def test_noise_is_that_of_a_flotor_at_rest_in_the_scenes_hand(drops: Comparison, presses: Comparison) -> None:

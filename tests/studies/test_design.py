@@ -25,24 +25,24 @@ SLACK = "0.3,10,500,2,3000"
 EVERYTHING: dict[str, Any] = {"mass": (0.56, 0.84), "delay": (0.0012, 0.0018), "hands": tuple(HANDS)}
 BOXES: list[dict[str, Any]] = [
     EVERYTHING,
-    {**EVERYTHING, "modulus": 0.9},
+    {**EVERYTHING, "spectral_radius": 0.9},
     {"period": 0.001, "delay": (0.0008, 0.0012), "mass": (0.6, 0.8), "hands": ("none", "stylus"), "driver_lag": True},
-    {"mass": (0.3, 1.4), "delay": (0.004, 0.006), "hands": ("none", "fingertip", SLACK), "modulus": 0.99},
-    # walls of an island keep to this modulus
+    {"mass": (0.3, 1.4), "delay": (0.004, 0.006), "hands": ("none", "fingertip", SLACK), "spectral_radius": 0.99},
+    # walls of an island keep to this spectral radius
     {
         "period": 8.5065e-3,
         "mass": (0.3067,) * 2,
         "delay": (1.6242e-3,) * 2,
         "hands": ("1.70343,5.66451,363.848,23.7146,7005.97",),
-        "modulus": 0.999,
+        "spectral_radius": 0.999,
     },
 ]
 
 
 def densely(wall: DesignedWall, seed: int, count: int = 1000) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return the moduli of random cases unknown to the design, with edges of the ranges."""
+    """Return the spectral radii of random cases unknown to the design, with edges of the ranges."""
     random, needs = np.random.default_rng(seed), wall.requirements
-    moduli = []
+    spectral_radii = []
     for hand in needs.hands:
         mass, delay = (
             np.clip(low + (high - low) * random.uniform(-0.2, 1.2, count), low, high)
@@ -52,12 +52,12 @@ def densely(wall: DesignedWall, seed: int, count: int = 1000) -> np.ndarray[Any,
         loop = SampledLoop(
             period=needs.period, mass=mass, delay=delay, hand=get_hand(hand), driver_lag=lag, design=wall.design
         )
-        moduli.append(loop.modulus(wall.stiffness, wall.damping))
-    return np.concatenate(moduli)
+        spectral_radii.append(loop.spectral_radius(wall.stiffness, wall.damping))
+    return np.concatenate(spectral_radii)
 
 
 def test_without_uncertainty_it_is_the_stiffest_wall() -> None:
-    wall = design_wall(WallRequirements(modulus=1.0))
+    wall = design_wall(WallRequirements(spectral_radius=1.0))
     assert wall.stiffness == pytest.approx(10173.44, rel=1e-5)
     assert wall.damping == pytest.approx(87.57, rel=1e-2)
 
@@ -67,11 +67,11 @@ REST = [case for case in product(range(len(BOXES)), ("pd", "observer")) if case 
 
 
 @pytest.mark.parametrize(("box", "law"), [*FIRST, *(pytest.param(*case, marks=pytest.mark.study) for case in REST)])
-def test_every_case_of_the_product_keeps_to_the_modulus(box: int, law: str) -> None:
+def test_every_case_of_the_product_keeps_to_the_spectral_radius(box: int, law: str) -> None:
     wall = design_wall(WallRequirements(**BOXES[box]), law, pole=None if law == "pd" else 0.0)
-    allowed = wall.requirements.modulus
+    allowed = wall.requirements.spectral_radius
     assert densely(wall, seed=3).max() <= allowed * (1.0 + 1e-6)
-    assert wall.modulus == pytest.approx(allowed, rel=1e-3)  # and none of it is given away
+    assert wall.spectral_radius == pytest.approx(allowed, rel=1e-3)  # and none of it is given away
     # softer walls are stable too, at the corners and elsewhere
     for _, loop in wall.requirements.loops(wall.requirements.random(10, seed=9), wall.design):
         for place in range(loop.shape[0]):
@@ -87,7 +87,7 @@ def test_a_worst_case_inside_the_ranges_is_found(hands: tuple[str, ...]) -> None
         mass=(0.3, 0.559),
         delay=(0.00404, 0.00759),
         hands=hands,
-        modulus=1.0,
+        spectral_radius=1.0,
     )
     wall = design_wall(needs, "observer", pole=0.4)
     assert needs.delay[0] < wall.worst.delay < needs.delay[1]
@@ -99,9 +99,9 @@ def test_the_worst_case_is_searched_for_between_the_points_of_a_grid(count: int)
     hands = ("1.0,3,300,1,9000", "none")
     needs = WallRequirements(period=0.00588, mass=(0.8638, 0.8896), delay=(0.0061, 0.00945), hands=hands)
     wall = replace(design_wall(WallRequirements(), "observer", pole=0.0), requirements=needs)
-    modulus, case = worst_case(needs, 1817.0, 277.3, wall.design)
-    assert modulus >= densely(replace(wall, stiffness=1817.0, damping=277.3), seed=2, count=count).max()
-    assert needs.moduli([case], 1817.0, 277.3, wall.design) == pytest.approx(modulus, rel=1e-12)
+    spectral_radius, case = worst_case(needs, 1817.0, 277.3, wall.design)
+    assert spectral_radius >= densely(replace(wall, stiffness=1817.0, damping=277.3), seed=2, count=count).max()
+    assert needs.spectral_radii([case], 1817.0, 277.3, wall.design) == pytest.approx(spectral_radius, rel=1e-12)
 
 
 LIGHT = "1.5,8,300,0.4,30000"
@@ -117,7 +117,7 @@ def random_needs(seed: int) -> WallRequirements:
         mass=(mass, mass * random.uniform(1.0, 2.0)),
         delay=(delay, delay * random.uniform(1.0, 1.5)),
         hands=list(dict.fromkeys(map(str, random.choice(SEVERAL, random.integers(1, 3), replace=False)))),
-        modulus=float(random.choice([0.9, 0.97, 0.99, 0.999, 1.0])),
+        spectral_radius=float(random.choice([0.9, 0.97, 0.99, 0.999, 1.0])),
     )
 
 
@@ -129,8 +129,8 @@ def scanned(needs: WallRequirements, stiffness: float, count: int) -> float:
     most = np.zeros((gains.size, dampings.size))
     for _, loops in needs.loops(needs.grid(4), None):
         for place in range(loops.shape[0]):
-            np.maximum(most, loops.part(loops.shape, place).modulus(gains, dampings), out=most)
-    borne = np.logical_and.accumulate(is_stable(most), axis=0) & (most <= needs.modulus)
+            np.maximum(most, loops.part(loops.shape, place).spectral_radius(gains, dampings), out=most)
+    borne = np.logical_and.accumulate(is_stable(most), axis=0) & (most <= needs.spectral_radius)
     return float((gains * borne).max())
 
 
@@ -147,7 +147,7 @@ def test_no_wall_of_a_dense_scan_is_stiffer_than_the_designed_one(seeds: Iterabl
             assert scanned(needs, 0.0, count) == 0.0, seed
             continue
         assert scanned(needs, 1.01 * wall.stiffness, count) < 1.01 * wall.stiffness, seed
-        assert densely(wall, seed, 300).max() <= needs.modulus * (1.0 + 1e-6), seed
+        assert densely(wall, seed, 300).max() <= needs.spectral_radius * (1.0 + 1e-6), seed
 
 
 def test_a_wall_is_found_where_few_dampings_admit_one() -> None:
@@ -155,7 +155,7 @@ def test_a_wall_is_found_where_few_dampings_admit_one() -> None:
     around: dict[str, Any] = {"mass": (0.995006, 1.397408), "delay": (0.001809, 0.001892)}
     wall = design_wall(WallRequirements(period=1.0 / 1700.0, hands=["stylus"], **around))
     assert wall.stiffness == pytest.approx(7534.6, rel=2e-4)
-    assert wall.modulus <= 0.97 * (1.0 + 1e-9)
+    assert wall.spectral_radius <= 0.97 * (1.0 + 1e-9)
 
 
 # largest least dynamic stiffness of a grid over the gains, by law and hands [N/m]
@@ -164,10 +164,10 @@ def test_a_wall_is_found_where_few_dampings_admit_one() -> None:
     [("pd", ("none",), 3582.0), *further(("pd", tuple(HANDS), 3448.0), ("observer", tuple(HANDS), 8695.0))],
 )
 def test_the_dynamic_goal_is_reached_within_a_few_per_cent(law: str, hands: tuple[str, ...], stiffness: float) -> None:
-    needs = WallRequirements(**{**EVERYTHING, "hands": hands}, modulus=1.0)
+    needs = WallRequirements(**{**EVERYTHING, "hands": hands}, spectral_radius=1.0)
     wall = design_wall(needs, law, goal="dynamic", pole=None if law == "pd" else 0.0)
     assert wall.dynamic_stiffness == pytest.approx(stiffness, rel=0.02)
-    assert densely(wall, seed=5).max() <= wall.modulus * (1.0 + 1e-6) < 1.0
+    assert densely(wall, seed=5).max() <= wall.spectral_radius * (1.0 + 1e-6) < 1.0
     cases = needs.random(500, seed=11)
     assert not growing_cases(wall, Contact(force_limit=None), cases, seed=12).any()
 
@@ -178,8 +178,8 @@ def test_gains_for_each_error_alone_fail_where_errors_come_together(gains: tuple
     needs = WallRequirements(**EVERYTHING)
     wall = replace(design_wall(WallRequirements(), "observer", pole=0.0), requirements=needs)
     wall = replace(wall, stiffness=gains[0], damping=gains[1])
-    modulus, case = worst_case(needs, *gains, wall.design)
-    assert modulus > 1.009 and case.hand == "arm" and case.mass == pytest.approx(0.84)
+    spectral_radius, case = worst_case(needs, *gains, wall.design)
+    assert spectral_radius > 1.009 and case.hand == "arm" and case.mass == pytest.approx(0.84)
     arms = [Case(0.84, 0.0012, "arm")] * 5
     assert growing_cases(wall, Contact(force_limit=None), arms).all()
     assert growing_cases(wall, Contact(), arms).all()
@@ -204,8 +204,8 @@ def test_a_pulse_stops_the_lightest_flotor_and_lessens_the_depth() -> None:
         ({"hands": ()}, "hands must be one or more different ones, not none at all"),
         ({"hands": ("arm", "arm")}, "hands must be one or more different ones, not arm, arm"),
         ({"hands": ("fist",)}, "hand must be one of none, arm, stylus, fingertip, or"),
-        ({"modulus": 1.01}, "modulus must be a finite number above 0 and at most 1, not 1.01"),
-        ({"modulus": 0.5}, r"modulus must be above 0\.5 here: no pd wall"),
+        ({"spectral_radius": 1.01}, "spectral_radius must be a finite number above 0 and at most 1, not 1.01"),
+        ({"spectral_radius": 0.5}, r"spectral_radius must be above 0\.5 here: no pd wall"),
         ({"law": "pid"}, "law must be one of pd, observer"),
     ],
 )
@@ -223,13 +223,15 @@ def test_the_command_prints_and_writes_a_design(drawn: bool, tmp_path: Any, caps
     assert "mass 0.6 to 0.8 kg, delay 1.5 ms" in said and "hands none, arm" in said and "none grow" in said
     assert not drawn or (tmp_path / "design.png").read_bytes().startswith(b"\x89PNG")
     data = json.loads((tmp_path / "design.json").read_text())
-    assert data["wall"]["requirements"]["hands"] == ["none", "arm"] and data["wall"]["modulus"] <= 0.97 * (1.0 + 1e-9)
+    assert data["wall"]["requirements"]["hands"] == ["none", "arm"] and data["wall"]["spectral_radius"] <= 0.97 * (
+        1.0 + 1e-9
+    )
     assert len(data["cases"]) >= 200 and not any(data["grows"])
-    assert np.max(data["map"]) <= data["wall"]["modulus"] * (1.0 + 1e-6)
+    assert np.max(data["map"]) <= data["wall"]["spectral_radius"] * (1.0 + 1e-6)
 
 
 def test_a_wall_that_goes_on_ends_with_status_1(capsys: Any) -> None:
-    assert main(["design", "--modulus", "1"]) == 1
+    assert main(["design", "--spectral-radius", "1"]) == 1
     said = capsys.readouterr().out
     assert "10173" in said and "grow or go on" in said and "hand none" in said
 

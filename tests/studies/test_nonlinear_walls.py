@@ -12,7 +12,7 @@ from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.studies.cells import local_workers
 from maglev_mj.studies.drop_map import SAMPLES, DropMapParameters, Ending, _Quarters, judge_drops, run_drop_map
 from maglev_mj.studies.record import Record
-from maglev_mj.theory import is_stable, largest_modulus
+from maglev_mj.theory import is_stable, spectral_radius
 from tests.sweeps import sweep
 
 ALL: dict[str, Any] = {"pulse": 220.0, "force_limit": 60.0, "quantize": 5e-6}
@@ -20,12 +20,12 @@ ALL: dict[str, Any] = {"pulse": 220.0, "force_limit": 60.0, "quantize": 5e-6}
 
 @pytest.mark.parametrize(("delay", "hand"), sweep([0.0, 0.0015, 0.005], ["none", "arm"], every=3))
 def test_released_at_the_edge_a_wall_settles_where_theory_has_it_stable(delay: float, hand: str) -> None:
-    # In every cell whose modulus is further than 0.005 from 1: it changes by a factor of 1.6 over a quarter.
+    # In every cell whose spectral radius is further than 0.005 from 1: it changes by a factor of 1.6 over a quarter.
     found = run_drop_map(DropMapParameters(grid=40, height=0.0, delay=delay, hand=hand))
-    modulus = largest_modulus(found.stiffness[:, None], found.damping, **found.parameters.loop)
-    away = np.abs(modulus - 1.0) > 0.005
+    radius = spectral_radius(found.stiffness[:, None], found.damping, **found.parameters.loop)
+    away = np.abs(radius - 1.0) > 0.005
     assert away.mean() > 0.9 and 0.3 < found.settles.mean() < 0.7
-    assert (found.settles == is_stable(modulus))[away].all()
+    assert (found.settles == is_stable(radius))[away].all()
     # what leaves the wall by itself has gained energy
     assert ((found.ending == Ending.GAINS) | ~away | found.settles).mean() > 0.97
 
@@ -57,7 +57,7 @@ def test_steps_keep_walls_of_much_damping_from_resting_that_theory_has_stable() 
     # A step is much force where the damping is high: a hum of ten steps and more.
     k, b = (part.ravel() for part in np.meshgrid(np.linspace(3000.0, 8000.0, 60), np.linspace(120.0, 165.0, 30)))
     p = DropMapParameters(height=0.0)
-    stable = largest_modulus(k, b, **p.loop) < 0.99
+    stable = spectral_radius(k, b, **p.loop) < 0.99
     assert stable.sum() > 250 and (judge_drops(k, b, p)[1][stable] == Ending.SETTLES).all()
     swing, found = judge_drops(k, b, DropMapParameters(height=0.0, quantize=5e-6))
     hums = stable & (found != Ending.SETTLES)

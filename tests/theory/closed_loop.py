@@ -34,7 +34,7 @@ def pd_matrix(stiffness: float, damping: float, *, period: float, delay: float, 
     return advance
 
 
-def largest_modulus(stiffness: float, damping: float, *, period: float, delay: float, mass: float) -> float:
-    """Return the largest eigenvalue modulus of `pd_matrix`."""
+def spectral_radius(stiffness: float, damping: float, *, period: float, delay: float, mass: float) -> float:
+    """Return the spectral radius of `pd_matrix`."""
     matrix = pd_matrix(stiffness, damping, period=period, delay=delay, mass=mass)
     return float(np.abs(np.linalg.eigvals(matrix)).max())

@@ -63,11 +63,11 @@ def test_every_wall_up_to_the_boundary_is_stable_and_the_next_is_not(seed: int) 
     top = 8.0 * float(loop.moving_mass) / float(np.asarray(loop.period)) ** 2
     found = boundary_of(loop, damping)
     below = np.concatenate([np.geomspace(1e-6, 1.0, 200), np.linspace(0.005, 1.0, 200)]) * (1.0 - 1e-9)
-    assert is_stable(loop.modulus(found[:, None] * below, damping[:, None]))[found > 0.0].all()
+    assert is_stable(loop.spectral_radius(found[:, None] * below, damping[:, None]))[found > 0.0].all()
     inside = (found > 0.0) & (found < top)
-    assert not is_stable(loop.modulus(found * (1.0 + 1e-7), damping))[inside].any()
+    assert not is_stable(loop.spectral_radius(found * (1.0 + 1e-7), damping))[inside].any()
     none = found == 0.0
-    assert not is_stable(loop.modulus(1e-6 * top, damping[none])).any()
+    assert not is_stable(loop.spectral_radius(1e-6 * top, damping[none])).any()
 
 
 @pytest.mark.parametrize(("seed", "limit"), sweep(range(100, 112), [1.0, 0.97], every=6))
@@ -77,7 +77,7 @@ def test_ranges_are_those_of_a_dense_scan(seed: int, limit: float) -> None:
     top = 8.0 * float(loop.moving_mass) / float(np.asarray(loop.period)) ** 2
     stiffness = top * np.geomspace(1e-7, 1.0, 3000)
     for damping in dampings_of(loop, random, 4):
-        stable = is_stable(loop.modulus(stiffness, damping), limit)
+        stable = is_stable(loop.spectral_radius(stiffness, damping), limit)
         inside, near = np.zeros(stiffness.size, dtype=bool), np.zeros(stiffness.size, dtype=bool)
         for low, high in ranges_of(loop, float(damping), limit):
             inside |= (stiffness >= low) & (stiffness <= high)
@@ -178,8 +178,8 @@ def test_the_stiffest_wall_may_have_no_damping_at_all(damping: float, stiffness:
     loop = SampledLoop(delay=0.005, hand=Hand(mass=10.0, damping=damping, grip_stiffness=30000.0))
     found = stiffest_of(loop)
     assert found.damping == 0.0 and float(found.stiffness) == pytest.approx(stiffness, rel=1e-6)
-    assert is_stable(loop.modulus(0.999 * found.stiffness, 0.0))
-    assert not is_stable(loop.modulus(found.stiffness, np.geomspace(0.1, 1000.0, 400))).any()
+    assert is_stable(loop.spectral_radius(0.999 * found.stiffness, 0.0))
+    assert not is_stable(loop.spectral_radius(found.stiffness, np.geomspace(0.1, 1000.0, 400))).any()
 
 
 def test_a_maximum_that_is_a_narrow_point_is_found() -> None:
@@ -217,8 +217,8 @@ def test_an_observer_has_its_boundary_too() -> None:
     loop = SampledLoop(design=lambda stiffness, damping, period: wall.linear(stiffness, damping))
     damping = np.linspace(20.0, 260.0, 13)
     found = boundary_of(loop, damping)
-    assert is_stable(loop.modulus(found * (1.0 - 1e-7), damping)).all()
-    assert not is_stable(loop.modulus(found * (1.0 + 1e-7), damping)).any()
+    assert is_stable(loop.spectral_radius(found * (1.0 - 1e-7), damping)).all()
+    assert not is_stable(loop.spectral_radius(found * (1.0 + 1e-7), damping)).any()
     assert found.max() > 2.0 * float(stiffest_of(SampledLoop()).stiffness)
 
 

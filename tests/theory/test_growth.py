@@ -19,7 +19,7 @@ from maglev_mj.studies.stability_map import (
     measure_growth,
     run_stability,
 )
-from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness, stiffest_wall
+from maglev_mj.theory import critical_delay, largest_stable_stiffness, spectral_radius, stiffest_wall
 from maglev_mj.theory.boundary import boundary_of, stiffest_of
 from maglev_mj.theory.closed_loop import SampledLoop
 from tests.sweeps import further
@@ -51,15 +51,15 @@ def walls(stiffness: ArrayLike, damping: ArrayLike, **values: Any) -> list[Resti
 
 
 @pytest.mark.parametrize("count", [30, pytest.param(300, marks=pytest.mark.study)])
-def test_growth_is_the_modulus(count: int) -> None:
+def test_growth_is_the_spectral_radius(count: int) -> None:
     # Over a random sample, away from pairs of modes that beat.
     random = np.random.default_rng(4)
     k, b = random.uniform(500.0, 9000.0, count), random.uniform(10.0, 100.0, count)
     growth = measure_growth(walls(k, b))
-    modulus = largest_modulus(k, b, period=T, delay=0.0015)
+    radius = spectral_radius(k, b, period=T, delay=0.0015)
     long = growth.ticks > 200
     assert long.sum() > count / 4
-    np.testing.assert_allclose(np.log(growth.rate[long]), np.log(modulus[long]), atol=0.01)
+    np.testing.assert_allclose(np.log(growth.rate[long]), np.log(radius[long]), atol=0.01)
 
 
 SOFT = "0.2,10,200,2,800"

@@ -30,7 +30,7 @@ from maglev_mj.control import (
 from maglev_mj.errors import MissingPackageError, ParameterError
 from maglev_mj.scenes.find import find_scene
 from maglev_mj.spec import INERTIA
-from maglev_mj.theory import Verdict, judge, largest_modulus, stability, stated_gains
+from maglev_mj.theory import Verdict, judge, spectral_radius, stability, stated_gains
 from maglev_mj.theory.closed_loop import SampledLoop
 from maglev_mj.theory.linearise import ClosedLoop, Linearised, linearise
 from tests.sweeps import further, sweep
@@ -70,7 +70,7 @@ def verdict(
 
 
 def at_rest(controller: Controller, delay: float) -> float:
-    """Return the largest modulus by closed forms, those of free motion left out.
+    """Return the spectral radius by closed forms, those of free motion left out.
 
     With friction stuck, as in the linearisation.
     """
@@ -86,7 +86,7 @@ def at_rest(controller: Controller, delay: float) -> float:
 
 
 def closed(stiffness: float, damping: float, **loop: Any) -> float:
-    """Return the largest modulus by closed forms, those of free motion left out."""
+    """Return the spectral radius by closed forms, those of free motion left out."""
     roots = np.linalg.eigvals(SampledLoop(**loop).matrix(stiffness, damping))
     free = 0 if stiffness > 0.0 else 1 if damping > 0.0 else 2
     return float(np.abs(roots[np.argsort(np.abs(roots - 1.0))[free:]]).max())
@@ -137,7 +137,7 @@ def test_the_numerical_verdict_is_that_of_the_closed_forms(name: str) -> None:
     closed, found = judge(stated, **how), judge(Controller([*laws, silent], period=scene.period), **how)
     assert closed.stated and not found.stated
     assert found.stable is closed.stable, scene
-    assert found.modulus == pytest.approx(at_rest(stated, scene.delay), abs=1e-9), scene
+    assert found.spectral_radius == pytest.approx(at_rest(stated, scene.delay), abs=1e-9), scene
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_velocity_estimates_are_found_as_they_are(
     for extra in ([], [silent]):
         found = judge(Controller([hold, *extra], period=T, velocity=velocity), delay=DELAY)
         assert found.stated is not bool(extra)
-        assert found.modulus == pytest.approx(expected, abs=1e-8)
+        assert found.spectral_radius == pytest.approx(expected, abs=1e-8)
         assert found.stable is (expected < 1.0)
 
 
@@ -185,9 +185,11 @@ def test_detents_are_judged_at_their_bottoms(stiffness: float) -> None:
     assert found.stable is (stiffness < 9000.0) and len(found.away) > 0
     assert "push away" in found.remarks[-1]
     if stiffness == 9870.0:
-        assert found.modulus == pytest.approx(1.0308, abs=1e-4) and found.axes == ("x",)
-        assert found.modulus == pytest.approx(float(largest_modulus(9870.0, 50.0, period=T, delay=DELAY)), abs=1e-8)
-        assert str(found) == "x: largest root 1.031 UNSTABLE"
+        assert found.spectral_radius == pytest.approx(1.0308, abs=1e-4) and found.axes == ("x",)
+        assert found.spectral_radius == pytest.approx(
+            float(spectral_radius(9870.0, 50.0, period=T, delay=DELAY)), abs=1e-8
+        )
+        assert str(found) == "x: spectral radius 1.031 UNSTABLE"
 
 
 def circulating(position: Sequence[Any], velocity: Sequence[Any]) -> Sequence[Any]:
@@ -198,11 +200,15 @@ def circulating(position: Sequence[Any], velocity: Sequence[Any]) -> Sequence[An
 
 def test_axes_that_act_on_each_other_are_judged_together() -> None:
     found = verdict(circulating, axes=2)
-    assert found.stable is False and found.axes == ("x", "y") and found.modulus == pytest.approx(1.0235, abs=1e-4)
+    assert (
+        found.stable is False and found.axes == ("x", "y") and found.spectral_radius == pytest.approx(1.0235, abs=1e-4)
+    )
     (near,) = linearise(Controller([circulating], period=T), np.zeros((1, 6)))
     assert near.stiffness[:2, :2] == pytest.approx(np.array([[2000.0, -1500.0], [1500.0, 2000.0]]))
-    assert near.closed_loop(delay=DELAY, axes=("x", "y")).modulus == pytest.approx(found.modulus, abs=1e-9)
-    assert near.closed_loop(delay=DELAY, axes="x").modulus < 1.0
+    assert near.closed_loop(delay=DELAY, axes=("x", "y")).spectral_radius == pytest.approx(
+        found.spectral_radius, abs=1e-9
+    )
+    assert near.closed_loop(delay=DELAY, axes="x").spectral_radius < 1.0
 
 
 def test_walls_that_state_no_gains_are_judged_inside_their_faces() -> None:
@@ -211,12 +217,12 @@ def test_walls_that_state_no_gains_are_judged_inside_their_faces() -> None:
         ahead = PredictiveWall(**common, delay=DELAY, stiffness=stiffness)
         assert [face[0] for face in ahead.faces()] == [0]
         found = verdict(ahead, Bias([0.0] * 6))
-        assert found.stable is (stiffness < 9000.0), found.modulus
+        assert found.stable is (stiffness < 9000.0), found.spectral_radius
     observer = ObserverWall(**common, delay=DELAY, stiffness=4000.0, inertia=INERTIA[0], pole=0.4)
     loop: Any = {"period": T, "delay": DELAY, "mass": INERTIA[0], "design": lambda k, b, _: observer.linear(k, b)}
     (near,) = linearise(Controller([observer], period=T), [[-0.0045, 0, 0, 0, 0, 0]])
-    assert near.closed_loop(delay=DELAY, axes="x").modulus == pytest.approx(
-        float(largest_modulus(4000.0, 80.0, **loop)), abs=1e-6
+    assert near.closed_loop(delay=DELAY, axes="x").spectral_radius == pytest.approx(
+        float(spectral_radius(4000.0, 80.0, **loop)), abs=1e-6
     )
 
 
@@ -246,7 +252,7 @@ def test_an_axis_without_stiffness_is_stable() -> None:
     held = at_rest(Controller([others], period=T), DELAY)
     for force in (lambda x, v: -30.0 * v, lambda x, v: -1e-9 * x - 1e-12 * v):
         found = verdict(along_x(force))
-        assert found.stable is True and found.modulus == pytest.approx(held, abs=1e-6)
+        assert found.stable is True and found.spectral_radius == pytest.approx(held, abs=1e-6)
     assert verdict(along_x(lambda x, v: -400.0 * v)).stable is False
 
 
@@ -261,7 +267,7 @@ class Washout(AxisLaw):
 def test_the_end_of_a_long_answer_does_not_push_away() -> None:
     found = verdict(Washout(axes="x"))
     roots = exact(Washout(axes="x"), 0.0, period=T, delay=DELAY, mass=INERTIA[0])
-    assert abs(roots[0] - 1.0) < 1e-12 and found.modulus == pytest.approx(np.abs(roots[1:]).max(), abs=1e-9)
+    assert abs(roots[0] - 1.0) < 1e-12 and found.spectral_radius == pytest.approx(np.abs(roots[1:]).max(), abs=1e-9)
     assert found.stable is True and not found.remarks
 
 
@@ -285,7 +291,7 @@ def test_a_virtual_mass_is_judged_without_its_free_motion() -> None:
         roots = exact(law, (0.0, 0.0), period=0.001, delay=0.0005, mass=INERTIA[2])
         assert np.abs(roots[:2] - 1.0).max() < 1e-6  # a double root is known to half of the digits
         found = judge(Controller([law], period=0.001), delay=0.0005)
-        assert found.modulus == pytest.approx(np.abs(roots[2:]).max(), abs=1e-9) and found.axes == ("z",)
+        assert found.spectral_radius == pytest.approx(np.abs(roots[2:]).max(), abs=1e-9) and found.axes == ("z",)
         assert found.stable is bool(np.abs(roots).max() < 1.0 + 1e-6) and not found.remarks
 
 
@@ -303,7 +309,7 @@ class Integral(AxisLaw):
 def test_an_integral_is_judged_by_its_own_root(leak: float) -> None:
     found = verdict(law := Integral(axes="x", leak=leak))
     roots = exact(law, 0.0, period=T, delay=DELAY, mass=INERTIA[0])
-    assert found.stable is True and found.modulus == pytest.approx(np.abs(roots).max(), abs=1e-9)
+    assert found.stable is True and found.spectral_radius == pytest.approx(np.abs(roots).max(), abs=1e-9)
     assert np.isinf(found.stiffness[0, 0]) == (leak == 0.0)
 
     class Corner(Integral):
@@ -316,7 +322,7 @@ def test_an_integral_is_judged_by_its_own_root(leak: float) -> None:
     if leak == 0.1:
         there = verdict(Corner(axes="x", leak=leak))
         assert there.stable is True and not len(there.unknown)
-        assert there.modulus >= np.abs(roots).max() - 1e-9
+        assert there.spectral_radius >= np.abs(roots).max() - 1e-9
 
 
 WEIGHTS = np.random.default_rng(0).standard_normal(600)
@@ -347,7 +353,7 @@ def test_an_answer_that_does_not_die_away_is_not_known(monkeypatch: pytest.Monke
     assert str(found).endswith("not known")
     # nor is a controller known that is stable at all poses but a few
     few = verdict(Cave(axes="x"))
-    assert few.stable is None and few.modulus < 1.0 and 0 < len(few.unknown) < 10
+    assert few.stable is None and few.spectral_radius < 1.0 and 0 < len(few.unknown) < 10
     # what is unstable for certain is said to be
     assert verdict(Echo(axes="y"), Hold(axes="x", stiffness=20000.0, damping=80.0), axes=2).stable is False
     with np.errstate(invalid="ignore"):
@@ -372,8 +378,8 @@ def test_a_scene_of_any_kind_is_judged() -> None:
     )
     assert stability(scene).stable is False
     heavy = stability(scene, inertia=np.array(INERTIA) * 10.0)
-    assert heavy.stable is True and heavy.modulus == pytest.approx(
-        float(largest_modulus(3e3, 30.0, mass=1.0)), abs=1e-9
+    assert heavy.stable is True and heavy.spectral_radius == pytest.approx(
+        float(spectral_radius(3e3, 30.0, mass=1.0)), abs=1e-9
     )
 
 
@@ -436,7 +442,7 @@ def test_state_spaces_of_controller_and_loop_answer_as_they_do(monkeypatch: pyte
     near, loop = held_loop()
     law, plant = near.to_statespace(), loop.to_statespace()
     assert law[4] == plant[4] == T and np.abs(np.linalg.eigvals(plant[0])).max() == pytest.approx(
-        loop.modulus, abs=1e-9
+        loop.spectral_radius, abs=1e-9
     )
     # the flotor under a constant push, in the loop and with the controller around it
     push = np.zeros((6, 300))
@@ -462,7 +468,7 @@ def test_python_control_answers_as_the_loop() -> None:
 
     near, loop = held_loop()
     law, plant = near.to_statespace(), loop.to_statespace()
-    assert law.dt == plant.dt == T and np.abs(plant.poles()).max() == pytest.approx(loop.modulus, abs=1e-9)
+    assert law.dt == plant.dt == T and np.abs(plant.poles()).max() == pytest.approx(loop.spectral_radius, abs=1e-9)
     push = np.eye(6)[:, :1] * np.ones(300)
     moved = responses((loop.matrix, loop.enters, loop.seen, np.zeros((6, 6))), push)
     np.testing.assert_allclose(control.forced_response(plant, inputs=push).outputs, moved, atol=1e-15)

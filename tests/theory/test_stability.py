@@ -18,14 +18,14 @@ from maglev_mj.theory import (
     closed_loop,
     critical_delay,
     is_stable,
-    largest_modulus,
     largest_stable_stiffness,
     least_dynamic_stiffness,
+    spectral_radius,
     stiffest_wall,
 )
 from maglev_mj.theory.closed_loop import SampledLoop
 from tests.sweeps import sweep
-from tests.theory.closed_loop import largest_modulus as independent_modulus
+from tests.theory.closed_loop import spectral_radius as independent_spectral_radius
 
 T, M = 0.005, 0.7
 LAG = 1.0 / (2.0 * math.pi * Spec.driver_bandwidth.value)
@@ -44,7 +44,7 @@ def test_stiffest_walls_of_the_device(delay: float, stiffness: float, damping: f
 def test_critical_delay_of_the_papers_wall() -> None:
     assert critical_delay(6000.0, 80.0, period=T, mass=M) == pytest.approx(3.257e-3, rel=1e-3)
     at = float(critical_delay(6000.0, 80.0, period=T))
-    assert largest_modulus(6000.0, 80.0, period=T, delay=at) == pytest.approx(1.0, abs=1e-9)
+    assert spectral_radius(6000.0, 80.0, period=T, delay=at) == pytest.approx(1.0, abs=1e-9)
     assert critical_delay([30000.0, 1e-3], [80.0, 1.0], period=T).tolist() == [0.0, math.inf]
 
 
@@ -54,25 +54,25 @@ def test_equation_6_is_the_case_of_a_full_period() -> None:
     cp, cv = T**2 * k / (2.0 * M), T * b / (2.0 * M)
     rows = np.stack([np.ones(50), np.full(50, -2.0), 1.0 + cp + cv, cp, -cv], axis=-1)
     roots = [np.abs(np.roots(row)).max() for row in rows]
-    np.testing.assert_allclose(largest_modulus(k, b, period=T, delay=T, mass=M), roots, rtol=1e-10)
+    np.testing.assert_allclose(spectral_radius(k, b, period=T, delay=T, mass=M), roots, rtol=1e-10)
 
 
 def test_any_delay_against_another_derivation() -> None:
     random = np.random.default_rng(1)
     for delay in np.linspace(0.0, 3.0 * T, 31):
         k, b = random.uniform(100.0, 9000.0), random.uniform(1.0, 150.0)
-        ours = largest_modulus(k, b, period=T, delay=delay, mass=M)
-        assert ours == pytest.approx(independent_modulus(k, b, period=T, delay=delay, mass=M), rel=1e-10)
+        ours = spectral_radius(k, b, period=T, delay=delay, mass=M)
+        assert ours == pytest.approx(independent_spectral_radius(k, b, period=T, delay=delay, mass=M), rel=1e-10)
 
 
 def test_scaling_is_exact() -> None:
     """Only k T²/m, b T/m and T_d/T count."""
     random = np.random.default_rng(2)
     k, b = random.uniform(100.0, 9000.0, 40), random.uniform(1.0, 150.0, 40)
-    here = largest_modulus(k, b, period=T, delay=0.3 * T, mass=M)
+    here = spectral_radius(k, b, period=T, delay=0.3 * T, mass=M)
     for period, mass in ((1e-3, 0.7), (5e-3, 0.05), (2e-4, 3.0)):
         factor = mass / M
-        there = largest_modulus(
+        there = spectral_radius(
             k * factor * (T / period) ** 2, b * factor * T / period, period=period, delay=0.3 * period, mass=mass
         )
         np.testing.assert_allclose(there, here, rtol=1e-9)
@@ -85,19 +85,19 @@ def test_scaling_is_exact() -> None:
 def test_gains_and_loop_broadcast() -> None:
     hand = Hand(mass=np.array([0.1, 0.2, 0.3]), damping=5.0)
     delays = np.array([[0.0], [0.0015], [0.005], [0.0125]])
-    together = largest_modulus(3000.0, 40.0, period=T, delay=delays, hand=hand)
+    together = spectral_radius(3000.0, 40.0, period=T, delay=delays, hand=hand)
     assert together.shape == (4, 3)
     for row, column in itertools.product(range(4), range(3)):
         one = Hand(mass=np.asarray(hand.mass)[column], damping=5.0)
-        alone = largest_modulus(3000.0, 40.0, period=T, delay=delays[row, 0], hand=one)
+        alone = spectral_radius(3000.0, 40.0, period=T, delay=delays[row, 0], hand=one)
         assert together[row, column] == pytest.approx(float(alone), rel=1e-12)
     # as arrays of two dimensions, where a transposed axis would show
     pairs = np.array([[0.0, 0.006, 0.002], [0.001, 0.0015, 0.012]])
-    for function in (largest_modulus, least_dynamic_stiffness):
+    for function in (spectral_radius, least_dynamic_stiffness):
         whole = function(1500.0, 40.0, period=T, delay=pairs)
         single = [[float(function(1500.0, 40.0, period=T, delay=delay)) for delay in row] for row in pairs]
         np.testing.assert_allclose(whole, single, rtol=1e-9)
-    ahead = largest_modulus(3000.0, 40.0, period=T, delay=0.0, prediction=[0.0, 0.001])
+    ahead = spectral_radius(3000.0, 40.0, period=T, delay=0.0, prediction=[0.0, 0.001])
     assert ahead.shape == (2,) and ahead[0] != ahead[1]
     best = stiffest_wall(period=T, delay=delays[:, 0])
     assert best.stiffness.shape == (4,) and (np.diff(best.stiffness) < 0.0).all()
@@ -219,7 +219,7 @@ def test_least_dynamic_stiffness_has_its_limits() -> None:
 )
 def test_bad_loops_are_refused_with_the_value(loop: dict[str, Any], words: str) -> None:
     with pytest.raises(ParameterError, match=words):
-        largest_modulus(**{"stiffness": 6000.0, "damping": 80.0, "period": T, "delay": 0.0015, **loop})
+        spectral_radius(**{"stiffness": 6000.0, "damping": 80.0, "period": T, "delay": 0.0015, **loop})
     with pytest.raises(ParameterError, match="delay must be left out"):
         critical_delay(6000.0, 80.0, period=T, delay=0.0)
 
@@ -266,8 +266,8 @@ def test_a_hands_force_is_not_filtered_by_the_drivers() -> None:
 def test_more_gains_than_are_taken_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(closed_loop, "_TOGETHER", 16)
     stiffness, masses = np.linspace(1000.0, 6000.0, 19), np.linspace(0.5, 1.0, 19)
-    found = largest_modulus(stiffness, 40.0, period=T, delay=0.0, mass=masses)
-    alone = [float(largest_modulus(k, 40.0, period=T, delay=0.0, mass=m)) for k, m in zip(stiffness, masses)]
+    found = spectral_radius(stiffness, 40.0, period=T, delay=0.0, mass=masses)
+    alone = [float(spectral_radius(k, 40.0, period=T, delay=0.0, mass=m)) for k, m in zip(stiffness, masses)]
     assert found == pytest.approx(alone, rel=1e-12)
 
 
@@ -275,9 +275,9 @@ def test_critical_delays_of_more_than_three_periods() -> None:
     stiffness, damping = [3000.0, 5000.0, 6000.0, 30000.0], [60.0, 100.0, 80.0, 80.0]
     found = critical_delay(stiffness, damping, period=1e-3)
     np.testing.assert_allclose(found, [math.inf, 7.23914e-3, 7.02080e-3, 1.74846e-3], rtol=1e-5)
-    stable = is_stable(largest_modulus(6000.0, 80.0, period=1e-3, delay=np.linspace(0.0, 0.01, 500)))
+    stable = is_stable(spectral_radius(6000.0, 80.0, period=1e-3, delay=np.linspace(0.0, 0.01, 500)))
     assert np.argmin(stable) == np.searchsorted(np.linspace(0.0, 0.01, 500), found[2])
-    assert is_stable(largest_modulus(3000.0, 60.0, period=1e-3, delay=np.linspace(0.0, 0.01, 500))).all()
+    assert is_stable(spectral_radius(3000.0, 60.0, period=1e-3, delay=np.linspace(0.0, 0.01, 500))).all()
     rates = critical_delay(6000.0, 80.0, period=[[1e-3], [T]], mass=[0.7, 0.7])
     np.testing.assert_allclose(rates, [[7.02080e-3] * 2, [3.25722e-3] * 2], rtol=1e-5)
 

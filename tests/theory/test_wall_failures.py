@@ -9,7 +9,7 @@ from maglev_mj.control import Wall
 from maglev_mj.frames import Array, Mask
 from maglev_mj.plants.hand import Hand
 from maglev_mj.spec import RANGE
-from maglev_mj.theory import critical_delay, largest_modulus, largest_stable_stiffness
+from maglev_mj.theory import critical_delay, largest_stable_stiffness, spectral_radius
 from maglev_mj.theory.boundary import gil
 from tests.sweeps import further
 from tests.theory.failures import corner, press_at_edge
@@ -154,7 +154,7 @@ def test_a_force_limit_undoes_no_stable_wall(limit: float) -> None:
     # Random stable walls, heights and phases: each settles, however deep it goes on the way.
     random = np.random.default_rng(int(limit))
     k, b = random.uniform(300.0, 10_000.0, 700), random.uniform(3.0, 140.0, 700)
-    stable = largest_modulus(k, b, period=T, delay=0.0015) < 0.95
+    stable = spectral_radius(k, b, period=T, delay=0.0015) < 0.95
     k, b, heights = k[stable], b[stable], random.permutation(np.geomspace(2e-4, 9e-3, int(stable.sum())))
     law = Wall(axes="z", lower=0.0, stiffness=k[:, None], damping=b[:, None])
     found = limited_drop(heights, law, random.random(k.size), force_limit=limit, duration=4.0)
@@ -179,9 +179,9 @@ def test_a_hand_stiff_enough_undoes_a_stable_wall() -> None:
     # A clamp raises the frequency until the delay turns damping into drive; hands are far softer.
     wall = {"stiffness": 6000.0, "damping": 80.0}
     stiff = np.array([0.0, 500.0, 1050.0, 9100.0, 9150.0, 40000.0])
-    modulus = largest_modulus(wall["stiffness"], wall["damping"], period=T, delay=0.0015, hand=Hand(stiffness=stiff))
-    assert (np.diff(modulus) > 0.0).all()
-    assert (modulus[:4] < 1.0).all() and (modulus[4:] > 1.0).all()
+    radius = spectral_radius(wall["stiffness"], wall["damping"], period=T, delay=0.0015, hand=Hand(stiffness=stiff))
+    assert (np.diff(radius) > 0.0).all()
+    assert (radius[:4] < 1.0).all() and (radius[4:] > 1.0).all()
     assert critical_delay(6000.0, 80.0, period=T, hand=Hand(stiffness=40000.0)) < 0.0015
 
 
@@ -193,6 +193,6 @@ def test_mass_alone_never_undoes_a_stable_wall() -> None:
     assert boundary[-1] == pytest.approx(gil(23.0, period=T, delay=0.0015), rel=0.01)
     random = np.random.default_rng(6)
     k, b = random.uniform(10.0, 15000.0, 3000), random.uniform(1.0, 180.0, 3000)
-    stable = largest_modulus(k, b, period=T, delay=0.0015) < 1.0
+    stable = spectral_radius(k, b, period=T, delay=0.0015) < 1.0
     for m in mass:
-        assert (largest_modulus(k[stable], b[stable], period=T, delay=0.0015, hand=Hand(mass=m)) < 1.0).all()
+        assert (spectral_radius(k[stable], b[stable], period=T, delay=0.0015, hand=Hand(mass=m)) < 1.0).all()

@@ -184,7 +184,7 @@ def test_better_walls_prints_and_writes_its_figures(tmp_path: Path, run_script: 
     assert len(data["designs"]) == 2 and len(data["bounces"]) == 2 and len(data["hum"]) == 2
     assert "observer, poles at 0" in out
     for row in data["designs"]:  # in every case of the product, and in simulation
-        assert row["modulus"] < 1.0 and row["growing"] == [0, 0]
+        assert row["spectral_radius"] < 1.0 and row["growing"] == [0, 0]
 
 
 @STUDY
