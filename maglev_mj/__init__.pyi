@@ -50,7 +50,6 @@ from maglev_mj.recording import load_samples as load_samples
 from maglev_mj.recording import open_recording as open_recording
 from maglev_mj.recording.export import export as export
 from maglev_mj.recording.verify import verify as verify
-from maglev_mj.scenes.bench import hold as hold
 from maglev_mj.scenes.find import find_scene as find_scene
 from maglev_mj.scenes.results import Phases as Phases
 from maglev_mj.scenes.results import RunResult as RunResult
@@ -59,6 +58,7 @@ from maglev_mj.scenes.run import run as run
 from maglev_mj.scenes.run import run_phases as run_phases
 from maglev_mj.scenes.scene import Scene as Scene
 from maglev_mj.scenes.scene import Start as Start
+from maglev_mj.scenes.wall_scene import hold as hold
 from maglev_mj.session import Session as Session
 from maglev_mj.session import real_time as real_time
 from maglev_mj.session.replay import rebuild as rebuild

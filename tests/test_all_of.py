@@ -17,7 +17,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import AXES, Array, components
 from maglev_mj.plants import SampledPlant, Sensor
 from maglev_mj.plants.trace import PassivityObserver, Trace, actuator_work
-from maglev_mj.scenes.rooms import WEIGHT
+from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 from tests.all_of import (
     LAWS,

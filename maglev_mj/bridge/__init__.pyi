@@ -1,4 +1,4 @@
-from maglev_mj.bridge.bench.calibration import Calibration as Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration as Calibration
 from maglev_mj.bridge.fault import DeviceFault as DeviceFault
 from maglev_mj.bridge.fault import HandshakeError as HandshakeError
 from maglev_mj.bridge.links import open_link as open_link

@@ -15,7 +15,7 @@ import numpy as np
 from maglev_mj import session
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
 from maglev_mj.bridge.landing import LandingReport, StopSwitch
-from maglev_mj.bridge.line import LoopTiming
+from maglev_mj.bridge.preflight import LoopTiming
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import ControlLoop
@@ -25,7 +25,7 @@ from maglev_mj.parameters import number
 from maglev_mj.process import SideAnswers
 from maglev_mj.recording import RecordingError, RecordingFile
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.rooms import WEIGHT
+from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.session import REPLACED, STEP_FORCE, ChangeRequest, Publisher, SampledMotion, Snapshot
 from maglev_mj.spec import GRAVITY
 from maglev_mj.terminal import wrapped

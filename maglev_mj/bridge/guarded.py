@@ -11,7 +11,7 @@ from typing import Any, NoReturn, Self
 import numpy as np
 
 from maglev_mj.bridge import safety
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.connection import Connection, EstopReport
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, LastCycles
 from maglev_mj.bridge.flight_guards import DeviceSample, device_guards, larger

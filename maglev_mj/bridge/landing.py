@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.guarded import GuardedPlant
 from maglev_mj.bridge.realtime import interrupt, stopping
 from maglev_mj.control import Bias, Hold

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.control.timeline import Timeline, Timing
 from maglev_mj.frames import ZERO, Array, Command
 

@@ -14,14 +14,14 @@ from typing import Annotated, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
-from maglev_mj.bridge.bench.calibration import Calibration
-from maglev_mj.bridge.bench.identification import collect, excitation
-from maglev_mj.bridge.bench.identification import identify as identify_device
+from maglev_mj.bridge.commissioning.calibration import Calibration
+from maglev_mj.bridge.commissioning.identification import collect, excitation
+from maglev_mj.bridge.commissioning.identification import identify as identify_device
 from maglev_mj.bridge.fault import DeviceFault, HandshakeError, fault_meanings
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import LANDING_TIME, StopSwitch
-from maglev_mj.bridge.line import MARGIN, Preflight, judge_change, measure_line, preflight, stiffest_walls
 from maglev_mj.bridge.links import open_link
+from maglev_mj.bridge.preflight import MARGIN, Preflight, judge_change, measure_line, preflight, stiffest_walls
 from maglev_mj.bridge.realtime import interrupt, stopping
 from maglev_mj.bridge.realtime import realtime as scheduled
 from maglev_mj.bridge.remote import RemotePlant

@@ -20,7 +20,7 @@ from maglev_mj.terminal import say, wrapped
 if TYPE_CHECKING:
     import numpy as np
 
-    from maglev_mj.bridge.bench.commissioning import CoilCheck
+    from maglev_mj.bridge.commissioning.coil_check import CoilCheck
     from maglev_mj.bridge.conformance import CheckResult
     from maglev_mj.bridge.remote import RemotePlant
 
@@ -139,7 +139,7 @@ def commission(
     realtime: Realtime = "ignore",
 ) -> int:
     """Diodes and coils of a new device, before it hovers."""
-    from maglev_mj.bridge.bench.commissioning import mean_pose, record_step, with_offsets
+    from maglev_mj.bridge.commissioning.coil_check import mean_pose, record_step, with_offsets
     from maglev_mj.bridge.links import open_link
     from maglev_mj.bridge.remote import RemotePlant
 
@@ -189,7 +189,7 @@ def _show_spots(plant: RemotePlant, seconds: float | None) -> None:
 
 
 def _check_coils(plant: RemotePlant, coils: Sequence[int], current: float) -> int:
-    from maglev_mj.bridge.bench.commissioning import check_coil
+    from maglev_mj.bridge.commissioning.coil_check import check_coil
 
     print("      currents [A]         moved by [µm]       calibrated force [N]")
     print("coil   set  flows others      x     y     z      x      y      z  verdict")

@@ -16,7 +16,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.terminal import say
 
 if TYPE_CHECKING:
-    from maglev_mj.bridge.bench.calibration import Calibration
+    from maglev_mj.bridge.commissioning.calibration import Calibration
     from maglev_mj.parameters import Parameter, Parameters
     from maglev_mj.pictures import PictureFolder
     from maglev_mj.scenes.scene import Scene
@@ -150,7 +150,7 @@ def pictures_to(help: str = "write pictures to this folder") -> Shared:
 
 
 def _calibration(options: argparse.Namespace) -> Calibration:
-    from maglev_mj.bridge.bench.calibration import Calibration
+    from maglev_mj.bridge.commissioning.calibration import Calibration
 
     return Calibration.nominal() if options.calibration is None else Calibration.load(options.calibration)
 

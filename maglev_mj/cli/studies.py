@@ -390,7 +390,7 @@ def _carded(text: str) -> Scene | type[Scene]:
     """Return a scene, or `drop` with the mass of a calibration."""
     if not text.endswith(".json"):
         return find_scene(text)
-    from maglev_mj.bridge.bench.calibration import Calibration  # a scene's card needs no bridge
+    from maglev_mj.bridge.commissioning.calibration import Calibration  # a scene's card needs no bridge
 
     return Drop(mass=Calibration.load(text).mass)
 

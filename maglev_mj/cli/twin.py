@@ -70,7 +70,7 @@ def twin(
     page: PageOptions,
 ) -> int:
     """A simulated device behind the wire of a real one."""  # noqa: D401
-    from maglev_mj.bridge.bench.calibration import Calibration
+    from maglev_mj.bridge.commissioning.calibration import Calibration
     from maglev_mj.bridge.realtime import realtime as realtime_policy
     from maglev_mj.bridge.realtime import stopping
     from maglev_mj.bridge.safety import Limits
@@ -196,7 +196,7 @@ def _shown(viewer: RemoteViewer, blank: Snapshot, server: TwinServer) -> Callabl
     import numpy as np
 
     from maglev_mj.bridge.wire import State, fault_names
-    from maglev_mj.scenes.rooms import WEIGHT
+    from maglev_mj.scenes.interactive import WEIGHT
     from maglev_mj.session import Publishers, SampledMotion
 
     twin, plant = server.twin, server.twin.plant

@@ -13,8 +13,8 @@ from maglev_mj.control import Law
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.parameters import param
-from maglev_mj.scenes.bench import WallScene, hold, others
 from maglev_mj.scenes.scene import Start
+from maglev_mj.scenes.wall_scene import WallScene, hold, others
 from maglev_mj.spec import ESCAPE, GRAVITY, Spec
 from maglev_mj.theory.ideal import analog_wall
 

@@ -15,12 +15,12 @@ GROUP = "maglev_mj.scenes"
 """Entry point group of scenes in other packages."""
 
 BUILT_IN: Mapping[str, str] = {
-    "joystick": "maglev_mj.scenes.rooms:Joystick",
+    "joystick": "maglev_mj.scenes.interactive:Joystick",
     "drop": "maglev_mj.scenes.drop:Drop",
     "press": "maglev_mj.scenes.press:Press",
-    "table": "maglev_mj.scenes.rooms:Table",
-    "box": "maglev_mj.scenes.rooms:Box",
-    "corner": "maglev_mj.scenes.rooms:Corner",
+    "table": "maglev_mj.scenes.interactive:Table",
+    "box": "maglev_mj.scenes.interactive:Box",
+    "corner": "maglev_mj.scenes.interactive:Corner",
     "stick-slip": "maglev_mj.scenes.stick_slip:StickSlip",
     "twist": "maglev_mj.scenes.free:Twist",
     "let-go": "maglev_mj.scenes.free:LetGo",

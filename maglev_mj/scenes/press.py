@@ -16,10 +16,10 @@ from maglev_mj.frames import Array, Component
 from maglev_mj.parameters import number, param
 from maglev_mj.plants import Timing
 from maglev_mj.plants.hand import GuidedHand, Hand, Trajectory, get_hand, motion
-from maglev_mj.scenes.bench import WallScene, hold, others
 from maglev_mj.scenes.figures import PressSummary, press_name
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Start
+from maglev_mj.scenes.wall_scene import WallScene, hold, others
 from maglev_mj.spec import ESCAPE
 
 # as shares of an interval: wait before the first stroke, and duration of each way

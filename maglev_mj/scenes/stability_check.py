@@ -18,9 +18,9 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.errors import MaglevError, ParameterError, check_instance, named
 from maglev_mj.frames import AXES, ZERO, Sample, components, unit_of
 from maglev_mj.parameters import numbers
-from maglev_mj.scenes.bench import WallScene, along
 from maglev_mj.scenes.find import line_of
 from maglev_mj.scenes.scene import Scene, Start
+from maglev_mj.scenes.wall_scene import WallScene, along
 from maglev_mj.spec import GRAVITY
 from maglev_mj.theory.closed_loop import bisect
 from maglev_mj.theory.verdict import axis_loop, inertia_of, stability

@@ -14,10 +14,10 @@ import numpy as np
 from maglev_mj import control
 from maglev_mj.frames import AXES, Array, unit_of
 from maglev_mj.parameters import param
-from maglev_mj.scenes.bench import WallScene, hold, others, stepped
 from maglev_mj.scenes.figures import changes
 from maglev_mj.scenes.results import RunResult
 from maglev_mj.scenes.scene import Scene, Start
+from maglev_mj.scenes.wall_scene import WallScene, hold, others, stepped
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory.ideal import FrictionEvent, KarnoppMotion, karnopp
 

@@ -24,9 +24,9 @@ from maglev_mj.recording import RecordingError, RecordingFile, open_recording
 from maglev_mj.recording.journal import SUFFIX
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.find import SceneLike, get_scene
-from maglev_mj.scenes.rooms import WEIGHT
+from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
-from maglev_mj.session.changes import CHOOSES, EMERGENCY_STOP, actions, changed, settable
+from maglev_mj.session.actions import CHOOSES, EMERGENCY_STOP, actions, changed, settable
 from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
 from maglev_mj.session.segment import KEPT, HandAgain, LiveSegment, Past
 from maglev_mj.session.snapshot import SHOWN, Publisher, Publishers, Snapshot

@@ -14,7 +14,7 @@ import numpy as np
 from maglev_mj.errors import ParameterError, not_one_of
 from maglev_mj.frames import Array, Mask
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import CHOOSES, DEVICES_OWN, EMERGENCY_STOP, REWINDS, Session, Snapshot, TourLine, settable
 from maglev_mj.theory import stability
 

@@ -19,12 +19,12 @@ from maglev_mj.control import Law, ObserverWall, PredictiveWall, Wall
 from maglev_mj.errors import ParameterError, check_one_of
 from maglev_mj.parameters import number
 from maglev_mj.result import Table, plain, with_unit
-from maglev_mj.scenes.bench import WallScene
 from maglev_mj.scenes.find import SceneLike, class_in_file, get_scene
 from maglev_mj.scenes.results import Figure, Variants
 from maglev_mj.scenes.run import run_variants
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stability_check import wall_margin
+from maglev_mj.scenes.wall_scene import WallScene
 from maglev_mj.spec import Spec
 from maglev_mj.studies.designed_wall import hum
 from maglev_mj.theory.boundary import colgate

@@ -25,8 +25,8 @@ from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import Hand, get_hand
 from maglev_mj.result import Result, Table
-from maglev_mj.scenes.bench import WallScene, along, stepped, wall_controller
 from maglev_mj.scenes.figures import summarise_bounce
+from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
 from maglev_mj.spec import GRAVITY, RANGE, Spec
 from maglev_mj.theory.design import Case, DesignedWall
 

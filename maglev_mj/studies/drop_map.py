@@ -22,7 +22,7 @@ from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, Timing
 from maglev_mj.plants.hand import get_hand
 from maglev_mj.result import Table
-from maglev_mj.scenes.bench import WallScene, along, stepped, wall_controller
+from maglev_mj.scenes.wall_scene import WallScene, along, stepped, wall_controller
 from maglev_mj.spec import Spec
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record

@@ -27,8 +27,8 @@ from maglev_mj.pictures import save
 from maglev_mj.plants import ExactPlant, MuJoCoBatchPlant, SampledPlant, engine_warnings_silenced
 from maglev_mj.plants.hand import HANDS, Hand, get_hand
 from maglev_mj.result import Result, Table
-from maglev_mj.scenes.bench import WallScene, along, hold, others, wall_controller
 from maglev_mj.scenes.scene import PLANTS, PlantMaker, Scene, Start
+from maglev_mj.scenes.wall_scene import WallScene, along, hold, others, wall_controller
 from maglev_mj.spec import GRAVITY
 from maglev_mj.studies.cells import Workers, run_cells
 from maglev_mj.studies.record import Cell, Record

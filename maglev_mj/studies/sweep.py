@@ -25,12 +25,12 @@ from maglev_mj.frames import Array, unit_of
 from maglev_mj.parameters import parsed_number
 from maglev_mj.pictures import save
 from maglev_mj.result import Result, Table, plain
+from maglev_mj.scenes.batch import figures_together
 from maglev_mj.scenes.find import SceneLike, get_scene, reference_of, scene_again, scene_of_text, text_of
 from maglev_mj.scenes.names import installed_scenes
 from maglev_mj.scenes.results import Figure, parameters_json
 from maglev_mj.scenes.run import checked_phase, checked_plant, figures_of
 from maglev_mj.scenes.scene import Scene
-from maglev_mj.scenes.together import figures_together
 from maglev_mj.studies.cells import Study, Workers, chosen_workers
 from maglev_mj.studies.record import Cell, Record
 from maglev_mj.versions import hash_of

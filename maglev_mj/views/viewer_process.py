@@ -22,7 +22,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.process import SideProcess
 from maglev_mj.scenes import Scene
 from maglev_mj.session import EMERGENCY_STOP, ChangeRequest, Due, Note, Snapshot, SnapshotSource
-from maglev_mj.session.changes import actions
+from maglev_mj.session.actions import actions
 
 if TYPE_CHECKING:
     from multiprocessing.connection import Connection  # not everywhere there

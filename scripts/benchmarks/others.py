@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from maglev_mj import ExactPlant, MuJoCoPlant, Timing, drive
-from maglev_mj.scenes.bench import wall_controller
+from maglev_mj.scenes.wall_scene import wall_controller
 from maglev_mj.studies.levels import apart
 from peers import Simulate, Task, available
 from timing import Run, columns, medians, ratio, timed

@@ -31,9 +31,9 @@ from maglev_mj.cli.output import script_options
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.pictures import Panel, PictureFolder, small_multiples
 from maglev_mj.plants import INTEGRATORS, ExactPlant, MuJoCoBatchPlant, SampledPlant, Timing
-from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.scene import Scene, Start
+from maglev_mj.scenes.wall_scene import wall_controller
 from maglev_mj.spec import GRAVITY, Spec
 from maglev_mj.studies import levels
 from maglev_mj.studies.fidelity import preset_of, stepping_name

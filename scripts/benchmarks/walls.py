@@ -14,7 +14,7 @@ from maglev_mj import find_scene
 from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import ExactPlant, Sensor, Timing
-from maglev_mj.scenes.bench import along, wall_controller
+from maglev_mj.scenes.wall_scene import along, wall_controller
 from maglev_mj.spec import Spec
 from maglev_mj.studies.sweep import Grid, run_scene_cells
 from timing import Run, answered, columns

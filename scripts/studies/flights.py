@@ -31,8 +31,8 @@ import numpy as np
 import real_flights
 from maglev_mj import find_scene, judge
 from maglev_mj.bridge import Twin, TwinParameters
-from maglev_mj.bridge.bench.calibration import Calibration
-from maglev_mj.bridge.line import preflight
+from maglev_mj.bridge.commissioning.calibration import Calibration
+from maglev_mj.bridge.preflight import preflight
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink

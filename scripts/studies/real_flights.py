@@ -35,8 +35,8 @@ import numpy as np
 from maglev_mj import find_scene
 from maglev_mj.bridge.connection import estop
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.line import LoopTiming
 from maglev_mj.bridge.links import open_link, parse_url
+from maglev_mj.bridge.preflight import LoopTiming
 from maglev_mj.bridge.realtime import realtime
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
@@ -50,7 +50,7 @@ from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
 from maglev_mj.frames import ZERO, Command, Sample
-from maglev_mj.scenes.rooms import INERTIA, WEIGHT
+from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 
 AT, TIMES = 2.0, 5
 """Time of a fault [s] and number of tries."""

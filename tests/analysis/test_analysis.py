@@ -16,7 +16,7 @@ import pytest
 from maglev_mj import Controller, ExactPlant, Hold
 from maglev_mj.analysis import SegmentReport, analyse, face_figures, reconstruct
 from maglev_mj.analysis.motion import _stick_slip
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
@@ -30,8 +30,8 @@ from maglev_mj.recording import MemoryFile, Recording, RecordingError, Segment, 
 from maglev_mj.result import number_text
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.figures import perceived_hardness, summarise_bounce
+from maglev_mj.scenes.interactive import INERTIA, MASS, Joystick
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.rooms import INERTIA, MASS, Joystick
 from maglev_mj.scenes.run import run
 from maglev_mj.scenes.scene import Scene
 from maglev_mj.scenes.stick_slip import StickSlip

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.safety import HostLimits
@@ -24,7 +24,7 @@ from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.plants import MuJoCoPlant, SpotSensor
 from maglev_mj.plants.hand import HandForce, SpringHand, Trajectory
 from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.rooms import INERTIA, WEIGHT
+from maglev_mj.scenes.interactive import INERTIA, WEIGHT
 from tests.bridge.impaired import ImpairedLine, Impairment
 from tests.recorded import command_row
 from tests.sweeps import further

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.bench.calibration import Calibration, CalibrationError
+from maglev_mj.bridge.commissioning.calibration import Calibration, CalibrationError
 from maglev_mj.frames import Array
 from maglev_mj.plants import MuJoCoPlant
 from maglev_mj.plants.coils import CoilMap

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from maglev_mj.bridge import Calibration, RemotePlant, State
-from maglev_mj.bridge.bench.commissioning import check_coil, mean_pose, record_step, with_offsets
+from maglev_mj.bridge.commissioning.coil_check import check_coil, mean_pose, record_step, with_offsets
 from maglev_mj.bridge.twin.fault_injection import INJECTED_FAULTS, Effect, InjectedFault
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters

@@ -17,7 +17,7 @@ from unittest.mock import patch
 
 import pytest
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.conformance import CheckResult, checks, conform
 from maglev_mj.bridge.conformance.check import CHECKS
 from maglev_mj.bridge.fault import HandshakeError

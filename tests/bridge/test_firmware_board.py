@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.conformance import conform
 from maglev_mj.bridge.links import SerialLink
 from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.cli import main
 from maglev_mj.recording import Recording
-from maglev_mj.scenes.rooms import CENTRING, WEIGHT, Joystick
+from maglev_mj.scenes.interactive import CENTRING, WEIGHT, Joystick
 from tests.bridge.firmware_core import FOLDER
 from tests.bridge.test_simulated_device import PROFILE, built, write_plant
 from tests.bridge.test_wire import KEY

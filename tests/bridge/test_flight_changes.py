@@ -16,14 +16,14 @@ from maglev_mj import cli
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.flight_guards import late_delay
-from maglev_mj.bridge.line import LineReport, judge_change, measure_line
+from maglev_mj.bridge.preflight import LineReport, judge_change, measure_line
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge
 from maglev_mj.cli.peripherals import PageOptions
 from maglev_mj.errors import MaglevError
 from maglev_mj.process import NICE, SideAnswers
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import REPLACED, UNKNOWN, ChangeRequest, Snapshot
 from tests.bridge.impaired import ImpairedLine, Impairment
 

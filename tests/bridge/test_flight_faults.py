@@ -14,7 +14,7 @@ import pytest
 from maglev_mj import cli
 from maglev_mj.bridge.fault import DeviceFault, load_fault
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.line import LineReport, LoopTiming, Preflight, measure_line
+from maglev_mj.bridge.preflight import LineReport, LoopTiming, Preflight, measure_line
 from maglev_mj.bridge.remote import RemotePlant
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
@@ -22,7 +22,7 @@ from maglev_mj.bridge.wire import Fault, State
 from maglev_mj.cli import bridge
 from maglev_mj.frames import Sample
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from tests.bridge.impaired import ImpairedLine, Impairment
 from tests.sweeps import sweep
 
@@ -159,7 +159,7 @@ def test_a_silent_serial_line_is_told_what_it_needs(
     address = "serial:///dev/ttyUSB0?baud=921600"
     twin, line = Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(blackouts=((2.7, 2.8),)))
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(twin, line), folder=tmp_path))
-    monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
+    monkeypatch.setattr("maglev_mj.bridge.preflight._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
     assert cli.main(["bridge", address, "--seconds", "1"]) == 1
     (fault,) = capsys.readouterr().err.splitlines()
     assert fault.startswith("maglev-mj bridge: WATCHDOG: said by the device; the last cycles are in ")
@@ -169,7 +169,7 @@ def test_a_silent_serial_line_is_told_what_it_needs(
 
 SCENE = '''
 from maglev_mj import Hold
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 
 class Rooted(Hold):
     def __call__(self, *arguments):
@@ -236,6 +236,6 @@ def test_the_line_is_measured_as_it_is_flown_in_real_time(tmp_path: Path, monkey
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(Twin(TwinParameters())), folder=tmp_path))
     monkeypatch.setattr(bridge, "scheduled", scheduled)
     monkeypatch.setattr(bridge, "measure_line", measure)
-    monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)
+    monkeypatch.setattr("maglev_mj.bridge.preflight._bears", lambda *_: 0.0027)
     assert cli.main(["bridge", "udp://127.0.0.1:1", "--check"]) == 0
     assert measured == [["ignore"]] and not inside

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import AxisLaw, Controller, Hold, Wall, find_scene, judge
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight_guards import DelayGuard, PowerGuard, late_delay
 from maglev_mj.bridge.landing import TOLERATED, Leader, Swing

@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.bench.calibration import Calibration
-from maglev_mj.bridge.bench.identification import (
+from maglev_mj.bridge.commissioning.calibration import Calibration
+from maglev_mj.bridge.commissioning.identification import (
     LINES,
     IdentificationError,
     Identified,

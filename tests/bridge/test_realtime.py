@@ -15,13 +15,13 @@ import pytest
 from maglev_mj.bridge import RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.connection import AnswerTiming
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.line import LoopTiming
+from maglev_mj.bridge.preflight import LoopTiming
 from maglev_mj.bridge.realtime import LatencyHistogram, RealtimeError, realtime
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.errors import MaglevError, ParameterError
 from maglev_mj.recording import Recording, open_recording
-from maglev_mj.scenes.rooms import Table
+from maglev_mj.scenes.interactive import Table
 from tests.bridge.impaired import ImpairedLine, Impairment
 
 SCHEDULED = hasattr(os, "sched_getscheduler")

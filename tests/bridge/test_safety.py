@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.safety import (
     FlotorGuard,
     HostLimits,
@@ -24,7 +24,7 @@ from maglev_mj.bridge.safety import (
 from maglev_mj.bridge.wire import Fault
 from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Command
-from maglev_mj.scenes.rooms import WEIGHT
+from maglev_mj.scenes.interactive import WEIGHT
 
 NONE = Fault(0)
 PERIOD = 0.005

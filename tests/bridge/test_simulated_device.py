@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.conformance import conform
 from maglev_mj.bridge.conformance.check import CHECKS
 from maglev_mj.bridge.conformance.tester import Tester as Host

@@ -19,15 +19,15 @@ from maglev_mj.bridge import DeviceFault, Fault, RemotePlant, State, Twin, TwinP
 from maglev_mj.bridge.fault import load_fault
 from maglev_mj.bridge.flight import Flight
 from maglev_mj.bridge.landing import StopSwitch
-from maglev_mj.bridge.line import measure_line
 from maglev_mj.bridge.links import UdpServer
+from maglev_mj.bridge.preflight import measure_line
 from maglev_mj.bridge.realtime import stopping
 from maglev_mj.bridge.safety import Limits
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import TwinServer
 from maglev_mj.cli import bridge
 from maglev_mj.errors import PlantError
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Snapshot
 from tests.processes import COMMAND, PATIENCE, Program, ended, running, said_by
 from tests.sweeps import further
@@ -146,7 +146,7 @@ class Timeline:
         self._presses, self._alarm, self._active = list(presses), math.inf, math.inf
         monkeypatch.setattr(bridge, "_opened", self._opened)
         monkeypatch.setattr(bridge, "measure_line", lambda plant: measure_line(plant, 0.2))
-        monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
+        monkeypatch.setattr("maglev_mj.bridge.preflight._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
         monkeypatch.setattr(signal, "setitimer", self._set_alarm)
 
     def _opened(self, *parameters: Any) -> RemotePlant:

@@ -18,7 +18,7 @@ from maglev_mj.bridge.wire import Fault, Operation, State
 from maglev_mj.errors import PlantError
 from maglev_mj.frames import Sample
 from maglev_mj.scenes import find_scene
-from maglev_mj.scenes.rooms import WEIGHT
+from maglev_mj.scenes.interactive import WEIGHT
 from tests.bridge.test_bridge import Rig
 from tests.sweeps import sweep
 

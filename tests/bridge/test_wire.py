@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import cobs_encode
 from maglev_mj.bridge.safety import Limits, Profile
 from maglev_mj.bridge.wire import (

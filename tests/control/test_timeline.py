@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from maglev_mj import MuJoCoPlant, Timing
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.safety import Limits, OutputLimiter, ThermalModel
 from maglev_mj.control.timeline import Timeline, recorded_switches, split_delay
 

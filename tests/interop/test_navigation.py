@@ -13,7 +13,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array
 from maglev_mj.interop.navigation import Navigation, Navigator
 from maglev_mj.plants.hand import SpringHand
-from maglev_mj.scenes.rooms import CENTRING, WEIGHT, Joystick
+from maglev_mj.scenes.interactive import CENTRING, WEIGHT, Joystick
 from maglev_mj.session import live_plant
 from maglev_mj.spec import INERTIA
 from tests.sweeps import sweep

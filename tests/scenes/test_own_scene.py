@@ -16,7 +16,7 @@ from maglev_mj.bridge import Calibration, RemotePlant, Twin, TwinParameters
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.cli import bridge, main
 from maglev_mj.recording import Recording
-from maglev_mj.scenes.rooms import WEIGHT
+from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.versions import hash_of
 from tests.studies.test_dask_workers import cluster
 
@@ -94,7 +94,7 @@ def test_a_run_is_recorded_checked_and_analysed(folder: Path, say: Say) -> None:
 def served(monkeypatch: pytest.MonkeyPatch) -> str:
     """Return the address of a twin in lockstep, in virtual time, whose flight is checked with a free handle."""
     monkeypatch.setattr(bridge, "_opened", lambda *parameters: RemotePlant(twin_link(), folder=parameters[-1]))
-    monkeypatch.setattr("maglev_mj.bridge.line.HANDS", ["none"])
+    monkeypatch.setattr("maglev_mj.bridge.preflight.HANDS", ["none"])
     return "udp://127.0.0.1:1"
 
 

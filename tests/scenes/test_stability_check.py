@@ -16,7 +16,7 @@ from maglev_mj.parameters import param
 from maglev_mj.plants.model import model_path
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.rooms import INERTIA, MASS, Box, Corner, InteractiveScene, Joystick, Table
+from maglev_mj.scenes.interactive import INERTIA, MASS, Box, Corner, InteractiveScene, Joystick, Table
 from maglev_mj.scenes.stability_check import stability_warning
 from maglev_mj.session import STEP_FORCE, check_step, unstable_loop
 from maglev_mj.spec import RANGE

@@ -15,12 +15,12 @@ from maglev_mj.colours import BAD
 from maglev_mj.control import Law, Wall
 from maglev_mj.process import SideAnswers
 from maglev_mj.scenes import Scene, find_scene
-from maglev_mj.scenes.bench import WallScene
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.scenes.press import Press
 from maglev_mj.scenes.results import Variants
-from maglev_mj.scenes.rooms import Joystick
 from maglev_mj.scenes.stability_check import wall_margin
+from maglev_mj.scenes.wall_scene import WallScene
 from maglev_mj.session import Snapshot
 from maglev_mj.theory import stability
 from maglev_mj.views.readings import Reading, StabilityMap, readings

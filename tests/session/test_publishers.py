@@ -15,7 +15,7 @@ from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.control.laws.base import as_law
 from maglev_mj.recording import Recording, RecordingError, open_recording
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.rooms import Box, Joystick
+from maglev_mj.scenes.interactive import Box, Joystick
 from maglev_mj.session import ChangeRequest, Publishers, Snapshot
 from tests.bridge.impaired import ImpairedLine, Impairment
 

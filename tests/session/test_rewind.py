@@ -22,7 +22,7 @@ from maglev_mj.recording import OwnCodeError, Recording
 from maglev_mj.recording.verify import first_other_answer, verify
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, KEPT, Pacer, Session, live_plant
 from maglev_mj.session.replay import OwnCode, Replay, rebuild, rebuild_for, stick_positions_of
 from maglev_mj.session.segment import _MOST_STATES

@@ -21,8 +21,8 @@ from maglev_mj.recording.verify import verify
 from maglev_mj.recording.writer import JournalFile
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.interactive import INERTIA, Joystick, wall
 from maglev_mj.scenes.press import Press
-from maglev_mj.scenes.rooms import INERTIA, Joystick, wall
 from maglev_mj.session import (
     Pacer,
     Session,
@@ -31,7 +31,7 @@ from maglev_mj.session import (
     real_time,
     settable,
 )
-from maglev_mj.session.changes import actions
+from maglev_mj.session.actions import actions
 from maglev_mj.session.replay import rebuild
 from maglev_mj.spec import Spec
 from maglev_mj.theory import largest_stable_stiffness

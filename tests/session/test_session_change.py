@@ -9,7 +9,7 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.parameters import param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Pacer, Session, changed
 from maglev_mj.views.readings import banner
 

@@ -18,9 +18,9 @@ from maglev_mj.recording import Recording
 from maglev_mj.recording.verify import verify
 from maglev_mj.recording.writer import JournalFile
 from maglev_mj.scenes import BUILT_IN, Scene
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, TIME_SCALES, ChangeRequest, Pacer, Session, Snapshot
-from maglev_mj.session.changes import actions
+from maglev_mj.session.actions import actions
 from maglev_mj.session.replay import rebuild
 
 LIVELY = st.sampled_from([0.005, 0.02, 0.06])

@@ -14,8 +14,8 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, quaternions, rotation_matrix, rotation_vector
 from maglev_mj.plants import INTEGRATORS, MuJoCoBatchPlant
 from maglev_mj.plants.hand import Hand
-from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.free import Twist
+from maglev_mj.scenes.wall_scene import wall_controller
 from maglev_mj.spec import INERTIA
 from maglev_mj.studies.levels import level_parts, motion_of
 

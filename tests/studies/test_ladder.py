@@ -19,10 +19,10 @@ from maglev_mj.errors import ParameterError
 from maglev_mj.frames import Array, Command
 from maglev_mj.parameters import param
 from maglev_mj.plants.hand import get_hand
-from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.free import SixAxes, Twist
-from maglev_mj.scenes.rooms import WEIGHT, InteractiveScene
+from maglev_mj.scenes.interactive import WEIGHT, InteractiveScene
+from maglev_mj.scenes.wall_scene import wall_controller
 from maglev_mj.spec import Spec
 from maglev_mj.studies import levels
 from maglev_mj.studies.fidelity import (

@@ -14,7 +14,7 @@ from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array
 from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, MuJoCoPlant, Sensor, Timing, engine_warnings_silenced
-from maglev_mj.scenes.bench import along, wall_controller
+from maglev_mj.scenes.wall_scene import along, wall_controller
 from maglev_mj.spec import INERTIA, Spec
 from maglev_mj.theory.closed_loop import LoopKeywords, SampledLoop
 from tests.theory.impacts import watched

@@ -16,7 +16,7 @@ from maglev_mj.control.loop import drive
 from maglev_mj.frames import Array, Command, Sample
 from maglev_mj.parameters import numbers
 from maglev_mj.plants import ExactPlant, SampledPlant, Timing
-from maglev_mj.scenes.bench import along, wall_controller
+from maglev_mj.scenes.wall_scene import along, wall_controller
 from maglev_mj.spec import Spec
 
 _MASS = Spec.moving_mass.value

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Snapshot
 from maglev_mj.views.magnifier import MAGNIFICATIONS, magnified, motion_words, true_pose
 

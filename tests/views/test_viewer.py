@@ -27,7 +27,7 @@ from maglev_mj.plants.shapes import GRIP
 from maglev_mj.recording import Recording, RecordingError
 from maglev_mj.recording.verify import verify
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.rooms import CENTRING, Joystick
+from maglev_mj.scenes.interactive import CENTRING, Joystick
 from maglev_mj.session import Session as LiveSession
 from maglev_mj.session.replay import rebuild
 from maglev_mj.views.window.layout import Area

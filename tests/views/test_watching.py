@@ -21,7 +21,7 @@ from maglev_mj.errors import MaglevError
 from maglev_mj.parameters import Turn, param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.scenes import Scene
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, SampledMotion, Session, Snapshot, SnapshotSource, device_actions
 from maglev_mj.views.viewer_process import Inbox, RemoteSession, RemoteViewer, show_remotely
 from maglev_mj.views.window.keys import keys_of

@@ -37,7 +37,7 @@ from maglev_mj.parameters import Turn, param
 from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.shapes import GRIP, KNOB, Shape
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, Session, Snapshot
 from maglev_mj.session.access import ListenError, check_origin, listen
 from maglev_mj.session.pacing import Due

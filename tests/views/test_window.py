@@ -26,7 +26,7 @@ from maglev_mj.plants.hand import SpringHand
 from maglev_mj.plants.shapes import GRIP
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.rooms import CENTRING, Joystick
+from maglev_mj.scenes.interactive import CENTRING, Joystick
 from maglev_mj.session import Note, Pacer, Session, Snapshot, TourLine, device_actions
 from maglev_mj.session.replay import Replay
 from maglev_mj.theory import inertia_of, largest_stable_stiffness

@@ -13,8 +13,8 @@ import pytest
 import speed_accuracy
 from maglev_mj import ExactPlant, Timing, drive
 from maglev_mj.frames import Array
-from maglev_mj.scenes.bench import wall_controller
 from maglev_mj.scenes.drop import Drop
+from maglev_mj.scenes.wall_scene import wall_controller
 from maglev_mj.spec import GRAVITY, INERTIA
 from peers import Task, available
 from work_precision import WorkPoint, pareto

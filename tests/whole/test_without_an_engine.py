@@ -62,7 +62,7 @@ threading.Thread.start = socket.socket.__init__ = signal.signal = None  # callin
 
 from maglev_mj import Calibration, RemotePlant, Twin, TwinParameters, find_scene
 from maglev_mj.bridge.flight import Flight
-from maglev_mj.bridge.line import preflight
+from maglev_mj.bridge.preflight import preflight
 from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.wire import State
 

@@ -15,7 +15,7 @@ from functools import partial
 from typing import Any, NoReturn, TypeAlias
 
 from maglev_mj.bridge import wire
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.connection import AGAIN, TAKEOVER, draw, exchange, profile_of
 from maglev_mj.bridge.fault import HandshakeError
 from maglev_mj.bridge.flight_guards import shown as pose_shown

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import Address, Server
 from maglev_mj.bridge.realtime import LatencyHistogram
 from maglev_mj.bridge.safety import Limits, Profile

@@ -14,7 +14,7 @@ from maglev_mj.frames import unit_of
 from maglev_mj.parameters import Parameter
 from maglev_mj.scenes import Scene
 from maglev_mj.session import CHOOSES, DEVICES_OWN, EMERGENCY_STOP, KEPT, REWINDS, Snapshot
-from maglev_mj.session.changes import actions
+from maglev_mj.session.actions import actions
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.views.magnifier import MAGNIFICATIONS
 from maglev_mj.views.page.stage import VIEWS, look, update

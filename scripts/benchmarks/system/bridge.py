@@ -23,7 +23,7 @@ from maglev_mj.bridge.twin.simulated_links import VirtualLink
 from maglev_mj.bridge.twin.twin import Twin, TwinParameters
 from maglev_mj.control.loop import drive
 from maglev_mj.errors import MaglevError
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.spec import Spec
 from system import Table, beside
 from timing import Run, columns, timed

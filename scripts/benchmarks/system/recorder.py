@@ -25,7 +25,7 @@ import numpy as np
 from maglev_mj import Command, Sample
 from maglev_mj.control.loop import ControlLoop
 from maglev_mj.recording import MemoryFile, RecordingError, RecordingFile, load_samples, open_recording, setup_of
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from system import Table, beside
 from timing import Run, columns, in_turns, medians, ratio, timed
 

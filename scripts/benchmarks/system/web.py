@@ -18,7 +18,7 @@ import numpy as np
 
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP
-from maglev_mj.scenes.rooms import Joystick
+from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import Session, real_time
 from maglev_mj.session.access import listen
 from maglev_mj.views.page.page import Door, page

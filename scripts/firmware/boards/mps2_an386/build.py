@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.bridge.links import BAUD
 from maglev_mj.bridge.twin.twin import REST, TwinParameters
 

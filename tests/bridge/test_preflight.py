@@ -15,7 +15,7 @@ import pytest
 
 from maglev_mj import cli, find_scene
 from maglev_mj.bridge import HostLimits, RemotePlant, Twin, TwinParameters
-from maglev_mj.bridge.line import (
+from maglev_mj.bridge.preflight import (
     MARGIN,
     LineReport,
     Preflight,
@@ -228,7 +228,7 @@ def test_anyway_flies_a_twin_and_a_device_at_half_power(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.00311)  # the table's, which takes 0.4 s
+    monkeypatch.setattr("maglev_mj.bridge.preflight._bears", lambda *_: 0.00311)  # the table's, which takes 0.4 s
     plant = device(tmp_path, **SLOW, limits=HostLimits(max_current=current))
     status, output, errors = flown(plant, "--scene", "table", "--as-written", *options, address=address)
     assert says in errors and errors.count("\n") == 1
@@ -239,7 +239,7 @@ def test_anyway_flies_a_twin_and_a_device_at_half_power(
 def test_anyway_holds_for_settings_in_flight_where_it_holds_before(
     address: str, current: float | None, flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.0027)
+    monkeypatch.setattr("maglev_mj.bridge.preflight._bears", lambda *_: 0.0027)
     limits = HostLimits(max_current=current)
     for where, options, holds in (
         (address, ["--anyway"], True),
@@ -267,7 +267,7 @@ def test_a_softened_scene_is_said_and_as_written_it_is_not_softened(
 def test_check_says_what_the_line_bears_and_ends(
     scene: str, way: float, status: int, flown: Flown, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("maglev_mj.bridge.line._bears", lambda *_: 0.003)
+    monkeypatch.setattr("maglev_mj.bridge.preflight._bears", lambda *_: 0.003)
     plant = device(tmp_path, way)
     got, output, _ = flown(plant, "--check", "--scene", scene)
     said = " ".join(output.split())

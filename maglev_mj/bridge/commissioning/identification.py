@@ -29,7 +29,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from maglev_mj.bridge.bench.calibration import Calibration
+from maglev_mj.bridge.commissioning.calibration import Calibration
 from maglev_mj.control import AxisLaw, Bias, Hold, Law, gain
 from maglev_mj.control.controller import Controller
 from maglev_mj.control.loop import Answers, ControlLoop, Plant

@@ -11,9 +11,9 @@ import pytest
 from maglev_mj import find_scene
 from maglev_mj.control import Bias, Hold, Law, StickSlip, Wall
 from maglev_mj.errors import ParameterError
-from maglev_mj.scenes import together
+from maglev_mj.scenes import batch
+from maglev_mj.scenes.batch import law_kind, stacked
 from maglev_mj.scenes.drop import Drop
-from maglev_mj.scenes.together import law_kind, stacked
 from maglev_mj.studies.sweep import Grid, run_scene_cells
 
 
@@ -22,12 +22,12 @@ def batches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Return a list of the sizes of tried batches."""
     sizes: list[int] = []
 
-    class Counted(together.SceneStack):
+    class Counted(batch.SceneStack):
         def controller(self) -> Any:
             sizes.append(len(self.scenes))
             return super().controller()
 
-    monkeypatch.setattr(together, "SceneStack", Counted)
+    monkeypatch.setattr(batch, "SceneStack", Counted)
     return sizes
 
 
@@ -87,7 +87,7 @@ def test_few_runs_other_plants_and_other_periods_are_made_alone(
     assert batches == []
     run_scene_cells(Grid(Drop(), {"pulse_width": [0.002, 0.003], "stiffness": spread(3e3, 6e3, 10)}, plant="exact"))
     assert batches == [10, 10]  # of two kinds
-    monkeypatch.setattr(together, "_ROOM", 12 * 243 * 144.0)  # a run of 80 samples keeps about 240 knots of 144 bytes
+    monkeypatch.setattr(batch, "_ROOM", 12 * 243 * 144.0)  # a run of 80 samples keeps about 240 knots of 144 bytes
     run_scene_cells(Grid(Drop(), {"stiffness": spread(3000.0, 6000.0, 24)}, plant="exact"))
     assert batches[2:] == [12, 12]
 

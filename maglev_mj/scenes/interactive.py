@@ -15,8 +15,8 @@ from maglev_mj.errors import ParameterError, check_one_of, named
 from maglev_mj.frames import AXES, ZERO, Array
 from maglev_mj.parameters import Turn, axis_indices, number, param
 from maglev_mj.plants.hand import SpringHand, Trajectory
-from maglev_mj.scenes.bench import hold
 from maglev_mj.scenes.scene import Scene, Start
+from maglev_mj.scenes.wall_scene import hold
 from maglev_mj.spec import GRAVITY, RANGE, Spec
 
 MASS = Spec.moving_mass.value
