@@ -32,7 +32,8 @@
 #include "simulated_flotor.h"
 
 #define AGAIN UINT64_C(20000000)    /* [ns]; lockstep: a STATE is sent again after so long without an answer */
-#define LET_GO UINT64_C(2000000000) /* [ns]; lockstep: and the host is given up after so long */
+#define LET_GO UINT64_C(2000000000) /* [ns]; lockstep: and the host is given up after so long, */
+#define COMPUTES UINT64_C(60000000000) /* [ns]; or so long before a flight: it computes what a scene bears */
 
 enum { WAITING = 4096 };
 static const struct { const char *name; int count; } FAULTS[NO_FAULT] = {
@@ -123,11 +124,13 @@ static void in_lockstep(uint64_t stop) {
         advance((uint64_t)plant.number * profile.period);
         uint32_t session = device.session;
         size_t length = maglev_sample(&device, data);
-        uint64_t sent = clock_now(), again = sent;
+        uint64_t sent = clock_now(), again = sent; /* sent: or since its state changed */
+        uint8_t state = device.state;
         while (!ended && device.session == session && !(device.is_answered && device.answered == plant.number)) {
             if (clock_now() >= again) send_to(device.peer, data, length), again = clock_now() + AGAIN;
             hear(again);
-            if (clock_now() - sent > LET_GO) maglev_lose_host(&device);
+            if (device.state != state) state = device.state, sent = clock_now();
+            if (clock_now() - sent > (device.state == MAGLEV_INACTIVE ? COMPUTES : LET_GO)) maglev_lose_host(&device);
         }
     }
 }

@@ -437,11 +437,12 @@ class TwinServer:
     def _await_answer(self, frame: bytes | None) -> None:
         """Wait until the last sample is answered or host lost."""
         twin, clock = self.twin, time.monotonic_ns
-        asked = clock()
-        longest = _COMPUTES if twin.firmware.state == State.INACTIVE else _LET_GO
-        patience, again = asked + round(longest * 1e9), asked + round(_AGAIN * 1e9)
-        spun = asked + round(self._spin * 1e9)
+        asked, state, patience = clock(), None, 0
+        again, spun = asked + round(_AGAIN * 1e9), asked + round(self._spin * 1e9)
         while not twin.answered and twin.firmware.session and not self._stopped.is_set():
+            if twin.firmware.state is not state:  # the time to compute ends when the device is armed
+                state = twin.firmware.state
+                patience = clock() + round((_COMPUTES if state is State.INACTIVE else _LET_GO) * 1e9)
             self._receive(0.0 if clock() < spun else _AGAIN)
             if twin.answered:
                 return

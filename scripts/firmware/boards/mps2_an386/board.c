@@ -189,8 +189,10 @@ static void run(void) {
     static size_t length;
     static uint64_t first, last; /* when it was sent */
     static uint32_t session;     /* that it was for */
+    static uint8_t state;        /* and then */
     uint64_t now = clock_now();
     if (!device.session) return;
+    if (device.state != state) state = device.state, first = now; /* the time to compute ends as it is armed */
     if (device.session != session || (device.is_answered && device.answered == plant.number)) {
         session = device.session, first = last = now, plant.number++;
         advance((uint64_t)plant.number * profile.period);
