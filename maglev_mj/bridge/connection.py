@@ -1,4 +1,4 @@
-"""Session of a host with a device: handshake, requests, samples."""
+"""Session between a host and a device: handshake, requests, samples."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from maglev_mj.frames import ZERO
 from maglev_mj.parameters import number
 
 AGAIN = 0.02
-"""Interval at which an unanswered request is repeated [s]."""
+"""Repeat interval of an unanswered request [s]."""
 
-_HELLO_AGAIN, _ESTOP_AGAIN = 0.1, 0.005
+_HELLO_INTERVAL, _ESTOP_INTERVAL = 0.1, 0.005
 TAKEOVER = 1.0
 """Silence after which an idle device drops its host [s]."""
 
-_STILL = 4
-"""Equal timestamps that show a stopped clock, as in lockstep."""
+_STOPPED = 4
+"""Number of equal timestamps that indicates a stopped clock, as in lockstep."""
 
 T = TypeVar("T")
 
@@ -35,11 +35,11 @@ class EstopReport(NamedTuple):
     """Outcome of an emergency stop.
 
     Attributes:
-        confirmed: True if the device is in the fault state and then measured no current.
+        confirmed: True if the device is in the fault state and has measured no current since.
         duration: Time from the first request to the end [s].
         faults: Faults latched in the device; 0 without an answer.
         currents: Last measured currents [A], six; empty without an answer.
-        at: Time of the device's first answer, by its own clock [ns]; 0 without an answer.
+        at: Device time of its first answer [ns]; 0 without an answer.
     """
 
     confirmed: bool
@@ -53,22 +53,22 @@ class EstopReport(NamedTuple):
             return (
                 f"stopped: {fault_names(self.faults)}, no current {self.duration * 1e3:.1f} ms after the first request"
             )
-        why = f"no answer within {self.duration:.3g} s"
+        reason = f"no answer within {self.duration:.3g} s"
         if self.currents:
-            coil = max(range(6), key=lambda place: abs(self.currents[place]))
-            why = f"faults {fault_names(self.faults)}, {self.currents[coil]:.2f} A in coil {coil}"
-        return f"not confirmed: cut the power ({why})"
+            coil = max(range(6), key=lambda index: abs(self.currents[index]))
+            reason = f"faults {fault_names(self.faults)}, {self.currents[coil]:.2f} A in coil {coil}"
+        return f"not confirmed: cut the power ({reason})"
 
 
 def estop(link: Link | str, key: bytes | None = None, patience: float = 1.0) -> EstopReport:
     """Send an emergency stop to a device, without a session.
 
-    It works while another host is in session.
+    Works during another host's session.
 
     Args:
-        link: Link to the device, left open; or its address.
+        link: Link to the device (not closed), or its address.
         key: Authentication key of the frames; None for none.
-        patience: Longest time to try [s], above 0.
+        patience: Timeout [s], above 0.
 
     Raises:
         LinkError: If the link has failed.
@@ -87,26 +87,23 @@ def estop(link: Link | str, key: bytes | None = None, patience: float = 1.0) -> 
     return _stop(open_link(link), Codec(key), number("patience", patience, above=0.0), lambda frame: None)
 
 
-def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], object]) -> EstopReport:
-    """Send ESTOP until the device confirms it.
-
-    Other frames are passed to `aside`.
-    """
+def _stop(link: Link, codec: Codec, patience: float, others: Callable[[Frame], object]) -> EstopReport:
+    """Send ESTOP until the device confirms it; pass other frames to `others`."""
     body = wire.Estop(draw())
     start, times, answer = link.now(), Counter[int](), None
     confirmed, first = False, 0
-    for data in _requested(link, codec, 0, body, _ESTOP_AGAIN, patience):
+    for data in _requested(link, codec, 0, body, _ESTOP_INTERVAL, patience):
         frame = codec.decode(data)
         if frame is None or not isinstance(frame.body, wire.EstopAck) or frame.body.request != body.request:
             if frame is not None:
-                aside(frame)
+                others(frame)
             continue
         answer, first = frame.body, first if times else frame.time
         times[frame.time] += 1
-        # in lockstep there may be no further sample: the clock stands still until the host answers
-        still = len(times) == 1 and times[frame.time] >= _STILL
+        # in lockstep no sample may follow: the clock is stopped until the host answers
+        stopped = len(times) == 1 and times[frame.time] >= _STOPPED
         off = answer.sampled > first and all(abs(current) < OFF for current in answer.currents)
-        confirmed = answer.state == State.FAULT and (off or still)
+        confirmed = answer.state == State.FAULT and (off or stopped)
         if confirmed:
             break
     faults, currents = (answer.faults, answer.currents) if answer is not None else (0, ())
@@ -116,20 +113,20 @@ def _stop(link: Link, codec: Codec, patience: float, aside: Callable[[Frame], ob
 def exchange(
     link: Link, encode: Callable[[], bytes], receive: Callable[[float], T | None], every: float, patience: float
 ) -> Iterator[T]:
-    """Send a request repeatedly; yield all that is received meanwhile.
+    """Send a request repeatedly; yield all data received meanwhile.
 
     Args:
         link: Link to the device.
-        encode: Returns the request's frame.
-        receive: Receives for some time [s], such as `link.receive`.
-        every: Time after which the request is sent again [s].
-        patience: Time after which the exchange ends [s].
+        encode: Function that returns the request's frame.
+        receive: Function that receives for a time [s], such as `link.receive`.
+        every: Repeat interval [s].
+        patience: Duration of the exchange [s].
     """
     end = link.now() + int(patience * 1e9)
     while (now := link.now()) < end:
         link.send(encode())
-        again = now + int(every * 1e9)
-        while (left := again - link.now()) > 0 and (data := receive(left * 1e-9)) is not None:
+        repeat = now + int(every * 1e9)
+        while (remaining := repeat - link.now()) > 0 and (data := receive(remaining * 1e-9)) is not None:
             yield data
 
 
@@ -152,12 +149,12 @@ class SampleCounter:
 
     Attributes:
         period: Sample period [ns].
-        tick: Number of the last sample; the first received is 0.
+        tick: Index of the last sample; the first received is 0.
         time: Device clock at the last sample [ns].
         elapsed: Sample periods between the last two samples.
-        out_of_step: Error message about the device's clock; empty if it is right.
+        out_of_step: Clock error of the last sample as a message; empty if timestamps match.
         lost: Samples that did not arrive.
-        skipped: Samples left unanswered because a newer one was there.
+        skipped: Samples not answered because a newer one had arrived.
     """
 
     def __init__(self, period: int) -> None:
@@ -176,7 +173,7 @@ class SampleCounter:
             self.elapsed, passed = (sequence - self._sequence) & WRAP, time - self.time
             if abs(passed - self.elapsed * self.period) > self.period // 2:
                 span = f"{self.elapsed} samples of {self.period * 1e-6:.3f} ms"
-                self.out_of_step = f"{passed * 1e-6:.3f} ms went by in {span}"
+                self.out_of_step = f"{passed * 1e-6:.3f} ms elapsed over {span}"
             self.tick += self.elapsed
             if missing := self.elapsed - 1:
                 self.skipped += min(skipped, missing)
@@ -185,15 +182,16 @@ class SampleCounter:
 
 
 class AnswerTiming(NamedTuple):
-    """Delays of answers, by a sample.
+    """Delays of answers, as reported with a sample.
 
     Attributes:
-        answered_tick: Number of the sample that the newest answer arrived at the device answers.
-        last_delay: Time from the last but one sample to its answer's effect, by the device's clock [s]; NaN if the
-            command in force at the last sample answers another.
-        newest_delay: The same for the newest answer that has arrived, to any sample; NaN without a new one.
-        lateness: The same, or without a new one the least that the next answer's delay can be.
-        transport: Clock difference between the sample and its arrival [ns], offset unknown.
+        answered_tick: Tick of the sample answered by the device's newest command.
+        last_delay: Delay of the previous sample's answer, by the device's clock [s]; NaN if the command in force
+            answers another sample.
+        newest_delay: Delay of the newest answer that has arrived [s]; NaN without a new one.
+        lateness: `newest_delay`, or without a new answer the lower bound of the next answer's delay [s].
+        transport: Arrival time by the host's clock minus sample time by the device's [ns]; includes the offset of the
+            two clocks.
     """
 
     answered_tick: int
@@ -204,7 +202,7 @@ class AnswerTiming(NamedTuple):
 
 
 class Connection:
-    """Session of a host with one device.
+    """Session between a host and one device.
 
     Args:
         link: Link to the device; closed with the connection or if the handshake fails.
@@ -215,25 +213,25 @@ class Connection:
     Attributes:
         welcome: Device's answer to the handshake.
         profile: Device properties, checked against sane bounds.
-        codec: Encoder and decoder of frames; counts dropped frames by reason.
+        codec: Frame encoder and decoder; counts dropped frames by reason.
         open: True until closed.
         samples: Counter of received, lost and skipped samples.
         sequence: The device's number of the last sample.
-        answers: Delays of the answers by the last sample.
+        answers: Delays of answers, as reported with the last sample.
         patience: Longest wait for an answer or a sample [s].
-        heard: Arrival of the last sample, by the link's clock [ns].
+        heard: Arrival time of the last sample, by the link's clock [ns].
         latency: Time from that arrival to sending the last command [ns].
-        settled: Device time of its last answer to a request [ns]; older samples hold an outdated state.
+        settled: Device time of its last answer to a request [ns]; older samples report an outdated state.
 
     Raises:
-        HandshakeError: If no device answers, it refuses this host, or its numbers are outside sane bounds.
+        HandshakeError: If no device answers, it refuses this host, or its limits are outside sane bounds.
         LinkError: If the link has failed.
         ParameterError: If the key or the patience is outside its bounds.
     """
 
     def __init__(self, link: Link, calibration: bytes, key: bytes | None, patience: float) -> None:
         self._link, self._keyed, self.open = link, key is not None, True
-        self._session = self._sequence = self._request = self._overtaken = self._greeted = 0
+        self._session = self._sequence = self._request = self._skipped = self._handshake_time = 0
         self.settled = self.heard = self.latency = self.sequence = 0
         self._answered: int | None = None  # by the newest answer
         self._newest: int | None = None
@@ -243,22 +241,22 @@ class Connection:
             self.patience = number("patience", patience, above=0.0)
             self.codec = Codec(key)
             self.welcome = self._join(calibration)
-            self.profile = profile_of(self.welcome, self._greeted)
+            self.profile = profile_of(self.welcome, self._handshake_time)
             self.samples = SampleCounter(self.profile.period)
             self.answers = AnswerTiming(0, math.nan, math.nan, self.profile.delay / 1e9, 0)
         except BaseException as error:
             self.close()
             if isinstance(error, (ValueError, ArithmeticError)) and not isinstance(error, MaglevError):
-                raise HandshakeError(f"the device's answer makes no sense: {error}") from error
+                raise HandshakeError(f"invalid answer from the device: {error}") from error
             raise
 
     @property
     def latched(self) -> str:
-        """One line about faults latched at the handshake, or ""."""
-        one = self.welcome
-        ago = max(self._greeted - one.fault_time, 0) * 1e-9
-        names, first = fault_names(one.faults), fault_names(one.first)
-        return f"latched: {names}, {ago:.1f} s ago, first {first}" if one.faults else ""
+        """Faults latched at the handshake as one line; "" without faults."""
+        welcome = self.welcome
+        age = max(self._handshake_time - welcome.fault_time, 0) * 1e-9
+        names, first = fault_names(welcome.faults), fault_names(welcome.first)
+        return f"latched: {names}, {age:.1f} s ago, first {first}" if welcome.faults else ""
 
     def command(self, command: wire.Command) -> None:
         """Send currents."""
@@ -275,45 +273,45 @@ class Connection:
             PlantError: If there is none within `patience`.
         """
         frame, self._waiting = self._waiting, None
-        skipped, self._overtaken = self._overtaken, 0
-        link, left = self._link, self.patience
+        skipped, self._skipped = self._skipped, 0
+        link, remaining = self._link, self.patience
         self.heard = link.now()
-        end = self.heard + int(left * 1e9)
+        end = self.heard + int(remaining * 1e9)
         while frame is None:
-            data = link.receive(left) if left > 0.0 else None  # of frames that are no samples there is no end
+            data = link.receive(remaining) if remaining > 0.0 else None  # other frames may arrive indefinitely
             if data is None:
                 raise PlantError(f"no sample from the device within {self.patience:g} s")
             frame = self._sample_in(data)
             self.heard = now = link.now()
-            left = (end - now) * 1e-9
-        # in lockstep there is no newer one: the device waits for the answer to this
+            remaining = (end - now) * 1e-9
+        # in lockstep no newer sample can exist: the device waits for the answer to this one
         while not self.profile.lockstep and (data := link.receive(0.0)) is not None:
-            if (later := self._sample_in(data)) is not None:
-                frame, self.heard = later, link.now()
+            if (newer := self._sample_in(data)) is not None:
+                frame, self.heard = newer, link.now()
                 skipped += 1
         self.samples.count(frame.sequence, frame.time, skipped)
         self._time(frame)
         return frame
 
     def _time(self, frame: Frame) -> None:
-        """Update the delays of answers by a sample."""
+        """Update the delays of answers from a sample."""
         report: StateReport = frame.body  # type: ignore[assignment]
         period, delay, samples = self.profile.period / 1e9, self.profile.delay / 1e9, self.samples
         self.sequence, behind = frame.sequence, (frame.sequence - report.answered) & WRAP
-        known = report.age != wire.NEVER and report.answered != self._answered
+        fresh = report.age != wire.NEVER and report.answered != self._answered
         self._answered = report.answered
-        newest = behind * period - report.age * 1e-6 + delay if known else math.nan
+        newest = behind * period - report.age * 1e-6 + delay if fresh else math.nan
         last = newest if samples.elapsed == behind == 1 else math.nan
-        # the answer after the newest that has arrived is at least so late
-        lateness = newest if known else (behind - 1) * period + delay
+        # lower bound for the next answer
+        lateness = newest if fresh else (behind - 1) * period + delay
         self.answers = AnswerTiming(samples.tick - behind, last, newest, lateness, self.heard - frame.time)
 
     def control(
         self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO
     ) -> wire.ControlAck | None:
-        """Request a change of state; return the answer or None.
+        """Request a change of state; return the answer, or None after `patience`.
 
-        The request is repeated until `patience` has passed.
+        The request is repeated until it is answered.
         """
         if not self.open:
             return None
@@ -331,7 +329,7 @@ class Connection:
     def estop(self) -> EstopReport:
         """Send ESTOP until the device confirms it.
 
-        Samples that arrive meanwhile are kept for `state`.
+        Samples that arrive meanwhile are queued for `state`.
         """
         report = _stop(self._link, self.codec, self.patience, self._keep)
         self.settled = max(self.settled, report.at)
@@ -341,7 +339,7 @@ class Connection:
         """End the session and close the link; idempotent."""
         if self.open:
             try:
-                with suppress(Exception):  # there is nothing to be said to a line that is gone
+                with suppress(Exception):  # best effort: the link may be down
                     if self._session:
                         self.control(Operation.BYE)
             finally:
@@ -354,7 +352,7 @@ class Connection:
         hello, versions = wire.Hello(draw(), calibration), set[int]()
         for patience in (self.patience, TAKEOVER):
             busy = False
-            for data in _requested(self._link, self.codec, 0, hello, _HELLO_AGAIN, patience):
+            for data in _requested(self._link, self.codec, 0, hello, _HELLO_INTERVAL, patience):
                 if (answer := self._welcome(data, hello, versions)) is not None:
                     if answer.status == HelloStatus.WELCOME:
                         return answer
@@ -362,20 +360,20 @@ class Connection:
             if not busy:
                 break
         if busy:
-            raise HandshakeError("another host has the device")
+            raise HandshakeError("the device is in use by another host")
         dropped = ", ".join(
             f"{count} for {reason}" + (f" ({', '.join(map(str, sorted(versions)))})" if reason == "version" else "")
             for reason, count in self.codec.dropped.items()
         )
         reason = f"; frames dropped: {dropped}" if dropped else ""
         if self.codec.dropped["tag"]:
-            reason += "; the key may be another"
+            reason += "; check that both ends use the same key"
         raise HandshakeError(f"no device answered within {self.patience:g} s{reason}")
 
     def _welcome(self, data: bytes, hello: wire.Hello, versions: set[int]) -> wire.HelloAck | None:
-        """Return the answer to a HELLO and store its session.
+        """Return the answer to a HELLO and store its session; None for other data.
 
-        None if data is no such answer. HandshakeError if the device refuses.
+        HandshakeError if the device refuses.
         """
         self.codec.version_met = None
         frame = self.codec.decode(data)
@@ -396,16 +394,16 @@ class Connection:
         match answer.status:
             case HelloStatus.CALIBRATION:
                 theirs, ours = answer.calibration.hex(), hello.calibration.hex()
-                raise HandshakeError(f"the device's calibration is {theirs}, this host's {ours}")
+                raise HandshakeError(f"calibration mismatch: device {theirs}, host {ours}")
             case HelloStatus.WELCOME:
-                self._session, self._greeted = frame.session, frame.time
+                self._session, self._handshake_time = frame.session, frame.time
                 return answer
             case HelloStatus.BUSY:
                 return answer
         return None
 
     def _trusted(self, data: bytes) -> Frame | None:
-        """Return a frame of this session."""
+        """Return the frame if it is authentic and of this session, else None."""
         frame = self.codec.decode(data)
         if frame is not None and frame.session != self._session:
             self.codec.dropped["session"] += 1
@@ -414,7 +412,7 @@ class Connection:
 
     def _is_newer(self, frame: Frame) -> bool:
         newest = self._newest
-        if newest is not None and frame.sequence != (newest + 1) & WRAP:  # which few are
+        if newest is not None and frame.sequence != (newest + 1) & WRAP:  # rare
             if newest == frame.sequence and self.profile.lockstep and self._last is not None:
                 self.command(self._last)  # the device waits, so the answer was lost
             if not wire.newer(frame.sequence, newest):
@@ -424,36 +422,36 @@ class Connection:
         return True
 
     def _keep(self, frame: Frame) -> None:
-        """Keep a sample received during a request for `state`."""
+        """Queue a sample received during a request for `state`."""
         if frame.session == self._session and isinstance(frame.body, StateReport) and self._is_newer(frame):
-            self._overtaken += self._waiting is not None
+            self._skipped += self._waiting is not None
             self._waiting = frame
 
     def _sample_in(self, data: bytes) -> Frame | None:
-        """Return the frame of a newer sample, else None."""
+        """Return the frame if it is a newer sample, else None."""
         frame = self._trusted(data)
         return frame if frame is not None and isinstance(frame.body, StateReport) and self._is_newer(frame) else None
 
 
 def _other_version(version: int) -> HandshakeError:
-    return HandshakeError(f"the device speaks version {version} of the protocol, this host version {wire.VERSION}")
+    return HandshakeError(f"protocol version mismatch: device {version}, host {wire.VERSION}")
 
 
 def profile_of(welcome: wire.HelloAck, time: int) -> Profile:
-    """Return a device's properties at its time [ns].
+    """Return a device's properties, as of its time [ns].
 
     HandshakeError if one is invalid, or state and faults contradict each other.
     """
     faults, failed = f"faults {fault_names(welcome.faults)}", welcome.state == State.FAULT
     try:
         number("state", welcome.state, at_least=0, at_most=max(State))
-        for said, is_said in (
+        for contradiction, present in (
             (f"state {State(welcome.state).name} with {faults}", failed != bool(welcome.faults)),
             (f"first {fault_names(welcome.first)} of {faults}", welcome.first & ~welcome.faults),
             (f"fault_time {welcome.fault_time} ns at {time} ns", welcome.fault_time > time),
         ):
-            if is_said:
-                raise ParameterError(said)
+            if present:
+                raise ParameterError(contradiction)
         return Profile.of(welcome)
     except ParameterError as error:
-        raise HandshakeError(f"the device says what cannot be: {error}") from None
+        raise HandshakeError(f"inconsistent handshake: {error}") from None

@@ -1,4 +1,4 @@
-"""Device faults, and the last cycles before them."""
+"""Device faults and the device cycles before them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from maglev_mj.result import Result, Table, number_text
 from maglev_mj.terminal import printable
 from maglev_mj.versions import versions
 
-_KEPT = 200
+_CYCLES = 200
 _SIX = range(6)
 _NAMES: Mapping[str, Sequence[str]] = {
     "spots": [f"spot{index}" for index in _SIX],
@@ -50,29 +50,29 @@ _NAMES: Mapping[str, Sequence[str]] = {
 _UNITS = {"time": "s", "width": "s", "delay": "s", "latency": "s"} | {axis: unit_of("m", axis) for axis in AXES}
 _UNITS |= dict.fromkeys(_NAMES["spots"], "m")
 _UNITS |= {name: "A" for kind in ("held", "pulsed", "measured") for name in _NAMES[kind]}
-_SHOWN = 20
-"""Cycles that a table shows unless all are wanted."""
+_ROWS = 20
+"""Cycles shown in a table by default."""
 _HEAD = ("time [ms]", *(f"{axis} [{unit_of('mm', axis)}]" for axis in AXES), "cmd [A]", "meas [A]", "warm [%]")
 _HEAD += ("delay [ms]", "answer [ms]")
 _DECIMALS = 1, *[2] * 6, 2, 2, 0, 2, 2
 _CURRENTS = "held", "pulsed", "measured"
 
 _MEANINGS = {
-    Fault.SENSOR_OUT_OF_RANGE: "a diode's reading is invalid, off the diode, or jumped; or no pose has these readings",
-    Fault.COIL_OVERCURRENT: "a current above the limit was commanded, or measured",
-    Fault.COIL_OVERTEMP: "a coil is as warm as it may be",
-    Fault.FLOTOR_OVERSPEED: "the flotor was too fast",
+    Fault.SENSOR_OUT_OF_RANGE: "a diode reading is invalid, out of range or jumped, or the readings match no pose",
+    Fault.COIL_OVERCURRENT: "a commanded or measured current exceeds the limit",
+    Fault.COIL_OVERTEMP: "a coil reached its temperature limit",
+    Fault.FLOTOR_OVERSPEED: "the flotor exceeded its speed limit",
     Fault.BOUNDARY: "the flotor left its envelope",
-    Fault.WATCHDOG: "no command in time, or the amplifiers' enable line stood still",
-    Fault.INVALID_COMMAND: "a command that is not finite",
-    Fault.ESTOP: "an emergency stop was asked for",
-    Fault.COIL_NOT_FOLLOWING: "a measured current was not the commanded one",
+    Fault.WATCHDOG: "no command in time, or the amplifiers' enable line stopped toggling",
+    Fault.INVALID_COMMAND: "a command is not finite, or its pulse width is out of range",
+    Fault.ESTOP: "emergency stop requested",
+    Fault.COIL_NOT_FOLLOWING: "a measured current differs from the commanded one",
     Fault.SENSOR_FROZEN: "a diode repeated its reading more often than its noise allows",
-    Fault.CLOCK: "the device's timestamps did not go as its samples do",
-    Fault.NOT_FOLLOWING: "the flotor did not go where it was led: signs, diodes exchanged, or a hand in the way",
-    Fault.HOST: "the host's program failed, or lost the device's samples",
-    Fault.SENSOR_STOPPED: "the sensor's conversion counter stood still",
-    Fault.COIL_NOT_OFF: "a current flowed after it was cut: cut the power",
+    Fault.CLOCK: "the device's timestamps do not match its sample numbers",
+    Fault.NOT_FOLLOWING: "the flotor did not follow the takeoff path: wrong signs, swapped diodes or a hand in the way",
+    Fault.HOST: "the host program failed, or received no samples from the device",
+    Fault.SENSOR_STOPPED: "the sensor's conversion counter stopped",
+    Fault.COIL_NOT_OFF: "a current still flows after the cut: cut the power",
 }
 
 _Answer: TypeAlias = tuple[Sequence[float], Sequence[float] | None, float]
@@ -98,30 +98,30 @@ class DeviceFault(PlantError):
 
 
 class LastCycles:
-    """Last 200 cycles of a device, written to a journal on faults.
+    """Last 200 cycles of a device, written to a journal on a fault.
 
     Args:
         folder: Folder of the journals.
 
     Attributes:
-        record: Called with the records of cycles and faults, for a flight that is recorded; None without.
+        record: Called with the records of cycles and faults if the flight is recorded; else None.
     """
 
     def __init__(self, folder: Path) -> None:
-        versions()  # here, for a fault may come in real time
+        versions()  # cached now: a fault may occur in the real-time loop
         self._folder = folder
-        self._rows: deque[_Cycle] = deque(maxlen=_KEPT)
+        self._rows: deque[_Cycle] = deque(maxlen=_CYCLES)
         self.record: Callable[[bytes], object] | None = None
 
     def keep(self, frame: Frame, pose: Sequence[float], answer: _Answer, delay: float, latency: float) -> None:
-        """Keep a cycle.
+        """Store a cycle.
 
         Args:
             frame: STATE frame.
             pose: Its pose [m, rad], six.
-            answer: Held and pulsed currents [A], six each, None without pulse, and width of the pulse [s].
-            delay: Delay of the answer before, at the device [s].
-            latency: Latency of the answer [s].
+            answer: Held currents [A], six; pulsed currents [A], six, or None; pulse width [s].
+            delay: Delay of the previous answer, by the device's clock [s].
+            latency: Host latency of the answer [s].
         """
         row = frame, pose, answer, delay, latency
         self._rows.append(row)
@@ -129,12 +129,12 @@ class LastCycles:
             self.record(_packed(*row))
 
     def mark(self, faults: Fault, message: str, about: Mapping[str, Any]) -> bytes:
-        """Record a fault, or why a flight ends; return the records of the kept cycles and of that.
+        """Record a fault, or the reason a flight ends; return its record and those of the stored cycles.
 
         Args:
             faults: The faults.
             message: One line of explanation.
-            about: Further values, ready for JSON.
+            about: Additional values for JSON.
         """
         text = text_records({"fault": fault_names(faults), "text": message, **about})
         if self.record is not None:
@@ -142,12 +142,10 @@ class LastCycles:
         return b"".join((*starmap(_packed, self._rows), text))
 
     def write(self, records: bytes) -> Path | None:
-        """Write records to a journal of their own.
-
-        The temporary folder is used if the own folder cannot be written.
+        """Write records to a new journal in `folder`, or in the temporary folder if that fails.
 
         Returns:
-            The file; None if no folder can be written. Nothing is raised, so that the fault itself is reported.
+            The file; None if neither folder can be written. Raises nothing: it must not hide the fault.
         """
         with suppress(Exception):
             records += text_records({"end": {"lost": 0}})
@@ -160,7 +158,7 @@ class LastCycles:
 
 
 def _packed(frame: Frame, pose: Sequence[float], answer: _Answer, delay: float, latency: float) -> bytes:
-    """Return the record of a cycle, as `LastCycles.keep` has it."""
+    """Return the record of a cycle; arguments as of `LastCycles.keep`."""
     report: StateReport = frame.body  # type: ignore[assignment]
     held, pulsed, width = answer
     six = *report.spots, *pose, *held, *(held if pulsed is None else pulsed), *report.currents, *report.temperatures
@@ -179,7 +177,7 @@ def _write(folder: Path, data: bytes, now: Callable[[], float] = time.time) -> P
         except FileExistsError:
             continue
         except OSError:
-            path.unlink(missing_ok=True)  # cut short, as on a full disk
+            path.unlink(missing_ok=True)  # incomplete, for example on a full disk
             raise
     return path
 
@@ -194,8 +192,8 @@ class FaultRecord(Result):
         message: One line of explanation.
         fault_time: Device time of the first fault [s]; NaN if unknown.
         tick: Number of the last sample.
-        lost: Samples that did not arrive. Without a fault: cycles that are missing, lost or skipped.
-        skipped: Samples left unanswered for a newer one.
+        lost: Samples that did not arrive. Without a fault: missing cycles, lost or skipped.
+        skipped: Samples not answered because a newer one had arrived.
         period: Sample period [s].
         values: Values by name, (N,) each, NaN if missing: sample, time [s], state, faults, spot0 to spot5
             [m], x, y, z [m], rx, ry, rz [rad], held0.. and pulsed0.. [A], width [s], measured0.. [A], temperature0..
@@ -224,17 +222,17 @@ class FaultRecord(Result):
         return save(last_cycles(self), path)
 
     def table(self, *, whole: bool = False) -> Table:
-        """Return the last cycles, with the faults and their meanings below.
+        """Return the last cycles; below, the faults and their meanings.
 
-        A dash is an unknown value. Time is before the last cycle; currents are the largest of the six, the temperature
-        is the highest, delay is at the device and latency that of the answer.
+        A dash marks a missing value. Time is relative to the last cycle; currents and temperature are the largest of
+        the six coils; delay is by the device's clock, answer the host latency.
 
         Args:
             whole: True for every cycle, else the last 20.
         """
         flag("whole", whole)
         values, count = self.values, len(self.time)
-        first = 0 if whole else max(count - _SHOWN, 0)
+        first = 0 if whole else max(count - _ROWS, 0)
         held, pulsed, measured = (np.abs(self.six(name)).max(axis=-1, initial=0.0) for name in _CURRENTS)
         commanded = np.where(values["width"] > 0.0, np.maximum(held, pulsed), held)
         warm = self.six("temperature").max(axis=-1, initial=0.0) * 100.0
@@ -244,14 +242,14 @@ class FaultRecord(Result):
             [number_text(value, 9, decimals) for value, decimals in zip(row, _DECIMALS, strict=True)]
             for row in shown.tolist()
         ]
-        when = "" if math.isnan(self.fault_time) else f" at {self.fault_time:.4f} s of the device's clock"
+        when = "" if math.isnan(self.fault_time) else f" at {self.fault_time:.4f} s (device clock)"
         state, sample = values["state"], values["sample"]
-        changes = [place for place in range(first, count) if place == first or state[place] != state[place - 1]]
-        states = [f"{_state_named(state[place])} from sample {sample[place]:.0f} on" for place in changes]
+        changes = [index for index in range(first, count) if index == first or state[index] != state[index - 1]]
+        states = [f"{_state_name(state[index])} from sample {sample[index]:.0f}" for index in changes]
         remarks = [
-            *([f"the last {_SHOWN} of {count} cycles; --all shows all"] if first else []),
+            *([f"last {_ROWS} of {count} cycles; --all shows all"] if first else []),
             ", ".join(states),
-            f"sample {self.tick} at {1.0 / self.period:g} Hz; {self.lost} lost, {self.skipped} skipped",
+            f"last sample {self.tick} at {1.0 / self.period:g} Hz; {self.lost} lost, {self.skipped} skipped",
             f"faults {self.faults}; first {self.first}{when}",
             *fault_meanings(self.faults),
         ]
@@ -259,39 +257,39 @@ class FaultRecord(Result):
 
     @property
     def time(self) -> Array:
-        """Time of each cycle, from the last [s], (N,)."""
+        """Time of each cycle, relative to the last [s], (N,)."""
         time = self.values["time"]
         return time - time[-1] if len(time) else time
 
     def six(self, kind: str) -> Array:
-        """Return six columns of one kind, (N, 6).
+        """Return the six columns of one kind, (N, 6).
 
-        The kind is "measured", "pose" or another prefix of the columns.
+        The kind is "pose", or a prefix of column names such as "measured".
         """
-        names = AXES if kind == "pose" else [f"{kind}{place}" for place in _SIX]
+        names = AXES if kind == "pose" else [f"{kind}{index}" for index in _SIX]
         return np.stack([self.values[name] for name in names], axis=-1)
 
 
 def fault_meanings(names: str) -> list[str]:
-    """Return name and meaning of each named fault."""
+    """Return `NAME: meaning` for each named fault."""
     return [f"{fault.name}: {meaning}" for fault, meaning in _MEANINGS.items() if (fault.name or "") in names.split()]
 
 
-def _state_named(state: float) -> str:
+def _state_name(state: float) -> str:
     return State(int(state)).name.lower() if state in tuple(State) else number_text(state, 9, 0)
 
 
 def load_fault(path: str | Path) -> FaultRecord:
-    """Read the last cycles of a device from a journal: those before its last fault, or before its end.
+    """Read the last cycles from a journal: those before its last fault, or before its end.
 
     Raises:
-        InvalidRecordingError: If it cannot be read, is not a journal, or holds no cycles; one line with file and
+        InvalidRecordingError: If it cannot be read, is not a journal, or contains no cycles; one line with file and
             reason.
     """
     path = file_path(path)
     with refused(path):
         journal = open_journal(path)
-        for _ in journal.blocks():  # checks them
+        for _ in journal.blocks():  # checks their checksums
             pass
         for index in np.flatnonzero(journal.kinds == TEXT)[::-1].tolist():
             if "fault" in (message := journal.message(index)):
@@ -300,7 +298,7 @@ def load_fault(path: str | Path) -> FaultRecord:
 
 
 def _record(journal: JournalContent, last: int, message: Mapping[str, Any] | None) -> FaultRecord:
-    cycles = journal.cycles(last, _KEPT)
+    cycles = journal.cycles(last, _CYCLES)
     values = {name: cycles[name].astype(np.float64) for name in cycles.dtype.names or () if name not in _NAMES}
     values |= {name: column for kind, names in _NAMES.items() for name, column in zip(names, cycles[kind].T)}
     values = {name: np.where(np.isfinite(column), column, np.nan) for name, column in values.items()}
@@ -318,13 +316,13 @@ def _record(journal: JournalContent, last: int, message: Mapping[str, Any] | Non
         }
         return FaultRecord(**counts, **texts, period=period, fault_time=fault_time, values=values)
     if len(cycles) < 2:
-        raise ParameterError("it holds no cycles of a device, which only flights have")
+        raise ParameterError("no device cycles (only recordings of flights contain them)")
     steps = np.diff(cycles["tick"])
     faults = fault_names(int(cycles["faults"][-1]))
     return FaultRecord(
         faults=faults,
         first=faults,
-        message="no fault is recorded: the last cycles",
+        message="no fault recorded; last cycles",
         fault_time=math.nan,
         tick=int(cycles["tick"][-1]),
         lost=int((steps - 1).sum()),

@@ -30,17 +30,17 @@ from maglev_mj.session import REPLACED, STEP_FORCE, ChangeRequest, Publisher, Sa
 from maglev_mj.spec import GRAVITY
 from maglev_mj.terminal import wrapped
 
-_USUAL = 100  # answers whose median is the usual delay: one late answer makes no loop unstable
-_NOTE = "the hand, the rate and the delay are the device's"
+_ANSWERS = 100  # of the median delay: single late answers do not destabilise a loop
+_NOTE = "hand, sample rate and delay are the device's"
 
 
 class FlightReport(NamedTuple):
     """Outcome of a flight.
 
     Attributes:
-        ticks: Samples answered.
-        lost: Samples that did not arrive, from takeoff on.
-        skipped: Samples too old when read, from takeoff on.
+        ticks: Number of rendered samples.
+        lost: Samples that did not arrive, since takeoff.
+        skipped: Samples not answered because a newer one had arrived, since takeoff.
         wall_time: Duration in real time [s].
         landing: Pose and motion after landing.
     """
@@ -52,8 +52,8 @@ class FlightReport(NamedTuple):
     landing: LandingReport
 
     def __str__(self) -> str:
-        first = f"  {self.wall_time:.1f} s, {self.ticks} samples, {self.lost} lost, {self.skipped} skipped"
-        return "\n".join([first, *wrapped(str(self.landing), further="    ")])
+        summary = f"  {self.wall_time:.1f} s, {self.ticks} samples, {self.lost} lost, {self.skipped} skipped"
+        return "\n".join([summary, *wrapped(str(self.landing), further="    ")])
 
 
 class Flight:
@@ -61,20 +61,19 @@ class Flight:
 
     Args:
         plant: The device; closed by the caller.
-        scene: Rendered scene; its period must be the device's.
+        scene: Scene to render; its period must be the device's.
         switch: Switch that ends the flight; a new one by default.
-        file: Recording of every sample; left open.
-        publishers: Publishers to viewers and other programs; left open.
-        warn: Called, once, with the reason if the recording ends.
-        step_force: Largest step of force by new settings [N]; see `check_step`.
-        bears: Longest delay from a sample to its answer's effect that the scene bears [s]; see `preflight` and
-            `late_delay`.
-        judge: `judge_change` in a process of its own, started before the thread is a real-time one; None to take new
-            settings without.
+        file: Recording of every sample; not closed.
+        publishers: Publishers to viewers and other programs; not closed.
+        warn: Called once with the reason if the recording ends.
+        step_force: Largest force step caused by new settings [N]; see `check_step`.
+        bears: Critical delay of the scene [s]; see `preflight` and `late_delay`.
+        judge: `judge_change` in a separate process, started before the thread becomes real-time; None to accept new
+            settings unchecked.
 
     Attributes:
         switch: Switch that ends the flight.
-        reason: Why a guard ends the flight; "" if none does.
+        reason: Reason of a guard to end the flight; "" without.
         timing: Latencies of the loop.
 
     Raises:
@@ -103,16 +102,16 @@ class Flight:
         self._lost = self._skipped = 0
         self._request: ChangeRequest | None = None
         self._steps: Iterator[None] = iter(())
-        self._wanted: tuple[ChangeRequest, Controller] | None = None
-        self._begun: ChangeRequest | None = ChangeRequest(scene)
+        self._pending: tuple[ChangeRequest, Controller] | None = None
+        self._started: ChangeRequest | None = ChangeRequest(scene)
         self._controller = session.device_controller(scene)
         self._step_force = number("step_force", step_force, above=0.0)
         self._actions = session.device_actions(type(scene))
         self._inertia = [*[plant.calibration.mass] * 3, *plant.calibration.inertia]
         self._force: Sequence[float] = WEIGHT
-        self._delays: deque[float] = deque(maxlen=_USUAL)
+        self._delays: deque[float] = deque(maxlen=_ANSWERS)
         self._warn, self._check_due = warn, session.Due(1.0)
-        self._late, self._power = DelayGuard(late_delay(bears, plant.period)), PowerGuard(plant.period)
+        self._delay_guard, self._power_guard = DelayGuard(late_delay(bears, plant.period)), PowerGuard(plant.period)
         self.reason, self._judge = "", judge
         if file is not None:
             file.attach("calibration.json", "application/json", json.dumps(plant.calibration.as_json()).encode())
@@ -121,11 +120,11 @@ class Flight:
         """Take off, render the scene, and land.
 
         Args:
-            duration: Rendering time by the device's clock [s]; None until landing is requested.
+            duration: Rendering time by the device's clock [s]; None to render until landing is requested.
 
         Raises:
-            KeyboardInterrupt: As `StopSwitch.flying`.
-            DeviceFault: If the device or the flight has a fault, or the currents were cut.
+            KeyboardInterrupt: As in `StopSwitch.flying`.
+            DeviceFault: If the device or a guard raised a fault, or the currents were cut.
             PlantError: If the device does not confirm the cut.
         """
         start, plant = time.monotonic(), self._plant
@@ -162,31 +161,31 @@ class Flight:
         return samples.lost - self._lost, samples.skipped - self._skipped
 
     def _watch(self) -> bool:
-        """Refuse new settings in takeoff and landing; return landing request."""
+        """Refuse new settings in takeoff and landing; return True if landing is requested."""
         if (request := self._publishers.wanted()) is not None:
-            request.reply("settings are taken in flight, not while it takes off or lands")
+            request.reply("settings cannot be changed during takeoff and landing")
         return self.switch.landing
 
     def _record_timing(self, file: RecordingFile) -> None:
         """Record the timing of the flight."""
-        for name, one in self.timing.kinds.items():
-            times = f"{one.p50 * 1e3:.3f} ms in the median, {one.p99 * 1e3:.3f} at 99 %, {one.max * 1e3:.3f} at most"
+        for name, h in self.timing.kinds.items():
+            times = f"median {h.p50 * 1e3:.3f} ms, 99 % {h.p99 * 1e3:.3f} ms, max {h.max * 1e3:.3f} ms"
             file.event("timing", f"{name}: {times}")
         file.event("timing", "{} samples lost, {} skipped".format(*self._missing()))
 
     def _segment(self, last: int | None) -> None:
         """Fly one segment with unchanged parameters."""
-        if self._wanted is not None:
-            (self._begun, self._controller), self._wanted = self._wanted, None
-            self._scene = self._begun.scene
+        if self._pending is not None:
+            (self._started, self._controller), self._pending = self._pending, None
+            self._scene = self._started.scene
         plant, controller, scene, record = self._plant, self._controller, self._scene, None
         if self._file is not None:
             weight = (0.0, 0.0, -self._inertia[2] * GRAVITY, 0.0, 0.0, 0.0)
-            known = {"inertia": self._inertia, "load": weight, "before": self._force}
+            values = {"inertia": self._inertia, "load": weight, "before": self._force}
             name = f"{scene.name} on a device"
-            record = session.begin_scene(self._file, scene, plant, controller, kind="device", name=name, **known)
+            record = session.begin_scene(self._file, scene, plant, controller, kind="device", name=name, **values)
         loop = ControlLoop(plant, controller, observe=self._observe(controller), record=record)
-        while self._wanted is None and not self._is_over(last):
+        while self._pending is None and not self._is_over(last):
             loop.cycle()
 
     def _is_over(self, last: int | None) -> bool:
@@ -194,22 +193,23 @@ class Flight:
 
     def _observe(self, controller: Controller) -> Callable[[Sample, Command], object]:
         carried, faces = controller.carried.tolist(), controller.faces
-        plant, timing, slow, bad = self._plant, self.timing, self._late.check, self._power.check
+        plant, timing = self._plant, self.timing
+        check_delay, check_power = self._delay_guard.check, self._power_guard.check
 
         def observe(sample: Sample, applied: Command) -> None:
             timing.add(plant)
             self._force = applied.force
-            late = max(plant.answers.lateness, plant.delay + timing.newest_age)
-            laws = [one - other for one, other in zip(applied.force, carried)]
-            self.reason = slow(late) or bad(sample.position, laws)
+            delay = max(plant.answers.lateness, plant.delay + timing.newest_age)
+            laws = [total - weight for total, weight in zip(applied.force, carried)]
+            self.reason = check_delay(delay) or check_power(sample.position, laws)
             if self._warn is not None and self._file is not None:
                 self._check(self._file, self._warn)
             if not self._publishers:
                 return
-            if self._begun is not None:
+            if self._started is not None:
                 self._since = sample.tick
-                self._begun.reply(sample.tick)
-                self._begun = None
+                self._started.reply(sample.tick)
+                self._started = None
             force, pose = np.array(laws), np.array(sample.position)
             self._motion.add(plant.samples.tick * plant.period, pose, force, plant.hand_wrench)
             self._publishers.show(lambda: self._snapshot(pose, force, faces, controller.stick_positions))
@@ -228,15 +228,15 @@ class Flight:
             warn(self._note)
 
     def _listen(self, sample: Sample) -> None:
-        """Record the delay and take up new settings, the newest only."""
+        """Store the delay; check and apply new settings, the newest only."""
         if not math.isnan(self._plant.last_delay):
             self._delays.append(self._plant.last_delay)
         if (newest := self._publishers.wanted()) is not None:
-            older, self._request = self._request, newest
-            if older is not None:
-                older.reply(REPLACED)
-            if older is None or older.scene != newest.scene:  # a key that is held asks again and again
-                self._steps = self._take_up(newest.scene)
+            previous, self._request = self._request, newest
+            if previous is not None:
+                previous.reply(REPLACED)
+            if previous is None or previous.scene != newest.scene:  # a held key repeats its request
+                self._steps = self._change(newest.scene)
         if self._request is None:
             return
         self._position = sample.position
@@ -248,31 +248,28 @@ class Flight:
             self._request.reply(self._note)
             self._request = None
 
-    def _take_up(self, wanted: Scene) -> Iterator[None]:
-        """Judge settings and put them in force, a step a sample.
-
-        Sample rate and delay stay the device's.
-        """
-        scene, late, note = session.changed(self._scene, wanted), self._late.bears, ""
+    def _change(self, target: Scene) -> Iterator[None]:
+        """Check settings and apply them, one step per sample; sample rate and delay stay the device's."""
+        scene, limit, note = session.changed(self._scene, target), self._delay_guard.bears, ""
         if self._judge is not None:
             self._judge.ask(scene, self._inertia, tuple(self._delays))
-            while (judged := self._judge.answer()) is None:
+            while (answer := self._judge.answer()) is None:
                 yield
-            bears, note = judged
-            if bears is None:
+            critical, note = answer
+            if critical is None:
                 raise ParameterError(note)
-            late = late_delay(bears, self._plant.period)
+            limit = late_delay(critical, self._plant.period)
         controller = session.device_controller(scene)
-        yield  # making one takes half of a period at 1 kHz: it is looked at a sample later
+        yield  # creating it takes half a period at 1 kHz: check it one sample later
         session.check_step(self._controller, controller, self._position, self._step_force)
         assert self._request is not None
-        self._wanted, self._note = (ChangeRequest(scene, self._request.reply), controller), note or _NOTE
-        self._request, self._late.bears = None, late
+        self._pending, self._note = (ChangeRequest(scene, self._request.reply), controller), note or _NOTE
+        self._request, self._delay_guard.bears = None, limit
 
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None
     ) -> Snapshot:
-        """Return the snapshot of now, with the median recent delay."""
+        """Return the current snapshot, with the median of the recent delays."""
         plant, samples = self._plant, self._plant.samples
         return Snapshot(
             scene=self._scene,

@@ -1,4 +1,4 @@
-"""Device behind a connection, watched by guards: spots in, currents out."""
+"""Remote device with guards: spots in, currents out."""
 
 from __future__ import annotations
 
@@ -24,46 +24,46 @@ from maglev_mj.errors import ParameterError, PlantError, SensingError
 from maglev_mj.frames import ZERO, Command, Sample
 from maglev_mj.plants.sensor import PoseTracker
 
-_INACTIVE, _ACTIVE, _FAULT = State  # an enumeration's members are slow to look up
+_INACTIVE, _ACTIVE, _FAULT = State  # enum member lookup is slow
 _UNKNOWN = (math.nan,) * 6
-_MOST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
+_LARGEST = Limits(current_limit=20.0, continuous_current=20.0, hover_limit=20.0)
 
 
 class GuardedPlant:
-    """Device behind a connection, watched by guards, without takeoff and landing; see `RemotePlant`.
+    """Remote device with guards, without takeoff and landing; see `RemotePlant`.
 
     Arguments and errors are those of `RemotePlant`.
 
     Attributes:
         period: Sample period [s].
         delay: Time from a command's arrival to its effect [s].
-        lockstep: True if the device's time waits for each answer.
-        limits: The smaller of the device's and the host's; `stated` are the device's.
-        latched: One line about faults that were latched in the device at the handshake; empty without faults.
+        lockstep: True if the device waits for each answer.
+        limits: The smaller of the device's and the host's limits; `stated` are the device's.
+        latched: Faults latched in the device at the handshake, as one line; empty without faults.
         cycles: Last cycles, written to a file on a fault.
-        guards: Checks of each sample, in their order. A fault that one finds ends a flight.
+        guards: Checks of each sample, in order; an alarm in flight cuts the currents.
         disarmed: True after this host armed the device and switched the currents off.
-        guided: True in takeoff and landing: the default envelope applies if it is the larger.
-        doubt: First fault that a guard has found in the last sample, as text; empty if none has.
+        guided: True in takeoff and landing; the larger of the default and the chosen envelope then applies.
+        doubt: First alarm of the guards for the last sample, as text; empty without.
         state: State of the device at the last sample; `faults` are its faults then.
         first: First faults, at `fault_time` by the device's clock [ns]; 0 without faults.
         last_currents: Last sent currents [A], six.
-        pose: Last known pose [m, rad].
-        answers: Delays of the answers by the last sample; see `AnswerTiming`. `last_delay` is one of them.
+        pose: Last measured pose [m, rad].
+        answers: Delays of answers, as reported with the last sample; see `AnswerTiming`. `last_delay` is one of them.
         answer_latency: Time from the last sample's arrival to its answer [s].
         samples: Counter of received, lost and skipped samples.
-        hand_wrench: The hand's wrench as estimated, low-passed at 20 Hz [N, N m]; NaN unless the device is active. A
-            touched stop counts as a hand; see `HandObserver`.
-        coils: Estimator of the coils' gains in takeoff.
-        arrival: Arrival of the last sample, by the link's clock [s].
+        hand_wrench: Estimated wrench of the hand, low-passed at 20 Hz [N, N m]; NaN unless the device is active.
+            Includes contact with a stop; see `HandObserver`.
+        coils: Estimator of the coil gains in takeoff.
+        arrival: Arrival time of the last sample, by the link's clock [s].
     """
 
     hand_wrench = property(lambda self: self._hand.wrench)
     coils = property(lambda self: self._hand.coils)
-    arrival = property(lambda self: self._line.heard * 1e-9)
-    answers = property(lambda self: self._line.answers)
-    last_delay = property(lambda self: self._line.answers.last_delay)
-    answer_latency = property(lambda self: self._line.latency * 1e-9)
+    arrival = property(lambda self: self._connection.heard * 1e-9)
+    answers = property(lambda self: self._connection.answers)
+    last_delay = property(lambda self: self._connection.answers.last_delay)
+    answer_latency = property(lambda self: self._connection.latency * 1e-9)
 
     def __init__(
         self,
@@ -75,24 +75,24 @@ class GuardedPlant:
         patience: float = 1.0,
         folder: Path | str = Path(),
     ) -> None:
-        known, own, link = calibration or Calibration.nominal(), limits or HostLimits(), open_link(link, key)
-        self.calibration = known
+        own, link = limits or HostLimits(), open_link(link, key)
+        self.calibration = known = calibration or Calibration.nominal()
         self._hover: list[float] = known.hover.tolist()
         weight = known.mass * math.hypot(*known.gravity)
-        if problem := safety.weight_fault(weight, self._hover, own, own.narrowed(_MOST)):
+        if problem := safety.weight_fault(weight, self._hover, own, own.narrowed(_LARGEST)):
             link.close()
             raise ParameterError(problem)
-        self._line = Connection(link, known.digest, key, patience)
+        self._connection = Connection(link, known.digest, key, patience)
         try:
-            welcome, profile = self._line.welcome, self._line.profile
+            welcome, profile = self._connection.welcome, self._connection.profile
             self.stated, self.limits = profile.limits, own.narrowed(profile.limits)
             if problem := safety.weight_fault(weight, self._hover, own, self.limits):
-                raise HandshakeError(f"the device does not carry the flotor: {problem}")
+                raise HandshakeError(f"the device cannot hover: {problem}")
             self.period, self.delay = profile.period / 1e9, profile.delay / 1e9
-            self.lockstep, self.latched = profile.lockstep, self._line.latched
+            self.lockstep, self.latched = profile.lockstep, self._connection.latched
             self.state, self.faults = State(welcome.state), Fault(welcome.faults)
             self.first, self.fault_time = Fault(welcome.first), welcome.fault_time
-            self.samples = self._line.samples
+            self.samples = self._connection.samples
             self.guards = device_guards(self.limits, own, self.period)
             self.cycles = LastCycles(Path(folder))
             self._track = PoseTracker(known.beams)
@@ -101,19 +101,19 @@ class GuardedPlant:
             self._hand = HandObserver(known, self.period)
             self._prepare()
         except BaseException:
-            self._line.close()
+            self._connection.close()
             raise
         self.last_currents: Sequence[float] = ZERO
-        # armed by this host, and nothing has ended it that was reported
+        # armed by this host, with no end of the flight reported
         self.disarmed = self._armed = False
-        self.guided = self._owed = False  # an answer is owed to the last sample
-        self._located, self.doubt = 0, ""  # last known pose
+        self.guided = self._unanswered = False  # the last sample has no answer yet
+        self._pose_tick, self.doubt = 0, ""
         self._frame: Frame | None = None  # the last sample
-        self._seen: Sequence[float] = _UNKNOWN  # its pose
+        self._located: Sequence[float] = _UNKNOWN  # its pose
         self.pose: Sequence[float] = ZERO
 
     def _prepare(self) -> None:
-        """Do slow work before anything flies."""
+        """Do slow work before takeoff."""
 
     def __enter__(self) -> Self:
         return self
@@ -129,33 +129,33 @@ class GuardedPlant:
     def close(self) -> None:
         """Switch the currents off and end the session; idempotent."""
         self._armed = False
-        self._line.close()
+        self._connection.close()
 
     def read(self) -> Sample:
         """Return the next sample, or the newest of several waiting.
 
         Raises:
-            DeviceFault: If the device has gone into the fault state, or a guard has found a fault in flight.
+            DeviceFault: If the device entered the fault state, or a guard raised an alarm in flight.
             PlantError: If the plant is closed.
         """
         self._check_open()
-        if self._owed and self.lockstep:  # a device that waits for an answer gets the one before, without its pulse
+        if self._unanswered and self.lockstep:  # the device waits: repeat the previous answer, without its pulse
             self._send(self.last_currents, None, 0.0)
         before, frame = self._frame, self._next_frame()
         report: StateReport = frame.body  # type: ignore[assignment]
-        # a sample from before the device's last answer holds an outdated state
-        if (report.state != self.state or report.faults != self.faults) and frame.time > self._line.settled:
+        # a sample from before the device's last answer reports an outdated state
+        if (report.state != self.state or report.faults != self.faults) and frame.time > self._connection.settled:
             self._adopt(report.state, report.faults)
         if self.state is _FAULT and self._armed:
-            self.fail(self.faults, "asked for")
+            self.fail(self.faults, "requested by this host")
         active, samples, hand = self.state is _ACTIVE, self.samples, self._hand
         pose, error, since = self._locate(report.spots)
         if active and error is None:
-            answers, hand.tries = self._line.answers, self.guided
-            hand.sampled(samples.tick, samples.elapsed, self._seen, answers.answered_tick, answers.newest_delay)
-        last = before.body if before is not None else None
+            answers, hand.tries = self._connection.answers, self.guided
+            hand.sampled(samples.tick, samples.elapsed, self._located, answers.answered_tick, answers.newest_delay)
+        previous = before.body if before is not None else None
         led, modelled = self.guided or not active, self._output.thermal.rises
-        sample = DeviceSample(report, last, samples, active, led, pose, error, since, hand.currents, modelled)  # type: ignore[arg-type]
+        sample = DeviceSample(report, previous, samples, active, led, pose, error, since, hand.currents, modelled)  # type: ignore[arg-type]
         self.doubt = ""
         for guard in self.guards:
             if (alarm := guard(sample)) is not None:
@@ -166,7 +166,7 @@ class GuardedPlant:
         return Sample(samples.tick, samples.tick * self.period, pose)
 
     def write(self, command: Command) -> Command:
-        """Send the answer to the last sample; return it limited.
+        """Send a command as the answer to the last sample; return it as limited.
 
         Raises:
             DeviceFault: If the command is not finite.
@@ -182,7 +182,7 @@ class GuardedPlant:
         return command
 
     def drive(self, currents: Sequence[float]) -> None:
-        """Send six coil currents [A] in place of a wrench.
+        """Send six coil currents [A] instead of a wrench.
 
         Raises:
             ParameterError: If one is not finite or above the limit.
@@ -190,7 +190,7 @@ class GuardedPlant:
         """
         frame = self._answered_frame("drive")
         if safety.command_fault(self.limits, currents, currents, 0.0):
-            raise ParameterError(f"currents must be within {self.limits.current_limit:g} A, not {list(currents)}")
+            raise ParameterError(f"currents must be within ±{self.limits.current_limit:g} A, not {list(currents)}")
         self._answer(frame, currents, None, 0.0)
         wrench = self.calibration.coils.wrench(np.asarray(currents)).tolist()
         self._hand.answered(self.samples.tick, Command(wrench), currents, None, 0.0)
@@ -203,18 +203,18 @@ class GuardedPlant:
 
     def _answer(self, frame: Frame, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         self._send(held, pulsed, width)
-        self._owed = False
+        self._unanswered = False
         if self.state is _ACTIVE:
             self._output.passed(held, pulsed, width)
         else:
             self._output.stay(1, ZERO)
-        self.cycles.keep(frame, self._seen, (held, pulsed, width), self.last_delay, self.answer_latency)
+        self.cycles.keep(frame, self._located, (held, pulsed, width), self.last_delay, self.answer_latency)
 
     @property
     def report(self) -> StateReport:
-        """Device's report at the last sample; PlantError before the first."""
+        """Device's report with the last sample; PlantError before the first."""
         if self._frame is None:
-            raise PlantError("there is no sample: call read() first")
+            raise PlantError("no sample yet: call read() first")
         return self._frame.body  # type: ignore[return-value]
 
     @property
@@ -226,7 +226,8 @@ class GuardedPlant:
         """Switch the currents on; PlantError if the device refuses.
 
         Args:
-            hover: Held by the device if commands are missing [A], six; by default the currents that carry the flotor.
+            hover: Currents held by the device while commands are missing [A], six; by default those that carry the
+                flotor.
         """
         self._ask(Operation.ARM, hover=self._hover if hover is None else hover)
         self.state, self._armed, self.guided = _ACTIVE, True, False
@@ -243,10 +244,10 @@ class GuardedPlant:
     def estop(self) -> EstopReport:
         """Switch the currents off in any state and latch ESTOP.
 
-        PlantError if the device does not confirm it. The next sample is a fault.
+        PlantError if the device does not confirm it. The next `read` raises the fault.
         """
         self._check_open()
-        report = self._line.estop()
+        report = self._connection.estop()
         self._latch(Fault.ESTOP, report.at)
         if not report.confirmed:
             raise PlantError(f"emergency stop {report}")
@@ -258,83 +259,83 @@ class GuardedPlant:
         self.state, self.faults, self.first, self.fault_time, self._armed = _INACTIVE, Fault(0), Fault(0), 0, False
 
     def trip(self, faults: Fault) -> None:
-        """Put the device into the fault state, answered or not."""
+        """Put the device into the fault state; best effort."""
         self._latch(faults, self.samples.time)
-        with suppress(LinkError):  # the watchdog does it where there is no line
-            self._line.control(Operation.TRIP, faults=faults)
+        with suppress(LinkError):  # without a link the watchdog cuts
+            self._connection.control(Operation.TRIP, faults=faults)
 
     def abort(self, reason: str) -> None:
-        """Trip a device that this host armed; DeviceFault then."""
+        """Trip a device armed by this host and raise DeviceFault; else do nothing."""
         if self._armed:
             self._fail_if_active(Fault.HOST, reason)
 
     def require_inactive(self) -> None:
-        """Refuse a device that is not inactive."""
+        """Raise PlantError unless the device is inactive."""
         self._check_open()
         if self.state is not _INACTIVE:
-            raise PlantError(f"no takeoff: the device is {self.state.name}, faults {fault_names(self.faults)}")
+            raise PlantError(f"no takeoff: device state {self.state.name}, faults {fault_names(self.faults)}")
 
     def _ask(self, operation: Operation, *, hover: Sequence[float] = ZERO) -> None:
         self._check_open()
-        answer = self._line.control(operation, hover=hover)
+        answer = self._connection.control(operation, hover=hover)
         if answer is None:
-            raise PlantError(f"the device did not answer {operation.name} within {self._line.patience:g} s")
+            raise PlantError(f"the device did not answer {operation.name} within {self._connection.patience:g} s")
         if answer.result:
-            hint = "; see to it, then reset" if answer.state == _FAULT else ""
-            state = State(answer.state).name if answer.state in tuple(State) else f"in state {answer.state}"
+            hint = "; remove the cause, then reset" if answer.state == _FAULT else ""
+            state = State(answer.state).name if answer.state in tuple(State) else answer.state
             names = fault_names(answer.faults)
-            raise PlantError(f"the device refused {operation.name}: it is {state}, faults {names}{hint}")
+            raise PlantError(f"the device refused {operation.name}: state {state}, faults {names}{hint}")
 
     def _check_open(self) -> None:
-        if not self._line.open:
+        if not self._connection.open:
             raise PlantError("the plant is closed")
 
     def _next_frame(self) -> Frame:
-        """Store the next sample, and update the temperatures up to it."""
+        """Store the next sample and update the thermal model up to it."""
         try:
-            frame = self._line.state()
+            frame = self._connection.state()
         except Exception as error:
             self._fail_if_active(Fault.HOST, str(error))
             raise
-        unanswered = self.samples.elapsed - (not self._owed)
-        if unanswered > 0:  # without a command the coils cool, or keep their currents
+        unanswered = self.samples.elapsed - (not self._unanswered)
+        if unanswered > 0:  # no new command: currents are held, or zero
             self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
-        self._frame, self._seen, self._owed = frame, _UNKNOWN, False
+        self._frame, self._located, self._unanswered = frame, _UNKNOWN, False
         return frame
 
     def _adopt(self, state: int, faults: int) -> None:
         if state not in tuple(State):
-            self.fail(Fault.HOST, f"the device says that it is in state {state}, which is none")
+            self.fail(Fault.HOST, f"the device reports unknown state {state}")
         if (state == _FAULT) != bool(faults):
-            self.fail(Fault.HOST, f"the device says state {State(state).name} with faults {fault_names(faults)}")
+            self.fail(Fault.HOST, f"the device reports state {State(state).name} with faults {fault_names(faults)}")
         before = self.state
         if state == _FAULT:
             self._latch(Fault(faults), self.samples.time)
         self.state, self.faults = State(state), Fault(faults)
         if self.state is _FAULT is not before:
-            self.fail(self.faults, "said by the device")
+            self.fail(self.faults, "reported by the device")
         if self.state is _INACTIVE and before == _ACTIVE:
-            self.fail(Fault.HOST, "the device switched its currents off without being asked to")
+            self.fail(Fault.HOST, "the device disarmed without a request")
 
     def _locate(self, spots: Sequence[float]) -> tuple[list[float], SensingError | None, float]:
-        """Return the pose of spots, or why there is none, and the time since the last [s]; its answer is then due."""
+        """Return the pose, the error if it is not measured, and the time since the last pose [s]."""
         if self._offsets is not None:
             spots = [spot - offset for spot, offset in zip(spots, self._offsets)]
         try:
             pose = self._track(spots)
         except SensingError as error:
             return list(_UNKNOWN), error, 0.0
-        since = (self.samples.tick - self._located) * self.period
-        self._located, self.pose, self._owed = self.samples.tick, pose, True
-        self._seen = tuple(pose)  # the caller may write into the list
+        since = (self.samples.tick - self._pose_tick) * self.period
+        self._pose_tick, self.pose, self._unanswered = self.samples.tick, pose, True
+        self._located = tuple(pose)  # copy: the caller may modify the list
         return pose, None, since
 
     def _send(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         self.last_currents = held
-        one = tuple(held)
-        answer = CommandFrame(self._line.sequence, 0, one, one if pulsed is None else tuple(pulsed), width)
+        first = tuple(held)
+        answer = CommandFrame(self._connection.sequence, 0, first, first if pulsed is None else tuple(pulsed), width)
         try:
-            self._line.command(answer)
+            self._connection.command(answer)
         except Exception as error:
             self._fail_if_active(Fault.HOST, str(error))
             raise
@@ -352,14 +353,14 @@ class GuardedPlant:
         """Trip the device, write its last cycles, raise DeviceFault."""
         self._armed = False
         if self.state is not _FAULT or not self.faults & faults:
-            with suppress(Exception):  # report and last cycles must not depend on the line
+            with suppress(Exception):  # report and last cycles must not depend on the link
                 self.trip(faults)
-        faults |= self.faults  # such as an e-stop, after which it fell
+        faults |= self.faults  # for example ESTOP, after which the flotor fell
         path = None
         with suppress(Exception):
             if (frame := self._frame) is not None:
                 answer = self.last_currents, None, 0.0
-                self.cycles.keep(frame, self._seen, answer, self.last_delay, self.answer_latency)
+                self.cycles.keep(frame, self._located, answer, self.last_delay, self.answer_latency)
             path = self.cycles.write(self.cycles.mark(faults, message, self._about()))
         raise DeviceFault(faults, message, path)
 

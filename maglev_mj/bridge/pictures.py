@@ -1,4 +1,4 @@
-"""The last cycles before a fault, drawn."""
+"""Chart of the last cycles before a fault."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from maglev_mj.terminal import printable
 def last_cycles(record: FaultRecord) -> Any:
     """Draw the last cycles before a fault.
 
-    Currents measured are lines, those commanded dots; a vertical line is where the fault came first.
+    Lines are measured currents, dots commanded ones; a vertical line marks the first fault.
 
     Args:
         record: The last cycles.
@@ -28,25 +28,25 @@ def last_cycles(record: FaultRecord) -> Any:
     time, pose, columns = record.time * 1e3, record.six("pose") * 1e3, record.values
     _curves(axes[0], time, pose[:, :3], AXES[:3], "position (mm)")
     _curves(axes[1], time, pose[:, 3:], AXES[3:], "angle (mrad)")
-    coils, label = [f"coil {place}" for place in range(6)], "current (A)\n—— measured   · · commanded"
+    coils, label = [f"coil {index}" for index in range(6)], "current (A)\n—— measured   · · commanded"
     _curves(axes[2], time, record.six("measured"), coils, label)
-    for place, held in enumerate(record.six("held").T):
-        axes[2].plot(time, held, ".", color=SERIES[place], markersize=2.5)
+    for index, held in enumerate(record.six("held").T):
+        axes[2].plot(time, held, ".", color=SERIES[index], markersize=2.5)
     spans = np.stack([columns["delay"], columns["latency"]], axis=-1) * 1e3
-    _curves(axes[3], time, spans, ("delay at the device", "latency of the answer"), "time (ms)")
+    _curves(axes[3], time, spans, ("loop delay, device clock", "host latency"), "delay (ms)")
     first = (record.fault_time - columns["time"][-1]) * 1e3 if len(time) else np.nan
     for axis in axes:
         if len(time) and time[0] <= first <= time[-1]:
             axis.axvline(first, color=REFERENCE, linewidth=1.0, linestyle="--")
-    axes[3].set_xlabel("time before the last cycle (ms)")
+    axes[3].set_xlabel("time relative to the last cycle (ms)")
     axes[0].set_title(f"{_shortened(record.faults)}\n{_shortened(record.message)}", **TITLE)
     return figure
 
 
 def _curves(axis: Any, time: Array, values: Array, names: Any, label: str) -> None:
-    """Draw a curve for each column, with a legend beside."""
-    for place, name in enumerate(names):
-        axis.plot(time, values[:, place], color=SERIES[place], linewidth=1.4, label=name)
+    """Draw a curve for each column, with a legend beside the chart."""
+    for index, name in enumerate(names):
+        axis.plot(time, values[:, index], color=SERIES[index], linewidth=1.4, label=name)
     axis.set_ylabel(label)
     axis.legend(**BESIDE)
 

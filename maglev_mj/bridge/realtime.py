@@ -25,10 +25,10 @@ class LatencyHistogram:
     """Latencies of a loop: recent values and the maximum.
 
     Args:
-        size: Number of recent values to keep; a ParameterError if below 1.
+        size: Number of recent values to store, at least 1.
 
     Attributes:
-        count: Number of all added values.
+        count: Number of added values.
         worst: Maximum of all values [ns].
     """
 
@@ -45,7 +45,7 @@ class LatencyHistogram:
             self.worst = latency
 
     def percentile(self, share: float) -> float:
-        """Return a percentile of recent latencies [s]; NaN without any."""
+        """Return a percentile of the recent latencies [s]; NaN without any."""
         return float(np.percentile(self._ring[: self.count], share)) * 1e-9 if self.count else math.nan
 
     p50 = property(lambda self: self.percentile(50.0), doc="Median of the recent latencies [s]; NaN without any.")
@@ -67,22 +67,22 @@ class RealtimeError(MaglevError):
 
 @contextmanager
 def realtime(mode: Realtime, priority: int = 80, cpu: int | None = None) -> Iterator[list[str]]:
-    """Give this thread real-time scheduling; restore it at the end.
+    """Run this thread with real-time scheduling; restore its settings at the end.
 
-    Timer slack 1 ns, SCHED_FIFO, locked memory, one processor, no garbage collection. Threads and processes inherit
-    some of that: start those first.
+    Sets timer slack 1 ns, SCHED_FIFO, locked memory, CPU affinity; disables garbage collection. Threads and processes
+    inherit some of these: start them before.
 
     Args:
-        mode: "enforce" raises if something is refused, "ignore" goes on.
+        mode: "enforce" raises if a setting is refused, "ignore" continues.
         priority: Priority of SCHED_FIFO, 1 to 99.
-        cpu: Number of the processor to stay on; None for any.
+        cpu: Index of the processor to run on; None for any.
 
     Yields:
-        Refusals, a line each.
+        Refused settings with reasons, one line each.
 
     Raises:
         ParameterError: If an argument is outside its bounds.
-        RealtimeError: If something is refused and the mode is "enforce".
+        RealtimeError: If a setting is refused and the mode is "enforce".
     """
     check_one_of("realtime", get_args(Realtime), mode)
     number("priority", priority, at_least=1, at_most=99)
@@ -93,19 +93,19 @@ def realtime(mode: Realtime, priority: int = 80, cpu: int | None = None) -> Iter
     ]
     if cpu is not None:
         steps.append((f"processor {cpu}", partial(_affinity, cpu)))
-    complaints = []
+    refusals = []
     with ExitStack() as back:
         for name, step in steps:
             try:
                 back.callback(step())
-            except (AttributeError, TypeError):  # a system without that function, or without such a library
-                complaints.append(f"{name}: {os.strerror(errno.ENOSYS)}")
+            except (AttributeError, TypeError):  # not available on this system
+                refusals.append(f"{name}: {os.strerror(errno.ENOSYS)}")
             except (OSError, ValueError, OverflowError) as error:
-                complaints.append(f"{name}: {getattr(error, 'strerror', None) or error}")
-        if complaints and mode == "enforce":
-            raise RealtimeError(f"no real time: {'; '.join(complaints)}; see `ulimit -r` and `ulimit -l`")
+                refusals.append(f"{name}: {getattr(error, 'strerror', None) or error}")
+        if refusals and mode == "enforce":
+            raise RealtimeError(f"real-time settings refused: {'; '.join(refusals)}; see `ulimit -r` and `ulimit -l`")
         back.callback(_no_garbage())
-        yield complaints
+        yield refusals
 
 
 def _libc(name: str, *arguments: int) -> int:
@@ -145,7 +145,7 @@ def _no_garbage() -> Callable[[], object]:
     gc.disable()
 
     def back() -> None:
-        if not frozen:  # all that a program has frozen itself would be thawed too, and be looked through from then on
+        if not frozen:  # unfreeze would also thaw what the program froze itself
             gc.unfreeze()
         if enabled:
             gc.enable()
@@ -153,7 +153,7 @@ def _no_garbage() -> Callable[[], object]:
     return back
 
 
-_HANGUP, _ALARM = getattr(signal, "SIGHUP", None), getattr(signal, "SIGALRM", None)  # not on every system
+_HANGUP, _ALARM = getattr(signal, "SIGHUP", None), getattr(signal, "SIGALRM", None)  # POSIX only
 
 
 def interrupt() -> NoReturn:
@@ -165,37 +165,36 @@ def interrupt() -> NoReturn:
 def stopping(
     stop: Callable[[], object], cut: Callable[[], object] = interrupt, *, within: float | None = None
 ) -> Iterator[None]:
-    """Call `stop` at the first stop signal, then `cut`.
+    """Call `stop` at the first stop signal, and `cut` at each later SIGINT.
 
-    Stop signals are SIGINT, SIGTERM and SIGHUP; each SIGINT after the first signal calls `cut`.
-
-    Only Ctrl-C cuts: SIGTERM may be sent twice, and a closing terminal adds a SIGHUP.
+    Stop signals are SIGINT, SIGTERM and SIGHUP. Later SIGTERM and SIGHUP are ignored: SIGTERM may be sent twice, and a
+    closing terminal adds a SIGHUP.
 
     Args:
-        stop: Called in the main thread, between any two of its steps; it may raise.
-        cut: Called in the main thread; it may raise.
-        within: Time after `stop` at which `cut` is called too [s]; None for never.
+        stop: Called in the main thread between any two bytecodes; may raise.
+        cut: Called in the main thread; may raise.
+        within: Time after `stop` at which `cut` is called as well [s]; None for never.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield  # signals are the main thread's
+        yield  # only the main thread receives signals
         return
-    asked = False
+    stopped = False
 
-    def ask(kind: int, _frame: Any) -> None:
-        nonlocal asked
-        if asked:
+    def handle(kind: int, _frame: Any) -> None:
+        nonlocal stopped
+        if stopped:
             if kind in (signal.SIGINT, _ALARM):
                 cut()
             return
-        asked = True
+        stopped = True
         if within is not None and _ALARM is not None:
             signal.setitimer(signal.ITIMER_REAL, within)
         stop()
 
     kinds = [signal.SIGINT, signal.SIGTERM, *([] if _ALARM is None else [_ALARM])]
-    if _HANGUP is not None and signal.getsignal(_HANGUP) != signal.SIG_IGN:  # nohup's stays ignored
+    if _HANGUP is not None and signal.getsignal(_HANGUP) != signal.SIG_IGN:  # stays ignored under nohup
         kinds.append(_HANGUP)
-    before = [(kind, signal.signal(kind, ask)) for kind in kinds]
+    before = [(kind, signal.signal(kind, handle)) for kind in kinds]
     try:
         yield
     finally:

@@ -1,4 +1,4 @@
-"""Device at the other end of a wire: its takeoff and landing."""
+"""Remote device as a plant, with takeoff and landing."""
 
 from __future__ import annotations
 
@@ -22,37 +22,38 @@ _ON_STOP = 0.6 * Spec.translation_range.value
 
 _TRY = 0.15
 _TRIES = [7e-4, 0.0, 0.0, 0.0, 0.0, 0.007], [-3.5e-4, 6e-4, 0.0, 0.0, 0.0, -0.007], ZERO
-"""Poses around the centre that need each coil [m, rad], and time to each [s]."""
+"""Time to each pose [s], and poses around the centre that together load every coil [m, rad]."""
 
-_SETTLING, _WATCHING = 0.3, 0.2
-"""Longest wait for rest before disarming, and observation after it [s]."""
+_SETTLING, _OBSERVATION = 0.3, 0.2
+"""Longest wait for rest before disarming, and observation time after it [s]."""
 
 _Watch: TypeAlias = Callable[[], object]
 
 
 class RemotePlant(GuardedPlant):
-    """Plant at the other end of a wire.
+    """Remote device as a plant.
 
-    It has the interface of `MuJoCoPlant`, for one thread. The device is the clock: `read` waits for its next sample. A
-    lost sample leaves a gap in the tick numbers. Six currents leave through one output limiter: finite, wrench limit,
-    current limit, temperatures. A failure ends in zero currents, a fault until `reset`, and a file of the last cycles.
+    Same interface as `MuJoCoPlant`; use from one thread. The device is the clock: `read` waits for its next sample. A
+    lost sample leaves a gap in the tick numbers. All commands pass one output limiter: finite values, wrench,
+    currents, coil temperatures. A failure cuts the currents, latches a fault until `reset`, and writes the last
+    cycles to a file.
 
     Args:
-        link: The wire, or its address; see `open_link`. It is closed with the plant, or if the handshake fails.
-        calibration: Calibration of the device; the device must have its hash.
+        link: Link to the device, or its address; see `open_link`. Closed with the plant or if the handshake fails.
+        calibration: Calibration of the device; the device must have the same.
         key: Authentication key of the frames; None for none.
         limits: Limits of the host; the smaller of these and the device's apply.
         patience: Longest wait for an answer or a sample [s].
         folder: Folder of the files of last cycles.
 
     Attributes:
-        rest: Pose before takeoff and target of the landing [m, rad]. Further ones are those of `GuardedPlant`.
+        rest: Pose before takeoff and target of the landing [m, rad]. For the others see `GuardedPlant`.
 
     Raises:
-        HandshakeError: If no device answers, another host flies it, its version or calibration differs, or its
-            numbers are not sane or do not carry the weight.
+        HandshakeError: If no device answers, another host uses it, its version or calibration differs, or its limits
+            are not sane or do not allow hovering.
         LinkError: If the link has failed.
-        ParameterError: If a value is outside its bounds, or the host's own limits do not carry the weight.
+        ParameterError: If a value is outside its bounds, or the host's limits do not allow hovering.
 
     Example:
         >>> from maglev_mj.bridge import Twin, TwinParameters
@@ -64,22 +65,22 @@ class RemotePlant(GuardedPlant):
     rest: Sequence[float] = ZERO
 
     def _prepare(self) -> None:
-        self._leader, self._tolerant = (Leader(self.calibration, self.period, one) for one in (self.delay, TOLERATED))
+        self._leader, self._tolerant = (Leader(self.calibration, self.period, x) for x in (self.delay, TOLERATED))
 
     def takeoff(self, duration: float = 0.6, *, watch: _Watch | None = None, tries: bool = False) -> None:
-        """Check rest, arm, and move the flotor to the centre.
+        """Check that the flotor is at rest, arm, and move it to the centre.
 
-        Untouched for 0.1 s, it must rest: up to 5 mm/s and 0.1 rad/s. Slow work is done before the currents flow.
+        At rest: up to 5 mm/s and 0.1 rad/s over 0.1 s. Slow work is done before the currents flow.
 
         Args:
-            duration: Time of the motion [s].
+            duration: Duration of the motion [s].
             watch: Called after each sample of the motion; True ends it early.
-            tries: True to move by 0.7 mm and 7 mrad around the centre in 0.45 s more, which tries each coil.
+            tries: True to check each coil: moves by 0.7 mm and 7 mrad around the centre, 0.45 s longer.
 
         Raises:
             DeviceFault: If the flotor does not follow, or another fault occurs.
-            PlantError: If the flotor moves, is not on its lower stop or not measured: the device is not armed; or if a
-                coil that was tried is not as calibrated: it has landed.
+            PlantError: If the flotor moves, is not on its lower stop or its pose is not measured (not armed), or if a
+                coil that was checked is not as calibrated (landed).
         """
         flag("tries", tries)
         self.require_inactive()
@@ -87,21 +88,21 @@ class RemotePlant(GuardedPlant):
         gc.collect()
         motion = self._observed(0.0)
         if self.doubt or not motion.full:
-            raise PlantError(f"no takeoff: {self.doubt or 'the flotor is not measured'}")
+            raise PlantError(f"no takeoff: {self.doubt or 'flotor pose not measured'}")
         rest = motion.pose
         if not motion.at_rest:
-            raise PlantError(f"no takeoff: the flotor moves at {motion}, and must rest")
+            raise PlantError(f"no takeoff: the flotor moves at {motion}; it must be at rest")
         gravity = self.calibration.gravity.tolist()
-        # with respect to gravity; without any no pose is off the lower stop
-        if sum(one * other for one, other in zip(rest, gravity)) < _ON_STOP * math.hypot(*gravity):
-            raise PlantError(f"no takeoff: the flotor is at {shown(rest)}, and must lie on its lower stop")
+        # along gravity; without gravity every pose counts as on the lower stop
+        if sum(x * g for x, g in zip(rest, gravity)) < _ON_STOP * math.hypot(*gravity):
+            raise PlantError(f"no takeoff: the flotor is at {shown(rest)}; it must lie on its lower stop")
 
         def astray(pose: Sequence[float]) -> NoReturn:
-            why = (said := self.coils.fault(lost=True)) and f"; {said}"
-            self.fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(pose)}, not where it is led{why}")
+            coil = (fault := self.coils.fault(lost=True)) and f"; {fault}"
+            self.fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(pose)}, off the takeoff path{coil}")
 
         leader.aim(straight(rest, rest, duration))
-        loop.cycle(2)  # the device ignores these answers; slow first calls are done
+        loop.cycle(2)  # warm-up of slow first calls; the device ignores these answers
         poses = [rest, ZERO, *(_TRIES if tries else ())]
         times = [0.0, *(number("duration", duration, above=0.0) + _TRY * leg for leg in range(len(poses) - 1))]
         leader.aim(Trajectory(times, poses), astray)
@@ -109,21 +110,21 @@ class RemotePlant(GuardedPlant):
         self.rest, self.guided = rest, True
         try:
             ended = self._lead(loop, times[-1], watch)
-            why = self.coils.fault() if tries and not ended else ""
+            fault = self.coils.fault() if tries and not ended else ""
         finally:
             self.guided = False
-        if why:
+        if fault:
             self._landed(leader, duration, None)
-            raise PlantError(f"no flight: {why}; landed again: keep hands off while it takes off, or calibrate it anew")
+            raise PlantError(f"no flight: {fault}; landed. Keep hands off during takeoff, or recalibrate")
 
     def land(self, duration: float = 0.6, *, watch: _Watch | None = None, reason: str = "") -> LandingReport:
         """Move the flotor back to its rest pose and disarm.
 
         Args:
-            duration: Time of the motion [s]; up to 0.3 s more until it rests.
+            duration: Duration of the motion [s]; up to 0.3 s longer until the flotor is at rest.
             watch: As for `takeoff`.
-            reason: Why the flight is ended early; "" if it is not. Then a softer hold leads, stable up to 50 ms
-                of delay, and the cycles before are written to a file; a flotor that still swings is cut.
+            reason: Reason of an early end; "" without. With one, a softer hold is used, stable up to 50 ms of delay,
+                the last cycles are written to a file, and a flotor that still oscillates is cut.
 
         Returns:
             Pose and motion 0.2 s later.
@@ -135,16 +136,16 @@ class RemotePlant(GuardedPlant):
             return self._landed(self._leader, duration, watch)
         swing, cycles = Swing(), self.cycles.mark(Fault(0), reason, self._about())
 
-        def calm() -> bool:
+        def check() -> bool:
             if self.state is State.ACTIVE and (speed := swing.check(self.pose, self.samples.tick * self.period)):
-                self.fail(Fault.HOST, f"{reason}; in the landing it still moved at {speed:.2f} m/s")
+                self.fail(Fault.HOST, f"{reason}; still moving at {speed:.2f} m/s in the landing")
             return watch is not None and bool(watch())
 
-        report = self._landed(self._tolerant, duration, calm)
+        report = self._landed(self._tolerant, duration, check)
         return report._replace(reason=reason, path=self.cycles.write(cycles))
 
     def _landed(self, leader: Leader, duration: float, watch: _Watch | None) -> LandingReport:
-        """Lead the flotor back to its rest pose and disarm."""
+        """Move the flotor back to its rest pose and disarm."""
         loop, self.guided = ControlLoop(self, leader), True
         leader.aim(straight(self.pose, self.rest, duration))
         self._lead(loop, duration, watch)
@@ -152,12 +153,12 @@ class RemotePlant(GuardedPlant):
         while self.samples.tick < end and not leader.motion.at_rest:
             loop.cycle()
         self.disarm()
-        motion = self._observed(_WATCHING)
-        rests = motion.at_rest and not self.doubt
-        return LandingReport(math.dist(motion.pose[:3], self.rest[:3]), *motion.speeds, rests)
+        motion = self._observed(_OBSERVATION)
+        at_rest = motion.at_rest and not self.doubt
+        return LandingReport(math.dist(motion.pose[:3], self.rest[:3]), *motion.speeds, at_rest)
 
     def _lead(self, loop: ControlLoop, duration: float, watch: _Watch | None) -> bool:
-        """Run a loop for a time [s]; return True if it was ended early."""
+        """Run a loop for a duration [s]; return True if it ended early."""
         end = self.samples.tick + max(round(duration / self.period), 1)
         while self.samples.tick < end:
             loop.cycle()
@@ -166,7 +167,7 @@ class RemotePlant(GuardedPlant):
         return False
 
     def _observed(self, duration: float) -> Motion:
-        """Observe motion for `duration` [s] and until known or doubtful."""
+        """Observe the motion for at least `duration` [s], until it covers 0.1 s or a guard raises doubt."""
         motion, self.doubt = Motion(self.period), ""
         end = self.samples.tick + round(duration / self.period)
         while self.samples.tick < end or not (motion.full or self.doubt):

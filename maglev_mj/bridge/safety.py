@@ -17,46 +17,47 @@ from maglev_mj.plants.coils import CoilMap, limited_wrench
 from maglev_mj.spec import Spec
 
 WARNING_RISE = 0.8
-"""Temperature rise of a warning, as share of the limit."""
+"""Temperature rise that raises a warning, as a share of the limit."""
 
 OFF = 0.25
 """Largest measured current of a coil that is off [A]."""
 
 _NO_FAULT = Fault(0)
+_CONTINUOUS = Spec.continuous_current.value
 _CHANGED = (0, 0, 0)
-_CLOSE_SHARE = 0.1
+_TOLERANCE = 0.1
 _IMPLAUSIBLE = 4.0
-_FRESH = 4
+_STALE = 4
 """Periods after which an answer is stale, unless stated otherwise."""
-_MARGIN = 1.25
-"""Factor over the weight and its currents, for control."""
+_HEADROOM = 1.25
+"""Factor over the weight and the hover currents, as headroom for control."""
 _COLD, _HOT, _OVER = -0.01, 2.0, 1.5
-"""Bounds of reported temperatures and overcurrent ratio of measured currents."""
+"""Bounds of reported temperatures; ratio of a measured current to the limit that counts as overcurrent."""
 
 
 class Limits(Parameters):
-    """Limits of a device, under their names in HELLO_ACK.
+    """Limits of a device, named as in HELLO_ACK.
 
     The host refuses a device with limits outside these bounds.
     """
 
-    current_limit: float = param("largest in a coil", "A", default=Spec.peak_current.value, above=0.0, at_most=20.0)
-    continuous_current: float = param("borne", "A", default=Spec.continuous_current.value, above=0.0, at_most=20.0)
-    thermal_time: float = param("of a coil's warming; assumed", "s", default=10.0, at_least=0.01, at_most=1e7)
-    spot_limit: float = param("largest coordinate; assumed", "m", default=0.012, at_least=1e-4, at_most=0.1)
-    spot_speed: float = param("largest; assumed", "m/s", default=1.0, at_least=1e-3, at_most=100.0)
-    watchdog: float = param("longest wait for a command", "s", default=0.05, at_least=1e-3, at_most=1.0)
-    enable: float = param("longest pause of the enable line", "s", default=0.01, at_least=1e-5, at_most=1.0)
+    current_limit: float = param("coil current limit", "A", default=Spec.peak_current.value, above=0.0, at_most=20.0)
+    continuous_current: float = param("continuous current limit", "A", default=_CONTINUOUS, above=0.0, at_most=20.0)
+    thermal_time: float = param("thermal time constant; assumed", "s", default=10.0, at_least=0.01, at_most=1e7)
+    spot_limit: float = param("spot position limit; assumed", "m", default=0.012, at_least=1e-4, at_most=0.1)
+    spot_speed: float = param("spot speed limit; assumed", "m/s", default=1.0, at_least=1e-3, at_most=100.0)
+    watchdog: float = param("watchdog timeout", "s", default=0.05, at_least=1e-3, at_most=1.0)
+    enable: float = param("enable line timeout", "s", default=0.01, at_least=1e-5, at_most=1.0)
     stale: float | None = param(
-        "of an answered sample; None: 4 periods", "s", default=None, optional=True, at_least=1e-5
+        "age limit of an answered sample; None: 4 periods", "s", default=None, optional=True, at_least=1e-5
     )
-    hover_limit: float = param("in ARM", "A", default=Spec.continuous_current.value, at_least=0.0, at_most=20.0)
-    frozen: int = param("equal readings that noise rules out; 0: no noise", default=30, at_least=0, at_most=1_000_000)
+    hover_limit: float = param("hover current limit", "A", default=_CONTINUOUS, at_least=0.0, at_most=20.0)
+    frozen: int = param("equal readings of a frozen sensor; 0: no check", default=30, at_least=0, at_most=1_000_000)
 
 
-_LIMITS = [one.name for one in Limits.parameters()]
+_LIMITS = [x.name for x in Limits.parameters()]
 _NANOSECONDS = "watchdog", "enable", "stale"
-"""Limits that the wire has in nanoseconds."""
+"""Limits in nanoseconds on the wire."""
 
 _AT_MOST = (
     ("two periods", "watchdog"),
@@ -67,14 +68,14 @@ _AT_MOST = (
     ("hover_limit", "continuous_current"),
     ("continuous_current", "current_limit"),
 )
-"""Pairs of which the first must be at most the second, as HELLO_ACK has them."""
+"""Pairs in which the first must be at most the second, as in HELLO_ACK."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """Properties of a device, as HELLO_ACK states them.
+    """Properties of a device, as in HELLO_ACK; see docs/reference/protocol.md.
 
-    See docs/reference/protocol.md. Without a limit `stale` it is four periods, and at most the watchdog.
+    The default of `stale` is four periods, at most the watchdog timeout.
 
     Raises:
         ParameterError: If a number is outside its bounds, or two contradict each other.
@@ -92,13 +93,13 @@ class Profile:
         number("delay", self.delay * 1e-9, at_least=0.0, at_most=0.1)
         flag("lockstep", self.lockstep)
         if self.limits.stale is None:
-            store(self, limits=self.limits.replace(stale=min(_FRESH * self.period * 1e-9, self.limits.watchdog)))
-        # as on the wire: what is equal there is equal here
+            store(self, limits=self.limits.replace(stale=min(_STALE * self.period * 1e-9, self.limits.watchdog)))
+        # compare in units of the wire, to round as the device does
         values = {**self.stated, "one period": self.period, "two periods": 2 * self.period, "delay": self.delay}
         for name, bound in _AT_MOST:
             if values[name] > values[bound]:
                 scale, unit = (1e-9, "s") if isinstance(values[bound], int) else (1, "A")
-                value, most = (f"{values[one] * scale:.9g} {unit}" for one in (name, bound))
+                value, most = (f"{values[key] * scale:.9g} {unit}" for key in (name, bound))
                 raise ParameterError(f"{name} must be at most {bound}, {most}, not {value}")
 
     @property
@@ -122,9 +123,7 @@ class Profile:
 
 
 class HostLimits(Parameters):
-    """Limits of the host.
-
-    The smaller of these and the device's apply.
+    """Limits of the host; the smaller of these and the device's apply.
 
     Example:
         >>> from maglev_mj import HostLimits
@@ -132,18 +131,18 @@ class HostLimits(Parameters):
         0.6
     """
 
-    max_current: float | None = param("largest current in any coil", "A", default=None, optional=True, above=0.0)
-    continuous_current: float | None = param("largest continuous current", "A", default=None, optional=True, above=0.0)
-    force_limit: float | None = param("force along an axis, weight too", "N", default=None, optional=True, above=0.0)
-    torque_limit: float | None = param("torque about an axis", "N m", default=None, optional=True, above=0.0)
-    envelope: float = param("largest coordinate in flight; a little beyond the stops", "m", default=0.0055, above=0.0)
-    envelope_angle: float = param("largest angle in flight", "rad", default=math.radians(7.5), above=0.0)
-    speed_limit: float = param("largest speed of the flotor", "m/s", default=0.6, above=0.0)
-    spin_limit: float = param("largest angular speed of the flotor", "rad/s", default=15.0, above=0.0)
+    max_current: float | None = param("coil current limit", "A", default=None, optional=True, above=0.0)
+    continuous_current: float | None = param("continuous current limit", "A", default=None, optional=True, above=0.0)
+    force_limit: float | None = param("force limit per axis, with weight", "N", default=None, optional=True, above=0.0)
+    torque_limit: float | None = param("torque limit per axis", "N m", default=None, optional=True, above=0.0)
+    envelope: float = param("position limit in flight; just outside the stops", "m", default=0.0055, above=0.0)
+    envelope_angle: float = param("rotation limit in flight", "rad", default=math.radians(7.5), above=0.0)
+    speed_limit: float = param("flotor speed limit", "m/s", default=0.6, above=0.0)
+    spin_limit: float = param("flotor angular speed limit", "rad/s", default=15.0, above=0.0)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a profile: a JSON object of limits, SI units.
+        """Read a profile: a JSON object of limits by name, in SI units.
 
         Raises:
             ParameterError: If it cannot be read, or a value is outside its bounds; one line with file and value.
@@ -152,7 +151,7 @@ class HostLimits(Parameters):
 
     @property
     def wrench(self) -> list[float] | None:
-        """Largest wrench [N, N m], six; None without a limit."""
+        """Wrench limit [N, N m], six; None without a limit."""
         if self.force_limit is None and self.torque_limit is None:
             return None
         return [self.force_limit or math.inf] * 3 + [self.torque_limit or math.inf] * 3
@@ -172,26 +171,26 @@ def _by_name(values: Any) -> dict[str, Any]:
 
 
 def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits: Limits) -> str:
-    """Return the limit that hovering would exceed, as a message.
+    """Return a message if the limits do not allow hovering, else "".
 
-    `weight` is in [N], `hover` are six currents [A]; the message is empty if hovering is possible.
+    `weight` is in [N], `hover` are six currents [A].
     """
     most = max(map(abs, hover))
-    force, least, current = own.force_limit, _MARGIN * most, limits.current_limit
-    if force is not None and force <= _MARGIN * weight:
-        return f"force_limit must be above {_MARGIN * weight:.3g} N, not {force:g}: the weight is {weight:.3g} N"
+    force, least, current = own.force_limit, _HEADROOM * most, limits.current_limit
+    if force is not None and force <= _HEADROOM * weight:
+        return f"force_limit must be above {_HEADROOM * weight:.3g} N, not {force:g}: the weight is {weight:.3g} N"
     if current < least:
-        needs = f"hovering needs {most:.3g} A, and control a quarter more"
+        needs = f"hovering needs {most:.3g} A plus 25 % for control"
         return f"max_current must be at least {least:.3g} A, not {current:g}: {needs}"
     if limits.hover_limit < most:
-        return f"the hover limit must be at least {most:.3g} A, which carries the weight, not {limits.hover_limit:g}"
+        return f"the hover limit must be at least {most:.3g} A to carry the weight, not {limits.hover_limit:g}"
     return ""
 
 
 class ThermalModel:
     """First-order thermal model of the six coils.
 
-    Temperature rises are shares of that at the continuous current; at 1 the coils trip.
+    Temperature rises are relative to the steady state at the continuous current; at 1 a coil trips.
 
     Attributes:
         rises: Temperature rises of the six coils.
@@ -204,9 +203,7 @@ class ThermalModel:
         self._duration, self._share = 0.0, 0.0
 
     def add(self, intervals: Iterable[tuple[float, Sequence[float]]]) -> float:
-        """Add intervals of constant currents; return the warmest coil's rise.
-
-        Each interval is a duration [s] and six currents [A].
+        """Add intervals, each a duration [s] and six currents [A]; return the largest rise.
 
         θ' = ((i / i_continuous)² - θ) / τ, solved exactly for constant currents.
         """
@@ -215,12 +212,12 @@ class ThermalModel:
         for duration, (a, b, c, d, e, f) in intervals:
             if duration != self._duration:
                 self._duration, self._share = duration, -math.expm1(-duration / self._time)
-            share = self._share  # written out: in half the time of a loop
+            share = self._share  # unrolled: half the time of a loop
             p, q, r = p + share * (scale * a * a - p), q + share * (scale * b * b - q), r + share * (scale * c * c - r)
             s, t, u = s + share * (scale * d * d - s), t + share * (scale * e * e - t), u + share * (scale * f * f - u)
         shares = [p, q, r, s, t, u]
         if not math.isfinite(sum(shares)):
-            shares = [1.0] * 6  # a meter that says nonsense is no reason to go on
+            shares = [1.0] * 6  # trip on a non-finite reading
         self.rises, self.warmest = shares, max(shares)
         return self.warmest
 
@@ -228,12 +225,12 @@ class ThermalModel:
 def command_fault(limits: Limits, held: Sequence[float], pulsed: Sequence[float], width: float) -> Fault:
     """Return the fault of a command, if any.
 
-    Currents [A], six each, and pulse width [s]. They are checked, not clipped.
+    Six held and six pulsed currents [A], and the pulse width [s]: checked, not clipped.
     """
-    # one by one: the sum of finite numbers may be infinite
+    # per element: the sum of finite numbers may overflow
     if not all(map(math.isfinite, (*held, *pulsed))) or not 0.0 <= width <= 1.0:
         return Fault.INVALID_COMMAND
-    # rounding on the host's side is no fault
+    # tolerate rounding on the host
     most = limits.current_limit * (1.0 + 1e-9)
     if max(held) > most or min(held) < -most or max(pulsed) > most or min(pulsed) < -most:
         return Fault.COIL_OVERCURRENT
@@ -243,20 +240,20 @@ def command_fault(limits: Limits, held: Sequence[float], pulsed: Sequence[float]
 def reading_fault(limits: Limits, currents: Sequence[float], temperatures: Sequence[float]) -> Fault:
     """Return the fault of measured currents and temperatures.
 
-    Currents [A] and temperatures, six each.
+    Currents [A] and temperature rises, six each.
     """
     most, (a, b, c, d, e, f) = _OVER * limits.current_limit, currents
-    # the sums of squares first: both say at once that nothing is wrong, and that all is finite
+    # fast path: a sum of squares checks bounds and finiteness at once
     if a * a + b * b + c * c + d * d + e * e + f * f <= most * most and min(temperatures) >= _COLD:
         a, b, c, d, e, f = temperatures
         if a * a + b * b + c * c + d * d + e * e + f * f <= _HOT * _HOT:
             return _NO_FAULT
-    fault = _NO_FAULT if all(_COLD <= one <= _HOT for one in temperatures) else Fault.COIL_OVERTEMP
-    return fault if all(abs(one) <= most for one in currents) else fault | Fault.COIL_OVERCURRENT
+    fault = _NO_FAULT if all(_COLD <= x <= _HOT for x in temperatures) else Fault.COIL_OVERTEMP
+    return fault if all(abs(x) <= most for x in currents) else fault | Fault.COIL_OVERCURRENT
 
 
 class CoilGuard:
-    """Detector of coils that do not follow their command."""
+    """Detector of coil currents that do not follow the command."""
 
     _PATIENCE = 3
 
@@ -265,11 +262,11 @@ class CoilGuard:
 
     def check(self, commanded: Sequence[float], measured: Sequence[float]) -> Fault:
         """Compare the currents of a sample [A], six each."""
-        if measured == commanded:  # as a twin's are
+        if measured == commanded:  # fast path: a twin
             self._strikes = 0
             return _NO_FAULT
-        for wanted, found in zip(commanded, measured):
-            if not abs(wanted - found) <= OFF + _CLOSE_SHARE * abs(wanted):
+        for target, actual in zip(commanded, measured):
+            if not abs(target - actual) <= OFF + _TOLERANCE * abs(target):
                 self._strikes += 1
                 return Fault.COIL_NOT_FOLLOWING if self._strikes >= self._PATIENCE else _NO_FAULT
         self._strikes = 0
@@ -297,7 +294,7 @@ class SpotGuard:
         fault = Fault.SENSOR_STOPPED if conversions == self._conversions else _NO_FAULT
         self._conversions, most = conversions, self._most
         a, b, c, d, e, f = spots
-        # written out: in half the time of min and max; a comparison with NaN or infinity fails
+        # unrolled: half the time of min and max; comparisons with NaN and infinity fail
         within = -most <= a <= most and -most <= b <= most and -most <= c <= most
         if valid & 7 != 7 or not (within and -most <= d <= most and -most <= e <= most and -most <= f <= most):
             self._last = None
@@ -309,8 +306,8 @@ class SpotGuard:
         step = self._step * steps if steps > 1 else self._step
         near = -step <= a - p <= step and -step <= b - q <= step and -step <= c - r <= step
         if not (near and -step <= d - s <= step and -step <= e - t <= step and -step <= f - u <= step):
-            # faster than any flotor: it is the sensor that jumped
-            moved = max(abs(one - other) for one, other in zip(spots, last))
+            # far above any flotor speed: the sensor jumped
+            moved = max(abs(new - old) for new, old in zip(spots, last))
             return fault | (Fault.FLOTOR_OVERSPEED if moved < _IMPLAUSIBLE * step else Fault.SENSOR_OUT_OF_RANGE)
         if a != p and c != r and e != t:
             self._same = _CHANGED
@@ -324,9 +321,9 @@ class FlotorGuard:
     """Detector of a flotor outside its envelope or too fast."""
 
     def __init__(self, limits: HostLimits) -> None:
-        most = HostLimits()
+        default = HostLimits()
         self._own = limits.envelope, limits.envelope_angle**2
-        self._led = max(limits.envelope, most.envelope), max(limits.envelope_angle, most.envelope_angle) ** 2
+        self._led = max(limits.envelope, default.envelope), max(limits.envelope_angle, default.envelope_angle) ** 2
         self._fast, self._turning = limits.speed_limit**2, limits.spin_limit**2
         self._last: Sequence[float] | None = None
 
@@ -335,8 +332,8 @@ class FlotorGuard:
 
         Args:
             position: Measured pose [m, rad], six components.
-            elapsed: Time since the pose before [s].
-            led: True in takeoff and landing: the default envelope applies if it is the larger.
+            elapsed: Time since the previous pose [s].
+            led: True in takeoff and landing; the larger of the default and the chosen envelope then applies.
         """
         x, y, z, rx, ry, rz = position
         last, self._last = self._last, position
@@ -354,16 +351,16 @@ class FlotorGuard:
 
 
 class OutputLimiter:
-    """Limiter that turns a command into coil currents.
+    """Converter of a command to coil currents within limits.
 
     Args:
         coils: The calibrated coils.
         limits: Limits of the device.
-        wrench_limit: Largest wrench [N, N m], six; None for no limit besides the currents.
+        wrench_limit: Wrench limit [N, N m], six; None for current limits only.
         period: Sample period [s].
 
     Attributes:
-        thermal: Thermal model of the coils, by the currents given to `passed` and `stay`.
+        thermal: Thermal model of the coils, updated by `passed` and `stay`.
     """
 
     def __init__(self, coils: CoilMap, limits: Limits, wrench_limit: Sequence[float] | None, period: float) -> None:
@@ -379,11 +376,11 @@ class OutputLimiter:
     def stay(self, periods: int, currents: Sequence[float]) -> None:
         """Update the thermal model by periods of constant currents [A].
 
-        A pulse still acting ends first: by itself, or by other currents than those after it.
+        An acting pulse ends first, by itself or by a change of the currents.
         """
         line = self._timeline
         self.thermal.add(line.period(0, None if currents == line.acting else (currents, None, 0.0)))
-        while (periods := periods - 1) > 0 and line.now() is not line.acting:  # a pulse goes on
+        while (periods := periods - 1) > 0 and line.now() is not line.acting:  # the pulse continues
             self.thermal.add(line.period(0))
         if periods > 0:
             self.thermal.add(((periods * self._period, currents),))
@@ -391,9 +388,7 @@ class OutputLimiter:
     def currents(
         self, command: Command, position: Sequence[float]
     ) -> tuple[Command, Sequence[float], Sequence[float] | None, float]:
-        """Return a command within the limits, and its currents.
-
-        After the command: held currents [A], pulsed currents [A] or None, pulse width [s].
+        """Return the limited command, held currents [A], pulsed currents [A] or None, and pulse width [s].
 
         The coils turn with the flotor; `position` is its measured pose.
 
@@ -403,18 +398,18 @@ class OutputLimiter:
         force, extra, limit = command.force, command.extra, self._limit
         width = 0.0 if extra is None else command.pulse_width
         if len(force) != 6 or not math.isfinite(sum(force) + width + (0.0 if extra is None else sum(extra))):
-            raise PlantError(f"a command must be six finite numbers, not {list(force)} and {extra} for {width:g} s")
+            raise PlantError(f"a command must be six finite numbers, not {list(force)}, pulse {extra} of {width:g} s")
         inverse_map = self._inverse_turned(*position[3:])
         if limit is not None:
-            force = [clipped(one, most) for one, most in zip(force, limit)]
-        left, held = limited_wrench(inverse_map, force, self._current)
+            force = [clipped(x, bound) for x, bound in zip(force, limit)]
+        applied, held = limited_wrench(inverse_map, force, self._current)
         if extra is None:
-            return Command(left), held, None, 0.0
-        total: Sequence[float] = [one + other for one, other in zip(command.force, extra)]
+            return Command(applied), held, None, 0.0
+        total: Sequence[float] = [x + dx for x, dx in zip(command.force, extra)]
         if limit is not None:
-            total = [clipped(one, most) for one, most in zip(total, limit)]
+            total = [clipped(x, bound) for x, bound in zip(total, limit)]
         total, _ = limited_wrench(inverse_map, total, self._current)
-        # the pulse relative to the applied force, so that their sum gives the same currents
-        extra = [one - other for one, other in zip(total, left)]
-        pulsed: list[float] = inverse_map.dot([one + other for one, other in zip(left, extra)]).tolist()
-        return Command(left, extra, width), held, pulsed, width
+        # pulse relative to the applied force: their sum gives the same currents
+        extra = [x - y for x, y in zip(total, applied)]
+        pulsed: list[float] = inverse_map.dot([x + dx for x, dx in zip(applied, extra)]).tolist()
+        return Command(applied, extra, width), held, pulsed, width

@@ -118,9 +118,9 @@ def outcome_kind(outcome: str) -> str:
         "of the last 16": "8 of 16 late",
         "of the last 5": "3 of 5 late",
         "vibrate": "reversals",
-        "give out energy": "energy",
+        "generate energy": "energy",
     }
-    swung = "swing in landing" if "in the landing it still moved" in outcome else ""
+    swung = "swing in landing" if "in the landing" in outcome else ""
     found = next((name for text, name in rules.items() if text in outcome), "")
     if not found:
         names = re.findall(r"\b[A-Z]{3,}(?:_[A-Z]+)*\b", outcome)

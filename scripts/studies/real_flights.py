@@ -86,7 +86,7 @@ def commanding(ahead: int = 0, **changes: Any) -> Act:
     """Return an act that sends a forbidden command."""
 
     def act(plant: RemotePlant, _: str) -> None:
-        line, hover = plant._line, tuple(plant.calibration.hover.tolist())
+        line, hover = plant._connection, tuple(plant.calibration.hover.tolist())
         line._sequence += ahead
         line.command(Currents(line._newest or 0, 0, hover, hover, 0.0)._replace(**changes))
         line._sequence -= ahead

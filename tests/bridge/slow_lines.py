@@ -256,7 +256,7 @@ def fly(
         bears = margin(name, rate, plant.delay)
     scene = (scene or find_scene(name)()).replace(period=plant.period, delay=plant.delay)
     flight = Flight(plant, scene, bears=bears)
-    flight._power = power = NotedPower(plant.period)
+    flight._power_guard = power = NotedPower(plant.period)
     if law is not None:
         flight._controller = law(flight._controller, plant.period)
     read = plant.read

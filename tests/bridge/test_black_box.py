@@ -58,7 +58,7 @@ def failed(tmp_path_factory: pytest.TempPathFactory) -> Failed:
 
 def test_a_file_of_last_cycles_holds_what_was_measured_and_when_it_was_answered(failed: Failed) -> None:
     rig, record = failed.rig, failed.record
-    assert record.faults == record.first == "COIL_NOT_FOLLOWING" and record.message == "said by the device"
+    assert record.faults == record.first == "COIL_NOT_FOLLOWING" and record.message == "reported by the device"
     assert record.fault_time == pytest.approx(rig.twin.tick * 0.005) and record.period == 0.005
     assert (record.tick, record.lost, record.skipped) == (rig.plant.samples.tick, 0, 0)
     measured, held = record.six("measured"), record.six("held")
@@ -121,7 +121,7 @@ def test_what_holds_no_last_cycles_is_one_line(says: str, wrong: Any, tmp_path: 
 
 
 def test_a_recording_without_cycles_and_a_changed_bit_are_refused(failed: Failed, tmp_path: Path) -> None:
-    with pytest.raises(InvalidRecordingError, match="it holds no cycles of a device, which only flights have"):
+    with pytest.raises(InvalidRecordingError, match=r"no device cycles \(only recordings of flights contain them\)"):
         load_fault(ROOT / "tests/golden/recordings/drop-exact.maglev")
     data, path = bytearray(failed.path.read_bytes()), tmp_path / "changed.maglev"
     data[4096 + 100 * RECORD.itemsize + 50] ^= 1
@@ -156,7 +156,7 @@ def recorded(folder: Path, law: Any = None, hurt: bool = False) -> tuple[Path, P
     file = open_recording(folder / "run.maglev")
     flight = Flight(rig.plant, scene, file=file)
     if law is not None:
-        flight._power = law
+        flight._power_guard = law
     try:
         path = flight.run(0.4).landing.path
     except DeviceFault as error:
@@ -171,7 +171,7 @@ def test_the_recording_of_a_flight_holds_what_the_file_of_its_fault_does(tmp_pat
     assert path is not None
     one, other = load_fault(run), load_fault(path)
     assert str(one.table(whole=True)) == str(other.table(whole=True)) and len(one.time) == 200
-    assert one.message == "said by the device" and one.faults == "COIL_NOT_FOLLOWING"
+    assert one.message == "reported by the device" and one.faults == "COIL_NOT_FOLLOWING"
     assert all(np.array_equal(one.values[name], other.values[name], equal_nan=True) for name in other.values)
     recording = Recording.load(run)  # which skips the cycles
     assert recording.ticks and not recording.damage
@@ -194,7 +194,7 @@ def test_a_flight_without_a_fault_shows_its_last_cycles(tmp_path: Path) -> None:
     run, path = recorded(tmp_path)
     record = load_fault(run)
     assert path is None and record.faults == record.first == "none" and np.isnan(record.fault_time)
-    assert record.message == "no fault is recorded: the last cycles" and record.period == pytest.approx(0.005)
+    assert record.message == "no fault recorded; last cycles" and record.period == pytest.approx(0.005)
     assert record.lost == 0 and record.tick == record.values["sample"][-1] and len(record.time) == 200
     assert not list(tmp_path.glob("fault-*"))
 
@@ -202,12 +202,12 @@ def test_a_flight_without_a_fault_shows_its_last_cycles(tmp_path: Path) -> None:
 def test_the_table_says_what_when_and_the_last_cycles(failed: Failed) -> None:
     rig, record = failed.rig, failed.record
     table = record.table(whole=True)
-    first = f"first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s of the device's clock"
+    first = f"first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s (device clock)"
     assert f"faults COIL_NOT_FOLLOWING; {first}" in table.note.splitlines()
     assert table.title == record.message and "COIL_NOT_FOLLOWING: a measured current" in table.note
     assert f", fault from sample {rig.plant.samples.tick} on" in table.note and "active from sample " in table.note
     assert [row[0] for row in (table.rows[-2], table.rows[-1])] == ["-5.0", "0.0"] and len(table.rows) == 200
-    assert "the last 20 of 200 cycles" in record.table().note and len(record.table().rows) == 20
+    assert "last 20 of 200 cycles" in record.table().note and len(record.table().rows) == 20
     lines = str(table).splitlines()
     assert max(map(len, lines)) <= 80 and sum(line.split()[:2] == ["time", "x"] for line in lines) == 1
 
@@ -258,7 +258,7 @@ def test_without_a_folder_of_its_own_the_file_goes_to_the_temporary_one(
 @pytest.mark.parametrize("kind", [LinkError("gone"), OSError("gone"), KeyboardInterrupt()])
 def test_an_error_within_close_still_closes_the_line_once(kind: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     rig, closed = Rig(), Mock()
-    monkeypatch.setattr(rig.plant._line, "control", Mock(side_effect=kind))
+    monkeypatch.setattr(rig.plant._connection, "control", Mock(side_effect=kind))
     monkeypatch.setattr(rig.link, "close", closed)
     with pytest.raises(KeyboardInterrupt) if isinstance(kind, KeyboardInterrupt) else nullcontext():
         rig.plant.close()

@@ -329,7 +329,7 @@ def test_a_device_with_offsets_flies_with_its_calibration_and_beside_the_centre_
 
 def test_a_host_of_another_calibration_is_told_both() -> None:
     names = [one.digest.hex() for one in (Calibration.nominal(), offsets())]
-    with pytest.raises(HandshakeError, match=f"device's calibration is {names[0]}, this host's {names[1]}"):
+    with pytest.raises(HandshakeError, match=f"calibration mismatch: device {names[0]}, host {names[1]}"):
         Rig(host={"calibration": offsets()})
 
 

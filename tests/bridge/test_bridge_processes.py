@@ -68,7 +68,7 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Twin:
 
     monkeypatch.setattr(bridge, "_opened", opened)
     monkeypatch.setattr(bridge, "measure_line", lambda plant: measure_line(plant, 0.2))
-    monkeypatch.setattr("maglev_mj.bridge.preflight._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
+    monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.0027)  # takes 0.4 s
     return twin
 
 
@@ -116,7 +116,7 @@ def test_a_host_that_is_killed_leaves_zero_current_and_the_next_one_must_reset(t
         report = looked_at(address)
         assert (report.state, report.faults, report.currents) == (State.FAULT, Fault.WATCHDOG, (0.0,) * 6)
         status, said = said_by("bridge", address, "--anyway", "--seconds", "0.5", "--out", str(tmp_path))
-        assert status == 1 and "no takeoff: the device is FAULT, faults WATCHDOG" in said
+        assert status == 1 and "no takeoff: device state FAULT, faults WATCHDOG" in said
         assert "fault, faults: WATCHDOG" in ended(device)[1]
 
 
@@ -159,7 +159,7 @@ def test_real_time_is_enforced_where_the_system_permits_it(monkeypatch: pytest.M
 
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     status, said = said_by(*arguments)
-    assert status == 1 and re.search(r"no real time: .*SCHED_FIFO.*not permitted", said)
+    assert status == 1 and re.search(r"real-time settings refused: .*SCHED_FIFO.*not permitted", said)
     assert said_by(*arguments[:-1], "ignore")[0] == 0
 
 

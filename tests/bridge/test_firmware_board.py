@@ -154,7 +154,7 @@ def test_a_hand_presses_the_wall_and_it_lands(
     board = start()
     (flight,) = flown(board.address, tmp_path / "flight.maglev", *program.options).segments
     said = capsys.readouterr().out
-    assert "120 samples, 0 lost, 0 skipped" in said and "landed 0.00 mm from where it lay, at rest" in said
+    assert "120 samples, 0 lost, 0 skipped" in said and "landed 0.00 mm from its takeoff position, at rest" in said
     told = board.wait(state=State.INACTIVE, flows=0)
     assert told["faults"] == 0 and (told["lost"] == 0 or told["again"])  # a host that is late answers all at once
 

@@ -159,10 +159,10 @@ def test_a_silent_serial_line_is_told_what_it_needs(
     address = "serial:///dev/ttyUSB0?baud=921600"
     twin, line = Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(blackouts=((2.7, 2.8),)))
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(twin, line), folder=tmp_path))
-    monkeypatch.setattr("maglev_mj.bridge.preflight._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
+    monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.0027)  # takes 0.4 s
     assert cli.main(["bridge", address, "--seconds", "1"]) == 1
     (fault,) = capsys.readouterr().err.splitlines()
-    assert fault.startswith("maglev-mj bridge: WATCHDOG: said by the device; the last cycles are in ")
+    assert fault.startswith("maglev-mj bridge: WATCHDOG: reported by the device; the last cycles are in ")
     assert "a busy machine hands over a serial line's bytes late" in fault
     assert f"the currents are cut; maglev-mj bridge {shlex.quote(address)} --reset clears the fault" in fault
 
@@ -213,7 +213,7 @@ def test_the_command_says_in_one_line_what_happened_and_how_to_go_on(
     told = f"mine.py, line 8: ValueError: no square root; the last cycles are in {box}"
     again = "maglev-mj bridge udp://127.0.0.1:1 '--key=a key' --reset"
     assert fault == f"maglev-mj bridge: HOST: {told}; the currents are cut; {again} clears the fault"
-    assert "answer, from the sample's arrival" in said.out
+    assert "host latency, arrival to answer" in said.out
     twin.sample()  # without currents
     assert cli.main(shlex.split(again)[1:]) == 0 and twin.firmware.state == State.INACTIVE
 
@@ -236,6 +236,6 @@ def test_the_line_is_measured_as_it_is_flown_in_real_time(tmp_path: Path, monkey
     monkeypatch.setattr(bridge, "_opened", lambda *_: RemotePlant(VirtualLink(Twin(TwinParameters())), folder=tmp_path))
     monkeypatch.setattr(bridge, "scheduled", scheduled)
     monkeypatch.setattr(bridge, "measure_line", measure)
-    monkeypatch.setattr("maglev_mj.bridge.preflight._bears", lambda *_: 0.0027)
+    monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.0027)
     assert cli.main(["bridge", "udp://127.0.0.1:1", "--check"]) == 0
     assert measured == [["ignore"]] and not inside

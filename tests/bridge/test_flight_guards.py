@@ -166,7 +166,7 @@ def test_energy_is_force_times_path_over_the_last_second(period: float) -> None:
         return said + back + [guard.check([0.0] * 6, [0.0] * 6) for _ in range(round(pause / period))]
 
     assert not any(push(1.0, 1.2) + push(1.0, 0.0))
-    assert "the laws give out energy: 4" in next(filter(None, push(1.0, 0.0)))
+    assert "the laws generate energy: 4" in next(filter(None, push(1.0, 0.0)))
     braked = PowerGuard(period)
     assert not any(braked.check([1e-3 * tick, 0, 0, 0, 0, 0], [-20.0, 0, 0, 0, 0, 0]) for tick in range(9))
 
@@ -211,7 +211,7 @@ def test_a_slow_line_ends_a_flight_gently(
     name: str, rate: int, hand: str, shape: str, size: float, tmp_path: Path
 ) -> None:
     flown = fly(name, rate=rate, hand=hand, delay=delayed(shape, size, 1.6), folder=tmp_path)
-    assert "the line is slower than the scene bears" in flown.outcome or "WATCHDOG" in flown.outcome
+    assert "loop delay too long for the scene" in flown.outcome or "WATCHDOG" in flown.outcome
     most = 0.30 if hand == "none" else 0.40
     assert flown.speeds(1.6).max() < most and (flown.speeds(1.6) > 0.30).sum() / rate <= 0.15
     record = load_fault(next(tmp_path.glob("fault-*.maglev")))
@@ -244,7 +244,7 @@ def test_a_law_that_chatters_is_landed(size: float, rate: int, tmp_path: Path) -
 
 def test_a_law_that_pushes_hard_is_landed(tmp_path: Path) -> None:
     flown = fly("joystick", law=partial(ChangedLaw, change=lambda tick, own: 30.0), folder=tmp_path, seed=11)
-    assert "give out energy" in flown.outcome
+    assert "generate energy" in flown.outcome
     assert flown.rows[-1, 13] == 0.0 and flown.rows[-1, 14] == 0.0
 
 

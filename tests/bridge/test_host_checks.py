@@ -78,14 +78,14 @@ GUARDED: list[tuple[Callable[[Rig], None], str]] = [
     (reported(put("currents", 4, 15.1)), "COIL_OVERCURRENT: measured currents "),
     (no_pose, "SENSOR_OUT_OF_RANGE: no pose was found"),
     (far, "FLOTOR_OVERSPEED BOUNDARY: the flotor is at 6.00, "),
-    (reported(put("currents", 3, 0.9)), "COIL_NOT_FOLLOWING: the device measures "),
+    (reported(put("currents", 3, 0.9)), "COIL_NOT_FOLLOWING: measured currents "),
     (
         reported(lambda report: report._replace(flags=Flag.HOLDING | Flag.ENABLED)),
-        "HOST: the device is HOLDING for want of answers",
+        "HOST: the device reports HOLDING",
     ),
-    (reported(lambda report: report._replace(flags=0)), "HOST: the amplifiers are not ENABLED"),
+    (reported(lambda report: report._replace(flags=0)), "HOST: amplifiers not ENABLED"),
     (out_of_step, "CLOCK: "),
-    (warm, "COIL_OVERTEMP: coil 3 bears no more"),
+    (warm, "COIL_OVERTEMP: coil 3 reached its temperature limit"),
 ]
 """For each guard, in their order: what it finds, and its message."""
 
@@ -134,12 +134,12 @@ def test_lost_samples_are_no_speed(missed: int) -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ([{"flags": 0}] * 2, "^HOST: the amplifiers are not ENABLED, and the device does not cut the currents"),
+        ([{"flags": 0}] * 2, "^HOST: amplifiers not ENABLED, but the device has not cut the currents"),
         ([{"flags": 0}, {}, {"flags": 0}], ""),
         ([{"flags": 0, "state": State.INACTIVE}] * 2, ""),  # late ones, from before arming
-        ([{"faults": 1024}], "^HOST: the device says state ACTIVE with faults CLOCK"),
-        ([{"state": State.FAULT}], "^HOST: the device says state FAULT with faults none"),
-        ([{}, {"flags": Flag.HOLDING | Flag.ENABLED}], "^HOST: the device is HOLDING for want of answers, the newest"),
+        ([{"faults": 1024}], "^HOST: the device reports state ACTIVE with faults CLOCK"),
+        ([{"state": State.FAULT}], "^HOST: the device reports state FAULT with faults none"),
+        ([{}, {"flags": Flag.HOLDING | Flag.ENABLED}], "^HOST: the device reports HOLDING, but its newest"),
         ([{"currents": (2.0,) * 6}] * 2, ""),  # the third in a row counts
     ],
 )
@@ -150,7 +150,7 @@ def test_a_device_that_contradicts_itself_is_not_flown(changes: list[dict[str, A
     left = [*changes]
     doctored(rig, lambda report: report._replace(**left.pop(0)) if left else report)
     if not says:
-        rig.plant._line.settled = rig.link.time + 50_000_000
+        rig.plant._connection.settled = rig.link.time + 50_000_000
         rig.fly(0.05)
         return
     with pytest.raises(DeviceFault, match=says):

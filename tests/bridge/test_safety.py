@@ -211,7 +211,7 @@ def test_what_does_not_carry_the_weight_is_said_with_the_numbers() -> None:
     assert "max_current must be at least 1.43 A, not 1.3: hovering needs 1.14 A" in said(max_current=1.3)
     assert "max_current must be at least 1.43 A, not 1: " in said(Limits(current_limit=1.0))
     assert "force_limit must be above 8.58 N, not 8: the weight is 6.87 N" in said(force_limit=8.0)
-    assert "hover limit must be at least 1.14 A, which carries the weight, not 1.1" in said(Limits(hover_limit=1.1))
+    assert "hover limit must be at least 1.14 A to carry the weight, not 1.1" in said(Limits(hover_limit=1.1))
     assert "hover limit must be at least 1.14 A" in said(continuous_current=1.0)
 
 

@@ -146,7 +146,7 @@ class Timeline:
         self._presses, self._alarm, self._active = list(presses), math.inf, math.inf
         monkeypatch.setattr(bridge, "_opened", self._opened)
         monkeypatch.setattr(bridge, "measure_line", lambda plant: measure_line(plant, 0.2))
-        monkeypatch.setattr("maglev_mj.bridge.preflight._bears", lambda *_: 0.0027)  # the joystick's, which takes 0.4 s
+        monkeypatch.setattr("maglev_mj.bridge.preflight._critical_delay", lambda *_: 0.0027)  # takes 0.4 s
         monkeypatch.setattr(signal, "setitimer", self._set_alarm)
 
     def _opened(self, *parameters: Any) -> RemotePlant:
@@ -361,7 +361,7 @@ def test_a_windows_key_cuts_in_every_phase(phase: str, tmp_path: Path) -> None:
         scene = Joystick(period=plant.period, delay=plant.delay)
         keys = Keys(switch, plant, before + AT[phase])
         flown = Flight(plant, scene, switch=switch, publishers=[keys])
-        with pytest.raises(DeviceFault, match="ESTOP: asked for; the last cycles are in"):
+        with pytest.raises(DeviceFault, match="ESTOP: requested by this host; the last cycles are in"):
             flown.run(1.5)
         assert (twin.firmware.state, twin.firmware.faults) == (State.FAULT, Fault.ESTOP)
         assert plant.samples.tick - before - AT[phase] <= 3
@@ -390,11 +390,11 @@ def test_estop_stops_whoever_flies_and_the_way_on_is_reset(tmp_path: Path) -> No
         status, said = said_by("estop", twin.address)
         assert status == 0 and "stopped: ESTOP, no current" in said
         status, told = ended(host, None)
-        assert status == 1 and "ESTOP: said by the device" in told
+        assert status == 1 and "ESTOP: reported by the device" in told
         status, said = said_by("bridge", twin.address, "--seconds", "0.2", "--out", str(tmp_path))
-        assert status == 1 and "no takeoff: the device is FAULT, faults ESTOP" in said
+        assert status == 1 and "no takeoff: device state FAULT, faults ESTOP" in said
         status, said = said_by("bridge", twin.address, "--reset")
-        assert status == 0 and "ESTOP: an emergency stop was asked for" in said and " s ago" in said
+        assert status == 0 and "ESTOP: emergency stop requested" in said and " s ago" in said
         waited(lambda: twin.last.state == State.INACTIVE)
         since = len(twin.moments)
         waited(lambda: len(twin.moments) > since + 200)

@@ -77,8 +77,8 @@ def pushed(axis: int, amount: float) -> Any:
 @pytest.mark.parametrize(
     ("hand", "says"),
     [
-        (pushed(0, 0.5), r"no takeoff: the flotor moves at .* mm/s and .* rad/s, and must rest"),
-        (pushed(5, 0.012), r"no takeoff: the flotor moves at .* mm/s and .* rad/s, and must rest"),
+        (pushed(0, 0.5), r"no takeoff: the flotor moves at .* mm/s and .* rad/s; it must be at rest"),
+        (pushed(5, 0.012), r"no takeoff: the flotor moves at .* mm/s and .* rad/s; it must be at rest"),
     ],
     ids=["slides", "spins"],
 )
@@ -110,7 +110,7 @@ def test_a_sensor_in_doubt_is_not_taken_off_with(kind: str, at: float, says: str
 @pytest.mark.parametrize("depth", [0.0, -0.0026])
 def test_a_flotor_that_does_not_lie_on_its_stop_is_not_taken_off(depth: float) -> None:
     rig = Rig(pose=(0.0, 0.0, depth, 0.0, 0.0, 0.0), hand=lambda *_: WEIGHT)
-    with pytest.raises(PlantError, match=r"no takeoff: the flotor is at .* and must lie on its lower stop"):
+    with pytest.raises(PlantError, match=r"no takeoff: the flotor is at .*; it must lie on its lower stop"):
         rig.plant.takeoff()
     assert rig.twin.firmware.state == State.INACTIVE
     rig = Rig(pose=(0.0, 0.0, -0.0028, 0.0, 0.0, 0.0), hand=lambda tick, at, state: WEIGHT if at < 0.11 else [0.0] * 6)
@@ -143,13 +143,13 @@ def test_a_landing_waits_for_rest_before_it_disarms() -> None:
     rig = Rig(hand=lambda tick, at, state: [1.5 * math.sin(60.0 * at) * (0.9 < at < 1.6), *[0.0] * 5])
     rig.plant.takeoff()
     rig.fly(0.2)
-    before, control, at = rig.twin.tick, rig.plant._line.control, []
+    before, control, at = rig.twin.tick, rig.plant._connection.control, []
 
     def noted(operation: Operation, **keywords: Any) -> Any:
         at.append((operation, rig.twin.tick - before))
         return control(operation, **keywords)
 
-    rig.plant._line.control = noted  # type: ignore[method-assign]
+    rig.plant._connection.control = noted  # type: ignore[method-assign]
     rig.plant.land()
     (operation, ticks), *_ = at
     assert operation == Operation.DISARM and 0.65 / 0.005 < ticks <= 0.9 / 0.005 + 3
@@ -162,13 +162,13 @@ def test_at_reduced_power_it_takes_off_and_lands() -> None:
         host={"limits": HostLimits(max_current=1.45)},
         hand=lambda tick, at, state: tapped(tick, at, state) if at < 0.83 else [0.0] * 6,
     )
-    sent, command = list[float](), rig.plant._line.command
+    sent, command = list[float](), rig.plant._connection.command
 
     def told(frame: Any) -> None:
         command(frame)
         sent.extend(map(abs, (*frame.held, *frame.pulsed)))
 
-    rig.plant._line.command = told  # type: ignore[method-assign, assignment]
+    rig.plant._connection.command = told  # type: ignore[method-assign, assignment]
     rig.plant.takeoff()
     assert rig.twin.tick * 0.005 < 0.8
     rig.fly(0.4)
@@ -238,7 +238,7 @@ def test_takeoff_and_landing_have_the_default_envelope_and_the_own_speed() -> No
 def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:
     # The first command leaves at the first sample after ARM.
     rig, armed, sent = Rig(), list[int](), list[int]()
-    line, control, command = rig.plant._line, rig.plant._line.control, rig.plant._line.command
+    line, control, command = rig.plant._connection, rig.plant._connection.control, rig.plant._connection.command
 
     def asked(operation: Operation, **keywords: Any) -> Any:
         answer = control(operation, **keywords)

@@ -71,7 +71,7 @@ def test_with_the_firmware_hung_right_after_arming_the_board_opens() -> None:
     rig.link.receive(0.002)
     rig.plant.arm()
     currents = tuple(rig.plant.calibration.hover.tolist())
-    rig.plant._line.command(CommandFrame(rig.twin.tick, 0, currents, currents, 0.0))
+    rig.plant._connection.command(CommandFrame(rig.twin.tick, 0, currents, currents, 0.0))
     flowed = 0.0
     for _ in range(20):
         rig.twin.sample()

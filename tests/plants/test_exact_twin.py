@@ -251,4 +251,7 @@ def test_flights_on_both_plants_agree(tmp_path: Path) -> None:
 def test_a_dead_coil_is_found_at_takeoff_of_the_twin_in_closed_form(tmp_path: Path) -> None:
     fault = InjectedFault(kind="dead-coil", which=0, at=0.05)
     outcome = flown("exact", tmp_path, ExactCoilPlant, faults=[fault])[0].split(";")[0]
-    assert outcome in ("COIL_NOT_FOLLOWING: said by the device", "no flight: coil 0 gives 0 % of its calibrated force")
+    assert outcome in (
+        "COIL_NOT_FOLLOWING: reported by the device",
+        "no flight: coil 0 gives 0 % of its calibrated force",
+    )
