@@ -205,7 +205,7 @@ def test_the_table_says_what_when_and_the_last_cycles(failed: Failed) -> None:
     first = f"first COIL_NOT_FOLLOWING at {record.fault_time:.4f} s (device clock)"
     assert f"faults COIL_NOT_FOLLOWING; {first}" in table.note.splitlines()
     assert table.title == record.message and "COIL_NOT_FOLLOWING: a measured current" in table.note
-    assert f", fault from sample {rig.plant.samples.tick} on" in table.note and "active from sample " in table.note
+    assert f", fault from sample {rig.plant.samples.tick}" in table.note and "active from sample " in table.note
     assert [row[0] for row in (table.rows[-2], table.rows[-1])] == ["-5.0", "0.0"] and len(table.rows) == 200
     assert "last 20 of 200 cycles" in record.table().note and len(record.table().rows) == 20
     lines = str(table).splitlines()

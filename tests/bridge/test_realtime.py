@@ -187,7 +187,7 @@ def test_clocks_that_drift_apart_make_no_age() -> None:
         taken = tick * 5_000_000
         timing.add(Sampled(tick, taken, round(taken * (1.0 + 1e-4)), 100_000))  # type: ignore[arg-type]
     assert 1e-4 <= timing.age.max < 6e-4
-    assert not timing.delay.count and "delay at the device" not in timing.kinds
+    assert not timing.delay.count and "loop delay, device clock" not in timing.kinds
 
 
 def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
@@ -205,7 +205,7 @@ def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
     assert timing.delay.count > 90 and timing.delay.p50 == pytest.approx(0.008 + plant.delay, abs=3e-4)
     assert timing.age.max < 1.1e-3 < timing.delay.p50
     told = [event for event in Recording.load(tmp_path / "run.maglev").events if event.startswith("timing: ")]
-    assert any("delay at the device: 9." in event for event in told) and any("samples lost" in event for event in told)
+    assert any("loop delay, device clock: median 9." in event for event in told) and any("samples lost" in event for event in told)
 
 
 def test_each_answer_is_measured_once_and_samples_are_missed_from_takeoff_on() -> None:
