@@ -278,8 +278,7 @@ BEFORE = {("docs/howto/record.md", 0): PRESS, ("docs/explanation/analysis.md", 1
 NOT_TYPED = {
     ("docs/howto/law.md", 0): "errors of laws that the page does not show",
     ("docs/explanation/analysis.md", 0): "a recording of another flotor",
-    ("docs/explanation/bridge.md", 1): "a slow line",
-    ("docs/explanation/bridge.md", 2): "checks of three devices",
+    ("docs/explanation/bridge.md", 1): "checks of three devices",
     ("docs/howto/fly.md", 0): "a flight of a minute",
     ("docs/explanation/bridge.md", 0): "a flight of a minute",
 }
