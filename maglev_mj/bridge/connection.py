@@ -219,7 +219,7 @@ class Connection:
         sequence: The device's number of the last sample.
         answers: Delays of answers, as reported with the last sample.
         patience: Longest wait for an answer or a sample [s].
-        heard: Arrival time of the last sample, by the link's clock [ns].
+        arrival: Arrival time of the last sample, by the link's clock [ns].
         latency: Time from that arrival to sending the last command [ns].
         settled: Device time of its last answer to a request [ns]; older samples report an outdated state.
 
@@ -232,7 +232,7 @@ class Connection:
     def __init__(self, link: Link, calibration: bytes, key: bytes | None, patience: float) -> None:
         self._link, self._keyed, self.open = link, key is not None, True
         self._session = self._sequence = self._request = self._skipped = self._handshake_time = 0
-        self.settled = self.heard = self.latency = self.sequence = 0
+        self.settled = self.arrival = self.latency = self.sequence = 0
         self._answered: int | None = None  # by the newest answer
         self._newest: int | None = None
         self._waiting: Frame | None = None
@@ -264,7 +264,7 @@ class Connection:
         self._sequence = (self._sequence + 1) & WRAP
         now = self._link.now()
         self._link.send(self.codec.encode(self._session, self._sequence, now, command))
-        self.latency = now - self.heard
+        self.latency = now - self.arrival
 
     def state(self) -> Frame:
         """Return the newest sample.
@@ -275,19 +275,19 @@ class Connection:
         frame, self._waiting = self._waiting, None
         skipped, self._skipped = self._skipped, 0
         link, remaining = self._link, self.patience
-        self.heard = link.now()
-        end = self.heard + int(remaining * 1e9)
+        self.arrival = link.now()
+        end = self.arrival + int(remaining * 1e9)
         while frame is None:
             data = link.receive(remaining) if remaining > 0.0 else None  # other frames may arrive indefinitely
             if data is None:
                 raise PlantError(f"no sample from the device within {self.patience:g} s")
             frame = self._sample_in(data)
-            self.heard = now = link.now()
+            self.arrival = now = link.now()
             remaining = (end - now) * 1e-9
         # in lockstep no newer sample can exist: the device waits for the answer to this one
         while not self.profile.lockstep and (data := link.receive(0.0)) is not None:
             if (newer := self._sample_in(data)) is not None:
-                frame, self.heard = newer, link.now()
+                frame, self.arrival = newer, link.now()
                 skipped += 1
         self.samples.count(frame.sequence, frame.time, skipped)
         self._time(frame)
@@ -304,7 +304,7 @@ class Connection:
         last = newest if samples.elapsed == behind == 1 else math.nan
         # lower bound for the next answer
         lateness = newest if fresh else (behind - 1) * period + delay
-        self.answers = AnswerTiming(samples.tick - behind, last, newest, lateness, self.heard - frame.time)
+        self.answers = AnswerTiming(samples.tick - behind, last, newest, lateness, self.arrival - frame.time)
 
     def control(
         self, operation: Operation, *, faults: int = 0, hover: Sequence[float] = ZERO

@@ -237,10 +237,10 @@ class FaultRecord(Result):
         commanded = np.where(values["width"] > 0.0, np.maximum(held, pulsed), held)
         warm = self.six("temperature").max(axis=-1, initial=0.0) * 100.0
         spans = values["delay"] * 1e3, values["latency"] * 1e3
-        shown = np.column_stack([self.time * 1e3, self.six("pose") * 1e3, commanded, measured, warm, *spans])[first:]
+        table = np.column_stack([self.time * 1e3, self.six("pose") * 1e3, commanded, measured, warm, *spans])[first:]
         rows = [
             [number_text(value, 9, decimals) for value, decimals in zip(row, _DECIMALS, strict=True)]
-            for row in shown.tolist()
+            for row in table.tolist()
         ]
         when = "" if math.isnan(self.fault_time) else f" at {self.fault_time:.4f} s (device clock)"
         state, sample = values["state"], values["sample"]

@@ -250,7 +250,7 @@ class Flight:
 
     def _change(self, target: Scene) -> Iterator[None]:
         """Check settings and apply them, one step per sample; sample rate and delay stay the device's."""
-        scene, limit, note = session.changed(self._scene, target), self._delay_guard.bears, ""
+        scene, limit, note = session.changed(self._scene, target), self._delay_guard.limit, ""
         if self._judge is not None:
             self._judge.ask(scene, self._inertia, tuple(self._delays))
             while (answer := self._judge.answer()) is None:
@@ -264,7 +264,7 @@ class Flight:
         session.check_step(self._controller, controller, self._position, self._step_force)
         assert self._request is not None
         self._pending, self._note = (ChangeRequest(scene, self._request.reply), controller), note or _NOTE
-        self._request, self._delay_guard.bears = None, limit
+        self._request, self._delay_guard.limit = None, limit
 
     def _snapshot(
         self, pose: Array, force: Array, faces: Sequence[tuple[int, float, float]], anchors: Array | None

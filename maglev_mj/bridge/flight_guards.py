@@ -50,7 +50,7 @@ _ENERGY = 0.045
 More than twice the maximum of good flights, 18 mJ: 20 N against a wall, released after 1 s.
 """
 _HEAVY = 1e9
-_SIZES = tuple(math.sqrt(own / INERTIA[0]) for own in INERTIA)
+_SIZES = tuple(math.sqrt(inertia / INERTIA[0]) for inertia in INERTIA)
 """Radius of gyration of each rotation [m], 1 for translations: converts torque to force, angle to path."""
 
 _ACTIVE, _ENABLED, _HOLDING = State.ACTIVE.value, Flag.ENABLED.value, Flag.HOLDING.value  # faster than enum members
@@ -64,7 +64,7 @@ class DeviceSample(NamedTuple):
         before: Report of the previous sample; None for the first.
         samples: Counter of samples, up to this one.
         active: True if this host has switched the currents on.
-        led: True unless a scene is rendered; the larger of the default and the chosen envelope then applies.
+        guided: True unless a scene is rendered; the larger of the default and the chosen envelope then applies.
         pose: Measured pose [m, rad], six; NaN if no pose matches the spots.
         error: Error of the pose measurement; None without.
         since: Time since the last pose [s].
@@ -76,7 +76,7 @@ class DeviceSample(NamedTuple):
     before: StateReport | None
     samples: SampleCounter
     active: bool
-    led: bool
+    guided: bool
     pose: Sequence[float]
     error: SensingError | None
     since: float
@@ -136,7 +136,7 @@ def _pose(sample: DeviceSample) -> Alarm | None:
 
 
 def _envelope(guard: FlotorGuard, sample: DeviceSample) -> Alarm | None:
-    if sample.error is not None or not (fault := guard.check(sample.pose, sample.since, sample.led)):
+    if sample.error is not None or not (fault := guard.check(sample.pose, sample.since, sample.guided)):
         return None
     return Alarm(fault, f"the flotor is at {shown(sample.pose)}")
 
@@ -223,20 +223,20 @@ class DelayGuard:
     above 1.25 times the limit, or 3 of 5 above three times the limit.
 
     Args:
-        bears: Delay limit, from a sample to its answer's effect [s]; see `late_delay`.
+        limit: Delay limit, from a sample to its answer's effect [s]; see `late_delay`.
 
     Attributes:
-        bears: The delay limit [s]; may be changed.
+        limit: The delay limit [s]; may be changed.
     """
 
-    def __init__(self, bears: float) -> None:
-        self.bears = bears
+    def __init__(self, limit: float) -> None:
+        self.limit = limit
         longest = max(window for _, window, _ in _RULES)
         self._delays = deque([0.0] * longest, maxlen=longest)
 
     def check(self, delay: float) -> str:
         """Add the delay of one sample [s]; return an error message, or ""."""
-        delays, limit = self._delays, self.bears
+        delays, limit = self._delays, self.limit
         delays.append(delay)
         if delay <= limit:
             return ""

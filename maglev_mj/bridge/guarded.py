@@ -44,7 +44,7 @@ class GuardedPlant:
         guards: Checks of each sample, in order; an alarm in flight cuts the currents.
         disarmed: True after this host armed the device and switched the currents off.
         guided: True in takeoff and landing; the larger of the default and the chosen envelope then applies.
-        doubt: First alarm of the guards for the last sample, as text; empty without.
+        alarm: First alarm of the guards for the last sample, as text; empty without.
         state: State of the device at the last sample; `faults` are its faults then.
         first: First faults, at `fault_time` by the device's clock [ns]; 0 without faults.
         last_currents: Last sent currents [A], six.
@@ -60,7 +60,7 @@ class GuardedPlant:
 
     hand_wrench = property(lambda self: self._hand.wrench)
     coils = property(lambda self: self._hand.coils)
-    arrival = property(lambda self: self._connection.heard * 1e-9)
+    arrival = property(lambda self: self._connection.arrival * 1e-9)
     answers = property(lambda self: self._connection.answers)
     last_delay = property(lambda self: self._connection.answers.last_delay)
     answer_latency = property(lambda self: self._connection.latency * 1e-9)
@@ -75,30 +75,32 @@ class GuardedPlant:
         patience: float = 1.0,
         folder: Path | str = Path(),
     ) -> None:
-        own, link = limits or HostLimits(), open_link(link, key)
-        self.calibration = known = calibration or Calibration.nominal()
-        self._hover: list[float] = known.hover.tolist()
-        weight = known.mass * math.hypot(*known.gravity)
-        if problem := safety.weight_fault(weight, self._hover, own, own.narrowed(_LARGEST)):
+        host, link = limits or HostLimits(), open_link(link, key)
+        self.calibration = calibration = calibration or Calibration.nominal()
+        self._hover: list[float] = calibration.hover.tolist()
+        weight = calibration.mass * math.hypot(*calibration.gravity)
+        if problem := safety.weight_fault(weight, self._hover, host, host.narrowed(_LARGEST)):
             link.close()
             raise ParameterError(problem)
-        self._connection = Connection(link, known.digest, key, patience)
+        self._connection = Connection(link, calibration.digest, key, patience)
         try:
             welcome, profile = self._connection.welcome, self._connection.profile
-            self.stated, self.limits = profile.limits, own.narrowed(profile.limits)
-            if problem := safety.weight_fault(weight, self._hover, own, self.limits):
+            self.stated, self.limits = profile.limits, host.narrowed(profile.limits)
+            if problem := safety.weight_fault(weight, self._hover, host, self.limits):
                 raise HandshakeError(f"the device cannot hover: {problem}")
             self.period, self.delay = profile.period / 1e9, profile.delay / 1e9
             self.lockstep, self.latched = profile.lockstep, self._connection.latched
             self.state, self.faults = State(welcome.state), Fault(welcome.faults)
             self.first, self.fault_time = Fault(welcome.first), welcome.fault_time
             self.samples = self._connection.samples
-            self.guards = device_guards(self.limits, own, self.period)
+            self.guards = device_guards(self.limits, host, self.period)
             self.cycles = LastCycles(Path(folder))
-            self._track = PoseTracker(known.beams)
-            self._offsets: list[float] | None = known.spot_offsets.tolist() if known.spot_offsets.any() else None
-            self._output = safety.OutputLimiter(known.coils, self.limits, own.wrench, self.period)
-            self._hand = HandObserver(known, self.period)
+            self._track = PoseTracker(calibration.beams)
+            self._offsets: list[float] | None = (
+                calibration.spot_offsets.tolist() if calibration.spot_offsets.any() else None
+            )
+            self._output = safety.OutputLimiter(calibration.coils, self.limits, host.wrench, self.period)
+            self._hand = HandObserver(calibration, self.period)
             self._prepare()
         except BaseException:
             self._connection.close()
@@ -107,7 +109,7 @@ class GuardedPlant:
         # armed by this host, with no end of the flight reported
         self.disarmed = self._armed = False
         self.guided = self._unanswered = False  # the last sample has no answer yet
-        self._pose_tick, self.doubt = 0, ""
+        self._pose_tick, self.alarm = 0, ""
         self._frame: Frame | None = None  # the last sample
         self._located: Sequence[float] = _UNKNOWN  # its pose
         self.pose: Sequence[float] = ZERO
@@ -154,12 +156,12 @@ class GuardedPlant:
             answers, hand.tries = self._connection.answers, self.guided
             hand.sampled(samples.tick, samples.elapsed, self._located, answers.answered_tick, answers.newest_delay)
         previous = before.body if before is not None else None
-        led, modelled = self.guided or not active, self._output.thermal.rises
-        sample = DeviceSample(report, previous, samples, active, led, pose, error, since, hand.currents, modelled)  # type: ignore[arg-type]
-        self.doubt = ""
+        guided, modelled = self.guided or not active, self._output.thermal.rises
+        sample = DeviceSample(report, previous, samples, active, guided, pose, error, since, hand.currents, modelled)  # type: ignore[arg-type]
+        self.alarm = ""
         for guard in self.guards:
             if (alarm := guard(sample)) is not None:
-                self.doubt = self.doubt or f"{fault_names(alarm.faults)}: {alarm.message}"
+                self.alarm = self.alarm or f"{fault_names(alarm.faults)}: {alarm.message}"
                 self._fail_if_active(*alarm)
         if error is not None:
             raise error
@@ -205,9 +207,9 @@ class GuardedPlant:
         self._send(held, pulsed, width)
         self._unanswered = False
         if self.state is _ACTIVE:
-            self._output.passed(held, pulsed, width)
+            self._output.add_command(held, pulsed, width)
         else:
-            self._output.stay(1, ZERO)
+            self._output.add_periods(1, ZERO)
         self.cycles.keep(frame, self._located, (held, pulsed, width), self.last_delay, self.answer_latency)
 
     @property
@@ -299,7 +301,7 @@ class GuardedPlant:
             raise
         unanswered = self.samples.elapsed - (not self._unanswered)
         if unanswered > 0:  # no new command: currents are held, or zero
-            self._output.stay(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
+            self._output.add_periods(unanswered, self.last_currents if self.state is _ACTIVE else ZERO)
         self._frame, self._located, self._unanswered = frame, _UNKNOWN, False
         return frame
 

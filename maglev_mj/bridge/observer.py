@@ -74,7 +74,7 @@ class HandObserver:
         self._timeline = Timeline(Timing(period=self._period, delay=0.0), (ZERO, ZERO))
         self._sent: list[tuple[int | None, tuple[_Drive, _Drive, float] | None]] = [(None, None)] * _BUFFER
         self._pending: deque[_Sampled] = deque(maxlen=_BUFFER)
-        self._answered, self._sure = 0, 0.0  # newest answer; time after which no earlier one is in effect [s]
+        self._answered, self._valid_from = 0, 0.0  # newest answer; time after which no earlier one is in effect [s]
         self._last_tick = self._count = 0
         self._low: Sequence[float] | None = None
         self._lower: Sequence[float]
@@ -114,9 +114,9 @@ class HandObserver:
             sent = None
         else:
             if answered - self._answered > 1:  # of two answers within one period the device reports the newer
-                self._sure = answered * period + delay
+                self._valid_from = answered * period + delay
             self._answered = answered
-        certain = sent is not None and tick * period >= self._sure
+        certain = sent is not None and tick * period >= self._valid_from
         if sent is not None and early:  # effects before the last sample are already applied
             timeline.answer(answered, *sent, after=max(delay, early * period))
             sent = None

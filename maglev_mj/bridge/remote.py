@@ -87,8 +87,8 @@ class RemotePlant(GuardedPlant):
         leader, loop = self._leader, ControlLoop(self, self._leader)
         gc.collect()
         motion = self._observed(0.0)
-        if self.doubt or not motion.full:
-            raise PlantError(f"no takeoff: {self.doubt or 'flotor pose not measured'}")
+        if self.alarm or not motion.full:
+            raise PlantError(f"no takeoff: {self.alarm or 'flotor pose not measured'}")
         rest = motion.pose
         if not motion.at_rest:
             raise PlantError(f"no takeoff: the flotor moves at {motion}; it must be at rest")
@@ -97,7 +97,7 @@ class RemotePlant(GuardedPlant):
         if sum(x * g for x, g in zip(rest, gravity)) < _ON_STOP * math.hypot(*gravity):
             raise PlantError(f"no takeoff: the flotor is at {shown(rest)}; it must lie on its lower stop")
 
-        def astray(pose: Sequence[float]) -> NoReturn:
+        def off_path(pose: Sequence[float]) -> NoReturn:
             coil = (fault := self.coils.fault(lost=True)) and f"; {fault}"
             self.fail(Fault.NOT_FOLLOWING, f"the flotor is at {shown(pose)}, off the takeoff path{coil}")
 
@@ -105,7 +105,7 @@ class RemotePlant(GuardedPlant):
         loop.cycle(2)  # warm-up of slow first calls; the device ignores these answers
         poses = [rest, ZERO, *(_TRIES if tries else ())]
         times = [0.0, *(number("duration", duration, above=0.0) + _TRY * leg for leg in range(len(poses) - 1))]
-        leader.aim(Trajectory(times, poses), astray)
+        leader.aim(Trajectory(times, poses), off_path)
         self.arm()
         self.rest, self.guided = rest, True
         try:
@@ -154,7 +154,7 @@ class RemotePlant(GuardedPlant):
             loop.cycle()
         self.disarm()
         motion = self._observed(_OBSERVATION)
-        at_rest = motion.at_rest and not self.doubt
+        at_rest = motion.at_rest and not self.alarm
         return LandingReport(math.dist(motion.pose[:3], self.rest[:3]), *motion.speeds, at_rest)
 
     def _lead(self, loop: ControlLoop, duration: float, watch: _Watch | None) -> bool:
@@ -167,12 +167,12 @@ class RemotePlant(GuardedPlant):
         return False
 
     def _observed(self, duration: float) -> Motion:
-        """Observe the motion for at least `duration` [s], until it covers 0.1 s or a guard raises doubt."""
-        motion, self.doubt = Motion(self.period), ""
+        """Observe the motion for at least `duration` [s], until it covers 0.1 s or a guard raises alarm."""
+        motion, self.alarm = Motion(self.period), ""
         end = self.samples.tick + round(duration / self.period)
-        while self.samples.tick < end or not (motion.full or self.doubt):
+        while self.samples.tick < end or not (motion.full or self.alarm):
             try:
                 motion.add(self.read())
             except SensingError as error:
-                self.doubt = str(error)
+                self.alarm = str(error)
         return motion

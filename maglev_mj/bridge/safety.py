@@ -175,15 +175,15 @@ def weight_fault(weight: float, hover: Sequence[float], own: HostLimits, limits:
 
     `weight` is in [N], `hover` are six currents [A].
     """
-    most = max(map(abs, hover))
-    force, least, current = own.force_limit, _HEADROOM * most, limits.current_limit
+    largest = max(map(abs, hover))
+    force, least, current = own.force_limit, _HEADROOM * largest, limits.current_limit
     if force is not None and force <= _HEADROOM * weight:
         return f"force_limit must be above {_HEADROOM * weight:.3g} N, not {force:g}: the weight is {weight:.3g} N"
     if current < least:
-        needs = f"hovering needs {most:.3g} A plus 25 % for control"
+        needs = f"hovering needs {largest:.3g} A plus 25 % for control"
         return f"max_current must be at least {least:.3g} A, not {current:g}: {needs}"
-    if limits.hover_limit < most:
-        return f"the hover limit must be at least {most:.3g} A to carry the weight, not {limits.hover_limit:g}"
+    if limits.hover_limit < largest:
+        return f"the hover limit must be at least {largest:.3g} A to carry the weight, not {limits.hover_limit:g}"
     return ""
 
 
@@ -231,8 +231,8 @@ def command_fault(limits: Limits, held: Sequence[float], pulsed: Sequence[float]
     if not all(map(math.isfinite, (*held, *pulsed))) or not 0.0 <= width <= 1.0:
         return Fault.INVALID_COMMAND
     # tolerate rounding on the host
-    most = limits.current_limit * (1.0 + 1e-9)
-    if max(held) > most or min(held) < -most or max(pulsed) > most or min(pulsed) < -most:
+    bound = limits.current_limit * (1.0 + 1e-9)
+    if max(held) > bound or min(held) < -bound or max(pulsed) > bound or min(pulsed) < -bound:
         return Fault.COIL_OVERCURRENT
     return _NO_FAULT
 
@@ -242,14 +242,14 @@ def reading_fault(limits: Limits, currents: Sequence[float], temperatures: Seque
 
     Currents [A] and temperature rises, six each.
     """
-    most, (a, b, c, d, e, f) = _OVER * limits.current_limit, currents
+    bound, (a, b, c, d, e, f) = _OVER * limits.current_limit, currents
     # fast path: a sum of squares checks bounds and finiteness at once
-    if a * a + b * b + c * c + d * d + e * e + f * f <= most * most and min(temperatures) >= _COLD:
+    if a * a + b * b + c * c + d * d + e * e + f * f <= bound * bound and min(temperatures) >= _COLD:
         a, b, c, d, e, f = temperatures
         if a * a + b * b + c * c + d * d + e * e + f * f <= _HOT * _HOT:
             return _NO_FAULT
     fault = _NO_FAULT if all(_COLD <= x <= _HOT for x in temperatures) else Fault.COIL_OVERTEMP
-    return fault if all(abs(x) <= most for x in currents) else fault | Fault.COIL_OVERCURRENT
+    return fault if all(abs(x) <= bound for x in currents) else fault | Fault.COIL_OVERCURRENT
 
 
 class CoilGuard:
@@ -280,7 +280,7 @@ class SpotGuard:
     """
 
     def __init__(self, limits: Limits, period: float) -> None:
-        self._most, self._frozen = limits.spot_limit, limits.frozen
+        self._bound, self._frozen = limits.spot_limit, limits.frozen
         self._step = limits.spot_speed * period
         self._last: Sequence[float] | None = None
         self._conversions: int | None = None
@@ -292,11 +292,11 @@ class SpotGuard:
         `steps` is the increase of the sample number since the last check.
         """
         fault = Fault.SENSOR_STOPPED if conversions == self._conversions else _NO_FAULT
-        self._conversions, most = conversions, self._most
+        self._conversions, bound = conversions, self._bound
         a, b, c, d, e, f = spots
         # unrolled: half the time of min and max; comparisons with NaN and infinity fail
-        within = -most <= a <= most and -most <= b <= most and -most <= c <= most
-        if valid & 7 != 7 or not (within and -most <= d <= most and -most <= e <= most and -most <= f <= most):
+        within = -bound <= a <= bound and -bound <= b <= bound and -bound <= c <= bound
+        if valid & 7 != 7 or not (within and -bound <= d <= bound and -bound <= e <= bound and -bound <= f <= bound):
             self._last = None
             return fault | Fault.SENSOR_OUT_OF_RANGE
         last, self._last = self._last, spots
@@ -323,21 +323,21 @@ class FlotorGuard:
     def __init__(self, limits: HostLimits) -> None:
         default = HostLimits()
         self._own = limits.envelope, limits.envelope_angle**2
-        self._led = max(limits.envelope, default.envelope), max(limits.envelope_angle, default.envelope_angle) ** 2
+        self._guided = max(limits.envelope, default.envelope), max(limits.envelope_angle, default.envelope_angle) ** 2
         self._fast, self._turning = limits.speed_limit**2, limits.spin_limit**2
         self._last: Sequence[float] | None = None
 
-    def check(self, position: Sequence[float], elapsed: float, led: bool = False) -> Fault:
+    def check(self, position: Sequence[float], elapsed: float, guided: bool = False) -> Fault:
         """Check a pose.
 
         Args:
             position: Measured pose [m, rad], six components.
             elapsed: Time since the previous pose [s].
-            led: True in takeoff and landing; the larger of the default and the chosen envelope then applies.
+            guided: True in takeoff and landing; the larger of the default and the chosen envelope then applies.
         """
         x, y, z, rx, ry, rz = position
         last, self._last = self._last, position
-        fault, (far, turned) = _NO_FAULT, self._led if led else self._own
+        fault, (far, turned) = _NO_FAULT, self._guided if guided else self._own
         inside = -far <= x <= far and -far <= y <= far and -far <= z <= far
         if not inside or rx * rx + ry * ry + rz * rz > turned:
             fault = Fault.BOUNDARY
@@ -360,7 +360,7 @@ class OutputLimiter:
         period: Sample period [s].
 
     Attributes:
-        thermal: Thermal model of the coils, updated by `passed` and `stay`.
+        thermal: Thermal model of the coils, updated by `add_command` and `add_periods`.
     """
 
     def __init__(self, coils: CoilMap, limits: Limits, wrench_limit: Sequence[float] | None, period: float) -> None:
@@ -369,19 +369,19 @@ class OutputLimiter:
         self.thermal = ThermalModel(limits)
         self._timeline = Timeline(Timing(period=period, delay=0.0), ZERO)
 
-    def passed(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
+    def add_command(self, held: Sequence[float], pulsed: Sequence[float] | None, width: float) -> None:
         """Update the thermal model by one period of sent currents."""
         self.thermal.add(self._timeline.period(0, (held, pulsed, width)))
 
-    def stay(self, periods: int, currents: Sequence[float]) -> None:
+    def add_periods(self, periods: int, currents: Sequence[float]) -> None:
         """Update the thermal model by periods of constant currents [A].
 
         An acting pulse ends first, by itself or by a change of the currents.
         """
-        line = self._timeline
-        self.thermal.add(line.period(0, None if currents == line.acting else (currents, None, 0.0)))
-        while (periods := periods - 1) > 0 and line.now() is not line.acting:  # the pulse continues
-            self.thermal.add(line.period(0))
+        timeline = self._timeline
+        self.thermal.add(timeline.period(0, None if currents == timeline.acting else (currents, None, 0.0)))
+        while (periods := periods - 1) > 0 and timeline.now() is not timeline.acting:  # the pulse continues
+            self.thermal.add(timeline.period(0))
         if periods > 0:
             self.thermal.add(((periods * self._period, currents),))
 

@@ -178,7 +178,7 @@ def test_settings_unstable_at_the_measured_delay_are_refused_as_before_takeoff(f
     assert [says in str(answer) for answer in asks.answers] == [True]
     assert says in asks.snapshots[-1].notes[0]  # where a person sees it
     assert {one.scene for one in asks.snapshots} == {Joystick()}
-    assert flown._delay_guard.bears == late_delay(0.0027, 0.005)
+    assert flown._delay_guard.limit == late_delay(0.0027, 0.005)
 
 
 def test_accepted_settings_set_the_delay_limit(fly: Fly) -> None:
@@ -186,7 +186,7 @@ def test_accepted_settings_set_the_delay_limit(fly: Fly) -> None:
     refused, since = asks.answers
     assert isinstance(refused, str) and isinstance(since, int)
     assert asks.snapshots[-1].scene == GOOD and asks.snapshots[-1].since == since
-    assert flown._delay_guard.bears == pytest.approx(0.00374901, rel=1e-5)
+    assert flown._delay_guard.limit == pytest.approx(0.00374901, rel=1e-5)
     assert "stable" not in asks.snapshots[-1].notes[0]
 
 
@@ -194,7 +194,7 @@ def test_anyway_flies_it_with_a_warning_and_twice_the_planned_delay(fly: Fly) ->
     flown, asks, _ = fly((20, SLOW), make=lambda report: Judge(report, anyway=True))
     assert asks.snapshots[-1].scene == SLOW and isinstance(asks.answers[0], int)
     assert asks.snapshots[-1].notes[0].startswith("warning: joystick is stable up to a loop delay of 1.40 ms")
-    assert flown._delay_guard.bears == pytest.approx(2.0 * (0.0015 + 1.5 * 0.0005), rel=1e-3)
+    assert flown._delay_guard.limit == pytest.approx(2.0 * (0.0015 + 1.5 * 0.0005), rel=1e-3)
 
 
 def test_a_newer_wish_takes_the_place_of_one_that_is_judged(fly: Fly) -> None:
@@ -215,7 +215,7 @@ def test_without_an_answer_nothing_changes(fly: Fly) -> None:
     flown, asks, _ = fly((20, GOOD), (40, GOOD), make=Gone)
     assert asks.answers == [said, said] and said in asks.snapshots[-1].notes
     assert {one.scene for one in asks.snapshots} == {Joystick()}
-    assert flown._delay_guard.bears == late_delay(0.0027, 0.005)
+    assert flown._delay_guard.limit == late_delay(0.0027, 0.005)
 
 
 # the command, with its process, in virtual time

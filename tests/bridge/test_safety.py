@@ -161,15 +161,15 @@ def test_pulses_warm_the_coils_however_long_they_are_and_however_many_periods_ar
     for missed in (1, 2, 3, 7, 400):
         once, each = limiter(), limiter()
         for output in (once, each):
-            output.passed(held, pulsed, width)
-        once.stay(missed, held)
+            output.add_command(held, pulsed, width)
+        once.add_periods(missed, held)
         for _ in range(missed):
-            each.stay(1, held)
+            each.add_periods(1, held)
         length = (missed + 1) * PERIOD
         expected = heated((min(width, length), 8.0), (max(length - width, 0.0), 1.0))
         assert once.thermal.warmest == pytest.approx(expected, rel=1e-9)
         assert each.thermal.warmest == pytest.approx(expected, rel=1e-9)
-        once.stay(missed, [2.0] * 6)  # of other currents, which end it
+        once.add_periods(missed, [2.0] * 6)  # of other currents, which end it
         cooler = 4.0 / 9.0 + (expected - 4.0 / 9.0) * math.exp(-missed * PERIOD / 10.0)
         assert once.thermal.warmest == pytest.approx(cooler, rel=1e-9)
 
