@@ -109,7 +109,7 @@ BROKEN: list[tuple[str, Any]] = [
 
 
 @pytest.mark.parametrize(("says", "wrong"), BROKEN)
-def test_what_holds_no_last_cycles_is_one_line(says: str, wrong: Any, tmp_path: Path) -> None:
+def test_a_file_without_last_cycles_is_an_error_of_one_line(says: str, wrong: Any, tmp_path: Path) -> None:
     path = tmp_path / "wrong.maglev"
     if isinstance(wrong, bytes):
         path.write_bytes(wrong)
@@ -177,7 +177,7 @@ def test_the_recording_of_a_flight_holds_what_the_file_of_its_fault_does(tmp_pat
     assert recording.ticks and not recording.damage
 
 
-def test_a_flight_that_a_guard_lands_keeps_the_cycles_before_its_landing(tmp_path: Path) -> None:
+def test_an_early_landing_stores_the_cycles_before_it(tmp_path: Path) -> None:
     alarm = Mock()
     alarm.check.side_effect = [*[""] * 60, *["for a test"] * 1000]
     run, path = recorded(tmp_path, alarm)
@@ -212,7 +212,9 @@ def test_the_table_says_what_when_and_the_last_cycles(failed: Failed) -> None:
     assert max(map(len, lines)) <= 80 and sum(line.split()[:2] == ["time", "x"] for line in lines) == 1
 
 
-def test_a_full_disk_leaves_no_half_file_and_the_fault_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_no_partial_file_and_the_fault_is_reported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     own, temporary = tmp_path / "own", tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
@@ -233,7 +235,7 @@ def test_a_full_disk_leaves_no_half_file_and_the_fault_is_told(tmp_path: Path, m
 
 
 @pytest.mark.parametrize("name", ["text_records", "header"])
-def test_whatever_fails_in_writing_the_fault_is_told(
+def test_the_fault_is_reported_whatever_fails_in_writing(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(f"maglev_mj.bridge.fault.{name}", Mock(side_effect=ValueError("oh")))
@@ -242,7 +244,7 @@ def test_whatever_fails_in_writing_the_fault_is_told(
     assert rig.plant.cycles.write(b"") is None  # as a guard asks for it that lands a flight
 
 
-def test_without_a_folder_of_its_own_the_file_goes_to_the_temporary_one(
+def test_without_a_writable_folder_the_file_goes_to_the_temporary_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken, found = tmp_path / "taken", []
@@ -256,7 +258,7 @@ def test_without_a_folder_of_its_own_the_file_goes_to_the_temporary_one(
 
 
 @pytest.mark.parametrize("kind", [LinkError("gone"), OSError("gone"), KeyboardInterrupt()])
-def test_an_error_within_close_still_closes_the_line_once(kind: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_within_close_still_closes_the_link_once(kind: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     rig, closed = Rig(), Mock()
     monkeypatch.setattr(rig.plant._connection, "control", Mock(side_effect=kind))
     monkeypatch.setattr(rig.link, "close", closed)
@@ -272,7 +274,7 @@ def test_an_error_within_close_still_closes_the_line_once(kind: BaseException, m
     ("kind", "where"),
     sweep([LinkError("the line is gone"), HOST_DOWN, RuntimeError("oh")], ["send", "receive"], every=2),
 )
-def test_a_line_that_fails_in_any_way_leaves_its_last_cycles_and_is_closed(
+def test_a_failing_link_leaves_the_last_cycles_and_is_closed(
     kind: Exception, where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig = Rig(pose=CENTRE, host={"folder": tmp_path})

@@ -195,7 +195,7 @@ def test_the_same_controller_flies_a_device_bit_for_bit(
         assert total.max(axis=0)[met] == pytest.approx(most[met])
 
 
-def test_a_device_that_is_told_too_much_gets_what_it_bears_and_the_host_is_told() -> None:
+def test_commands_are_limited_and_the_host_gets_the_applied_ones() -> None:
     rig = Rig(pose=CENTRE, host={"limits": HostLimits(force_limit=9.0)})
     plant, coils = rig.plant, rig.plant.calibration.coils
     plant.arm()
@@ -238,7 +238,7 @@ def test_it_takes_off_hovers_and_lands(period: float, most: float) -> None:
     ("seed", "seconds"),
     [(0, 2.0), *(pytest.param(*case, marks=pytest.mark.study) for case in ((0, 20.0), (1, 5.0), (2, 5.0)))],
 )
-def test_over_a_bad_line_it_hovers(seed: int, seconds: float) -> None:
+def test_it_hovers_over_a_bad_link(seed: int, seconds: float) -> None:
     rig = Rig(replace(BAD, seed=seed))
     rig.plant.takeoff()
     poses = rig.fly(seconds, hover(0.005, BAD_REACH))
@@ -327,13 +327,13 @@ def test_a_device_with_offsets_flies_with_its_calibration_and_beside_the_centre_
     assert rms(wrong.poses[-200:]) > 1e-4
 
 
-def test_a_host_of_another_calibration_is_told_both() -> None:
+def test_a_calibration_mismatch_names_both_hashes() -> None:
     names = [one.digest.hex() for one in (Calibration.nominal(), offsets())]
     with pytest.raises(HandshakeError, match=f"calibration mismatch: device {names[0]}, host {names[1]}"):
         Rig(host={"calibration": offsets()})
 
 
-def test_a_weight_on_the_handle_is_no_fault() -> None:
+def test_a_weight_on_the_handle_is_not_a_fault() -> None:
     rig = Rig(hand=lambda *_: [0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
     rig.plant.takeoff()
     assert abs(rig.fly(1.0)[-1, 2] + 1.0 / (INERTIA[2] * (0.25 / 0.0065) ** 2)) < 2e-5

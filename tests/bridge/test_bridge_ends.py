@@ -49,7 +49,7 @@ def test_commands_that_have_lain_in_a_queue_do_not_feed_the_watchdog() -> None:
     assert rig.twin.firmware.faults & (Fault.WATCHDOG | Fault.FLOTOR_OVERSPEED) and rig.plant.samples.tick < 400
 
 
-def test_what_a_closed_plant_is_asked_for_is_an_error() -> None:
+def test_calls_of_a_closed_plant_raise() -> None:
     rig = Rig()
     rig.plant.close()
     rig.plant.close()

@@ -102,9 +102,7 @@ def hovering(**options: Any) -> Rig:
         *further(*((replace(BAD, seed=seed), 300.0) for seed in range(4))),
     ],
 )
-def test_a_hold_too_stiff_for_a_line_and_a_line_too_late_for_any_fail_safe(
-    line: Impairment, frequency: float | None
-) -> None:
+def test_a_hold_too_stiff_for_the_link_and_a_link_too_slow_fail_safe(line: Impairment, frequency: float | None) -> None:
     rig = Rig(line)
     reach = REACH if frequency is None else BAD_REACH
     fails(rig, fly(rig, 5.0, hover(0.005, reach, frequency)), AWAY | Fault.NOT_FOLLOWING | Fault.WATCHDOG)
@@ -137,7 +135,7 @@ def test_a_blackout_longer_than_the_watchdog_latches_until_reset() -> None:
     ],
     ids=["nan", "inf", "pulse", "width", "five", "text", "nothing"],
 )
-def test_the_gate_refuses_what_is_no_command(command: Command) -> None:
+def test_invalid_commands_are_refused(command: Command) -> None:
     class Broken(Controller):
         def step(self, sample: Sample) -> Command:
             return command if sample.tick == 30 else super().step(sample)
@@ -180,7 +178,7 @@ SUFFERED: list[tuple[str, Iterable[int], bool, Fault]] = [
         for period in (0.005, 0.001)
     ],
 )
-def test_a_misfortune_is_named(kind: str, which: int, moved: bool, fault: Fault, period: float) -> None:
+def test_an_injected_fault_is_named(kind: str, which: int, moved: bool, fault: Fault, period: float) -> None:
     hand = SpringHand(target=TOUR) if moved else None  # after takeoff
     at = 1.0 if moved else 0.2
     options: dict[str, Any] = {"faults": [InjectedFault(kind=kind, which=which, at=at)], "hand": hand, "period": period}
@@ -228,7 +226,7 @@ def silent(rig: Rig) -> None:
         (silent, "HOST: no sample from the device within 1 s"),
     ],
 )
-def test_what_goes_wrong_between_both_ends_is_a_fault_of_the_host(act: Callable[[Rig], None], says: str) -> None:
+def test_inconsistent_device_states_trip_the_host_fault(act: Callable[[Rig], None], says: str) -> None:
     rig = hovering()
     rig.fly(0.2)
     act(rig)
@@ -246,7 +244,7 @@ def test_what_goes_wrong_between_both_ends_is_a_fault_of_the_host(act: Callable[
         rig.plant.read()
 
 
-def test_a_fault_found_while_the_line_goes_is_the_one_reported() -> None:
+def test_a_fault_detected_while_the_link_fails_is_reported() -> None:
     rig = hovering()
     rig.plant.read()
     unheard(rig)
@@ -255,7 +253,7 @@ def test_a_fault_found_while_the_line_goes_is_the_one_reported() -> None:
     assert rig.plant.state == State.FAULT
 
 
-def test_an_estop_of_the_host_itself_is_latched_and_told_once() -> None:
+def test_an_estop_of_this_host_is_latched_and_reported_once() -> None:
     rig = hovering()
     rig.plant.read()
     rig.plant.trip(Fault.CLOCK)
@@ -272,7 +270,7 @@ def test_an_estop_of_the_host_itself_is_latched_and_told_once() -> None:
 
 
 @pytest.mark.parametrize("jump", [10_000, *(pytest.param(jump, marks=pytest.mark.study) for jump in (3, 12))])
-def test_a_clock_set_while_the_device_rests_is_no_fault(jump: int) -> None:
+def test_a_clock_change_of_an_inactive_device_is_not_a_fault(jump: int) -> None:
     rig = Rig(faults=[InjectedFault(kind="clock-jump", which=jump, at=0.1)])
     for _ in range(30):
         rig.plant.read()
@@ -282,7 +280,7 @@ def test_a_clock_set_while_the_device_rests_is_no_fault(jump: int) -> None:
 
 
 @pytest.mark.parametrize("seed", sweep(range(4), every=4))
-def test_what_a_sample_says_from_before_a_request_is_old(seed: int) -> None:
+def test_a_sample_from_before_a_request_reports_an_outdated_state(seed: int) -> None:
     # A sample that was on its way during a reset tells of the fault before it.
     rig = Rig(replace(BAD, seed=seed))
     for _ in range(8):
@@ -301,7 +299,7 @@ def test_what_a_sample_says_from_before_a_request_is_old(seed: int) -> None:
         assert (rig.plant.state, rig.plant.faults) == (State.INACTIVE, Fault(0))
 
 
-def test_a_flotor_that_is_held_is_not_led() -> None:
+def test_a_held_flotor_ends_the_takeoff() -> None:
     rig = Rig(hand=lambda *_: [0.0, 0.0, -20.0, 0.0, 0.0, 0.0])
     error = fails(rig, rig.plant.takeoff, Fault.NOT_FOLLOWING)
     assert "off the takeoff path" in str(error) and error.cycles
@@ -353,7 +351,7 @@ def test_a_coil_with_6_A_trips_on_either_end(cold: Any, says: str, monkeypatch: 
         rig.plant.reset()
 
 
-def test_the_host_counts_currents_that_nobody_answered_with() -> None:
+def test_the_host_models_currents_of_unanswered_samples() -> None:
     # Where samples are lost the currents flow on, and so does the host's count of what warms the coils.
     rig = Rig(Impairment(loss=0.2, seed=1), hand=lambda *_: [0.0, 0.0, -10.0, 0.0, 0.0, 0.0], pose=CENTRE)
     rig.plant.arm()

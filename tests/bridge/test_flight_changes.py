@@ -60,7 +60,7 @@ def answered(answers: SideAnswers) -> Any:
 
 @pytest.mark.machine
 @pytest.mark.needs("linux")
-def test_it_is_another_process_that_gives_way_to_the_loop() -> None:
+def test_the_check_runs_in_a_process_of_lower_priority() -> None:
     with closing(SideAnswers(_deed, "no")) as answers:
         answers.ask("where")
         process, niceness = answered(answers)
@@ -68,7 +68,7 @@ def test_it_is_another_process_that_gives_way_to_the_loop() -> None:
 
 
 @pytest.mark.machine
-def test_the_newest_question_alone_is_answered(tmp_path: Path) -> None:
+def test_only_the_newest_request_is_answered(tmp_path: Path) -> None:
     with closing(SideAnswers(_deed, "no")) as answers:
         assert answers.answer() is None
         answers.ask("a")
@@ -91,7 +91,7 @@ def test_the_newest_question_alone_is_answered(tmp_path: Path) -> None:
 
 
 @pytest.mark.machine
-def test_a_late_answer_is_no_answer_to_the_next_question(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_late_answer_is_not_taken_for_the_next_request(monkeypatch: pytest.MonkeyPatch) -> None:
     with closing(SideAnswers(_deed, "no")) as answers:
         answers.ask("first")
         assert answered(answers)
@@ -197,7 +197,7 @@ def test_anyway_flies_it_with_a_warning_and_twice_the_planned_delay(fly: Fly) ->
     assert flown._delay_guard.limit == pytest.approx(2.0 * (0.0015 + 1.5 * 0.0005), rel=1e-3)
 
 
-def test_a_newer_wish_takes_the_place_of_one_that_is_judged(fly: Fly) -> None:
+def test_a_newer_request_replaces_a_pending_one(fly: Fly) -> None:
     # A key that is held asks for the same again and again, which is judged once.
     _, asks, judge = fly((20, STIFF), (22, GOOD), (24, GOOD), (25, GOOD))
     assert [scene.stiffness for scene, *_ in judge.asked] == [60_000.0, 4000.0]
@@ -266,7 +266,7 @@ class Here:
     [Here, pytest.param(SideAnswers, marks=pytest.mark.machine)],
     ids=["in this process", "in another process"],
 )
-def test_bridge_judges_settings_in_flight(
+def test_bridge_checks_settings_in_flight(
     answers: Any, anyway: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bridge, "SideAnswers", answers)

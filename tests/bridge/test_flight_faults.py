@@ -153,7 +153,7 @@ def test_so_do_a_recording_a_viewer_and_an_interrupt(error: BaseException, at: i
         flown.check(first)
 
 
-def test_a_silent_serial_line_is_told_what_it_needs(
+def test_a_silent_serial_link_is_reported_with_a_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     address = "serial:///dev/ttyUSB0?baud=921600"
@@ -193,7 +193,7 @@ def unchecked(plant: RemotePlant, scene: Scene, **_: Any) -> Preflight:
     return Preflight(scene, measure_line(plant, 0.1), math.inf, "", "")
 
 
-def test_the_command_says_in_one_line_what_happened_and_how_to_go_on(
+def test_the_command_reports_cause_and_remedy_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     twin, line = Twin(TwinParameters(), draw=lambda: 7), ImpairedLine(Impairment(delay=0.0006))
@@ -218,7 +218,7 @@ def test_the_command_says_in_one_line_what_happened_and_how_to_go_on(
     assert cli.main(shlex.split(again)[1:]) == 0 and twin.firmware.state == State.INACTIVE
 
 
-def test_the_line_is_measured_as_it_is_flown_in_real_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_link_is_measured_with_the_flights_scheduling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On a busy machine other scheduling made the line look twice as slow."""
     inside: list[str] = []
     measured: list[list[str]] = []

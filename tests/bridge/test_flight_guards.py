@@ -75,7 +75,7 @@ class Jumping(AxisLaw):
         return -1000.0 * x - 2.0 * np.sign(v)
 
 
-def test_margins_without_any_without_end_and_not_known() -> None:
+def test_margins_may_be_zero_infinite_or_nan() -> None:
     shaky = Controller([Wall(axes="z", lower=0.0, stiffness=90_000.0, damping=10.0)], period=0.005)
     assert delay_margins(shaky, ["none"]) == {"none": 0.0}
     soft = Controller([Hold(axes="z", stiffness=1.0, damping=0.1)], period=0.005)
@@ -105,7 +105,7 @@ def test_margins_without_any_without_end_and_not_known() -> None:
         ([math.inf] * 3, "3 of the last 5"),
     ],
 )
-def test_a_slow_line_is_found_and_a_late_answer_is_not_one(delays: list[float], rule: str) -> None:
+def test_a_slow_link_is_detected_and_a_single_late_answer_is_not(delays: list[float], rule: str) -> None:
     guard = DelayGuard(3e-3)
     said = [guard.check(delay * 1e-3) for delay in delays]
     assert not any(said[:-1]) and rule in said[-1] and bool(rule) == bool(said[-1])
@@ -123,7 +123,7 @@ def test_a_slow_line_is_found_and_a_late_answer_is_not_one(delays: list[float], 
         (0.0, 0.005, 0.0),
     ],
 )
-def test_answers_are_late_a_little_before_the_laws_bear_no_more(bears: float, period: float, late: float) -> None:
+def test_the_delay_limit_is_below_the_critical_delay(bears: float, period: float, late: float) -> None:
     assert late_delay(bears, period) == pytest.approx(late)
 
 
@@ -138,13 +138,13 @@ def test_reversals_are_counted_in_each_axis(axis: int, period: float) -> None:
     assert "the laws vibrate" in next(filter(None, said)) and not any(said[:3])
 
 
-def test_one_hard_blow_is_no_vibration_and_slow_swings_are_none() -> None:
+def test_a_hard_tap_and_slow_swings_are_not_vibration() -> None:
     for forces in ([0.0, 200.0, -200.0, 0.0], 60.0 * np.sin(2.0 * np.pi * 2.0 * np.arange(0.0, 2.0, 0.005))):
         guard = PowerGuard(0.005)
         assert not any(guard.check([0.0] * 6, [0.0, 0.0, force, 0.0, 0.0, 0.0]) for force in forces)
 
 
-def test_weak_vibrations_are_found_and_a_blow_that_rings_is_none() -> None:
+def test_weak_vibration_is_detected_and_a_ringing_tap_is_not() -> None:
     weak, blow = PowerGuard(0.005), PowerGuard(0.005)
     swings = [5.0 if tick // 2 % 2 else -5.0 for tick in range(150)]
     said = [weak.check([0.0] * 6, [force, 0.0, 0.0, 0.0, 0.0, 0.0]) for force in swings]
@@ -180,7 +180,7 @@ def test_a_swing_is_cut_after_a_tenth_of_a_second() -> None:
 
 
 @pytest.mark.parametrize("period", [0.005, 0.001])
-def test_the_hold_of_an_early_landing_bears_fifty_milliseconds(period: float) -> None:
+def test_the_hold_of_an_early_landing_is_stable_up_to_50_ms(period: float) -> None:
     leader = Leader(Calibration.nominal(), period, TOLERATED)
     for delay in np.arange(0.0, min(0.0505, 10 * period), 0.0025):
         assert judge(leader._controller, delay=float(delay)).stable
@@ -207,9 +207,7 @@ def delayed(shape: str, size: float, begin: float, seed: int = 0) -> Any:
         ),
     ],
 )
-def test_a_slow_line_ends_a_flight_gently(
-    name: str, rate: int, hand: str, shape: str, size: float, tmp_path: Path
-) -> None:
+def test_a_slow_link_lands_the_flotor(name: str, rate: int, hand: str, shape: str, size: float, tmp_path: Path) -> None:
     flown = fly(name, rate=rate, hand=hand, delay=delayed(shape, size, 1.6), folder=tmp_path)
     assert "loop delay too long for the scene" in flown.outcome or "WATCHDOG" in flown.outcome
     most = 0.30 if hand == "none" else 0.40
@@ -219,7 +217,7 @@ def test_a_slow_line_ends_a_flight_gently(
     assert record.time.size == 200 and record.time[-1] > record.time[0]
 
 
-def test_a_loop_near_the_end_of_its_margin_does_not_swing_on_after_a_tap(tmp_path: Path) -> None:
+def test_a_loop_near_its_critical_delay_does_not_keep_ringing_after_a_tap(tmp_path: Path) -> None:
     """Six axes bear 11.6 ms at 200 Hz; at 11.5 a tap made 0.63 m/s."""
     flown = fly("six-axes", hand="tap", delay=delayed("step", 0.005, 2.4), folder=tmp_path)
     assert "delays above" in flown.outcome
@@ -227,7 +225,7 @@ def test_a_loop_near_the_end_of_its_margin_does_not_swing_on_after_a_tap(tmp_pat
 
 
 @pytest.mark.study
-def test_laws_whose_margin_is_not_known_are_guarded_too(tmp_path: Path) -> None:
+def test_laws_without_a_computed_margin_are_guarded_too(tmp_path: Path) -> None:
     """Six axes at 1 kHz bear up to 10 ms, the most looked at, not 15.5."""
     delay = delayed("step", 0.007, 1.2)
     flown = fly("six-axes", rate=1000, delay=delay, limits=Limits(stale=0.02), folder=tmp_path, seconds=0.3)
@@ -288,7 +286,7 @@ def weakened(coil: int, share: float) -> Calibration:
 
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("coil", [5, *studies(*((coil,) for coil in range(5)))])
-def test_a_coil_that_is_not_as_calibrated_is_named_in_takeoff(coil: int, rate: int, tmp_path: Path) -> None:
+def test_a_coil_unlike_its_calibration_is_named_in_takeoff(coil: int, rate: int, tmp_path: Path) -> None:
     """Weak by a tenth it lands again; dead or reversed it is often lost sooner."""
     for share, seed in ((0.9, coil), (0.01, coil + 6), (-1.0, coil + 12)):
         flown = fly("joystick", rate=rate, truth=weakened(coil, share), seed=seed, folder=tmp_path)
@@ -311,7 +309,7 @@ def test_good_coils_are_not_refused(rate: int, seed: int, heavier: bool, tmp_pat
     assert fly("table", rate=rate, seed=seed, truth=truth, seconds=0.1, folder=tmp_path).outcome == "landed"
 
 
-def test_what_is_lost_on_the_way_does_not_look_like_a_coil(tmp_path: Path) -> None:
+def test_lost_frames_are_not_mistaken_for_a_coil_fault(tmp_path: Path) -> None:
     calibration = Calibration.nominal()
     observer = HandObserver(calibration, 0.005)
     observer.tries = True
@@ -324,7 +322,7 @@ def test_what_is_lost_on_the_way_does_not_look_like_a_coil(tmp_path: Path) -> No
     assert observer.coils.fault() == ""
 
 
-def test_samples_that_nobody_asked_about_begin_a_new_estimate() -> None:
+def test_an_overflow_of_unread_samples_restarts_the_estimate() -> None:
     calibration = Calibration.nominal()
     observer = HandObserver(calibration, 0.0001)  # a low pass that remembers more than is kept
     for tick in range(120):

@@ -100,7 +100,7 @@ ABSURD: list[tuple[str, Any, str]] = [
 ]
 
 
-def test_numbers_that_no_device_has_are_refused_by_name() -> None:
+def test_implausible_device_limits_are_refused_by_name() -> None:
     twin = Twin(TwinParameters())
     line = Connection(VirtualLink(twin), twin.parameters.calibration.digest, None, 1.0)
     for field, value, says in ABSURD:
@@ -110,7 +110,7 @@ def test_numbers_that_no_device_has_are_refused_by_name() -> None:
     assert {one.name for one in Limits.parameters()} <= {says.split(" ")[0] for _, _, says in ABSURD}
 
 
-def test_a_host_that_refuses_the_numbers_closes_the_line_and_leaves_the_device_free() -> None:
+def test_a_refused_handshake_closes_the_link_and_releases_the_device() -> None:
     twin = Twin(TwinParameters())
     link = Doctored(twin, with_(period=0))
     with pytest.raises(HandshakeError, match="period must be"):
@@ -126,7 +126,7 @@ def test_the_smaller_of_both_ends_limits_counts() -> None:
     assert (plant.limits.current_limit, plant.limits.hover_limit, plant.limits.continuous_current) == (1.9, 1.9, 2.5)
 
 
-def test_a_device_that_cannot_carry_the_flotor_is_refused_at_once_and_so_are_own_limits_that_cannot() -> None:
+def test_limits_too_low_for_hovering_are_refused_at_once() -> None:
     twin = Twin(TwinParameters())
     fields, needs = ("current_limit", "continuous_current", "hover_limit"), "1.43 A, not 1: hovering needs 1.14 A"
     for small, says in ((fields, needs), (fields[2:], "1.14 A .* not 1")):
@@ -142,7 +142,7 @@ def test_a_device_that_cannot_carry_the_flotor_is_refused_at_once_and_so_are_own
 
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, ValueError, OverflowError, ZeroDivisionError, LinkError])
 @pytest.mark.parametrize("place", ["in the handshake", "after it"])
-def test_whatever_goes_wrong_in_the_handshake_closes_the_line(
+def test_any_error_in_the_handshake_closes_the_link(
     kind: type[BaseException], place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     fail = Mock(side_effect=kind("oh"))
@@ -154,7 +154,7 @@ def test_whatever_goes_wrong_in_the_handshake_closes_the_line(
     assert link.closed == 1
 
 
-def test_wrong_arguments_close_the_line_too() -> None:
+def test_invalid_arguments_close_the_link() -> None:
     wrongs: list[dict[str, Any]] = [{"patience": 0.0}, {"patience": NAN}, {"key": b"short"}]
     for wrong in wrongs:
         link = Doctored(Twin(TwinParameters()))
@@ -203,7 +203,7 @@ def test_a_device_of_another_host_is_busy() -> None:
     assert link.closed == 1
 
 
-def test_what_is_latched_is_said_in_one_line() -> None:
+def test_latched_faults_are_reported_in_one_line() -> None:
     twin = Twin(TwinParameters())
     link = VirtualLink(twin)
     assert RemotePlant(link).latched == ""

@@ -91,7 +91,7 @@ GUARDED: list[tuple[Callable[[Rig], None], str]] = [
 
 
 @pytest.mark.parametrize("index", range(len(Rig().plant.guards)))
-def test_each_guard_finds_its_fault_and_without_it_nothing_does(index: int) -> None:
+def test_each_guard_detects_its_fault_and_no_other_guard_does(index: int) -> None:
     assert len(GUARDED) == len(Rig().plant.guards)
     prepare, message = GUARDED[index]
     for guarded in (True, False):
@@ -117,7 +117,7 @@ def test_each_guard_finds_its_fault_and_without_it_nothing_does(index: int) -> N
 
 
 @pytest.mark.parametrize("missed", [1, 3])
-def test_lost_samples_are_no_speed(missed: int) -> None:
+def test_lost_samples_do_not_count_as_speed(missed: int) -> None:
     # Pushed to more than half of what trips; a gap makes the step look larger, not the speed.
     start = 0.25
     hand = lambda tick, at, state: [8.0 * (start < at < start + 0.033), *[0.0] * 5]  # noqa: E731
@@ -181,7 +181,7 @@ def test_a_sample_from_before_a_stop_does_not_undo_it(monkeypatch: pytest.Monkey
         assert (rig.plant.state, rig.plant.faults) == (State.FAULT, Fault.ESTOP)
 
 
-def test_rubbish_without_end_is_no_sample() -> None:
+def test_endless_garbage_is_not_a_sample() -> None:
     rig = Rig()
     rig.plant.read()
 

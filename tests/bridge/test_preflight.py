@@ -67,7 +67,7 @@ def device(folder: Path, way: float = 0.0, jitter: float = 0.0, clock: float = 1
 
 
 @pytest.mark.parametrize(("rate", "way"), [(200, 0.0002), *further((200, 0.0), (1000, 0.001))])
-def test_a_line_is_measured_without_current(way: float, rate: int, tmp_path: Path) -> None:
+def test_the_link_is_measured_without_current(way: float, rate: int, tmp_path: Path) -> None:
     with device(tmp_path, way, period=1.0 / rate) as plant:
         report = measure_line(plant, 0.5)
         assert not np.any(plant.report.currents) and not plant.disarmed
@@ -80,7 +80,7 @@ def test_a_line_is_measured_without_current(way: float, rate: int, tmp_path: Pat
     assert "samples answered in time; 0 lost, 0 skipped, 0 answers late;" in str(report.table())
 
 
-def test_answers_too_late_to_be_obeyed_are_counted_and_an_active_device_is_not_measured(tmp_path: Path) -> None:
+def test_late_answers_are_counted_and_an_active_device_is_not_measured(tmp_path: Path) -> None:
     with device(tmp_path, 0.012) as plant:
         assert measure_line(plant, 0.3).success == 0.0  # the device reports none of them
     with device(tmp_path, 0.006) as plant:

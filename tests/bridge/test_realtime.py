@@ -54,7 +54,7 @@ def some_processor() -> int | None:
 
 @pytest.mark.parametrize("collecting", [True, False])
 @pytest.mark.usefixtures("unchanged")
-def test_ignore_goes_on_and_everything_is_given_back_when_the_loop_fails(collecting: bool) -> None:
+def test_ignore_continues_and_settings_are_restored_after_an_error(collecting: bool) -> None:
     before = state()
     if not collecting:
         gc.disable()
@@ -72,7 +72,7 @@ def test_ignore_goes_on_and_everything_is_given_back_when_the_loop_fails(collect
 
 @pytest.mark.machine
 @pytest.mark.usefixtures("unchanged")
-def test_enforce_raises_just_where_ignore_complains() -> None:
+def test_enforce_raises_exactly_where_ignore_reports_a_refusal() -> None:
     cpu = some_processor()
     with realtime("ignore", cpu=cpu) as complaints:
         pass
@@ -105,7 +105,7 @@ def test_enforce_names_all_that_is_not_permitted(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.usefixtures("unchanged")
-def test_a_system_that_has_none_of_it_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_system_without_real_time_settings_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("sched_setscheduler", "sched_setaffinity"):
         monkeypatch.delattr(os, name, raising=False)
     monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: object())
@@ -115,7 +115,7 @@ def test_a_system_that_has_none_of_it_is_told_so(monkeypatch: pytest.MonkeyPatch
         realtime("enforce").__enter__()
 
 
-def test_arguments_that_cannot_be_are_refused() -> None:
+def test_invalid_arguments_are_refused() -> None:
     for priority in (0, 100):
         with pytest.raises(ParameterError, match="priority"), realtime("ignore", priority):
             pass
@@ -125,7 +125,7 @@ def test_arguments_that_cannot_be_are_refused() -> None:
         realtime("maybe").__enter__()  # type: ignore[arg-type]
 
 
-def test_lateness_keeps_the_last_and_the_worst_of_all() -> None:
+def test_the_histogram_stores_recent_latencies_and_the_maximum() -> None:
     latency = LatencyHistogram(100)
     assert math.isnan(latency.p50) and math.isnan(latency.p99) and math.isnan(latency.max)
     latency.add(7_000_000)
@@ -176,12 +176,12 @@ def test_the_age_of_a_sample_counts_transport_queueing_and_the_answer() -> None:
     assert timing.delay.count == 5 and timing.delay.max == pytest.approx(1.9e-3)
 
 
-def test_a_device_whose_clock_stood_still_is_no_slow_line() -> None:
+def test_a_stalled_device_clock_is_not_a_slow_link() -> None:
     assert timed([0] * 12, still=5)[1] == [0.1] * 5 + [9.1] + [0.1] * 6
     assert timed([0] * 5 + [9_000_000] * 7)[1] == [0.1] * 5 + [9.1] * 7  # this one is
 
 
-def test_clocks_that_drift_apart_make_no_age() -> None:
+def test_clock_drift_does_not_count_as_age() -> None:
     timing = LoopTiming()
     for tick in range(20_000):  # 100 s: 10 ms apart at the end
         taken = tick * 5_000_000

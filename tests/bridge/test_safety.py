@@ -36,7 +36,7 @@ def moved(axis: int, amount: float, base: tuple[float, ...] = (0.0,) * 6) -> tup
     return tuple(amount if place == axis else value for place, value in enumerate(base))
 
 
-def test_a_flotor_beyond_its_envelope_is_found_on_every_axis() -> None:
+def test_a_flotor_outside_its_envelope_is_detected_on_every_axis() -> None:
     limits = HostLimits()
     for axis in range(6):
         for sign in (1.0, -1.0):
@@ -72,7 +72,7 @@ def watched(limits: Limits | None = None) -> SpotGuard:
     return guard
 
 
-def test_a_spot_that_cannot_be_is_found() -> None:
+def test_an_implausible_spot_is_detected() -> None:
     assert {watched().check(SPOTS, valid, 1, 1) for valid in range(7)} == {Fault.SENSOR_OUT_OF_RANGE}
     fast = Limits(spot_speed=100.0)
     for place, value in product(range(6), (NAN, INF, -INF, 0.0121, -0.0121)):
@@ -91,7 +91,7 @@ def test_a_spots_speed_is_over_the_samples_that_passed(place: int, steps: int) -
 
 
 @pytest.mark.parametrize("diodes", [(0,), (1,), (2,), (0, 1), (0, 2), (1, 2), (0, 1, 2)])
-def test_a_frozen_diode_is_found_whatever_the_others_do(diodes: tuple[int, ...]) -> None:
+def test_a_frozen_diode_is_detected_independently_of_the_others(diodes: tuple[int, ...]) -> None:
     guard = watched(Limits(frozen=5))
     found = []
     for tick in range(1, 9):
@@ -106,7 +106,7 @@ def test_a_frozen_diode_is_found_whatever_the_others_do(diodes: tuple[int, ...])
     assert {guard.check(SPOTS, 7, tick, 1) for tick in range(1, 100)} == {NONE}  # a sensor without noise
 
 
-def test_a_conversion_counter_that_stands_still_is_found_and_one_that_wraps_is_none() -> None:
+def test_a_stopped_conversion_counter_is_detected_and_a_wrapping_one_is_not() -> None:
     guard = watched()
     assert guard.check(SPOTS, 7, 0, 1) == Fault.SENSOR_STOPPED
     assert guard.check(SPOTS, 7, 0xFFFFFFFF, 1) == NONE
@@ -115,7 +115,7 @@ def test_a_conversion_counter_that_stands_still_is_found_and_one_that_wraps_is_n
 
 
 @pytest.mark.parametrize("place", range(6))
-def test_currents_and_temperatures_that_cannot_be_are_found(place: int) -> None:
+def test_implausible_currents_and_temperatures_are_detected(place: int) -> None:
     limits, ones, cool = Limits(current_limit=2.0), (1.0,) * 6, (0.1,) * 6
     assert reading_fault(limits, ones, cool) == NONE
     assert reading_fault(limits, (2.9,) * 6, (1.9,) * 6) == NONE  # however large together
@@ -144,7 +144,7 @@ def heated(*intervals: tuple[float, float]) -> float:
 
 
 @pytest.mark.parametrize("value", [NAN, INF, 1e200])
-def test_a_temperature_that_is_not_finite_is_not_cool(value: float) -> None:
+def test_a_temperature_that_is_not_finite_trips(value: float) -> None:
     model = ThermalModel(Limits())
     assert model.add([(0.005, moved(3, value))]) == model.warmest == 1.0
 
@@ -156,7 +156,7 @@ def limiter(**own: float) -> OutputLimiter:
 
 
 @pytest.mark.parametrize("width", [0.0, 0.001, 0.005, 0.0123, 0.015, 0.0312, 1.0])
-def test_pulses_warm_the_coils_however_long_they_are_and_however_many_periods_are_missed(width: float) -> None:
+def test_pulses_warm_the_coils_for_any_width_and_number_of_missed_periods(width: float) -> None:
     held, pulsed = [1.0] * 6, [8.0] * 6
     for missed in (1, 2, 3, 7, 400):
         once, each = limiter(), limiter()
@@ -200,7 +200,7 @@ def test_the_smaller_current_counts(turn: tuple[float, ...]) -> None:
     assert HostLimits().narrowed(Limits()) == Limits()
 
 
-def test_what_does_not_carry_the_weight_is_said_with_the_numbers() -> None:
+def test_limits_too_low_for_hovering_are_reported_with_figures() -> None:
     hover, weight = Calibration.nominal().hover.tolist(), WEIGHT[2]
 
     def said(limits: Limits | None = None, **own: float) -> str:
@@ -235,7 +235,7 @@ def test_a_profile_is_read_from_a_file(tmp_path: Path) -> None:
         (None, "cannot be read: No such file"),
     ],
 )
-def test_a_profile_that_is_none_is_one_line(text: str | bytes | None, says: str, tmp_path: Path) -> None:
+def test_an_invalid_profile_is_an_error_of_one_line(text: str | bytes | None, says: str, tmp_path: Path) -> None:
     path = tmp_path / "profile.json"
     if text is not None:
         path.write_bytes(text if isinstance(text, bytes) else text.encode())

@@ -294,7 +294,7 @@ def test_a_second_ctrl_c_cuts_a_real_flight(at: float, tmp_path: Path) -> None:
 
 
 @pytest.mark.machine
-def test_a_handshake_is_given_up_at_once() -> None:
+def test_a_signal_ends_a_handshake_at_once() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
         deaf.bind(("127.0.0.1", 0))
         deaf.settimeout(60.0)
@@ -384,7 +384,7 @@ def test_a_flight_whose_currents_are_off_is_not_cut_any_more() -> None:
 
 
 @pytest.mark.machine
-def test_estop_stops_whoever_flies_and_the_way_on_is_reset(tmp_path: Path) -> None:
+def test_estop_stops_any_flight_and_reset_clears_it(tmp_path: Path) -> None:
     with Watched() as twin, flight(twin, tmp_path) as host:
         twin.flown(1.0)
         status, said = said_by("estop", twin.address)

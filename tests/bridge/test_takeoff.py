@@ -36,7 +36,7 @@ FASTEST = [pytest.param(noise, RATES[2], marks=pytest.mark.study) for noise in (
 
 
 @pytest.mark.parametrize(("noise", "period"), [*sweep(NOISES, RATES[:2], every=2), *FASTEST])
-def test_a_flotor_at_rest_is_seen_to_rest_whatever_the_noise(noise: float, period: float) -> None:
+def test_a_flotor_at_rest_is_detected_with_any_noise(noise: float, period: float) -> None:
     worst, margin = [0.0, 0.0], NOISES[noise]
     for seed in range(5 if period > 0.001 else 1):
         motion = still(Rig(period=period, delay=min(0.0015, period), seed=seed, quantum=8e-7, noise=noise))
@@ -58,7 +58,7 @@ def watched(period: float, pose: Any) -> Motion:
 
 @pytest.mark.parametrize("period", RATES)
 @pytest.mark.parametrize("axis", range(6))
-def test_motion_along_every_axis_and_to_and_fro_is_no_rest(axis: int, period: float) -> None:
+def test_motion_and_oscillation_on_any_axis_is_not_rest(axis: int, period: float) -> None:
     least, amplitude = (5e-3, 3.5e-4) if axis < 3 else (0.1, 7e-3)
     along = [float(place == axis) for place in range(6)]
     for share in (0.95, 1.05):
@@ -82,7 +82,7 @@ def pushed(axis: int, amount: float) -> Any:
     ],
     ids=["slides", "spins"],
 )
-def test_a_flotor_that_moves_is_not_taken_off(hand: Any, says: str) -> None:
+def test_a_moving_flotor_does_not_take_off(hand: Any, says: str) -> None:
     rig = Rig(hand=hand)
     with pytest.raises(PlantError, match=says) as caught:
         rig.plant.takeoff()
@@ -98,7 +98,7 @@ def test_a_flotor_that_moves_is_not_taken_off(hand: Any, says: str) -> None:
         ("stuck-diode", 0.0, "SENSOR_FROZEN: spots"),
     ],
 )
-def test_a_sensor_in_doubt_is_not_taken_off_with(kind: str, at: float, says: str) -> None:
+def test_a_sensor_alarm_prevents_takeoff(kind: str, at: float, says: str) -> None:
     rig = Rig(faults=[InjectedFault(kind=kind, which=1, at=at)])
     for _ in range(0 if at else 30):
         rig.plant.read()
@@ -108,7 +108,7 @@ def test_a_sensor_in_doubt_is_not_taken_off_with(kind: str, at: float, says: str
 
 
 @pytest.mark.parametrize("depth", [0.0, -0.0026])
-def test_a_flotor_that_does_not_lie_on_its_stop_is_not_taken_off(depth: float) -> None:
+def test_a_flotor_off_its_lower_stop_does_not_take_off(depth: float) -> None:
     rig = Rig(pose=(0.0, 0.0, depth, 0.0, 0.0, 0.0), hand=lambda *_: WEIGHT)
     with pytest.raises(PlantError, match=r"no takeoff: the flotor is at .*; it must lie on its lower stop"):
         rig.plant.takeoff()
@@ -122,7 +122,7 @@ def late_hand(wrench: Sequence[float], since: float) -> Any:
     return lambda tick, at, state: wrench if at > since else [0.0] * 6
 
 
-def test_a_landing_into_a_hand_says_so_and_disarms_all_the_same() -> None:
+def test_a_landing_into_a_hand_is_reported_and_disarms() -> None:
     rig = Rig(hand=late_hand([0.0, 0.0, 8.0, 0.0, 0.0, 0.0], 0.8))
     rig.plant.takeoff()
     rig.fly(0.2)
@@ -235,7 +235,7 @@ def test_takeoff_and_landing_have_the_default_envelope_and_the_own_speed() -> No
     assert wide.plant.land().at_rest
 
 
-def test_nothing_slow_is_made_between_arming_and_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_slow_work_between_arming_and_the_first_command(monkeypatch: pytest.MonkeyPatch) -> None:
     # The first command leaves at the first sample after ARM.
     rig, armed, sent = Rig(), list[int](), list[int]()
     line, control, command = rig.plant._connection, rig.plant._connection.control, rig.plant._connection.command
