@@ -29,7 +29,7 @@ HOST_DOWN = OSError(errno.EHOSTDOWN, "Host is down")
 
 
 class Failed(NamedTuple):
-    """Flight of which a coil has failed: its ends, the fault, and its file's folder, path and record."""
+    """Flight with a failed coil: both ends, the fault, and folder, path and record of its file."""
 
     rig: Rig
     error: DeviceFault
@@ -63,7 +63,7 @@ def test_a_file_of_last_cycles_holds_what_was_measured_and_when_it_was_answered(
     assert (record.tick, record.lost, record.skipped) == (rig.plant.samples.tick, 0, 0)
     measured, held = record.six("measured"), record.six("held")
     assert measured.shape == (200, 6) and (measured[-3:, 2] == 0.0).all() and (np.abs(held[-3:, 2]) > 1.0).all()
-    assert measured[1:-4] == pytest.approx(held[:-5], abs=1e-6)  # each sample measures the answer before
+    assert measured[1:-4] == pytest.approx(held[:-5], abs=1e-6)  # each sample measures the previous answer
     assert (np.diff(record.six("temperature")[:, 0]) > 0.0).all()
     assert record.values["delay"][5:-3] == pytest.approx(0.0015) and (record.values["latency"] >= 0.0).all()
     assert np.isfinite(record.six("pose")[:-1]).all() and np.diff(record.time) == pytest.approx(0.005)
@@ -173,7 +173,7 @@ def test_the_recording_of_a_flight_holds_what_the_file_of_its_fault_does(tmp_pat
     assert str(one.table(whole=True)) == str(other.table(whole=True)) and len(one.time) == 200
     assert one.message == "reported by the device" and one.faults == "COIL_NOT_FOLLOWING"
     assert all(np.array_equal(one.values[name], other.values[name], equal_nan=True) for name in other.values)
-    recording = Recording.load(run)  # which skips the cycles
+    recording = Recording.load(run)  # skips the cycles
     assert recording.ticks and not recording.damage
 
 
@@ -241,7 +241,7 @@ def test_the_fault_is_reported_whatever_fails_in_writing(
     monkeypatch.setattr(f"maglev_mj.bridge.fault.{name}", Mock(side_effect=ValueError("oh")))
     rig, error = flown(tmp_path)
     assert error.path is None and error.faults == Fault.COIL_NOT_FOLLOWING and rig.twin.firmware.state == State.FAULT
-    assert rig.plant.cycles.write(b"") is None  # as a guard asks for it that lands a flight
+    assert rig.plant.cycles.write(b"") is None  # as for an early landing
 
 
 def test_without_a_writable_folder_the_file_goes_to_the_temporary_one(

@@ -1,4 +1,4 @@
-"""Faults of device, line or host: zero currents, name, file.
+"""Faults of device, link or host: zero currents, name, file.
 
 Everything here is one process in virtual time: nothing depends on how fast the machine is.
 """
@@ -111,15 +111,15 @@ def test_a_hold_too_stiff_for_the_link_and_a_link_too_slow_fail_safe(line: Impai
 def test_a_blackout_longer_than_the_watchdog_latches_until_reset() -> None:
     rig = hovering(impairment=Impairment(blackouts=((0.3, 0.5),)))
     fails(rig, lambda: rig.fly(1.0), Fault.WATCHDOG)
-    for _ in range(40):  # it falls
+    for _ in range(40):  # falling
         rig.plant.read()
     assert rig.twin.pose[2] == pytest.approx(REST[2], abs=1e-5)
     rig.plant.reset()
     assert not rig.twin.firmware.faults
-    assert rig.currents() == [0.0] * 6  # a reset arms nothing
+    assert rig.currents() == [0.0] * 6  # reset does not arm
     fly(rig, 0.1)()
     rig.plant.land()
-    assert np.abs(rig.twin.pose - REST)[:3].max() < 1e-4  # where it fell, it lay a little askew
+    assert np.abs(rig.twin.pose - REST)[:3].max() < 1e-4  # slightly tilted after the fall
 
 
 @pytest.mark.parametrize(
@@ -146,10 +146,7 @@ def test_invalid_commands_are_refused(command: Command) -> None:
     assert [sample.tick for sample, _ in error.cycles] == list(range(31)) and error.cycles[-1][1] is command
 
 
-# what happens to a flotor that hovers or that a hand moves about, and what it is called
-
-
-# what happens to a flotor that hovers or that a hand moves about, and what it is called
+# injected faults while hovering or moved by a hand, and their names
 PLACES = range(6)
 SUFFERED: list[tuple[str, Iterable[int], bool, Fault]] = [
     ("dead-coil", (5, *PLACES), True, Fault.COIL_NOT_FOLLOWING),
@@ -184,7 +181,7 @@ def test_an_injected_fault_is_named(kind: str, which: int, moved: bool, fault: F
     options: dict[str, Any] = {"faults": [InjectedFault(kind=kind, which=which, at=at)], "hand": hand, "period": period}
     rig = Rig(**options) if moved else hovering(**options)
     error = fails(rig, fly(rig) if moved else lambda: rig.fly(1.0), fault)
-    assert rig.twin.firmware.faults & ~Fault.COIL_NOT_OFF == error.faults  # which a current that is NaN is too
+    assert rig.twin.firmware.faults & ~Fault.COIL_NOT_OFF == error.faults  # NaN current counts as not off
     last = error.cycles[-1][0].tick
     assert last >= rig.plant.samples.tick - 1 or kind == "silence"
     # those of the amplifiers and the firmware have other effects, and tests of the twin
@@ -192,19 +189,19 @@ def test_an_injected_fault_is_named(kind: str, which: int, moved: bool, fault: F
 
 
 def unheard(rig: Rig) -> None:
-    """Break the line: every later use is an error."""
+    """Break the link: every later use raises."""
     for way in ("send", "receive"):
         setattr(rig.link, way, Mock(side_effect=LinkError("the line is gone")))
 
 
 def disarmed(rig: Rig) -> None:
-    """Let the device switch its currents off by itself."""
+    """Make the device disarm by itself."""
     rig.twin.board.cut()
     rig.twin.firmware.state = State.INACTIVE
 
 
 def nonsense(rig: Rig) -> None:
-    """Let the device say a state that is none."""
+    """Make the device report an unknown state."""
     encode = rig.twin.firmware._codec.encode
 
     def changed(session: int, sequence: int, time: int, body: Any) -> bytes:
@@ -281,7 +278,7 @@ def test_a_clock_change_of_an_inactive_device_is_not_a_fault(jump: int) -> None:
 
 @pytest.mark.parametrize("seed", sweep(range(4), every=4))
 def test_a_sample_from_before_a_request_reports_an_outdated_state(seed: int) -> None:
-    # A sample that was on its way during a reset tells of the fault before it.
+    # A sample in transit during a reset still reports the fault.
     rig = Rig(replace(BAD, seed=seed))
     for _ in range(8):
         rig.plant.read()
@@ -306,7 +303,7 @@ def test_a_held_flotor_ends_the_takeoff() -> None:
 
 
 class Cold(ThermalModel):
-    """Coils that never warm."""
+    """Coils without warming."""
 
     def add(self, intervals: Any) -> float:
         return 0.0
@@ -352,7 +349,7 @@ def test_a_coil_with_6_A_trips_on_either_end(cold: Any, says: str, monkeypatch: 
 
 
 def test_the_host_models_currents_of_unanswered_samples() -> None:
-    # Where samples are lost the currents flow on, and so does the host's count of what warms the coils.
+    # Currents continue during lost samples, and so does the host's thermal model.
     rig = Rig(Impairment(loss=0.2, seed=1), hand=lambda *_: [0.0, 0.0, -10.0, 0.0, 0.0, 0.0], pose=CENTRE)
     rig.plant.arm()
     controller = Controller([*hover(0.005, BAD_REACH).laws, Bias([0.0, 0.0, 10.0, 0.0, 0.0, 0.0])], period=0.005)

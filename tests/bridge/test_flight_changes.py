@@ -1,4 +1,4 @@
-"""Settings changed in flight: judged in another process before they are in force."""
+"""Settings changed in flight: checked in another process before they take effect."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ GOOD, STIFF, SLOW = Joystick(stiffness=4000.0), Joystick(stiffness=60_000.0), Jo
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let a busy machine load the process for long."""
+    """Slow start of the process on a busy machine."""
     monkeypatch.setattr("maglev_mj.process.LONGEST_ANSWER", 600.0)
 
 
@@ -112,7 +112,7 @@ def test_a_late_answer_is_not_taken_for_the_next_request(monkeypatch: pytest.Mon
 
 
 class Judge:
-    """Judge in this process, with its answer after some looks."""
+    """Judge in this process; answers after some polls."""
 
     def __init__(self, report: LineReport, anyway: bool = False, looks: int = 5) -> None:
         self._how: dict[str, Any] = {"report": report, "anyway": anyway}
@@ -128,7 +128,7 @@ class Judge:
 
 
 class Wishes:
-    """Publisher of wishes, each after some looks of the flight; it keeps snapshots and answers."""
+    """Publisher of requests, each after some polls of the flight; stores snapshots and answers."""
 
     def __init__(self, wishes: Sequence[tuple[int, Scene]]) -> None:
         self._wishes, self._looks = dict(wishes), 0
@@ -157,7 +157,7 @@ Fly = Callable[..., tuple[Flight, Wishes, Any]]
 
 @pytest.fixture
 def fly(monkeypatch: pytest.MonkeyPatch) -> Fly:
-    """Return a function that flies a second with wishes."""
+    """Return a function that flies with requests."""
     monkeypatch.setattr("maglev_mj.session.snapshot.Due.__call__", lambda _: True)
 
     def run(*wishes: tuple[int, Scene], make: Callable[[LineReport], Any] = Judge) -> tuple[Flight, Wishes, Any]:
@@ -176,7 +176,7 @@ def test_settings_unstable_at_the_measured_delay_are_refused_as_before_takeoff(f
     says = "joystick is stable up to a loop delay of 1.40 ms, but 5 % of the answers exceed 2.00 ms"
     flown, asks, _ = fly((20, SLOW))
     assert [says in str(answer) for answer in asks.answers] == [True]
-    assert says in asks.snapshots[-1].notes[0]  # where a person sees it
+    assert says in asks.snapshots[-1].notes[0]  # shown to the user
     assert {one.scene for one in asks.snapshots} == {Joystick()}
     assert flown._delay_guard.limit == late_delay(0.0027, 0.005)
 
@@ -198,7 +198,7 @@ def test_anyway_flies_it_with_a_warning_and_twice_the_planned_delay(fly: Fly) ->
 
 
 def test_a_newer_request_replaces_a_pending_one(fly: Fly) -> None:
-    # A key that is held asks for the same again and again, which is judged once.
+    # A held key repeats its request, which is checked once.
     _, asks, judge = fly((20, STIFF), (22, GOOD), (24, GOOD), (25, GOOD))
     assert [scene.stiffness for scene, *_ in judge.asked] == [60_000.0, 4000.0]
     assert asks.answers[:-1] == [REPLACED] * 3 and isinstance(asks.answers[-1], int)
@@ -222,7 +222,7 @@ def test_without_an_answer_nothing_changes(fly: Fly) -> None:
 
 
 class Ends(Wishes):
-    """Wishes one after the other; the last answer lands."""
+    """Successive requests; the last answer lands."""
 
     def __init__(self, *wishes: Scene) -> None:
         super().__init__([])
@@ -233,7 +233,7 @@ class Ends(Wishes):
         if not self.snapshots or self._landing:
             return None
         if len(self.answers) < self._looks:
-            time.sleep(0.05)  # virtual time would run on, on a core that the process needs
+            time.sleep(0.05)  # leave the core to the process: virtual time would run ahead
             return None
         if not self._left:
             self._landing = True
@@ -244,7 +244,7 @@ class Ends(Wishes):
 
 
 class Here:
-    """Answers of this process, in place of one beside it; each at the second look."""
+    """Answers of this process instead of another; each at the second poll."""
 
     ended = False
 
@@ -272,7 +272,7 @@ def test_bridge_checks_settings_in_flight(
     monkeypatch.setattr(bridge, "SideAnswers", answers)
     asks = Ends(SLOW if anyway else STIFF, GOOD)
 
-    # in place of a window
+    # instead of a window
     monkeypatch.setattr(PageOptions, "front", lambda *_, **__: print)
     monkeypatch.setattr(bridge, "RemoteViewer", lambda blank, front, watch: asks)
     monkeypatch.setattr(bridge, "_opened", lambda *_: device())

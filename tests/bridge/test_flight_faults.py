@@ -57,13 +57,13 @@ class Witnessed:
         return frame
 
     def wait(self, time: int = ANALYSIS) -> None:
-        """Let time [ns] go by while the host is busy."""
+        """Advance time [ns] while the host is busy."""
         end = self.link.time + time
         while self.link.time < end:
             self.link.receive((end - self.link.time) * 1e-9)
 
     def break_law(self, at: int, error: BaseException) -> None:
-        """Let the controller raise from a sample on."""
+        """Make the controller raise from a sample on."""
         step, left = self.flight._controller.step, [at]
 
         def broken(sample: Sample) -> Any:
@@ -76,7 +76,7 @@ class Witnessed:
         self.flight._controller.step = broken  # type: ignore[method-assign]
 
     def forget(self) -> None:
-        """Keep the currents from here on."""
+        """Record the currents from here on."""
         self.intervals.clear()
         self.state.clear()
 
@@ -219,7 +219,7 @@ def test_the_command_reports_cause_and_remedy_in_one_line(
 
 
 def test_the_link_is_measured_with_the_flights_scheduling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a busy machine other scheduling made the line look twice as slow."""
+    """On a busy machine, other scheduling doubled the measured latency."""
     inside: list[str] = []
     measured: list[list[str]] = []
 

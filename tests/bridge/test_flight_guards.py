@@ -37,7 +37,7 @@ def studies(*cases: tuple[Any, ...]) -> list[Any]:
     return [pytest.param(*case, marks=pytest.mark.study) for case in cases]
 
 
-# what a scene bears
+# critical delay
 
 
 @pytest.mark.parametrize(("name", "period"), sweep(FLOWN, [0.005, 0.001], every=5))
@@ -69,7 +69,7 @@ def test_a_law_that_states_no_gains_has_the_margin_of_one_that_does(hand: str) -
 
 
 class Jumping(AxisLaw):
-    """Law whose force jumps wherever the flotor rests, so that nothing is known of it."""
+    """Law with a discontinuous force at rest, so that no margin is computed."""
 
     def force(self, x: Any, v: Any, gains: Any, state: Any) -> Any:
         return -1000.0 * x - 2.0 * np.sign(v)
@@ -156,7 +156,7 @@ def test_weak_vibration_is_detected_and_a_ringing_tap_is_not() -> None:
 
 @pytest.mark.parametrize("period", [0.005, 0.001])
 def test_energy_is_force_times_path_over_the_last_second(period: float) -> None:
-    """10 N along 4 mm give 40 mJ; once more within the second, too much."""
+    """10 N along 4 mm are 40 mJ; twice within a second exceeds the limit."""
     guard = PowerGuard(period)
 
     def push(sense: float, pause: float) -> list[str]:
@@ -218,7 +218,7 @@ def test_a_slow_link_lands_the_flotor(name: str, rate: int, hand: str, shape: st
 
 
 def test_a_loop_near_its_critical_delay_does_not_keep_ringing_after_a_tap(tmp_path: Path) -> None:
-    """Six axes bear 11.6 ms at 200 Hz; at 11.5 a tap made 0.63 m/s."""
+    """Six-axes is stable up to 11.6 ms at 200 Hz; at 11.5 ms a tap reached 0.63 m/s."""
     flown = fly("six-axes", hand="tap", delay=delayed("step", 0.005, 2.4), folder=tmp_path)
     assert "delays above" in flown.outcome
     assert flown.speeds(2.4).max() < 0.45 and (flown.speeds(2.4) > 0.30).sum() / 200 < 0.05
@@ -226,7 +226,7 @@ def test_a_loop_near_its_critical_delay_does_not_keep_ringing_after_a_tap(tmp_pa
 
 @pytest.mark.study
 def test_laws_without_a_computed_margin_are_guarded_too(tmp_path: Path) -> None:
-    """Six axes at 1 kHz bear up to 10 ms, the most looked at, not 15.5."""
+    """Six-axes at 1 kHz: margins are computed up to 10 ms; 15.5 ms is late."""
     delay = delayed("step", 0.007, 1.2)
     flown = fly("six-axes", rate=1000, delay=delay, limits=Limits(stale=0.02), folder=tmp_path, seconds=0.3)
     assert "8 of the last 16" in flown.outcome and flown.speeds(1.2).max() < 0.05
@@ -274,7 +274,7 @@ def test_the_hands_force_is_estimated(name: str, hand: str, rate: int, tmp_path:
     assert known.any() and (states[known] > 0.5).all()
 
 
-# the coils, tried in takeoff
+# coil check in takeoff
 
 
 def weakened(coil: int, share: float) -> Calibration:
@@ -287,7 +287,7 @@ def weakened(coil: int, share: float) -> Calibration:
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("coil", [5, *studies(*((coil,) for coil in range(5)))])
 def test_a_coil_unlike_its_calibration_is_named_in_takeoff(coil: int, rate: int, tmp_path: Path) -> None:
-    """Weak by a tenth it lands again; dead or reversed it is often lost sooner."""
+    """10 % weak: landed; dead or reversed: often NOT_FOLLOWING before."""
     for share, seed in ((0.9, coil), (0.01, coil + 6), (-1.0, coil + 12)):
         flown = fly("joystick", rate=rate, truth=weakened(coil, share), seed=seed, folder=tmp_path)
         gain = re.fullmatch(
@@ -303,7 +303,7 @@ def test_a_coil_unlike_its_calibration_is_named_in_takeoff(coil: int, rate: int,
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize(("seed", "heavier"), [(0, True), *studies(*product(range(1, 5), [False, True]))])
 def test_good_coils_are_not_refused(rate: int, seed: int, heavier: bool, tmp_path: Path) -> None:
-    """Nor is a weight of 35 g on the handle, which all coils seem to share."""
+    """Nor with 35 g on the handle, which look like a common gain of all coils."""
     known = Calibration.nominal()
     truth = replace(known, mass=1.05 * known.mass) if heavier else None
     assert fly("table", rate=rate, seed=seed, truth=truth, seconds=0.1, folder=tmp_path).outcome == "landed"
@@ -324,11 +324,11 @@ def test_lost_frames_are_not_mistaken_for_a_coil_fault(tmp_path: Path) -> None:
 
 def test_an_overflow_of_unread_samples_restarts_the_estimate() -> None:
     calibration = Calibration.nominal()
-    observer = HandObserver(calibration, 0.0001)  # a low pass that remembers more than is kept
+    observer = HandObserver(calibration, 0.0001)  # low-pass memory longer than the buffer
     for tick in range(120):
         observer.sampled(tick, 1, [1e-4 * (tick < 36) * (-1) ** tick] * 6, tick - 1, 0.00005)
         observer.answered(tick, Command([0.0] * 6), [0.0] * 6, None, 0.0)
         if tick == 35:
             assert max(map(abs, observer.wrench)) > 1.0
-    weight = [*(-calibration.mass * calibration.gravity), 0.0, 0.0, 0.0]  # held by a hand alone
+    weight = [*(-calibration.mass * calibration.gravity), 0.0, 0.0, 0.0]  # carried by the hand only
     assert observer.wrench == pytest.approx(weight, abs=1e-9)

@@ -28,7 +28,7 @@ KEY = b"0123456789abcdef"
 
 
 class Doctored(VirtualLink):
-    """Wire that changes the device's answers.
+    """Link that changes the device's answers.
 
     Args:
         twin: The device.
@@ -137,7 +137,7 @@ def test_limits_too_low_for_hovering_are_refused_at_once() -> None:
     link = Doctored(twin)
     with pytest.raises(ParameterError, match=r"max_current must be at least 1.43 A, not 1: hovering needs 1.14 A"):
         RemotePlant(link, limits=HostLimits(max_current=1.0))
-    assert link.closed == 1 and link.time == 0  # before a word was said
+    assert link.closed == 1 and link.time == 0  # before any frame was sent
 
 
 @pytest.mark.parametrize("kind", [KeyboardInterrupt, ValueError, OverflowError, ZeroDivisionError, LinkError])
@@ -171,7 +171,7 @@ def foreign() -> bytes:
 
 
 class Disturbed(Doctored):
-    """Wire with a foreign frame before each of the device's."""
+    """Link with a foreign frame before each frame of the device."""
 
     def __init__(self, twin: Twin, key: bytes | None, mute: bool = False) -> None:
         super().__init__(twin, key=key)
@@ -242,7 +242,7 @@ def test_samples_left_out_during_a_request_count_as_skipped() -> None:
     plant.read()
 
     def late(body: Any) -> Any:
-        """Let the device's answer wait for five samples."""
+        """Delay the device's answer by five samples."""
         if isinstance(body, StateReport):
             waiting.append(None)
             return body

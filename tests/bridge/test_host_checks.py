@@ -1,4 +1,4 @@
-"""Checks by the host of unreported device errors."""
+"""Host guards: device errors that the device does not report."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.bridge.test_bridge import CENTRE, Rig
 
 
 def doctored(rig: Rig, change: Callable[[StateReport], StateReport]) -> None:
-    """Change the device's report at each sample from now on.
+    """Change the device's reports from now on.
 
     The device itself believes it sound.
     """
@@ -44,13 +44,13 @@ def put(name: str, place: int, value: float) -> Callable[[StateReport], StateRep
 
 
 def far(rig: Rig) -> None:
-    """Put the flotor out of its envelope, by the host's pose alone."""
+    """Move the flotor out of its envelope in the host's pose only."""
     track = rig.plant._track
     rig.plant._track = lambda spots: [0.006, *track(spots)[1:]]  # type: ignore[assignment]
 
 
 def no_pose(rig: Rig) -> None:
-    """Find no pose from now on."""
+    """Make pose measurement fail from now on."""
 
     def none(spots: Any) -> Any:
         raise SensingError("no pose was found")
@@ -64,12 +64,12 @@ def out_of_step(rig: Rig) -> None:
 
 
 def warm(rig: Rig) -> None:
-    """Let the host's model have a coil at its limit."""
+    """Put a coil of the host's thermal model at its limit."""
     rig.plant._output.thermal.rises[3] = 1.01
 
 
 def reported(change: Callable[[StateReport], StateReport]) -> Callable[[Rig], None]:
-    """Return what changes the device's reports."""
+    """Return a function that changes the device's reports."""
     return lambda rig: doctored(rig, change)
 
 
@@ -87,7 +87,7 @@ GUARDED: list[tuple[Callable[[Rig], None], str]] = [
     (out_of_step, "CLOCK: "),
     (warm, "COIL_OVERTEMP: coil 3 reached its temperature limit"),
 ]
-"""For each guard, in their order: what it finds, and its message."""
+"""For each guard, in order: the injected error, and its message."""
 
 
 @pytest.mark.parametrize("index", range(len(Rig().plant.guards)))
@@ -108,7 +108,7 @@ def test_each_guard_detects_its_fault_and_no_other_guard_does(index: int) -> Non
         except (DeviceFault, SensingError) as caught:
             error = str(caught)
         assert error.startswith(message) == guarded and "\n" not in error, error
-        if guarded:  # which cuts the currents at once
+        if guarded:  # cuts the currents at once
             faults = rig.twin.firmware.faults
             assert error.startswith(f"{fault_names(faults)}: ") and rig.twin.firmware.state == State.FAULT
             assert rig.plant.samples.tick - tick <= 4
@@ -136,7 +136,7 @@ def test_lost_samples_do_not_count_as_speed(missed: int) -> None:
     [
         ([{"flags": 0}] * 2, "^HOST: amplifiers not ENABLED, but the device has not cut the currents"),
         ([{"flags": 0}, {}, {"flags": 0}], ""),
-        ([{"flags": 0, "state": State.INACTIVE}] * 2, ""),  # late ones, from before arming
+        ([{"flags": 0, "state": State.INACTIVE}] * 2, ""),  # late samples, from before arming
         ([{"faults": 1024}], "^HOST: the device reports state ACTIVE with faults CLOCK"),
         ([{"state": State.FAULT}], "^HOST: the device reports state FAULT with faults none"),
         ([{}, {"flags": Flag.HOLDING | Flag.ENABLED}], "^HOST: the device reports HOLDING, but its newest"),
@@ -174,7 +174,7 @@ def test_a_sample_from_before_a_stop_does_not_undo_it(monkeypatch: pytest.Monkey
     monkeypatch.setattr(rig.link, "receive", no_samples)
     rig.plant.estop()
     monkeypatch.undo()
-    rig.plant._armed = False  # nobody flies: no fault is due
+    rig.plant._armed = False  # not in flight: no fault expected
     rig.link._arrived[:] = [stale]
     for _ in range(3):
         rig.plant.read()

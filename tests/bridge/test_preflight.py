@@ -1,4 +1,4 @@
-"""Check before takeoff: the measured line, what a scene bears, and what is refused."""
+"""Preflight check: measured latency, critical delay, refusals."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Own(Scene):
 
 
 class Clock(VirtualLink):
-    """Link whose clock goes faster than the device's."""
+    """Link with a clock faster than the device's."""
 
     rate = 1.0
 
@@ -84,7 +84,7 @@ def test_late_answers_are_counted_and_an_active_device_is_not_measured(tmp_path:
     with device(tmp_path, 0.012) as plant:
         assert measure_line(plant, 0.3).success == 0.0  # the device reports none of them
     with device(tmp_path, 0.006) as plant:
-        plant.limits = replace(plant.limits, stale=0.01)  # one that reports them all the same
+        plant.limits = replace(plant.limits, stale=0.01)  # still reports them
         report = measure_line(plant, 0.3)
         assert report.late >= 0.9 * report.samples and report.success < 0.1
         plant.arm()

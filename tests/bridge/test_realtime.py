@@ -40,8 +40,8 @@ def state() -> State:
 
 @pytest.fixture
 def unchanged(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setattr(gc, "collect", partial(gc.collect, 0))  # of all that a worker holds it takes long
-    gc.unfreeze()  # what the worker has frozen, so that a loop thaws what it froze
+    monkeypatch.setattr(gc, "collect", partial(gc.collect, 0))  # slow in a worker with many objects
+    gc.unfreeze()  # undo the worker's freeze, so that the loop unfreezes its own
     before = state()
     yield
     assert state() == before
@@ -191,7 +191,7 @@ def test_clock_drift_does_not_count_as_age() -> None:
 
 
 def test_the_delay_of_late_answers_is_measured_too(tmp_path: Path) -> None:
-    # On a line of 4 ms each way at 200 Hz no answer is there before the next sample.
+    # With 4 ms each way at 200 Hz no answer arrives before the next sample.
     twin = Twin(TwinParameters(), draw=lambda: 7)
     file = open_recording(tmp_path / "run.maglev")
     with RemotePlant(VirtualLink(twin, ImpairedLine(Impairment(delay=0.004, jitter=0.0005)))) as plant:
@@ -218,5 +218,5 @@ def test_each_answer_is_measured_once_and_samples_are_missed_from_takeoff_on() -
         flown = Flight(plant, Table(period=plant.period, delay=plant.delay, friction=False))
         report = flown.run(1.0)
         assert 0 < before < plant.samples.lost and 0 < report.lost <= plant.samples.lost - before
-        # an answer that is lost leaves the one before in force, which has been measured
+        # after a lost answer the previous one stays in force: already measured
         assert 0.6 < flown.timing.delay.count / flown.timing.answer.count < 0.95

@@ -1,4 +1,4 @@
-"""Guards and limits one by one: detected and passed values."""
+"""Each guard and limit: values that trip and values that pass."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NAN, INF = math.nan, math.inf
 
 
 def moved(axis: int, amount: float, base: tuple[float, ...] = (0.0,) * 6) -> tuple[float, ...]:
-    """Return six numbers of which one is another."""
+    """Return six equal numbers, one replaced."""
     return tuple(amount if place == axis else value for place, value in enumerate(base))
 
 
@@ -99,7 +99,7 @@ def test_a_frozen_diode_is_detected_independently_of_the_others(diodes: tuple[in
         found.append(guard.check(spots, 7, tick, 1))
     assert found == [NONE] * 4 + [Fault.SENSOR_FROZEN] * 4
     guard = watched(Limits(frozen=5))
-    for tick in range(1, 30):  # one coordinate of each that lives is enough, and one reading that differs in four
+    for tick in range(1, 30):  # one changing coordinate per diode suffices
         spots = tuple(one + 1e-6 * (tick % 5 == 0) * (place % 2) for place, one in enumerate(SPOTS))
         assert guard.check(spots, 7, tick, 1) == NONE
     guard = watched(Limits(frozen=0))
@@ -118,7 +118,7 @@ def test_a_stopped_conversion_counter_is_detected_and_a_wrapping_one_is_not() ->
 def test_implausible_currents_and_temperatures_are_detected(place: int) -> None:
     limits, ones, cool = Limits(current_limit=2.0), (1.0,) * 6, (0.1,) * 6
     assert reading_fault(limits, ones, cool) == NONE
-    assert reading_fault(limits, (2.9,) * 6, (1.9,) * 6) == NONE  # however large together
+    assert reading_fault(limits, (2.9,) * 6, (1.9,) * 6) == NONE  # whatever their sum
     for wrong in (NAN, INF, -INF, 3.01, -3.01):
         assert reading_fault(limits, moved(place, wrong, ones), cool) == Fault.COIL_OVERCURRENT
     for right in (2.99, -2.99):
@@ -169,7 +169,7 @@ def test_pulses_warm_the_coils_for_any_width_and_number_of_missed_periods(width:
         expected = heated((min(width, length), 8.0), (max(length - width, 0.0), 1.0))
         assert once.thermal.warmest == pytest.approx(expected, rel=1e-9)
         assert each.thermal.warmest == pytest.approx(expected, rel=1e-9)
-        once.add_periods(missed, [2.0] * 6)  # of other currents, which end it
+        once.add_periods(missed, [2.0] * 6)  # other currents end the pulse
         cooler = 4.0 / 9.0 + (expected - 4.0 / 9.0) * math.exp(-missed * PERIOD / 10.0)
         assert once.thermal.warmest == pytest.approx(cooler, rel=1e-9)
 

@@ -31,7 +31,7 @@ def still(rig: Rig) -> Motion:
 
 
 NOISES = {4e-7: 100.0, 5e-6: 20.0, 5e-5: 2.0}
-"""Noise of the spots [m], and how many times below the limits it has to look."""
+"""Spot noise [m], and required factor of the apparent speed below the limits."""
 FASTEST = [pytest.param(noise, RATES[2], marks=pytest.mark.study) for noise in (4e-7, 5e-6)]  # more is overspeed
 
 
@@ -47,7 +47,7 @@ def test_a_flotor_at_rest_is_detected_with_any_noise(noise: float, period: float
 
 
 def watched(period: float, pose: Any) -> Motion:
-    """Return the motion of a pose given over time."""
+    """Return the motion of a pose as a function of time."""
     motion = Motion(period)
     for tick in range(5000):
         if motion.full:
@@ -114,7 +114,7 @@ def test_a_flotor_off_its_lower_stop_does_not_take_off(depth: float) -> None:
         rig.plant.takeoff()
     assert rig.twin.firmware.state == State.INACTIVE
     rig = Rig(pose=(0.0, 0.0, -0.0028, 0.0, 0.0, 0.0), hand=lambda tick, at, state: WEIGHT if at < 0.11 else [0.0] * 6)
-    rig.plant.takeoff()  # a stop that is higher than the model's
+    rig.plant.takeoff()  # a higher stop than the model's
 
 
 def late_hand(wrench: Sequence[float], since: float) -> Any:
@@ -139,7 +139,7 @@ def test_a_landing_into_a_hand_is_reported_and_disarms() -> None:
 
 
 def test_a_landing_waits_for_rest_before_it_disarms() -> None:
-    # A torque to and fro that ends 0.1 s after the path's end.
+    # An oscillating torque that ends 0.1 s after the path's end.
     rig = Rig(hand=lambda tick, at, state: [1.5 * math.sin(60.0 * at) * (0.9 < at < 1.6), *[0.0] * 5])
     rig.plant.takeoff()
     rig.fly(0.2)
@@ -205,7 +205,7 @@ def test_beyond_its_own_envelope_in_flight_it_is_a_fault() -> None:
     assert 0.003 <= rig.poses[-1, 0] < 0.0035
     rig = Rig(pose=(0.0, 0.0, -0.0035, 0.0, 0.0, 0.0), host={"limits": FIRST_HOVER})
     rig.plant.read()
-    rig.plant.arm()  # that is flight too
+    rig.plant.arm()  # counts as flight
     with pytest.raises(DeviceFault, match="BOUNDARY"):
         rig.plant.read()
 
@@ -256,4 +256,4 @@ def test_no_slow_work_between_arming_and_the_first_command(monkeypatch: pytest.M
     line.control, line.command = asked, told  # type: ignore[method-assign, assignment]
     rig.plant.takeoff()
     assert sent[0] - armed[0] <= 1
-    assert rig.twin.firmware.counts["inactive"] >= 2  # dry cycles went before
+    assert rig.twin.firmware.counts["inactive"] >= 2  # after warm-up cycles
