@@ -1,9 +1,7 @@
-"""Sampled controller: laws, the time line of commands, and the loop that drives a plant.
+"""Sampled controller: control laws, command timeline and control loop.
 
-Laws are pure functions with frozen parameters.
-
-A law takes a state and returns the next one; the same code serves one device and N devices. It acts on some of the six
-axes: the controller hands it the position and velocity components of all six, and each law adds its force to the same
+Laws are pure functions with frozen parameters: they take a state and return the next one. The same code serves one
+device and a batch of N. Each law receives position and velocity on all six axes and adds its force to the common
 wrench.
 """
 

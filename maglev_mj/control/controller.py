@@ -1,6 +1,6 @@
-"""Sampled controller: velocity estimate, laws, sum, command; and the check of a user's law.
+"""Sampled controller, and the check of a user-defined law.
 
-It is independent of engine, sockets and clock.
+A tick: velocity estimate, laws, sum, command. Independent of engine, sockets and clock.
 """
 
 from __future__ import annotations
@@ -22,18 +22,16 @@ _Calls: TypeAlias = tuple[tuple[int, Callable[..., Any]], ...]
 
 
 class Controller:
-    """Sum of laws, evaluated once per sample.
-
-    It serves one device or a batch of any shape.
+    """Evaluate a sum of laws once per sample, for one device or a batch of any shape.
 
     Args:
-        laws: The laws; their wrenches add up. Each is a `Law` or a function f(position, velocity) with six wrench
-            components as its result. Laws with pulses must share one pulse width, because a command has only one.
+        laws: Laws whose wrenches are summed: `Law` objects, or functions f(position, velocity) that return six wrench
+            components. Laws with pulses must share one pulse width, because a command has only one.
         period: Sample period [s].
         velocity: Velocity estimator; the paper's finite difference by default.
 
     Attributes:
-        laws: The laws, in the given order.
+        laws: The laws, in order.
         velocity: The velocity estimator.
 
     Raises:
@@ -69,43 +67,34 @@ class Controller:
         self.reset()
 
     def reset(self) -> None:
-        """Reset all states, as before the first sample."""
+        """Reset all states to those before the first sample."""
         self._states: list[Any] = [law.start() for law in self.laws]
         self._velocity_state: Any = None
         self._tick: int | None = None
 
     @property
     def begun(self) -> bool:
-        """True once a sample was answered."""
+        """True after the first sample."""
         return self._tick is not None
 
     @property
     def states(self) -> tuple[Any, ...]:
-        """State of each law after the last sample.
-
-        In the given order.
-        """
+        """State of each law after the last sample, in the order of `laws`."""
         return tuple(self._states)
 
     @property
     def faces(self) -> tuple[Face, ...]:
-        """Every plane of a wall: index into AXES, normal, edge."""
+        """Wall planes of all laws: index into AXES, normal, edge."""
         return tuple(face for law in self.laws for face in law.faces())
 
     @property
     def carried(self) -> Array:
-        """Constant weight-bearing wrench [N, N m], (..., 6).
-
-        It renders nothing.
-        """
+        """Weight compensation [N, N m], (..., 6): constant, and not part of the rendered environment."""
         return sum((law.carried() for law in self.laws), np.zeros(len(AXES)))
 
     @property
     def stick_positions(self) -> Array | None:
-        """Stick positions [m, rad], (6,).
-
-        NaN for a sliding axis; None without friction.
-        """
+        """Stick positions [m, rad], (6,): NaN for a sliding axis; None without friction."""
         stuck: dict[int, float] = {}
         for law, state in zip(self.laws, self._states):
             stuck |= law.stick_positions(state)
@@ -113,20 +102,17 @@ class Controller:
 
     @property
     def signals(self) -> dict[str, Sequence[Component]]:
-        """Quantities of the laws' states, by name.
-
-        One for each axis of a law; see `Law.signals`.
-        """
+        """State quantities of all laws by name, one value per axis of the law; see `Law.signals`."""
         each = (law.signals(state) for law, state in zip(self.laws, self._states))
         return {name: value for signals in each for name, value in signals.items()}
 
     def step(self, sample: Sample) -> Command:
-        """Answer one sample.
+        """Return the command for one sample.
 
         Raises:
-            ParameterError: If the first sample after a reset does not fit the laws' parameters or a law answers it
-                wrongly, or a later sample does not follow the one before: then it belongs to another run, and the
-                controller needs a reset.
+            ParameterError: If the first sample after a reset does not match the batch shape of the laws, if a law
+                returns an invalid result for it, or if the tick of a later sample does not increase, as in a new run
+                without `reset()`.
         """
         position, tick, last, calls = sample.position, sample.tick, self._tick, self._calls
         if last is None:
@@ -135,33 +121,30 @@ class Controller:
             calls = self._first_calls
         if tick <= last:
             raise ParameterError(
-                f"a sample's tick must be above {last}, that of the sample before, not {tick}; call reset() before a "
-                "controller answers another run"
+                f"sample tick must be above the previous tick {last}, not {tick}; call reset() before a new run"
             )
-        # a lost sample leaves a gap, over which the flotor moved
+        # more than one period after a lost sample
         time, self._tick = (tick - last) * self.period, tick
         velocity, self._velocity_state = self._estimate(position, self._velocity_state, time)
         wrench: list[Component] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
         pulse: Six | None = None
         states = self._states
-        for place, law in calls:
-            states[place], extra = law(position, velocity, states[place], wrench)
+        for index, law in calls:
+            states[index], extra = law(position, velocity, states[index], wrench)
             if extra is not None:
-                pulse = extra if pulse is None else [one + other for one, other in zip(pulse, extra)]
+                pulse = extra if pulse is None else [first + second for first, second in zip(pulse, extra)]
         return Command(wrench) if pulse is None else Command(wrench, pulse, self._pulse_width)
 
     def at_rest(self, position: Six) -> Command:
-        """Return the answer to a flotor at rest.
-
-        The states do not change.
+        """Return the command for a flotor at rest, without a change of state.
 
         Raises:
             ParameterError: As for `step` at the first sample.
         """
-        rest = copy(self)
-        rest._states, rest._tick = list(self._states), None if self._tick is None else -1
-        rest._estimate = lambda position, state, period: (ZERO, state)
-        return rest.step(Sample(0, 0.0, position))
+        static = copy(self)
+        static._states, static._tick = list(self._states), None if self._tick is None else -1
+        static._estimate = lambda position, state, period: (ZERO, state)
+        return static.step(Sample(0, 0.0, position))
 
     def _check(self, position: Six) -> None:
         if len(position) != len(AXES):
@@ -177,58 +160,58 @@ _REACH = np.array([4e-3] * 3 + [0.09] * 3)
 
 
 def check_law(law: Law | Callable[..., Any]) -> None:
-    """Check a law along random trajectories of seven devices.
-
-    The trajectories are seeded and cover the motion range.
+    """Check a law along seeded random trajectories of seven devices over the range of motion.
 
     Args:
-        law: The law, or a function f(position, velocity), for one device.
+        law: A law, or a function f(position, velocity), for one device.
 
     Raises:
-        ParameterError: If an answer has a wrong shape or is not finite, the law changes its input, a repeated call
-            gives another answer, one device and a batch differ in a bit, or the wrench is zero at every sample.
+        ParameterError: If a result has the wrong shape or is not finite, the law modifies its input, a repeated call
+            returns a different result, one device and a batch are not bit-identical, or the wrench is always zero.
 
     Example:
         >>> from maglev_mj import Hold
         >>> check_law(Hold(axes="z", stiffness=3000.0, damping=50.0))
     """
-    one = as_law(law)
-    name = f"law {getattr(one, 'name', type(one).__name__)}"
-    if one.batch:
-        raise ParameterError(f"{name} must be of one device to be checked, not of shape {one.batch}")
+    checked = as_law(law)
+    name = f"law {getattr(checked, 'name', type(checked).__name__)}"
+    if checked.batch:
+        raise ParameterError(f"{name} must have scalar gains to be checked, not batch shape {checked.batch}")
     random = np.random.default_rng(0)
     phase, rate = random.uniform(0.0, 6.3, (2, _DEVICES, 6))
     paths = [_REACH * np.sin(phase + 0.1 * rate * tick) for tick in range(_SAMPLES)]
-    single = np.stack([_answers(one, name, [path[device] for path in paths]) for device in range(_DEVICES)], axis=1)
+    single = np.stack(
+        [_wrenches(checked, name, [path[device] for path in paths]) for device in range(_DEVICES)], axis=1
+    )
     try:
-        batch = _answers(one, name, paths)
+        batch = _wrenches(checked, name, paths)
     except MaglevError as error:
-        raise ParameterError(f"{name} must take N devices as arrays: {error}") from None
+        raise ParameterError(f"{name} does not work on arrays of N devices: {error}") from None
     if not single.any():
         raise ParameterError(
-            f"{name} must add to the wrench it is given, as in wrench[0] = wrench[0] + ..., not nothing"
+            f"{name} has zero wrench at every sample: add to the `wrench` argument, as in wrench[0] = wrench[0] + ..."
         )
     if len(wrong := np.argwhere(single != batch)):
         tick, device, part = wrong[0]
         raise ParameterError(
-            f"{name} must give one device and a batch the same bits: on {(AXES * 2)[part]}, at sample {tick}, it gives "
-            f"{float(single[tick, device, part])!r} and {float(batch[tick, device, part])!r}"
+            f"{name} must be bit-identical for one device and a batch: {(AXES * 2)[part]} at sample {tick} is "
+            f"{float(single[tick, device, part])!r} for one device, {float(batch[tick, device, part])!r} in a batch"
         )
 
 
-def _answers(law: Law, name: str, poses: Sequence[Array]) -> Array:
+def _wrenches(law: Law, name: str, poses: Sequence[Array]) -> Array:
     """Return wrench and pulse at each sample, (M, ..., 12)."""
-    estimate, state, seen, rows = FiniteDifference(), law.start(), None, []
+    estimate, state, estimator_state, rows = FiniteDifference(), law.start(), None, []
     for pose in poses:
         position = components(pose)
-        velocity, seen = estimate(position, seen, _PERIOD)
-        first, again = (_row(law, position, velocity, state, pose.shape) for _ in range(2))
-        if not np.array_equal(first[1], again[1]):
+        velocity, estimator_state = estimate(position, estimator_state, _PERIOD)
+        first, second = (_row(law, position, velocity, state, pose.shape) for _ in range(2))
+        if not np.array_equal(first[1], second[1]):
             raise ParameterError(
-                f"{name} must answer the same state and sample alike each time: it keeps or changes a state"
+                f"{name} is not a pure function: two calls with the same state and sample return different wrenches"
             )
-        state = again[0]
-        rows.append(again[1])
+        state = second[0]
+        rows.append(second[1])
     return np.array(rows)
 
 

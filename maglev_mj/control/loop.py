@@ -1,4 +1,4 @@
-"""Control loop for any plant: read, control, write."""
+"""Control loop of any plant and controller: read, compute, write."""
 
 from __future__ import annotations
 
@@ -12,13 +12,10 @@ from maglev_mj.errors import MaglevError, ParameterError, one_line
 from maglev_mj.frames import Command, Sample
 from maglev_mj.parameters import whole
 
-_KEPT = 50  # more of them leave the fastest cache: 200 cost 4 % of the loop
+_HISTORY = 50  # cycles reported with an error; 200 would exceed the L1 cache and cost 4 % of the loop
 
 Record: TypeAlias = Callable[[Sample, Command, Command], object]
-"""Function of a sample, its answer, and the applied command.
-
-The applied command is zero if the plant refused the answer.
-"""
+"""Function of a sample, the controller's command and the applied command (zero if the plant rejected it)."""
 
 
 class Plant(Protocol):
@@ -32,16 +29,10 @@ class Plant(Protocol):
         """Wait for the next sampling instant and return its measurement."""
 
     def write(self, command: Command) -> Command:
-        """Send the answer to the last sample.
-
-        Returns the command as applied, after every limit.
-        """
+        """Send the command for the last sample; return the command as applied, after all limits."""
 
     def close(self) -> None:
-        """Release the plant.
-
-        Safe at any time, and more than once.
-        """
+        """Release the plant; may be called at any time and repeatedly."""
 
 
 class Answers(Protocol):
@@ -52,19 +43,17 @@ class Answers(Protocol):
         """Sample period [s]."""
 
     def step(self, sample: Sample) -> Command:
-        """Answer one sample."""
+        """Return the command for one sample."""
 
 
 class ControlLoop:
     """Control loop of a plant and a controller.
 
-    It reads, controls and writes, for a number of samples at a time.
-
     Args:
-        plant: Any plant; it is left open.
-        controller: Any controller; it is not reset.
-        observe: Function called with each sample and the command as applied.
-        record: Function that records each cycle.
+        plant: Any plant; stays open.
+        controller: Any controller; is not reset.
+        observe: Callback for each sample and the command as applied.
+        record: Callback that records each cycle.
 
     Raises:
         ParameterError: If the periods differ, or plant and controller are swapped.
@@ -80,23 +69,26 @@ class ControlLoop:
     ) -> None:
         for name, part, method in (("plant", plant, "read"), ("controller", controller, "step")):
             if isinstance(part, type) or not hasattr(part, method):
-                raise ParameterError(f"{name} must have {method}(), not be {one_line(part)}")
+                raise ParameterError(f"{name} must have a method {method}(), not {one_line(part)}")
         for name, function in (("observe", observe), ("record", record)):
             if not (function is None or callable(function)):
-                raise ParameterError(f"{name} must be a function, as open_recording(FILE).begin(plant, controller) is")
+                raise ParameterError(
+                    f"{name} must be a function, such as open_recording(FILE).begin(plant, controller)"
+                )
         if controller.period != plant.period:
             raise ParameterError(
-                f"period must be the plant's {plant.period:g} in the controller, not {controller.period:g}"
+                f"controller period must equal the plant's {plant.period:g} s, not {controller.period:g} s"
             )
         self._plant, self._controller, self._observe, self._record = plant, controller, observe, record
-        self._cycles: deque[tuple[Sample, Command]] = deque(maxlen=_KEPT)
+        self._cycles: deque[tuple[Sample, Command]] = deque(maxlen=_HISTORY)
 
     def cycle(self, count: int = 1) -> None:
-        """Answer a number of samples.
+        """Run `count` cycles.
+
+        After any exception the plant is commanded to zero, or closed if that fails too.
 
         Raises:
-            MaglevError: If a cycle fails; `cycles` holds the last ones. The plant was commanded zero before, or closed
-                if that failed too. The same holds for any other exception.
+            MaglevError: If a cycle fails; its attribute `cycles` holds the last cycles.
         """
         sample = command = None
         plant, observe, record = self._plant, self._observe, self._record
@@ -117,7 +109,7 @@ class ControlLoop:
             raise
 
     def finish(self) -> Sample:
-        """Return the sample that closes the last period.
+        """Return the sample at the end of the last period.
 
         Raises:
             MaglevError: As `cycle`.
@@ -129,15 +121,15 @@ class ControlLoop:
             raise
 
     def _stop(self, error: BaseException, sample: Sample | None, command: Command | None) -> None:
-        """Release the plant, and add the cycles to the error."""
+        """Command zero, or close the plant if that fails; attach the last cycles to the error."""
         try:
             self._plant.write(Command([0.0] * 6))
-        except Exception:  # errors here are dropped, so that the original one is reported
+        except Exception:  # suppressed: the original error is the one to report
             with suppress(Exception):
                 self._plant.close()
         cycles = self._cycles
         if sample is not None and command is not None and (not cycles or cycles[-1][0] is not sample):
-            cycles.append((sample, command))  # the refused answer
+            cycles.append((sample, command))  # the rejected command
             if self._record is not None:
                 self._record(sample, command, Command([0.0] * 6))
         if isinstance(error, MaglevError):
@@ -152,19 +144,17 @@ def drive(
     observe: Callable[[Sample, Command], object] | None = None,
     record: Record | None = None,
 ) -> Sample:
-    """Run the control loop for a number of samples.
-
-    One more sample is read at the end.
+    """Run the control loop for a number of ticks.
 
     Args:
-        plant: Any plant; it is left open.
-        controller: Any controller; it is not reset.
-        ticks: Number of samples to answer, at least 1.
-        observe: Function called with each sample and the command as applied.
-        record: Function that records each cycle.
+        plant: Any plant; stays open.
+        controller: Any controller; is not reset.
+        ticks: Number of ticks, at least 1.
+        observe: Callback for each sample and the command as applied.
+        record: Callback that records each cycle.
 
     Returns:
-        The sample after the last answer, which closes the last period.
+        The sample at the end of the last period.
 
     Raises:
         ParameterError: If `ticks` is not a whole number of at least 1, or the periods differ.
@@ -175,7 +165,7 @@ def drive(
         >>> weight = [0.0, 0.0, 0.7 * 9.81, 0.0, 0.0, 0.0]
         >>> with ExactPlant(mass=0.7, wrench=weight) as plant:
         ...     last = drive(plant, Controller([Bias(weight)], period=0.005), 200)
-        >>> last.tick, abs(last.position[2]) < 1e-9  # carried for a second
+        >>> last.tick, abs(last.position[2]) < 1e-9  # hovers for a second
         (200, True)
     """
     count = whole("ticks", ticks, at_least=1, at_most=math.inf)

@@ -1,7 +1,4 @@
-"""Clock of samples and commands.
-
-It defines the sampling instants and the acting command at any time.
-"""
+"""Timing of samples and commands: sampling instants, delays, and the command in effect at any time."""
 
 from __future__ import annotations
 
@@ -18,16 +15,13 @@ from maglev_mj.parameters import number, numbers, store, whole
 from maglev_mj.spec import Spec
 
 Interval: TypeAlias = tuple[Any, Any]
-"""Duration [s] and acting drive.
-
-The drive is in the form of the given commands.
-"""
+"""Duration [s] and drive in effect, of the type passed to the `Timeline`."""
 
 MOST_PERIODS = 10_000
-"""Longest delay, in sample periods."""
+"""Largest delay, in sample periods."""
 
 _ROUNDING = 1e-9
-"""Share of a period that counts as rounding error."""
+"""Rounding tolerance, as a fraction of a period."""
 
 
 _BLOCK = 256
@@ -35,51 +29,47 @@ _BLOCK = 256
 
 @lru_cache(maxsize=64)
 def _draws(seed: int, block: int) -> tuple[float, ...]:
-    """Return random numbers for a block of ticks.
+    """Return uniform random numbers in [-1, 1] for a block of ticks.
 
-    They are uniform between -1 and 1.
-
-    They depend on seed and tick alone, so that the order of calls does not matter.
+    They depend only on seed and tick, not on the order of calls.
     """
     return tuple(np.random.default_rng((seed, block)).uniform(-1.0, 1.0, _BLOCK).tolist())
 
 
 def split_delay(delay: Component, period: Component) -> tuple[Component, Component]:
-    """Split a delay into whole periods and rest [s].
+    """Split a delay into whole periods and remainder [s], (...,) each.
 
-    (...,) each.
-
-    A delay within rounding of a whole number of periods counts as that number.
+    A delay within rounding of a multiple of the period counts as that multiple.
 
     Args:
         delay: Delay [s], 0 or more, (...,).
         period: Sample period [s], above 0, (...,).
     """
-    whole = (delay / period + _ROUNDING) // 1.0
-    rest = delay - whole * period
-    return whole, rest * (rest > _ROUNDING * period)
+    periods = (delay / period + _ROUNDING) // 1.0
+    remainder = delay - periods * period
+    return periods, remainder * (remainder > _ROUNDING * period)
 
 
 def checked_delay(delay: float, period: float) -> tuple[int, float]:
-    """Return whole periods and rest [s] of a checked delay."""
-    whole, rest = split_delay(number("delay", delay, at_least=0.0, at_most=MOST_PERIODS * period), period)
-    return int(whole), rest
+    """Check a delay [s]; return its whole periods and remainder [s]."""
+    periods, remainder = split_delay(number("delay", delay, at_least=0.0, at_most=MOST_PERIODS * period), period)
+    return int(periods), remainder
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Timing:
-    """Times of samples and command effects, in whole ticks.
+    """Sample period, delay, sampling phase and jitter.
 
     Sample k is taken at (k + phase) period after release; its command takes effect `delay` later.
 
     Args:
         period: Sample period [s], above 0.
-        delay: Transport delay [s], 0 or more; may exceed the period, up to 10 000 times. (N,) for N different
-            devices, all with the same number of whole periods.
-        phase: Phase of the samples in [0, 1); (N,) for N different devices.
-        jitter: Half range of a uniform random delay, delay ± jitter [s], the same for a whole batch. Commands must
-            stay in order and in their period.
-        seed: Seed of the jitter: the same seed gives the same run.
+        delay: Transport delay [s], from 0 to 10 000 periods; (N,) for N devices, all with the same number of whole
+            periods.
+        phase: Sampling phase in [0, 1); (N,) for N devices.
+        jitter: Half-width of the uniform distribution delay ± jitter [s], common to a batch. It must not move a
+            command into another period.
+        seed: Seed of the jitter; equal seeds give equal runs.
 
     Raises:
         ParameterError: If a value is outside its bounds.
@@ -100,9 +90,9 @@ class Timing:
     whole: int = field(init=False)
     """Whole periods in the delay."""
     rest: Component = field(init=False)
-    """Rest of the delay [s], in [0, period)."""
+    """Remainder of the delay [s], in [0, period)."""
     negligible: float = field(init=False)
-    """Longest time that counts as rounding error [s]."""
+    """Rounding tolerance of times [s]."""
 
     def __post_init__(self) -> None:
         period = number("period", self.period, above=0.0)
@@ -114,89 +104,81 @@ class Timing:
             raise ParameterError(
                 f"delay must be at most {MOST_PERIODS} periods of {period:g} s, not {float(delay.max()):g} s"
             )
-        wholes, rest = map(np.asarray, split_delay(delay, period))
-        if np.ptp(wholes):
+        periods, rest = map(np.asarray, split_delay(delay, period))
+        if np.ptp(periods):
             raise ParameterError(
-                f"delay must have the same whole periods of {period:g} s for all devices, not "
+                f"delay must have the same number of whole periods of {period:g} s on all devices, not "
                 f"{float(delay.min()):g} to {float(delay.max()):g} s"
             )
         jitter = number("jitter", self.jitter, at_least=0.0)
-        room = float(np.minimum(rest, period - rest).min())
-        if jitter > room:
-            raise ParameterError(f"jitter must be at most {room:g} s at this delay and period, not {jitter:g}")
+        largest = float(np.minimum(rest, period - rest).min())
+        if jitter > largest:
+            raise ParameterError(f"jitter must be at most {largest:g} s at this delay and period, not {jitter:g} s")
         parts = {"delay": delay, "phase": phase, "rest": rest}
         store(self, **{name: part if part.ndim else float(part) for name, part in parts.items()})
         store(self, period=period, jitter=jitter, seed=whole("seed", self.seed))
-        store(self, whole=int(wholes.flat[0]), negligible=_ROUNDING * period)
+        store(self, whole=int(periods.flat[0]), negligible=_ROUNDING * period)
 
     def rest_at(self, tick: int) -> Component:
-        """Return the rest of a delay [s].
-
-        It remains after whole periods, for the command that takes effect after `tick`.
-        """
+        """Return the offset [s] from `tick` to the command that takes effect after it, with jitter."""
         if self.jitter == 0.0:
             return self.rest
         return self.rest + self.jitter * _draws(self.seed, tick // _BLOCK)[tick % _BLOCK]
 
     def time(self, tick: int, offset: Component = 0.0) -> Any:
-        """Return the time [s] of `offset` after sample `tick`.
-
-        It is computed directly, not as a running sum.
-        """
+        """Return the time [s] at `offset` [s] after sample `tick`; a product, so rounding does not accumulate."""
         return (tick + self.phase) * self.period + offset
 
 
 class Timeline:
-    """Delayed commands and their times of effect.
+    """Zero-order hold of delayed commands.
 
-    A command is a drive held until the next one takes effect, and may begin with a pulse: another drive for its first
-    seconds. The next command ends a pulse; without one it runs out. Drives may be of any type: wrenches, currents, or
+    A command is a drive that is held until the next command takes effect. It may start with a pulse: a different drive
+    for the first `width` seconds, cut short by the next command. Drives may be of any type: wrenches, currents, or
     values prepared by a plant.
 
     Args:
         timing: Sample period and delay.
-        acting: The drive until the first command takes effect.
+        acting: Drive until the first command takes effect.
         compares: See below.
 
     Attributes:
-        acting: The drive since the last switch.
-        compares: True if drives are tuples, and drives with equal first parts are the same: there is no switch between
-            them. It may be changed from period to period.
+        acting: Drive since the last switch.
+        compares: True if drives are tuples and equal first entries mean equal drives: no switch is made between them.
+            May change from period to period.
     """
 
     def __init__(self, timing: Timing, acting: Any, *, compares: bool = False) -> None:
         self.acting, self.compares, self.timing = acting, compares, timing
-        # when, in ticks and seconds after one, to which drive, and that of a pulse ahead of it with its width
+        # (tick, offset [s], drive, pulse drive, pulse width)
         self._switches: deque[tuple[int, Any, Any, Any, float]] = deque()
         self._pulse: tuple[Any, Any] | None = None
         self._period, self._rest, self._whole = timing.period, timing.rest, timing.whole
         self._negligible, self._jitters = timing.negligible, timing.jitter > 0.0
         self._each = np.ndim(timing.delay) > 0
-        # one switch within the period, or at the sample
+        # exactly one switch per period, at the sample or inside the period
         self._at_once = not self._each and timing.rest == 0.0
-        room = np.minimum(timing.rest, timing.period - timing.rest) - timing.jitter
-        self._plain = timing.whole == 0 and (self._each or self._at_once or float(room) > self._negligible)
+        distance = np.minimum(timing.rest, timing.period - timing.rest) - timing.jitter
+        self._plain = timing.whole == 0 and (self._each or self._at_once or float(distance) > self._negligible)
 
     def answer(
         self, tick: int, held: Any, pulsed: Any = None, width: float = 0.0, *, after: float | None = None
     ) -> None:
-        """Add the answer to a sample.
-
-        Commands with effect at the same time or later are cancelled.
+        """Add the command for a sample; cancel commands that would take effect at the same time or later.
 
         Args:
-            tick: Number of the sample.
-            held: The drive.
-            pulsed: The drive in place of it for the first `width` seconds.
-            width: Duration of the pulse [s]; 0 for no pulse.
-            after: Time of effect since the sample [s]; the timing's delay by default.
+            tick: Index of the sample.
+            held: Drive after the pulse.
+            pulsed: Drive during the first `width` seconds.
+            width: Pulse width [s]; 0 for no pulse.
+            after: Delay from the sample to the effect [s]; the timing's delay by default.
         """
         if after is None:
             tick += self._whole
             offset = self.timing.rest_at(tick) if self._jitters else self._rest
         else:
-            whole, offset = split_delay(after, self._period)
-            tick += int(whole)
+            periods, offset = split_delay(after, self._period)
+            tick += int(periods)
         switches = self._switches
         while switches and switches[-1][0] >= tick and (switches[-1][0] > tick or np.all(switches[-1][1] >= offset)):
             switches.pop()
@@ -205,23 +187,22 @@ class Timeline:
     def period(
         self, tick: int, answer: tuple[Any, Any, float] | None = None, *, after: float | None = None
     ) -> list[Interval]:
-        """Return the intervals from sample `tick` to the next.
+        """Return the intervals from sample `tick` to the next, in order; their durations sum to the period.
 
-        They are in order; their durations add up to the period.
-
-        With delays (N,) durations are (N,), and an interval missing on a device has duration 0.
+        With delays (N,) durations are (N,); an interval absent on a device has duration 0.
 
         Args:
-            tick: Number of the sample.
-            answer: The answer to it as for `answer`: held, pulsed, width; None if it was added by `answer`, or there
-                is none.
-            after: Its time of effect, as for `answer`; for one device.
+            tick: Index of the sample.
+            answer: Its command as (held, pulsed, width); None if it was added by `answer`, or if there is none.
+            after: Delay to its effect [s], as in `answer`; one device only.
         """
         switches = self._switches
         if answer is not None:
             held, pulsed, width = answer
             plain = self._plain if after is None else self._negligible < after < self._period - self._negligible
-            if plain and width == 0.0 and self._pulse is None and not switches:  # most periods, at half the cost
+            if (
+                plain and width == 0.0 and self._pulse is None and not switches
+            ):  # fast path of most periods, at half the cost
                 before = self.acting
                 if self.compares and held[0] == before[0]:
                     return [(self._period, before)]
@@ -252,14 +233,11 @@ class Timeline:
         return intervals
 
     def now(self) -> Any:
-        """Return the present drive, including a pulse."""
+        """Return the drive in effect, including a pulse."""
         return self.acting if self._pulse is None else self._pulse[0]
 
     def _add_pulse(self, duration: Any, intervals: list[Interval]) -> Any:
-        """Add the rest of a pulse within a duration.
-
-        Returns the remaining duration [s].
-        """
+        """Append the part of the pulse within `duration`; return the remaining duration [s]."""
         assert self._pulse is not None
         pulsed, width = self._pulse
         inside = np.minimum(width, duration) if self._each else min(width, duration)
@@ -272,28 +250,28 @@ class Timeline:
 def recorded_switches(
     time: Array, held: Array, extra: Array, width: Array, *, period: float, delay: float
 ) -> tuple[Array, Array]:
-    """Return the switches of recorded commands.
+    """Return the switching times of N recorded commands and the wrenches from then on.
 
-    Times [s], (K,), and wrenches from then on [N, N m], (K, 6), of N commands.
-
-    The rule is that of `Timeline`, for all samples at once: the next recorded command ends a pulse; if samples are
-    missing it runs out.
+    Vectorised form of `Timeline`: a pulse ends after its width, or at the next recorded command.
 
     Args:
         time: Times of the samples [s], (N,), N > 1.
         held: Held wrenches [N, N m], (N, 6).
-        extra: Wrenches of the pulses on top of them [N, N m], (N, 6).
-        width: Widths of the pulses [s], (N,); 0 for none.
+        extra: Pulse wrenches, added to the held ones [N, N m], (N, 6).
+        width: Pulse widths [s], (N,); 0 for no pulse.
         period: Sample period [s].
-        delay: Time from a sample to the effect of its command [s].
+        delay: Delay from a sample to the effect of its command [s].
+
+    Returns:
+        Times [s], (K,), and wrenches [N, N m], (K, 6).
     """
     on, near = time + delay, _ROUNDING * period
     ends = (width > 0.0) & (on + width < np.append(on[1:], np.inf) - near)
-    when = np.concatenate([on, (on + width)[ends]])
+    switch = np.concatenate([on, (on + width)[ends]])
     force = np.concatenate([held + np.where(width > 0.0, 1.0, 0.0)[:, None] * extra, held[ends]])
-    order = np.argsort(when, kind="stable")
-    when, force = when[order], force[order]
-    # a switch within rounding of a sample is at that sample
-    nearest = np.clip(np.searchsorted(time, when), 1, len(time) - 1)
-    nearest -= (when - time[nearest - 1]) < (time[nearest] - when)
-    return np.where(np.abs(time[nearest] - when) <= near, time[nearest], when), force
+    order = np.argsort(switch, kind="stable")
+    switch, force = switch[order], force[order]
+    # snap switches within rounding to the sample
+    nearest = np.clip(np.searchsorted(time, switch), 1, len(time) - 1)
+    nearest -= (switch - time[nearest - 1]) < (time[nearest] - switch)
+    return np.where(np.abs(time[nearest] - switch) <= near, time[nearest], switch), force

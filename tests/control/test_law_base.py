@@ -66,7 +66,7 @@ OWN: dict[str, Law] = {
 @pytest.mark.parametrize("law", OWN)
 def test_a_law_is_the_same_alone_and_in_a_batch(law: str) -> None:
     check_law(OWN[law])
-    with pytest.raises(ParameterError, match=r"must be of one device to be checked, not of shape \(2,\)"):
+    with pytest.raises(ParameterError, match=r"must have scalar gains to be checked, not batch shape \(2,\)"):
         check_law(Hold(stiffness=np.ones((2, 6)), damping=0.0))
 
 
@@ -132,27 +132,43 @@ def put(values: list[Any], index: int, value: Any) -> Any:
 
 COUNT = itertools.count(1)
 BAD: dict[str, tuple[Callable[..., Any], str, bool]] = {
-    "no return": (lambda p, v, s, w: None, "must return its next state and a pulse or None, not None", True),
-    "a force": (lambda p, v, s, w: -3.0 * p[0], "must return its next state and a pulse or None, not", True),
-    "seventh axis": (lambda p, v, s, w: (w.extend([0.0]), None), "six components of wrench", True),
-    "seventh index": (lambda p, v, s, w: (put(w, 6, 1.0), None), "fails: IndexError", True),
-    "pulse of one": (lambda p, v, s, w: (None, [1.0]), "six components of pulse", True),
-    "not a number": (lambda p, v, s, w: (put(w, 0, math.nan), None), "a finite wrench on x, not nan", True),
-    "a word": (lambda p, v, s, w: (put(w, 1, "a"), None), "a wrench of a number on y, not 'a'", True),
-    "wrong shape": (lambda p, v, s, w: (put(w, 0, np.zeros(2)), None), "a wrench of a number on x", True),
-    "changed position": (lambda p, v, s, w: (put(p, 0, 1.0), None), "must not change the position or velocity", True),
-    "changed velocity": (lambda p, v, s, w: (put(v, 0, 1.0), None), "must not change the position or velocity", False),
-    "nothing added": (lambda p, v, s, w: (None, None), "must add to the wrench", False),
-    "floats alone": (
-        lambda p, v, s, w: (put(w, 0, w[0] + math.sin(p[0])), None),
-        "must take N devices as arrays",
+    "no return": (lambda p, v, s, w: None, r"must return \(next state, pulse or None\), not None", True),
+    "a force": (lambda p, v, s, w: -3.0 * p[0], r"must return \(next state, pulse or None\), not", True),
+    "seventh axis": (lambda p, v, s, w: (w.extend([0.0]), None), "six wrench components", True),
+    "seventh index": (lambda p, v, s, w: (put(w, 6, 1.0), None), "raises IndexError", True),
+    "pulse of one": (lambda p, v, s, w: (None, [1.0]), "six pulse components", True),
+    "not a number": (lambda p, v, s, w: (put(w, 0, math.nan), None), "wrench on x must be finite, not nan", True),
+    "a word": (lambda p, v, s, w: (put(w, 1, "a"), None), "wrench on y must be a number, not 'a'", True),
+    "wrong shape": (lambda p, v, s, w: (put(w, 0, np.zeros(2)), None), "wrench on x must be a number", True),
+    "changed position": (
+        lambda p, v, s, w: (put(p, 0, 1.0), None),
+        "must not modify its arguments position and velocity",
+        True,
+    ),
+    "changed velocity": (
+        lambda p, v, s, w: (put(v, 0, 1.0), None),
+        "must not modify its arguments position and velocity",
         False,
     ),
-    "an if": (lambda p, v, s, w: (put(w, 0, w[0] + (1.0 if p[0] > 0 else 2.0)), None), "must take N devices", False),
-    "devices mixed": (lambda p, v, s, w: (put(w, 0, w[0] - np.mean(p[0])), None), "the same bits: on x", False),
+    "nothing added": (lambda p, v, s, w: (None, None), "zero wrench at every sample", False),
+    "floats alone": (
+        lambda p, v, s, w: (put(w, 0, w[0] + math.sin(p[0])), None),
+        "does not work on arrays of N devices",
+        False,
+    ),
+    "an if": (
+        lambda p, v, s, w: (put(w, 0, w[0] + (1.0 if p[0] > 0 else 2.0)), None),
+        "does not work on arrays of N devices",
+        False,
+    ),
+    "devices mixed": (
+        lambda p, v, s, w: (put(w, 0, w[0] - np.mean(p[0])), None),
+        "bit-identical for one device and a batch: x at",
+        False,
+    ),
     "own state": (
         lambda p, v, s, w: (put(w, 0, w[0] + next(COUNT)), None),
-        "alike each time",
+        "not a pure function",
         False,
     ),
 }

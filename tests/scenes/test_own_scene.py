@@ -148,7 +148,7 @@ LINE = TEXT[: TEXT.index("return [detent")].count("\n") + 1
 FAULTS: dict[str, tuple[str, int, str]] = {
     "not Python": ("def (", 2, "detents.py cannot be read: SyntaxError"),
     "an error": (TEXT.replace("return [detent", "return 1 / 0, [detent"), 2, f"detents.py, line {LINE}: ZeroDiv"),
-    "an error in the law": (TEXT.replace("return -gains", "return 1 / 0 - gains"), 2, "law Detent fails: ZeroDiv"),
+    "an error in the law": (TEXT.replace("return -gains", "return 1 / 0 - gains"), 2, "law Detent raises ZeroDiv"),
 }
 
 

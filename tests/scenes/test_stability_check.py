@@ -223,7 +223,9 @@ def test_a_scene_that_may_be_unstable_warns_in_one_line(monkeypatch: pytest.Monk
     assert unknown.startswith(refused)  # with the words of `unstable_loop`, which refuses it
     late = stability_warning(Detents(period=0.001, delay=0.05))
     assert late is not None and late.startswith("detents may be unstable: delay must be at most 10 periods")
-    with pytest.raises(ParameterError, match="law Detent must leave six"):  # a slip in a law is no question of gains
+    with pytest.raises(
+        ParameterError, match="law Detent must have six wrench"
+    ):  # a slip in a law is no question of gains
         stability_warning(Slipped())
 
 

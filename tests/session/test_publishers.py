@@ -136,7 +136,7 @@ def test_settings_that_would_push_the_flotor_are_refused_in_a_flight(monkeypatch
         r"settings must change the force on z, where the flotor is, by at most 2 N, not -(.*) N", str(wall)
     )
     assert pushed and float(pushed[1]) == pytest.approx(12.0, abs=0.5)
-    assert "law broken fails: ValueError: no" in str(failing)
+    assert "law broken raises ValueError: no" in str(failing)
     assert unmade == "the parameters are refused: ValueError: never"
     assert asks.snapshots[-1].scene == good and asks.snapshots[-1].since == tick
     assert any(wall in one.notes for one in asks.snapshots) and failing in asks.snapshots[-1].notes

@@ -1,6 +1,6 @@
-"""Base classes of control laws and of velocity estimators, and the simplest laws.
+"""Base classes of control laws and velocity estimators, and the simplest laws.
 
-`Law` answers samples and describes itself; an `AxisLaw` consists of gains and one function.
+A `Law` maps samples to forces and describes itself; an `AxisLaw` consists of gains and one function.
 """
 
 from __future__ import annotations
@@ -21,17 +21,15 @@ from maglev_mj.spec import INERTIA
 
 
 class LinearController(NamedTuple):
-    """Linear discrete-time controller of one axis.
+    """Discrete-time state space model of a controller of one axis.
 
-    q[k+1] = advance q[k] + take x[k]; output[k] = give q[k] + direct x[k].
-
-    The position x is measured from the edge of the wall.
+    q[k+1] = A q[k] + B x[k], y[k] = C q[k] + D x[k], with the position x measured from the edge of the wall.
 
     Attributes:
-        advance: (..., n, n).
-        take: (..., n).
-        give: (..., n).
-        direct: (...,).
+        advance: A, (..., n, n).
+        take: B, (..., n).
+        give: C, (..., n).
+        direct: D, (...,).
     """
 
     advance: Array
@@ -41,21 +39,18 @@ class LinearController(NamedTuple):
 
 
 Face: TypeAlias = tuple[int, float, Component]
-"""One plane of a wall: axis index, normal, edge.
-
-The index is into AXES. The axis is free while normal (x - edge) > 0.
-"""
+"""Wall plane: index into AXES, normal, edge; free space is normal (x - edge) > 0."""
 
 
 Answer: TypeAlias = tuple[Any, Six | None]
-"""Next state of a law, and six components of its pulse or None."""
+"""Next state of a law, and six pulse components or None."""
 
 
 class Gains(NamedTuple):
-    """Linearisation of a law in one of its states.
+    """Linearisation of a law in one state.
 
     Attributes:
-        state: Name of the state: "always", "contact", "stuck" or another; several may hold at once, and then add up.
+        state: Name of the state, such as "always", "contact" or "stuck"; gains of simultaneous states are summed.
         stiffness: On the six axes [N/m, N m/rad], (..., 6).
         damping: On the six axes [N s/m, N m s/rad], (..., 6).
     """
@@ -68,8 +63,8 @@ class Gains(NamedTuple):
 class Law:
     """Base class of control laws; subclasses define `__call__`.
 
-    A law with memory defines `start` too. The other methods describe the law. By default a law has no faces, carries no
-    weight and has no friction, and its stability is found numerically.
+    A law with memory also defines `start`. The other methods describe the law; by default it has no wall faces, no
+    weight compensation and no friction, and is linearised numerically.
 
     Example:
         >>> from maglev_mj import Controller, Law, Sample
@@ -82,10 +77,7 @@ class Law:
     """
 
     per_device: ClassVar[Sequence[str]] = ()
-    """Names of fields that accept (N, axes) for N devices.
-
-    A law that names any must answer N devices elementwise.
-    """
+    """Names of fields that accept (N, axes) for N devices; such a law must work elementwise on N devices."""
     batch: tuple[int, ...] = ()
     """Batch shape of per-device parameters; () for common parameters."""
     pulse_width: float = 0.0
@@ -96,13 +88,13 @@ class Law:
         return None
 
     def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
-        """Answer one sample: add the held force to `wrench`.
+        """Add the held force for one sample to `wrench`.
 
         Args:
             position: Six position components [m, rad].
             velocity: Six velocity components [m/s, rad/s].
             state: State returned by the previous call, or `start()`.
-            wrench: Six components [N, N m], the sum of all laws; the only argument that is changed.
+            wrench: Sum of all laws, six components [N, N m]; modified in place.
 
         Returns:
             The next state, and six pulse components added to the held force for `pulse_width`, or None.
@@ -110,35 +102,23 @@ class Law:
         raise NotImplementedError
 
     def gains(self) -> Iterable[Gains] | None:
-        """Return the law's linearisation in each of its states.
-
-        None if it must be found numerically.
-        """
+        """Return the linearisation of the law in each state; None for numerical linearisation."""
         return None
 
     def faces(self) -> Sequence[Face]:
-        """Return each plane of a wall."""
+        """Return the wall planes."""
         return ()
 
     def signals(self, state: Any) -> Mapping[str, Sequence[Component]]:
-        """Return state quantities by name, one component per axis.
-
-        Empty before the first sample.
-        """
+        """Return state quantities by name, one component per axis; empty before the first sample."""
         return {}
 
     def stick_positions(self, state: Any) -> Mapping[int, float]:
-        """Return stick positions [m, rad] by index into AXES.
-
-        NaN for a sliding axis; empty without friction.
-        """
+        """Return stick positions [m, rad] by index into AXES: NaN for a sliding axis, empty without friction."""
         return {}
 
     def carried(self) -> Array:
-        """Return the constant weight-bearing wrench [N, N m], (..., 6).
-
-        It renders nothing.
-        """
+        """Return the weight compensation [N, N m], (..., 6): constant, and not part of the rendered environment."""
         return np.zeros(len(AXES))
 
 
@@ -146,10 +126,7 @@ class VelocityEstimator(Protocol):
     """Interface of velocity estimators."""
 
     def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
-        """Return six velocity components and the next state.
-
-        `state` is None at the first sample.
-        """
+        """Return six velocity components and the next state; `state` is None at the first sample."""
 
 
 def gain(
@@ -171,7 +148,7 @@ def gain(
         default: Default value; without one the gain is a required argument.
         above: Exclusive lower bound; None for none.
         at_least: Inclusive lower bound; -inf for none.
-        finite: False lets infinity pass.
+        finite: False to accept infinity.
 
     Example:
         >>> from maglev_mj import AxisLaw, gain
@@ -188,7 +165,7 @@ def gain(
 
 
 def setting(*, default: Any = MISSING, **bounds: float) -> Any:
-    """Declare a number of an `AxisLaw`, the same on all axes, with bounds of `number`."""
+    """Declare a parameter of an `AxisLaw` that is common to all axes; bounds as in `number`."""
     return field(default=default, metadata={"setting": bounds})
 
 
@@ -199,16 +176,14 @@ def setting(*, default: Any = MISSING, **bounds: float) -> Any:
 class AxisLaw(Law):
     """Law with independent axes, defined by gains and `force`.
 
-    No decorator is needed.
-
-    Use + - * /, comparisons and numpy functions alone, no `if` on a coordinate and no `math`: one line then serves one
-    device, as floats, and N devices, as arrays.
+    Subclasses need no decorator. Use only + - * /, comparisons and numpy functions, no `if` on a coordinate and no
+    `math`: the same line then works for one device (floats) and for N devices (arrays).
 
     Args:
         axes: Names from AXES; all six by default.
 
     Raises:
-        ParameterError: If a gain is outside its bounds or of the wrong shape.
+        ParameterError: If a gain is outside its bounds or has the wrong shape.
 
     Example:
         >>> from maglev_mj import AxisLaw, gain
@@ -230,76 +205,69 @@ class AxisLaw(Law):
     indices: tuple[int, ...] = field(init=False, repr=False)
     batch: tuple[int, ...] = field(init=False, repr=False)
     _each: tuple[tuple[int, Self], ...] = field(init=False, repr=False)
-    """Index into AXES and the law of that axis alone.
-
-    The gains of that law are components.
-    """
+    """Index into AXES, and a copy of the law with the gains of that axis as components."""
     _title: ClassVar[str] = ""
-    """Name in messages, if it is not that of the class."""
+    """Name in messages; that of the class by default."""
 
     def __init_subclass__(cls, **keywords: Any) -> None:
         super().__init_subclass__(**keywords)
         dataclass(frozen=True, kw_only=True, eq=False)(cls)
-        cls.per_device = tuple(one.name for one in fields(cls) if "gain" in one.metadata)
+        cls.per_device = tuple(entry.name for entry in fields(cls) if "gain" in entry.metadata)
         names = (name for name in inspect.get_annotations(cls) if name not in ("axes", "pulse_width"))
         if hidden := [name for name in names if hasattr(AxisLaw, name)]:
-            raise ParameterError(f"{cls.__name__} must not have a gain called {hidden[0]}: a law has that itself")
+            raise ParameterError(
+                f"{cls.__name__} must not have a gain called {hidden[0]}: the name is an attribute of every law"
+            )
         if not _takes(cls.force, 5):
-            takes = inspect.signature(cls.force)
-            raise ParameterError(f"{cls.__name__}.force must take (self, x, v, gains, state), not {takes}")
+            signature = inspect.signature(cls.force)
+            raise ParameterError(f"{cls.__name__}.force must take (self, x, v, gains, state), not {signature}")
 
     def __post_init__(self) -> None:
         name, indices = self._title or type(self).__name__, axis_indices(self.axes)
         values: dict[str, Array] = {}
-        for one in fields(self):
-            if "gain" in one.metadata:
-                values[one.name] = numbers(f"{name} {one.name}", getattr(self, one.name), **one.metadata["gain"])
-            elif "setting" in one.metadata:
-                number(one.name, getattr(self, one.name), **one.metadata["setting"])
-        split = {one: per_axis(f"{name} {one}", array, len(indices)) for one, array in values.items()}
-        common, each = {one.name: getattr(self, one.name) for one in fields(self) if one.init}, []
+        for entry in fields(self):
+            if "gain" in entry.metadata:
+                values[entry.name] = numbers(
+                    f"{name} {entry.name}", getattr(self, entry.name), **entry.metadata["gain"]
+                )
+            elif "setting" in entry.metadata:
+                number(entry.name, getattr(self, entry.name), **entry.metadata["setting"])
+        split = {key: per_axis(f"{name} {key}", array, len(indices)) for key, array in values.items()}
+        common, each = {entry.name: getattr(self, entry.name) for entry in fields(self) if entry.init}, []
         for slot, index in enumerate(indices):
-            alone = object.__new__(type(self))
-            store(alone, **common | {gain: parts[slot] for gain, parts in split.items()})
-            each.append((index, alone))
+            law = object.__new__(type(self))
+            store(law, **common | {gain: parts[slot] for gain, parts in split.items()})
+            each.append((index, law))
         store(self, indices=indices, batch=batch_shape(name, values.values()), _each=tuple(each))
 
     def start(self) -> Any:
-        """Return the state before the first sample.
-
-        It is None for each axis.
-        """
+        """Return the state before the first sample: None for each axis."""
         return (None,) * len(self._each)
 
     def force(self, x: Component, v: Component, gains: Self, state: Any) -> Any:
-        """Return the force on one axis [N, N m].
-
-        A law with memory returns the force and the next state.
+        """Return the force on one axis [N, N m], or (force, next state) for a law with memory.
 
         Args:
             x: Position [m, rad].
             v: Velocity [m/s, rad/s].
-            gains: The gains of that axis, by name.
-            state: The state of that axis; None at the first sample.
+            gains: Gains of the axis, as attributes.
+            state: State of the axis; None at the first sample.
         """
         raise ParameterError(f"{named(type(self))} must define force(self, x, v, gains, state)")
 
     def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
-        """Answer one sample; see `Law`."""
-        after, force = [], self.force
-        for (axis, gains), before in zip(self._each, state):
-            result = force(position[axis], velocity[axis], gains, before)
+        """Add the forces for one sample; see `Law`."""
+        following, force = [], self.force
+        for (axis, gains), memory in zip(self._each, state):
+            result = force(position[axis], velocity[axis], gains, memory)
             if result.__class__ is tuple:
-                result, before = result
+                result, memory = result
             wrench[axis] = wrench[axis] + result
-            after.append(before)
-        return after, None
+            following.append(memory)
+        return following, None
 
     def on_axes(self, values: Any) -> Array:
-        """Return a gain on all six axes, (..., 6).
-
-        It is 0 on axes without this law.
-        """
+        """Return a gain on all six axes, (..., 6), with 0 on axes without this law."""
         array = np.asarray(values, dtype=np.float64)
         spread = np.zeros((*array.shape[:-1], len(AXES)))
         spread[..., list(self.indices)] = array
@@ -307,17 +275,14 @@ class AxisLaw(Law):
 
 
 class FunctionLaw(Law):
-    """Memoryless law defined by a function.
-
-    The function takes six positions and six velocities and returns six wrench components.
-    """
+    """Memoryless law defined by a function of six positions and six velocities that returns six wrench components."""
 
     def __init__(self, function: Callable[[Six, Six], Six]) -> None:
         self.function = function
         self.name = getattr(function, "__name__", type(function).__name__)
 
     def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
-        """Answer one sample; see `Law`."""
+        """Add the wrench for one sample; see `Law`."""
         parts: Any = self.function(position, velocity)
         if isinstance(parts, np.ndarray) and parts.ndim == 1:
             parts = parts.tolist()
@@ -336,26 +301,24 @@ class FunctionLaw(Law):
         return None, None
 
 
-def as_law(given: Law | Callable[..., Any]) -> Law:
-    """Return a law, wrapping a function f(position, velocity).
+def as_law(candidate: Law | Callable[..., Any]) -> Law:
+    """Return a law; wrap a function f(position, velocity).
 
     Raises:
         ParameterError: If the argument is neither a law nor such a function.
     """
-    if isinstance(given, Law):
-        return given
-    if not isinstance(given, type) and callable(given) and _takes(given, 2):
-        return FunctionLaw(given)
-    raise ParameterError(f"a law must be a Law, an AxisLaw or a function f(position, velocity), not {given!r}")
+    if isinstance(candidate, Law):
+        return candidate
+    if not isinstance(candidate, type) and callable(candidate) and _takes(candidate, 2):
+        return FunctionLaw(candidate)
+    raise ParameterError(f"a law must be a Law, an AxisLaw or a function f(position, velocity), not {candidate!r}")
 
 
 def answer(law: Law, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
-    """Return a law's checked answer to one sample.
-
-    See `Law` for the arguments.
+    """Call a law for one sample and check its result; arguments as in `Law`.
 
     Raises:
-        ParameterError: If the law fails, changes its input, or returns a wrong shape or a value that is not finite.
+        ParameterError: If the law raises, modifies its input, or returns a wrong shape or a value that is not finite.
     """
     name = f"law {getattr(law, 'name', type(law).__name__)}"
     before = [part if part.__class__ is float else np.array(part) for part in (*position, *velocity)]
@@ -364,12 +327,12 @@ def answer(law: Law, position: Six, velocity: Six, state: Any, wrench: list[Comp
     except MaglevError:
         raise
     except Exception as error:
-        raise ParameterError(f"{name} fails: {type(error).__name__}: {error}") from error
+        raise ParameterError(f"{name} raises {type(error).__name__}: {error}") from error
     if not (isinstance(result, tuple) and len(result) == 2):
-        raise ParameterError(f"{name} must return its next state and a pulse or None, not {result!r}")
+        raise ParameterError(f"{name} must return (next state, pulse or None), not {result!r}")
     after = [*position, *velocity]
     if not (len(after) == len(before) and all(map(_same, after, before))):
-        raise ParameterError(f"{name} must not change the position or velocity that it is given")
+        raise ParameterError(f"{name} must not modify its arguments position and velocity")
     batch = np.broadcast_shapes(*(np.shape(part) for part in before if part.__class__ is not float))
     _check(name, "wrench", wrench, batch)
     if result[1] is not None:
@@ -377,30 +340,26 @@ def answer(law: Law, position: Six, velocity: Six, state: Any, wrench: list[Comp
     return result
 
 
-def _same(one: Component, other: Component) -> bool:
-    return one is other or (one == other if one.__class__ is other.__class__ is float else np.array_equal(one, other))
+def _same(a: Component, b: Component) -> bool:
+    return a is b or (a == b if a.__class__ is b.__class__ is float else np.array_equal(a, b))
 
 
 def _check(name: str, what: str, parts: Six, batch: tuple[int, ...]) -> None:
-    """Raise ParameterError unless there are six finite components.
-
-    Each is a number or has the batch shape.
-    """
+    """Raise ParameterError unless `parts` are six finite components, each a number or of the batch shape."""
     if not hasattr(parts, "__len__") or len(parts) != len(AXES):
-        raise ParameterError(f"{name} must leave six components of {what}, not {parts!r}")
+        raise ParameterError(f"{name} must have six {what} components, not {parts!r}")
     for axis, part in zip(AXES, parts):
         if part.__class__ is float and math.isfinite(part):
-            continue  # this is the first tick of a run, and arrays take ten times as long
+            continue  # fast path: arrays take ten times as long
         array = np.asarray(part)
         if array.dtype.kind not in "fiu" or array.shape not in ((), batch):
-            shape = f"shape {batch}" if batch else "a number"
-            raise ParameterError(f"{name} must give a {what} of {shape} on {axis}, not {part!r}")
+            shape = f"of shape {batch}" if batch else "a number"
+            raise ParameterError(f"{name}: {what} on {axis} must be {shape}, not {part!r}")
         if (wrong := array[~np.isfinite(array)]).size:
-            raise ParameterError(f"{name} must give a finite {what} on {axis}, not {wrong.flat[0]}")
+            raise ParameterError(f"{name}: {what} on {axis} must be finite, not {wrong.flat[0]}")
 
 
 def _takes(function: Callable[..., Any], count: int) -> bool:
-    """Return True if a function accepts `count` positional arguments."""
     try:
         inspect.signature(function).bind(*[None] * count)
     except (TypeError, ValueError):
@@ -409,20 +368,18 @@ def _takes(function: Callable[..., Any], count: int) -> bool:
 
 
 class Hold(AxisLaw):
-    """PD hold of a target pose.
+    """PD hold of a target pose: f = k (x_t - x) - b v.
 
-    f = stiffness (target - x) - damping v.
-
-    Each parameter is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
+    Each parameter is a number, one number per axis, or (N, axes) for N devices.
 
     Args:
         axes: Names from AXES; all six by default.
-        stiffness: Stiffness [N/m, N m/rad].
-        damping: Damping [N s/m, N m s/rad].
-        target: Target pose [m, rad].
+        stiffness: Stiffness k [N/m, N m/rad].
+        damping: Damping b [N s/m, N m s/rad].
+        target: Target pose x_t [m, rad].
 
     Raises:
-        ParameterError: If a gain is negative, or a value is not finite or of the wrong shape.
+        ParameterError: If a gain is negative, or a value is not finite or has the wrong shape.
 
     Example:
         >>> from maglev_mj import Controller, Hold, Sample
@@ -439,7 +396,7 @@ class Hold(AxisLaw):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        store(self, _gains=tuple((axis, one.stiffness, one.damping, one.target) for axis, one in self._each))
+        store(self, _gains=tuple((axis, law.stiffness, law.damping, law.target) for axis, law in self._each))
 
     @classmethod
     def critically_damped(
@@ -451,20 +408,20 @@ class Hold(AxisLaw):
         inertia: ArrayLike | None = None,
         target: ArrayLike = 0.0,
     ) -> Self:
-        """Return a critically damped hold with wide stability margin.
+        """Return a critically damped hold with a wide stability margin.
 
-        The natural frequency is 1/4 rad over the time from sample to sample and on to the force, at most
-        50 rad/s. It is stable for any delay; the tests check the eigenvalues.
+        The natural frequency is w = min(50 rad/s, 0.25 / (period + delay)), with k = m w² and b = 2 m w. The hold is
+        stable at any delay; the tests check the eigenvalues.
 
         Args:
             axes: Names from AXES.
             period: Sample period [s].
             delay: Transport delay [s].
-            inertia: Mass or moment of inertia on these axes [kg, kg m²]; the published device's by default.
-            target: Pose held [m, rad].
+            inertia: Mass or moment of inertia m on these axes [kg, kg m²]; the published device's by default.
+            target: Target pose [m, rad].
         """
-        reach = number("period", period, above=0.0) + number("delay", delay, at_least=0.0)
-        frequency = min(50.0, 0.25 / reach)
+        lag = number("period", period, above=0.0) + number("delay", delay, at_least=0.0)
+        frequency = min(50.0, 0.25 / lag)
         body = (
             np.array(INERTIA)[list(axis_indices(axes))]
             if inertia is None
@@ -473,25 +430,25 @@ class Hold(AxisLaw):
         return cls(axes=axes, stiffness=body * frequency**2, damping=2.0 * body * frequency, target=target)
 
     def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> tuple[Any, None]:
-        """Answer one sample; see `Law`.
+        """Add the forces for one sample; see `Law`.
 
-        Written out for speed: calling `force` for each axis takes a quarter of the tick more.
+        Written out for speed: calling `force` per axis would lengthen the tick by a quarter.
         """
         for axis, stiffness, damping, target in self._gains:
             wrench[axis] = wrench[axis] + (stiffness * (target - position[axis]) - damping * velocity[axis])
         return state, None
 
     def gains(self) -> Iterable[Gains]:
-        """Return stiffness and damping, always in effect."""
+        """Return stiffness and damping, which are always active."""
         return (Gains("always", self.on_axes(self.stiffness), self.on_axes(self.damping)),)
 
 
 @dataclass(frozen=True, eq=False)
 class Bias(Law):
-    """Constant wrench added to the other laws.
+    """Constant wrench, such as weight compensation.
 
     Args:
-        wrench: The wrench [N, N m], (..., 6).
+        wrench: Wrench [N, N m], (..., 6).
 
     Raises:
         ParameterError: If the wrench is not finite, or its last dimension is not six.
@@ -517,16 +474,13 @@ class Bias(Law):
         store(self, batch=wrench.shape[:-1], _parts=per_axis("bias wrench", wrench, len(AXES)))
 
     def __call__(self, position: Six, velocity: Six, state: None, wrench: list[Component]) -> tuple[None, None]:
-        """Answer one sample; see `Law`."""
+        """Add the wrench; see `Law`."""
         for axis, part in enumerate(self._parts):
             wrench[axis] = wrench[axis] + part
         return None, None
 
     def gains(self) -> Iterable[Gains]:
-        """Return no gains.
-
-        A constant wrench has neither stiffness nor damping.
-        """
+        """Return no gains: a constant wrench has no stiffness or damping."""
         return ()
 
     def carried(self) -> Array:
@@ -535,10 +489,7 @@ class Bias(Law):
 
 
 def choose(mask: Component, yes: Component, no: Component) -> Component:
-    """Select `yes` or `no` by a mask, elementwise.
-
-    Floats and arrays are both accepted.
-    """
+    """Return `np.where(mask, yes, no)`, for floats too."""
     if isinstance(mask, bool | np.bool_):
         return yes if mask else no
     return np.where(mask, yes, no)
@@ -547,7 +498,7 @@ def choose(mask: Component, yes: Component, no: Component) -> Component:
 def apply(function: Callable[[Component], Component], value: Component) -> Component:
     """Apply a numpy function; a float stays a float.
 
-    numpy's own function serves both cases, because the standard library's may round differently.
+    Never the standard library's function for floats: it may round differently.
     """
     result = function(value)
     return float(result) if isinstance(value, float) else result

@@ -1,4 +1,4 @@
-"""Velocity estimators from sampled positions."""
+"""Velocity estimators for sampled positions."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from maglev_mj.parameters import number, store, whole
 from maglev_mj.spec import RESOLUTION
 
 _LONGEST = 1000
-"""Longest window [samples]: 1 s at 1 kHz."""
+"""Largest window length [samples]: 1 s at 1 kHz."""
 
 
 @dataclass(frozen=True)
 class FiniteDifference:
-    """First-order backward difference; zero at the first sample.
+    """Backward difference v[k] = (x[k] - x[k-1]) / T; zero at the first sample.
 
     Source: Salcudean & Vlaar 1997, eq. (3).
 
@@ -34,11 +34,8 @@ class FiniteDifference:
     """
 
     def __call__(self, position: Six, state: Six | None, period: float) -> tuple[Six, Six]:
-        """Return (x[k] - x[k-1]) / T and the next state.
-
-        The next state is the positions.
-        """
-        # written out: a loop over six components takes twice as long, and this runs on every tick
+        """Return the velocity and the next state, the positions."""
+        # written out, because it runs on every tick: a loop over six components takes twice as long
         x, y, z, rx, ry, rz = position
         x0, y0, z0, rx0, ry0, rz0 = position if state is None else state
         return (
@@ -51,10 +48,7 @@ class FiniteDifference:
         ), position
 
     def linear(self, period: ArrayLike) -> LinearController:
-        """Return the estimator of one axis as a linear system.
-
-        Its state is the last position.
-        """
+        """Return the state space model of one axis; its state is the last position."""
         return Window(samples=1).linear(period)
 
 
@@ -62,13 +56,13 @@ class FiniteDifference:
 class LowPass:
     """Finite difference with a first-order low-pass filter.
 
-    v += (1 - exp(-2 pi f T)) (difference - v).
+    v[k] = v[k-1] + (1 - exp(-2 pi f T)) ((x[k] - x[k-1]) / T - v[k-1]).
 
     Args:
-        cutoff: Cut-off f of the filter [Hz].
+        cutoff: Cutoff frequency f [Hz].
 
     Raises:
-        ParameterError: If the cut-off is not above 0.
+        ParameterError: If the cutoff frequency is not above 0.
 
     Example:
         >>> from maglev_mj import LowPass
@@ -85,10 +79,7 @@ class LowPass:
         number("cutoff", self.cutoff, above=0.0)
 
     def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
-        """Return the filtered velocity and the next state.
-
-        The velocity is zero at the first sample.
-        """
+        """Return the filtered velocity, zero at the first sample, and the next state."""
         previous, velocity = (position, (0.0,) * len(position)) if state is None else state
         share = -math.expm1(-2.0 * math.pi * self.cutoff * period)
         filtered = [
@@ -98,10 +89,7 @@ class LowPass:
         return filtered, (position, filtered)
 
     def linear(self, period: ArrayLike) -> LinearController:
-        """Return the estimator of one axis as a linear system.
-
-        Its state is the last position and the last estimate.
-        """
+        """Return the state space model of one axis; its state is the last position and estimate."""
         time = np.asarray(period, dtype=np.float64)
         share = -np.expm1(-2.0 * math.pi * self.cutoff * time)
         zero, one = np.zeros_like(time), np.ones_like(time)
@@ -112,12 +100,12 @@ class LowPass:
 
 @dataclass(frozen=True)
 class Window:
-    """Mean velocity over a fixed number of samples.
+    """Mean velocity over a window of n samples: v[k] = (x[k] - x[k-n]) / (n T).
 
-    The flotor counts as at rest before the first sample.
+    The flotor is assumed at rest before the first sample.
 
     Args:
-        samples: Length of the window [samples], 1 to 1000; 1 is the finite difference.
+        samples: Window length n, 1 to 1000; 1 is the finite difference.
 
     Raises:
         ParameterError: If `samples` is not a whole number from 1 to 1000.
@@ -129,20 +117,14 @@ class Window:
         store(self, samples=whole("samples", self.samples, at_least=1, at_most=_LONGEST))
 
     def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
-        """Return the mean velocity and the next state.
-
-        The velocity is (x[k] - x[k-n]) / (n T) for each component. The velocity is zero at the first sample.
-        """
+        """Return the mean velocity, zero at the first sample, and the next state."""
         past = (position,) * self.samples if state is None else state
         time = len(past) * period
         velocity = [(now - before) / time for now, before in zip(position, past[-1])]
         return velocity, (position, *past[:-1])
 
     def linear(self, period: ArrayLike) -> LinearController:
-        """Return the estimator of one axis as a linear system.
-
-        Its state is the last positions, newest first.
-        """
+        """Return the state space model of one axis; its state is the last n positions, newest first."""
         time, count = np.asarray(period, dtype=np.float64), self.samples
         advance, take = np.eye(count, k=-1), np.eye(count)[0]
         oldest = np.eye(count)[-1]
@@ -151,23 +133,20 @@ class Window:
 
 @dataclass(frozen=True)
 class AdaptiveWindow:
-    """First-order adaptive windowing velocity estimator.
+    """First-order adaptive windowing (FOAW) velocity estimator.
 
-    The estimate is the slope over the longest window whose chord passes every sample in it.
-
-    A sample counts as passed if it lies within `noise` of the chord from the window's first sample to its last.
-    With a quantized sensor the window grows at low speed, which reduces the velocity resolution step, and shortens
-    when the velocity changes.
+    The estimate is the slope of the chord over the longest window in which every sample is within `noise` of the chord
+    from the first sample to the last. With a quantized sensor the window grows at low speed, which refines the velocity
+    resolution, and shrinks when the velocity changes.
 
     Args:
-        noise: Half-width of the band around the chord [m, rad]: the sensor's resolution, for each of the six
-            components.
-        longest: Longest window [samples], 1 to 1000.
+        noise: Half-width of the band around the chord [m, rad], six numbers; the sensor resolution by default.
+        longest: Largest window length [samples], 1 to 1000.
 
     Raises:
         ParameterError: If a value is outside its bounds.
 
-    Source: Janabi-Sharifi, Hayward & Chen 2000, the end-fit variant; not checked against the original.
+    Source: Janabi-Sharifi, Hayward & Chen 2000, end-fit variant; not checked against the original.
     """
 
     noise: Sequence[float] = RESOLUTION
@@ -181,10 +160,7 @@ class AdaptiveWindow:
             number("noise", value, at_least=0.0)
 
     def __call__(self, position: Six, state: Any, period: float) -> tuple[Six, Any]:
-        """Return each component's windowed velocity and the next state.
-
-        The velocity is zero at the first sample.
-        """
+        """Return the velocity, zero at the first sample, and the next state."""
         past: list[Six] = [] if state is None else state
         history = [position, *past[: self.longest]]
         velocity = [self._slope([sample[axis] for sample in history], self.noise[axis], period) for axis in range(6)]
@@ -192,10 +168,7 @@ class AdaptiveWindow:
 
     @staticmethod
     def _slope(samples: list[Component], noise: float, period: float) -> Component:
-        """Return the slope over the longest fitting window.
-
-        The samples are newest first.
-        """
+        """Return the slope over the longest fitting window; `samples` are newest first."""
         newest = samples[0]
         if len(samples) == 1:
             return newest - newest

@@ -1,4 +1,4 @@
-"""Walls: spring and damper with braking pulse, predictive walls, and passivity control of them."""
+"""Walls: PD wall with braking pulse, predictive walls, and a passivity controller."""
 
 from __future__ import annotations
 
@@ -18,61 +18,50 @@ from maglev_mj.parameters import flag, number, store
 
 
 class _Braking(NamedTuple):
-    """Braking-pulse parameters of one wall face.
-
-    `some` is True for devices with a pulse; `limit` is None if no device has a limit.
-    """
+    """Braking pulse of one wall face; `active` is True for devices with a pulse, `limit` None without any limit."""
 
     pulse: Component
-    some: Component
+    active: Component
     limit: Component | None
     gate: Component
 
 
 _Face: TypeAlias = tuple[int, float, Component, Component, Component, _Braking | None]
-"""One plane of the wall with its gains.
-
-Axis, normal, edge, stiffness, damping, braking. The axis is free while normal * (x - edge) > 0.
-"""
+"""Wall plane with its gains: axis, normal, edge, stiffness, damping, braking pulse."""
 
 _FaceState: TypeAlias = tuple[Component, Component | None]
-"""Free flag of the last sample, and remaining braking force.
-
-The remaining force is None if there is none.
-"""
+"""Whether the last sample was free, and the remaining braking force or None."""
 
 _FREE: _FaceState = (True, None)
 
 
 class Wall(AxisLaw):
-    """PD wall on one or both sides, with braking pulse.
+    """PD wall below `lower`, above `upper`, or both, with an optional braking pulse.
 
-    The wall is below `lower`, above `upper`, or both. The pulse is given on the first sample inside.
+    Inside, f = -k (x - edge) - b v. On the first sample inside (x[k-1] free), f = -(pulse + b) v for `pulse_width`,
+    and the PD force after it. If the pulse exceeds `force_limit`, the remaining impulse is applied at the next samples
+    while the flotor still moves inward.
 
-    Inside, f = -stiffness (x - edge) - damping v. On the sample k with x[k-1] free and x[k] inside, the force
-    is -(pulse + damping) v for `pulse_width` and the PD value after it. If it exceeds `force_limit`, the rest of
-    the impulse follows on the next samples while the flotor still moves inward.
-
-    Each parameter is a number for all of the law's axes, one number per axis, or (N, axes) for N devices. Use
-    two laws for different gains on the two sides.
+    Each parameter is a number, one number per axis, or (N, axes) for N devices. Use two laws for different gains on the
+    two sides.
 
     Args:
         axes: Names from AXES; all six by default.
         lower: The wall fills x <= lower [m, rad]; -inf for none.
         upper: The wall fills x >= upper [m, rad]; inf for none.
-        stiffness: Stiffness [N/m, N m/rad].
-        damping: Damping [N s/m, N m s/rad].
-        pulse: Further damping in the braking pulse [N s/m, N m s/rad]; 0 for none. Stopping within the pulse
-            takes pulse + damping = inertia / pulse_width.
-        pulse_width: Duration of the pulse [s]; a number.
-        pulse_gate: Least approach speed for a pulse [m/s, rad/s]; 0 for always. Without it sensor noise triggers
-            pulses on a flotor at rest at the edge.
-        force_limit: Largest actuator force [N, N m], used to compute the rest of a pulse; the plant applies the
-            limit itself. Other laws on the axis are not counted.
+        stiffness: Stiffness k [N/m, N m/rad].
+        damping: Damping b [N s/m, N m s/rad].
+        pulse: Additional damping during the braking pulse [N s/m, N m s/rad]; 0 for none. It stops the flotor within
+            the pulse if pulse + damping = inertia / pulse_width.
+        pulse_width: Pulse width [s]; a number.
+        pulse_gate: Lowest approach speed that triggers a pulse [m/s, rad/s]; 0 for any. Without a gate, sensor noise
+            triggers pulses while the flotor rests at the edge.
+        force_limit: Force limit [N, N m], used to compute the remaining impulse; the plant itself saturates the force.
+            Other laws on the axis are not counted.
 
     Raises:
-        ParameterError: If a gain, the width, the gate or the limit is negative, no side is given, `lower` is not below
-            `upper`, or a shape does not fit.
+        ParameterError: If a gain, the width, the gate or the limit is negative, no edge is finite, `lower` is not below
+            `upper`, or shapes do not match.
 
     Source: Salcudean & Vlaar 1997, eq. (3), (8) and (9), with one delay less as in the simulation of figure 3.
 
@@ -105,19 +94,16 @@ class Wall(AxisLaw):
             raise ParameterError(f"wall lower must be below upper, not {self.lower!r} and {self.upper!r}")
         width = number("wall pulse_width", self.pulse_width, at_least=0.0)
         if width == 0.0 and np.any(self.pulse):
-            raise ParameterError("wall pulse_width must be above 0 where there is a pulse, not 0")
-        lower = [_face(axis, 1.0, one.lower, one) for axis, one in self._each]
-        upper = [_face(axis, -1.0, one.upper, one) for axis, one in self._each]
+            raise ParameterError("wall pulse_width must be above 0 with a pulse, not 0")
+        lower = [_face(axis, 1.0, law.lower, law) for axis, law in self._each]
+        upper = [_face(axis, -1.0, law.upper, law) for axis, law in self._each]
         faces = tuple(face for face in (*lower, *upper) if face is not None)
         if not faces:
             raise ParameterError("wall needs a finite lower or upper, not -inf and inf")
         store(self, pulse_width=width, _faces=faces)
 
     def faces(self) -> tuple[Face, ...]:
-        """Return each plane: index into AXES, normal, edge.
-
-        The axis is free while normal (x - edge) > 0.
-        """
+        """Return the wall planes; see `Face`."""
         return tuple(face[:3] for face in self._faces)
 
     def gains(self) -> Iterable[Gains]:
@@ -128,17 +114,14 @@ class Wall(AxisLaw):
         return (Gains("contact", stiffness, damping),)
 
     def start(self) -> Sequence[_FaceState]:
-        """Return the state before the first sample.
-
-        A flotor inside at the first sample has not entered.
-        """
+        """Return the state before the first sample; a flotor that starts inside triggers no pulse."""
         return [(False, None)] * len(self._faces)
 
     def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
-        """Answer one sample; see `Law`."""
+        """Add the forces for one sample; see `Law`."""
         pulses: list[Component] | None = None
         following = []
-        for (axis, normal, edge, stiffness, damping, braking), (free, owed) in zip(self._faces, state):
+        for (axis, normal, edge, stiffness, damping, braking), (free, remaining) in zip(self._faces, state):
             offset = position[axis] - edge
             inside = offset <= 0.0 if normal > 0.0 else offset >= 0.0
             if inside is False or (inside is not True and not inside.any()):
@@ -149,43 +132,39 @@ class Wall(AxisLaw):
             force = inside * -(stiffness * offset + damped)
             wrench[axis] = wrench[axis] + force
             if braking is None:
-                owed = None
-            elif owed is not None or (free is not False and _any(inside & free)):
+                remaining = None
+            elif remaining is not None or (free is not False and _any(inside & free)):
                 approach = normal * speed
                 entered = inside & free & (approach <= -braking.gate)
-                pulse = (entered & braking.some) * (-(braking.pulse * speed + damped) - force)
-                if owed is not None:
-                    pulse = pulse + (inside & (approach < 0.0) & _not(entered)) * owed
-                pulse, owed = _within(braking.limit, force, pulse)
+                pulse = (entered & braking.active) * (-(braking.pulse * speed + damped) - force)
+                if remaining is not None:
+                    pulse = pulse + (inside & (approach < 0.0) & _not(entered)) * remaining
+                pulse, remaining = _within(braking.limit, force, pulse)
                 pulses = pulses or [0.0] * len(AXES)
                 pulses[axis] = pulses[axis] + pulse
-            following.append((False if inside is True else ~inside, owed))
+            following.append((False if inside is True else ~inside, remaining))
         return following, pulses
 
 
 def _face(axis: int, normal: float, edge: Component, gains: Any) -> _Face | None:
-    """Return the face of an axis; None without an edge."""
     finite = np.isfinite(edge)
     if np.any(finite) and not np.all(finite):
         raise ParameterError("wall edges of one axis must be finite on all devices or on none")
     if not np.all(finite):
         return None
-    some, limited = gains.pulse > 0.0, not np.all(np.isinf(gains.force_limit))
-    braking = _Braking(gains.pulse, some, gains.force_limit if limited else None, gains.pulse_gate)
-    return axis, normal, edge, gains.stiffness, gains.damping, braking if np.any(some) else None
+    active, limited = gains.pulse > 0.0, not np.all(np.isinf(gains.force_limit))
+    braking = _Braking(gains.pulse, active, gains.force_limit if limited else None, gains.pulse_gate)
+    return axis, normal, edge, gains.stiffness, gains.damping, braking if np.any(active) else None
 
 
 def _within(limit: Component | None, force: Component, pulse: Component) -> tuple[Component, Component | None]:
-    """Return the pulse within the force limit, and the impulse left over.
-
-    The pulse is on top of the PD force; later samples give the rest.
-    """
+    """Saturate a pulse on top of a PD force; return it and the remainder for later samples, or None."""
     if limit is None:
         return pulse, None
-    # excess over the limit with the pulse, less the excess of the PD force alone
-    whole = force + pulse
-    left = (whole - clipped(whole, limit)) - (force - clipped(force, limit))
-    return pulse - left, left if _any(left != 0.0) else None
+    # excess of the total over the limit, less that of the PD force alone
+    total = force + pulse
+    excess = (total - clipped(total, limit)) - (force - clipped(force, limit))
+    return pulse - excess, excess if _any(excess != 0.0) else None
 
 
 def _any(mask: Component) -> bool:
@@ -203,19 +182,18 @@ class _LowerWall(AxisLaw):
     stiffness: ArrayLike = gain(unit="N/m, N m/rad")
 
     def faces(self) -> Sequence[Face]:
-        """Return each plane of the wall."""
-        return [(axis, 1.0, one.lower) for axis, one in self._each]
+        """Return the wall planes."""
+        return [(axis, 1.0, law.lower) for axis, law in self._each]
 
 
 class PredictiveWall(_LowerWall):
-    """Wall that renders the predicted mean force over each hold.
+    """Wall that renders the predicted mean force over the zero-order hold.
 
-    The position is extrapolated along a straight line, and the force of the ideal wall averaged over it.
+    The force of the ideal wall is averaged along the extrapolated position x + v t, T_d <= t <= T_d + T. Inside the
+    wall this is half-sample prediction, f = -K (x + v (T_d + T/2)) - B v; if the line crosses the edge, only its part
+    inside the wall counts.
 
-    Inside the wall this is half-sample prediction, f = -K (x + v (T_d + T/2)) - B v. If the line crosses the edge
-    within the hold, only the part inside the wall counts.
-
-    Each gain is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
+    Each gain is a number, one number per axis, or (N, axes) for N devices.
 
     Args:
         axes: Names from AXES; all six by default.
@@ -226,9 +204,9 @@ class PredictiveWall(_LowerWall):
         delay: Transport delay T_d [s].
 
     Raises:
-        ParameterError: If a value is outside its bounds or a shape does not fit.
+        ParameterError: If a value is outside its bounds or shapes do not match.
 
-    Source: after Gillespie & Cutkosky 1996, with half-sample prediction and deadbeat control of the crossing there; the
+    Source: after Gillespie & Cutkosky 1996, who use half-sample prediction and deadbeat control of the crossing; the
         mean over the hold is this project's.
 
     Example:
@@ -246,54 +224,51 @@ class PredictiveWall(_LowerWall):
         """Return the force on one axis; see `AxisLaw`."""
         begin = x - gains.lower + v * self.delay
         end = begin + v * self.period
-        deep, deeper = begin * (begin < 0.0), end * (end < 0.0)
+        first, last = begin * (begin < 0.0), end * (end < 0.0)
         travel = begin - end
-        rests = travel == 0.0
-        share = (deep - deeper) / (travel + rests) + rests * (begin <= 0.0)
-        return -(share * (0.5 * gains.stiffness * (deep + deeper) + gains.damping * v))
+        static = travel == 0.0
+        share = (first - last) / (travel + static) + static * (begin <= 0.0)
+        return -(share * (0.5 * gains.stiffness * (first + last) + gains.damping * v))
 
 
-class _Belief(NamedTuple):
-    """Observer state at a sample.
+class _Estimate(NamedTuple):
+    """Observer state at a sample; forces newest first: those still delayed, the one in effect, the one before."""
 
-    The forces are the law's own, newest first: those still delayed, the one in effect, and the one before.
-    """
-
-    place: Component
-    speed: Component
-    unknown: Component  # acceleration by unmodelled forces
+    position: Component
+    velocity: Component
+    unknown: Component  # acceleration due to unmodelled forces
     forces: tuple[Component, ...]
 
 
 class ObserverWall(_LowerWall):
     """Wall with state feedback from a delay-compensating observer.
 
-    The feedback uses the state predicted for the moment the command takes effect.
+    f = -k x' - b v', with x' and v' predicted for the instant at which the command takes effect.
 
     The model is a mass under the law's own forces, including the delayed ones, so that the delay is part of the state.
-    An observer with equal poles corrects it at each sample. An unmodelled force, such as a hand's, biases the estimate:
-    the wall is softer than its gain, unless the observer estimates that force too (`disturbance`).
+    An observer with equal poles corrects it at each sample. An unmodelled force, such as that of a hand, biases the
+    estimate and softens the wall, unless the observer estimates that force too (`disturbance`).
 
-    Each gain is a number for all of the law's axes, one number an axis, or (N, axes) for N devices.
+    Each gain is a number, one number per axis, or (N, axes) for N devices.
 
     Args:
         axes: Names from AXES; all six by default.
         lower: The wall fills x <= lower [m, rad].
-        stiffness: Gain on the position at the moment of effect [N/m, N m/rad].
-        damping: Gain on the velocity then [N s/m, N m s/rad].
+        stiffness: Gain k on the predicted position [N/m, N m/rad].
+        damping: Gain b on the predicted velocity [N s/m, N m s/rad].
         inertia: Mass or moment of inertia in the model [kg, kg m²].
         period: Sample period [s].
         delay: Transport delay in the model [s].
-        pole: Position of the observer's poles, in [0, 1); 0 for deadbeat.
+        pole: Observer poles, all equal, in [0, 1); 0 for deadbeat.
         disturbance: True to estimate a constant unknown force.
-        force_limit: Largest actuator force [N, N m]; a number. Without it the model assumes forces beyond saturation,
-            and a hard impact throws the flotor out.
+        force_limit: Force limit [N, N m]; a number. Without it the model assumes forces above saturation, and a hard
+            impact throws the flotor out.
 
     Raises:
-        ParameterError: If a value is outside its bounds or a shape does not fit.
+        ParameterError: If a value is outside its bounds or shapes do not match.
 
-    Source: the design reported by Salcudean & Vlaar 1997 from Vlaar 1994, delay as poles at the origin; gains and
-        observer are this project's, the observer's gains those of a fading-memory filter.
+    Source: design of Vlaar 1994 as reported by Salcudean & Vlaar 1997, with the delay as poles at the origin; feedback
+        gains and observer are this project's, with the observer gains of a fading-memory filter.
 
     Example:
         >>> from maglev_mj import Controller, ObserverWall, Sample
@@ -319,27 +294,23 @@ class ObserverWall(_LowerWall):
         if not self.force_limit > 0.0:
             raise ParameterError(f"wall force_limit must be above 0, not {self.force_limit!r}")
 
-    def force(self, x: Component, v: Component, gains: Any, state: _Belief | None) -> tuple[Component, _Belief]:
+    def force(self, x: Component, v: Component, gains: Any, state: _Estimate | None) -> tuple[Component, _Estimate]:
         """Return the force on one axis and its observer state.
 
-        The observer starts at rest at the first position seen.
-
-        The controller's own velocity estimate is not used.
+        The observer starts at rest at the first sample; the controller's velocity estimate is not used.
         """
         offset = x - gains.lower
         if state is None:
-            belief = _Belief(offset, 0.0, 0.0, (0.0,) * (self._split[0] + 2))
+            estimate = _Estimate(offset, 0.0, 0.0, (0.0,) * (self._split[0] + 2))
         else:
-            belief = self._corrected(state, offset, gains.inertia)
-        place, speed = self._at_effect(belief, gains.inertia)
-        force = (place <= 0.0) * -(gains.stiffness * place + gains.damping * speed)
+            estimate = self._corrected(state, offset, gains.inertia)
+        position, velocity = self._at_effect(estimate, gains.inertia)
+        force = (position <= 0.0) * -(gains.stiffness * position + gains.damping * velocity)
         applied = force if self.force_limit == math.inf else clipped(force, self.force_limit)
-        return force, belief._replace(forces=(applied, *belief.forces[:-1]))
+        return force, estimate._replace(forces=(applied, *estimate.forces[:-1]))
 
     def linear(self, stiffness: Array, damping: Array) -> LinearController:
-        """Return the law in contact as a linear system.
-
-        The gains have shape (...,); the inertia is that of its first axis.
+        """Return the state space model of the law in contact, for gains (...,) and the inertia of its first axis.
 
         Its state is position, velocity, unknown acceleration, and the forces, newest first.
         """
@@ -347,75 +318,69 @@ class ObserverWall(_LowerWall):
         size = 3 + self._split[0] + 2
         shape = np.broadcast_shapes(stiffness.shape, damping.shape, inertia.shape)
         columns = []
-        for part in np.eye(size + 1):  # each entry of the memory in turn, then the position
-            memory = _Belief(part[0], part[1], part[2], tuple(part[3:size]))
-            belief = self._corrected(memory, part[size], inertia)
-            place, speed = self._at_effect(belief, inertia)
-            force = -(stiffness * place + damping * speed)
-            rows = (belief.place, belief.speed, belief.unknown, force, *belief.forces[:-1], force)
+        for unit in np.eye(size + 1):  # unit vectors of the state, then the position
+            state = _Estimate(unit[0], unit[1], unit[2], tuple(unit[3:size]))
+            estimate = self._corrected(state, unit[size], inertia)
+            position, velocity = self._at_effect(estimate, inertia)
+            force = -(stiffness * position + damping * velocity)
+            rows = (estimate.position, estimate.velocity, estimate.unknown, force, *estimate.forces[:-1], force)
             columns.append(np.stack([np.broadcast_to(row, shape) for row in rows], axis=-1))
-        whole = np.stack(columns, axis=-1)
+        matrix = np.stack(columns, axis=-1)
         return LinearController(
-            whole[..., :size, :size], whole[..., :size, size], whole[..., size, :size], whole[..., size, size]
+            matrix[..., :size, :size], matrix[..., :size, size], matrix[..., size, :size], matrix[..., size, size]
         )
 
-    def _corrected(self, belief: _Belief, seen: Component, inertia: Component) -> _Belief:
-        """Return the observer state after one period and correction.
-
-        `seen` is the measured position; all observer poles are equal.
-        """
-        place, speed, unknown, forces = belief
-        pole, period, rest = self.pole, self.period, self._split[1]
-        place, speed = _moved(place, speed, unknown + forces[-1] / inertia, rest)
-        place, speed = _moved(place, speed, unknown + forces[-2] / inertia, period - rest)
-        missed = seen - place
+    def _corrected(self, estimate: _Estimate, measured: Component, inertia: Component) -> _Estimate:
+        """Predict the state over one period and correct it by the measured position."""
+        x, v, unknown, forces = estimate
+        pole, period, remainder = self.pole, self.period, self._split[1]
+        x, v = _propagate(x, v, unknown + forces[-1] / inertia, remainder)
+        x, v = _propagate(x, v, unknown + forces[-2] / inertia, period - remainder)
+        residual = measured - x
         if self.disturbance:
             first, second = 1.0 - pole**3, 1.5 * (1.0 - pole) ** 2 * (1.0 + pole)
-            unknown = unknown + (1.0 - pole) ** 3 / period**2 * missed
+            unknown = unknown + (1.0 - pole) ** 3 / period**2 * residual
         else:
             first, second = 1.0 - pole**2, (1.0 - pole) ** 2
-            unknown = 0.0 * missed
-        return _Belief(place + first * missed, speed + second / period * missed, unknown, forces)
+            unknown = 0.0 * residual
+        return _Estimate(x + first * residual, v + second / period * residual, unknown, forces)
 
-    def _at_effect(self, belief: _Belief, inertia: Component) -> tuple[Component, Component]:
-        """Return predicted position and velocity at the command's effect."""
-        place, speed, unknown, forces = belief
-        place, speed = _moved(place, speed, unknown + forces[-2] / inertia, self._split[1])
+    def _at_effect(self, estimate: _Estimate, inertia: Component) -> tuple[Component, Component]:
+        """Predict position and velocity for the instant at which the command takes effect."""
+        x, v, unknown, forces = estimate
+        x, v = _propagate(x, v, unknown + forces[-2] / inertia, self._split[1])
         for force in forces[-3::-1]:
-            place, speed = _moved(place, speed, unknown + force / inertia, self.period)
-        return place, speed
+            x, v = _propagate(x, v, unknown + force / inertia, self.period)
+        return x, v
 
 
-def _moved(place: Component, speed: Component, acceleration: Component, duration: float) -> tuple[Component, Component]:
-    return place + duration * (speed + 0.5 * duration * acceleration), speed + duration * acceleration
+def _propagate(x: Component, v: Component, acceleration: Component, duration: float) -> tuple[Component, Component]:
+    return x + duration * (v + 0.5 * duration * acceleration), v + duration * acceleration
 
 
 _AxisState: TypeAlias = tuple[Component, Component, tuple[Component, ...]]
-"""Absorbed energy [J], last position, past forces.
-
-The forces are newest first.
-"""
+"""Absorbed energy [J], last position, and past forces, newest first."""
 
 
 class PassivityController(AxisLaw):
     """Time-domain passivity controller; must be the last law.
 
-    It observes the energy rendered by the laws before it and dissipates any surplus.
+    It observes the energy absorbed by the laws before it, its own damping included,
+    E[k] = E[k-1] - f (x[k] - x[k-1]), and dissipates a deficit.
 
-    The energy absorbed over the last period is -f (x[k] - x[k-1]), its own damping included. f is the force in effect;
-    with a delay, it is the weighted mean of the two forces in effect. While the sum is negative, a damper is added that
-    would dissipate the deficit over one period at the present speed, up to `most`: more would not be stable under the
-    delay. Without delay this makes any wall passive; with a delay the damper acts too late.
+    f is the force in effect; with a delay, the weighted mean of the two forces in effect. While E < 0, the damper
+    b = -E / (T v²) is added, which dissipates the deficit within one period, up to `most`: more would be unstable under
+    the delay. Without delay this makes any wall passive; with a delay the damper acts too late.
 
     Args:
         axes: Names from AXES; all six by default.
         period: Sample period [s].
-        most: Largest damping added [N s/m, N m s/rad]; a number, one an axis, or (N, axes).
+        most: Largest added damping [N s/m, N m s/rad]; a number, one per axis, or (N, axes).
         delay: Transport delay [s].
-        slow: Least speed for added damping [m/s, rad/s]: at lower speed the damper would tend to infinity.
+        slow: Lowest speed with added damping [m/s, rad/s]; below it the damping would tend to infinity.
 
     Raises:
-        ParameterError: If a value is outside its bounds or a shape does not fit.
+        ParameterError: If a value is outside its bounds or shapes do not match.
 
     Source: Hannaford & Ryu 2002, series controller in impedance causality; not checked against the original.
     """
@@ -437,23 +402,23 @@ class PassivityController(AxisLaw):
 
     def signals(self, state: Sequence[_AxisState]) -> dict[str, Sequence[Component]]:
         """Return the absorbed energy [J] of each axis."""
-        return {"energy": [one[0] for one in state]}
+        return {"energy": [axis[0] for axis in state]}
 
     def __call__(self, position: Six, velocity: Six, state: Any, wrench: list[Component]) -> Answer:
-        """Answer one sample; see `Law`."""
+        """Add the forces for one sample; see `Law`."""
         following: list[_AxisState] = []
-        for (axis, gains), (energy, place, forces) in zip(self._each, state):
+        for (axis, gains), (energy, last, forces) in zip(self._each, state):
             most = gains.most
             now, rendered = position[axis], wrench[axis]
-            moved = choose(place == place, now - place, 0.0 * now)  # no energy before the first sample
+            travel = choose(last == last, now - last, 0.0 * now)  # NaN before the first sample: no energy
             share = self._split[1] / self.period
-            energy = energy - (share * forces[-1] + (1.0 - share) * forces[-2]) * moved
+            energy = energy - (share * forces[-1] + (1.0 - share) * forces[-2]) * travel
             speed = velocity[axis]
             fast = (speed > self.slow) | (speed < -self.slow)
             power = self.period * speed * speed
-            wanted = choose(fast & (energy < 0.0), -energy / (power + (power == 0.0)), 0.0 * now)
-            added = choose(wanted < most, wanted, most + 0.0 * now)
-            total = rendered - added * speed
+            required = choose(fast & (energy < 0.0), -energy / (power + (power == 0.0)), 0.0 * now)
+            damping = choose(required < most, required, most + 0.0 * now)
+            total = rendered - damping * speed
             wrench[axis] = total
             following.append((energy, now, (total, *forces[:-1])))
         return following, None
