@@ -1,4 +1,4 @@
-"""Plants behind one interface, simulated or real."""
+"""Simulated plants, hands, sensors and the device model."""
 
 from maglev_mj.lazy import attach
 

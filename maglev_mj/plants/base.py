@@ -1,7 +1,4 @@
-"""Plant interface and the base class of simulated plants.
-
-The base class provides sampling, limits, sensor, energy metering and errors.
-"""
+"""Base class of simulated plants: sampling, limits, sensor, energy metering and errors."""
 
 from __future__ import annotations
 
@@ -42,43 +39,43 @@ class PlantKeywords(TypedDict, total=False):
 
 
 class SampledPlant(ABC):
-    """Simulated device under piecewise constant wrench.
+    """Simulated device under a piecewise constant wrench.
 
     A `Timeline` gives the switching instants of the wrench; a subclass only advances its state from one to the next.
 
     Args:
         timing: Sample period, delay and phase.
-        batch: Shape of the batch, () for one device.
+        batch: Batch shape; () for one device.
         wrench: Actuator wrench from release until the first command takes effect, (..., 6) [N, N m].
-        wrench_limit: Largest wrench, (..., 6) or a number [N, N m]; infinite entries and None for no limit.
+        wrench_limit: Largest wrench, (..., 6) or a number [N, N m]; infinity or None for no limit.
         sensor: Pose sensor; None for an ideal sensor.
         escape: Divergence bounds: distance and angle from the centre [m, rad].
-        record: Keep every switch for `trace()`.
-        longest_step: Longest time between two recorded or computed states [s]; None for no bound.
-        hand_force: Force of a hand's muscles, from the first sample on: on the flotor, or on the hand's own mass if
-            its grip is soft.
+        record: Store the state at every switch, for `trace()`.
+        longest_step: Longest time between two stored or computed states [s]; None for no bound.
+        hand_force: Force of a hand's muscles from the first sample on: on the flotor, or on the hand's own mass in a
+            soft grip.
         metered: Integrate the work of the actuators, for `work`.
 
     Attributes:
         before: Wrench of the actuators until the first command takes effect [N, N m], (..., 6).
         given: Constructor arguments by name.
-        hand: Impedance of the hand on the flotor; None for none.
+        hand: Impedance of the hand on the flotor; None without a hand.
     """
 
-    # attributes not used on every tick: lookup is slower in an object of more than 30 attributes
+    # rarely used attributes, in slots: lookup is slower in an object with more than 30 attributes
     __slots__ = ("__dict__", "__weakref__", "_longest_step", "batch", "before", "given", "inertia", "load", "start")
 
     hand: Hand | None = None
     given: Mapping[str, Any]
 
     def __new__(cls, *timing: Any, **options: Any) -> Self:
-        """Return a plant that stores its constructor arguments."""
-        made = super().__new__(cls)
-        made.given = {**dict(zip(("timing",), timing)), **options}
-        check_instance("timing", made.given.get("timing"), Timing | None, "a Timing, such as Timing(period=0.005)")
-        check_instance("hand", made.given.get("hand"), Hand | None, "a Hand, as get_hand('arm') returns")
-        check_instance("hand_force", made.given.get("hand_force"), Callable | None, "a function (tick, time, state)")
-        return made
+        """Store the constructor arguments in the new plant."""
+        plant = super().__new__(cls)
+        plant.given = {**dict(zip(("timing",), timing)), **options}
+        check_instance("timing", plant.given.get("timing"), Timing | None, "a Timing, such as Timing(period=0.005)")
+        check_instance("hand", plant.given.get("hand"), Hand | None, "a Hand, such as get_hand('arm')")
+        check_instance("hand_force", plant.given.get("hand_force"), Callable | None, "a function (tick, time, state)")
+        return plant
 
     def __init__(
         self,
@@ -94,7 +91,7 @@ class SampledPlant(ABC):
         hand_force: HandForce | None = None,
         metered: bool = False,
     ) -> None:
-        # as few attributes as possible: with more than 30, Python's lookup is slower
+        # few attributes: lookup is slower with more than 30
         self.timing = timing
         self.batch = batch
         self._limit = None if wrench_limit is None else components(six("wrench_limit", wrench_limit, batch))
@@ -112,7 +109,7 @@ class SampledPlant(ABC):
         self._timeline = Timeline(timing, self._prepare(components(self.before)), compares=not batch)
         self._intervals: list[Interval] = []
         self._closed = False
-        # local copies, because they are used on every tick
+        # copies, because they are used on every tick
         self._period, self._phase = timing.period, timing.phase
         self._intervals_of = self._timeline.period
         self._answer: tuple[Any, Any, float] | None = None
@@ -126,35 +123,23 @@ class SampledPlant(ABC):
 
     @abstractmethod
     def _advance(self, duration: Component, drive: Any, pieces: int = 1) -> None:
-        """Advance the state by `duration` [s] under constant drive.
-
-        An engine makes `pieces` equal steps.
-        """
+        """Advance the state by `duration` [s] under a constant drive, in an engine by `pieces` equal steps."""
 
     @abstractmethod
     def _position(self) -> list[Component]:
-        """Return the components of the true pose.
-
-        Raises an error if the state is invalid.
-        """
+        """Return the true pose components; raise an error if the state is invalid."""
 
     @abstractmethod
     def _exert(self, effort: Six) -> None:
-        """Apply a wrench of the hand's muscles from now on."""
+        """Apply the wrench of the hand's muscles from now on."""
 
     @abstractmethod
-    def _kept(self, drive: Any) -> Any:
-        """Return a snapshot of the present state and drive.
-
-        It is cheap to make and never changes.
-        """
+    def _snapshot(self, drive: Any) -> Any:
+        """Return a cheap, immutable snapshot of the present state and drive."""
 
     @abstractmethod
-    def _arrays(self, kept: Sequence[Any]) -> tuple[Array, Array, Array]:
-        """Return pose, twist and wrench of K snapshots.
-
-        The snapshots are those of `_kept`; the arrays are (K, ..., 6) each, the wrench that on the flotor.
-        """
+    def _arrays(self, snapshots: Sequence[Any]) -> tuple[Array, Array, Array]:
+        """Return pose, twist and wrench on the flotor of K snapshots of `_snapshot`, (K, ..., 6) each."""
 
     @abstractmethod
     def _where(self) -> Sequence[Component]:
@@ -162,17 +147,14 @@ class SampledPlant(ABC):
 
     @abstractmethod
     def _work(self, drive: Any, before: Sequence[Component], after: Sequence[Component]) -> Component:
-        """Return the actuators' work [J] between two positions.
-
-        The drive is constant.
-        """
+        """Return the actuators' work [J] between two positions under a constant drive."""
 
     def read(self) -> Sample:
         """Advance to the next sampling instant and return its measurement.
 
         Raises:
-            DivergenceError: If the flotor has left its range by a wide margin.
-            PlantError: If the plant is closed, the engine warned, or a hand or sensor does not give six components.
+            DivergenceError: If the flotor is far outside its range.
+            PlantError: If the plant is closed, the engine warned, or a hand or sensor does not return six components.
         """
         if self._closed:
             raise PlantError("the plant is closed")
@@ -184,7 +166,7 @@ class SampledPlant(ABC):
             self._answer = None
             for duration, drive in intervals:
                 run(duration, drive)
-        elif np.count_nonzero(self._phase):  # free fall from release to the first sample, which is tick 0
+        elif np.count_nonzero(self._phase):  # from release to the first sample, tick 0
             ahead = self._phase * self._period
             self._offset = -ahead
             self._run(ahead, self._timeline.acting)
@@ -193,8 +175,8 @@ class SampledPlant(ABC):
         time = (tick + self._phase) * self._period
         if self._hand_force is not None:
             self._effort = self._hand_force(tick, time, self.state)
-            if len(self._effort) != 6 or not self._sound(sum(self._effort)):
-                raise _refusal(self._effort, tick, self.batch, "a hand's wrench")
+            if len(self._effort) != 6 or not self._valid(sum(self._effort)):
+                raise _invalid(self._effort, tick, self.batch, "a hand's wrench")
             self._exert(self._effort)
         if self._measure is not None:
             position = self._measure(position)
@@ -203,9 +185,7 @@ class SampledPlant(ABC):
         return Sample(tick, time, position)
 
     def write(self, command: Command) -> Command:
-        """Queue the answer to the last sample.
-
-        Returns the command as applied, after the limits.
+        """Queue the command for the last sample; return it as applied, after the limits.
 
         Raises:
             PlantError: If the command is not finite, or no sample was read.
@@ -215,17 +195,17 @@ class SampledPlant(ABC):
         width = 0.0
         total = command.force
         if command.extra is not None:
-            total = [one + other for one, other in zip(total, command.extra)]
+            total = [held + pulse for held, pulse in zip(total, command.extra)]
             width = command.pulse_width
             if not 0.0 < width < math.inf:
                 raise PlantError(f"pulse_width must be finite and above 0, not {width:g}")
-        check = sum(total)  # short of overflow, a sum is finite only if all its terms are
-        if len(total) != 6 or not (isfinite(check) if check.__class__ is float else self._sound(check)):
-            raise _refusal(total, self._tick, self.batch)
+        check = sum(total)  # finite only if all terms are, short of overflow
+        if len(total) != 6 or not (isfinite(check) if check.__class__ is float else self._valid(check)):
+            raise _invalid(total, self._tick, self.batch)
         if self._limits:
             command = self._limited(command)
             if width:
-                total = [one + other for one, other in zip(command.force, command.extra or ())]
+                total = [held + pulse for held, pulse in zip(command.force, command.extra or ())]
         self._answer = self._prepare(command.force), self._prepare(total) if width else None, width
         return command
 
@@ -237,44 +217,38 @@ class SampledPlant(ABC):
         width: float,
         after: float | None,
     ) -> None:
-        """Switch to the drives of currents; see `MuJoCoPlant.drive`."""
+        """Switch currents; see `MuJoCoPlant.drive`."""
         if self._tick < 0 or not isfinite(sum(currents) + sum(pulsed or ()) + width):
             raise PlantError(f"currents must be finite and follow a sample, not {tuple(currents)} for {width:g} s")
         held = drive_of(currents)
         self._timeline.answer(self._tick, held, held if pulsed is None else drive_of(pulsed), width, after=after)
 
     def close(self) -> None:
-        """Release the plant.
-
-        Safe at any time, and more than once.
-        """
+        """Release the plant; may be called at any time and repeatedly."""
         self._closed = True
 
     def trace(self) -> Trace:
         """Return the motion recorded since release.
 
         Raises:
-            PlantError: If the plant was made without `record=True`, or no sample was read.
+            PlantError: If the plant was created without `record=True`, or no sample was read.
         """
         if self._recorder is None or self._tick < 0:
-            raise PlantError("nothing is recorded: make the plant with record=True and read at least one sample")
-        return self._recorder.finish(self._tick, self._kept(self._timeline.now()))
+            raise PlantError("no trace: create the plant with record=True and read at least one sample")
+        return self._recorder.finish(self._tick, self._snapshot(self._timeline.now()))
 
     def state(self) -> tuple[Array, Array]:
-        """Return true pose and twist at the last sample.
-
-        (..., 6) each, without sensor errors.
-        """
-        pose, twist, _ = self._arrays([self._kept(self._timeline.acting)])
+        """Return true pose and twist at the last sample, (..., 6) each."""
+        pose, twist, _ = self._arrays([self._snapshot(self._timeline.acting)])
         return pose[0], twist[0]
 
     @property
     def begun(self) -> bool:
-        """True once a sample was read."""
+        """True after the first sample."""
         return self._tick >= 0
 
     def hold(self, hand: HandForce) -> None:
-        """Let another hand's force act from the next sample on; its impedance stays."""
+        """Replace the hand force from the next sample on; the hand's impedance stays."""
         self._hand_force = hand
 
     @property
@@ -284,10 +258,7 @@ class SampledPlant(ABC):
 
     @property
     def hand_wrench(self) -> Six:
-        """Wrench of the hand's muscles [N, N m], six components.
-
-        It acts since the last sample.
-        """
+        """Wrench of the hand's muscles since the last sample [N, N m], six components."""
         return self._effort
 
     @property
@@ -297,10 +268,10 @@ class SampledPlant(ABC):
         With driver lag or force falloff it is the work of the commanded wrench.
 
         Raises:
-            PlantError: If the plant was made without `metered=True`.
+            PlantError: If the plant was created without `metered=True`.
         """
         if self._total is None:
-            raise PlantError("work is not added up: make the plant with metered=True")
+            raise PlantError("work is not metered: create the plant with metered=True")
         return self._total
 
     @property
@@ -323,55 +294,46 @@ class SampledPlant(ABC):
         return self._advance if self._total is None else self._advance_metered
 
     def _advance_metered(self, duration: Component, drive: Any, pieces: int = 1) -> None:
-        """Advance, and add the actuators' work.
-
-        The drive is constant, so the work is wrench times displacement, independent of other forces.
-        """
+        """Advance, and add the actuators' work: wrench times displacement, because the drive is constant."""
         before = self._where()
         self._advance(duration, drive, pieces)
         self._total = self._total + self._work(drive, before, self._where())
 
     def _run_in_pieces(self, duration: Component, drive: Any) -> None:
-        """Advance over one interval with recording and step limit."""
+        """Advance over one interval, with recording and step limit."""
         pieces = 1
         if self._longest_step is not None:
-            whole = duration if duration.__class__ is float else float(np.max(duration))
-            pieces = max(math.ceil(whole / self._longest_step - 1e-9), 1)
+            longest = duration if duration.__class__ is float else float(np.max(duration))
+            pieces = max(math.ceil(longest / self._longest_step - 1e-9), 1)
         carry, recorder = self._carry, self._recorder
         if recorder is None:
             return carry(duration, drive, pieces)
         tick, piece = max(self._tick, 0), duration if pieces == 1 else duration / pieces
-        recorder.add(tick, self._offset, self._kept(drive))
+        recorder.add(tick, self._offset, self._snapshot(drive))
         carry(piece, drive)
-        for done in range(1, pieces):
-            recorder.add(tick, self._offset + duration * (done / pieces), self._kept(drive))
+        for index in range(1, pieces):
+            recorder.add(tick, self._offset + duration * (index / pieces), self._snapshot(drive))
             carry(piece, drive)
         self._offset = self._offset + duration
 
     def _limited(self, command: Command) -> Command:
-        """Clip the held wrench and the pulse wrench separately."""
+        """Saturate the held wrench and the pulse wrench separately."""
         limit = self._limit
         if limit is None:
             return command
         if command.extra is None:
-            within = not self.batch and _within(command.force, limit)  # as nearly always
+            within = not self.batch and _within(command.force, limit)  # the usual case
             return command if within else Command(list(map(clipped, command.force, limit)))
         force = list(map(clipped, command.force, limit))
-        total = (clipped(one + other, most) for one, other, most in zip(command.force, command.extra, limit))
-        return Command(force, [one - other for one, other in zip(total, force)], command.pulse_width)
+        total = (clipped(held + pulse, most) for held, pulse, most in zip(command.force, command.extra, limit))
+        return Command(force, [both - held for both, held in zip(total, force)], command.pulse_width)
 
-    def _sound(self, total: Any) -> bool:
-        """Return True for a finite sum of matching shape.
-
-        `total` is the sum of a command's components; its shape must be that of the batch.
-        """
+    def _valid(self, total: Any) -> bool:
+        """Return True if a sum of components is finite and has the batch shape."""
         return np.shape(total) in ((), self.batch) and bool(np.isfinite(total).all())
 
     def _check_escape(self, position: Six) -> Component:
-        """Return the squared angle [rad²] within the escape bounds.
-
-        Raises DivergenceError if a flotor is far outside its range or its pose is NaN.
-        """
+        """Return the squared angle [rad²]; raise DivergenceError outside the escape bounds or for NaN."""
         x, y, z, rx, ry, rz = position
         largest_distance, largest_angle = self._escape
         distance, angle = x * x + y * y + z * z, rx * rx + ry * ry + rz * rz
@@ -384,73 +346,54 @@ class SampledPlant(ABC):
 
 
 States: TypeAlias = Sequence[tuple[Any, Mapping[str, Any]]]
-"""Objects, each with its attributes at an instant."""
+"""Objects with their saved attributes."""
 
 
 def states_of(*parts: Any) -> States:
-    """Return the attributes of objects; those that are changed in place are copied."""
-    return [(part, {name: _kept(value) for name, value in vars(part).items()}) for part in parts]
+    """Save the attributes of objects; mutable ones are copied."""
+    return [(part, {name: _copied(value) for name, value in vars(part).items()}) for part in parts]
 
 
 def restore(states: States) -> None:
-    """Give objects the attributes of `states_of` again; as often as needed."""
+    """Restore the attributes saved by `states_of`; may be repeated."""
     for part, values in states:
-        part.__dict__.update({name: _kept(value) for name, value in values.items()})
+        part.__dict__.update({name: _copied(value) for name, value in values.items()})
 
 
-def _kept(value: Any) -> Any:
+def _copied(value: Any) -> Any:
     return copy(value) if isinstance(value, list | deque | HandWork) else value
 
 
 def _within(force: Sequence[float], limit: Sequence[float]) -> bool:
-    """Return True if one device's wrench is within limits.
-
-    Both are six [N, N m].
-    """
+    """Return True if the wrench of one device is within its limits, six each [N, N m]."""
     fx, fy, fz, tx, ty, tz = force
     x, y, z, rx, ry, rz = limit
     linear = -x <= fx <= x and -y <= fy <= y and -z <= fz <= z
     return linear and -rx <= tx <= rx and -ry <= ty <= ry and -rz <= tz <= rz
 
 
-def _refusal(force: Six, tick: int, batch: tuple[int, ...], what: str = "a command") -> PlantError:
-    """Return the error for the first invalid component.
-
-    Args:
-        force: Components of a wrench, not finite or of a shape that does not fit [N, N m].
-        tick: Index of the answered sample.
-        batch: Shape of the plant's batch.
-        what: Name of the wrench in the message.
-    """
+def _invalid(force: Six, tick: int, batch: tuple[int, ...], what: str = "a command") -> PlantError:
+    """Return the error for the first invalid component of a wrench, called `what` in the message."""
     if len(force) != 6:
         return PlantError(f"{what} must have 6 components, not {len(force)}")
     wrench = join(force)
     if wrench.shape[:-1] not in ((), batch):
         return PlantError(f"{what} must have the batch shape {batch} of the plant, not {wrench.shape[:-1]}")
-    place = tuple(np.argwhere(~np.isfinite(wrench))[0])
-    device = f", device {place[:-1]}" if len(place) > 1 else ""
+    index = tuple(np.argwhere(~np.isfinite(wrench))[0])
+    device = f", device {index[:-1]}" if len(index) > 1 else ""
     name = what.removeprefix("a ")
-    return PlantError(f"{name} at tick {tick} must be finite, not {wrench[place]:g} along {AXES[place[-1]]}{device}")
+    return PlantError(f"{name} at tick {tick} must be finite, not {wrench[index]:g} along {AXES[index[-1]]}{device}")
 
 
 def _escaped(
     distance: Component, angle: Component, bounds: tuple[float, float], at: Component, batch: tuple[int, ...]
 ) -> DivergenceError:
-    """Return the error for the first flotor out of range.
-
-    Args:
-        distance: Squares of the distances from the centre [m²].
-        angle: Squares of the angles [rad²].
-        bounds: Squares of the bounds of both.
-        at: Time [s].
-        batch: Shape of the plant's batch.
-    """
-    far, turned, time = np.broadcast_arrays(np.sqrt(distance), np.sqrt(angle), at)
-    out = ~((far**2 < bounds[0]) & (turned**2 < bounds[1]))
-    place = tuple(np.argwhere(out)[0]) if out.ndim else ()
-    device = f" (device {', '.join(map(str, place))} of {batch})" if place else ""
+    """Return the error for the first flotor outside `bounds`; distances, angles and bounds are squared."""
+    metres, radians, time = np.broadcast_arrays(np.sqrt(distance), np.sqrt(angle), at)
+    out = ~((metres**2 < bounds[0]) & (radians**2 < bounds[1]))
+    index = tuple(np.argwhere(out)[0]) if out.ndim else ()
+    device = f" (device {', '.join(map(str, index))} of {batch})" if index else ""
     return DivergenceError(
-        f"the flotor is {far[place]:.3g} m and {turned[place]:.3g} rad from its centre "
-        f"at {time[place]:.4g} s{device}; a run has diverged beyond "
-        f"{math.sqrt(bounds[0]):.3g} m or {math.sqrt(bounds[1]):.3g} rad"
+        f"diverged at {time[index]:.4g} s{device}: the flotor is {metres[index]:.3g} m and {radians[index]:.3g} rad "
+        f"from its centre, outside {math.sqrt(bounds[0]):.3g} m and {math.sqrt(bounds[1]):.3g} rad"
     )

@@ -1,4 +1,4 @@
-"""Coil map between currents and wrench, its inverse at an angle, and current limits."""
+"""Coil map between currents and wrench, its inverse for a rotated flotor, and current limits."""
 
 from __future__ import annotations
 
@@ -16,31 +16,28 @@ from maglev_mj.frames import Array, Command
 from maglev_mj.parameters import store
 
 UPRIGHT = 1e-9
-"""Largest angle [rad] with the upright coil map.
-
-The error of the map is then negligible.
-"""
+"""Largest angle [rad] at which the upright coil map is used; its error is negligible."""
 
 
 @dataclass(frozen=True, eq=False)
 class CoilMap:
     """Linear map between six coil currents and the wrench.
 
-    The magnets are fixed to the stator and the coils to the flotor: a force keeps its direction in stator
-    axes, and its point of application turns. Without a given angle, the map is that of the upright flotor.
+    The magnets are fixed to the stator and the coils to the flotor: a force keeps its direction in stator axes, and its
+    point of application rotates with the flotor. Methods without an angle use the map of the upright flotor.
 
     Args:
         points: Point of application of each coil's force, from the flotor's centre of mass, in flotor axes [m], (6, 3).
         directions: Unit direction of each force in stator axes, (6, 3).
-        force_constants: Force of one ampere [N/A], (6,).
+        force_constants: Force constants [N/A], (6,).
 
     Raises:
-        ModelError: If there are not six coils, or they cannot give every wrench.
+        ModelError: If there are not six coils, or their map is singular.
 
     Example:
         >>> from maglev_mj import Calibration
         >>> coils = Calibration.nominal().coils
-        >>> currents = coils.currents([0.0, 0.0, 6.867, 0.0, 0.0, 0.0])  # for the weight of 0.7 kg
+        >>> currents = coils.currents([0.0, 0.0, 6.867, 0.0, 0.0, 0.0])  # weight of 0.7 kg
         >>> currents.round(2).tolist()
         [1.14, 1.14, 1.14, 0.0, 0.0, 0.0]
         >>> coils.wrench(currents).round(3).tolist()[2]
@@ -64,7 +61,7 @@ class CoilMap:
         forces = self.directions * self.force_constants[:, None]
         upright = np.concatenate([forces.T, np.cross(self.points, forces).T])
         if np.linalg.matrix_rank(upright) < len(upright):
-            raise ModelError("the six coils cannot give every wrench: their map is singular")
+            raise ModelError("the coil map is singular: the six coils cannot produce every wrench")
         # torque a of coil j is linear in the rotation matrix: eps_abc R_bk p_jk f_jc
         levi_civita = np.cross(np.eye(3)[:, None], np.eye(3))  # [b, c, a]
         turning = np.einsum("bca,jk,jc->ajbk", levi_civita, self.points, forces).reshape(18, 9)
@@ -72,27 +69,22 @@ class CoilMap:
         blocks, spread = _blocks_of(self.current_per_wrench, turning)
         store(self, _blocks=blocks, _spread=spread)
         for array in (self.points, self.directions, self.force_constants, upright, self.current_per_wrench):
-            array.setflags(write=False)  # many plants share one map
+            array.setflags(write=False)  # shared by many plants
 
     def inverse_at(self, rotation: Array) -> Array:
-        """Return currents per wrench of turned flotors, (..., 6, 6).
-
-        In [A/N, A/(N m)], for rotation matrices (..., 9).
-        """
+        """Return the inverse coil map [A/N, A/(N m)], (..., 6, 6), at rotation matrices (..., 9)."""
         if rotation.ndim > 1:
-            many = np.repeat(self.wrench_per_current[None], len(rotation), axis=0)
-            many[:, 3:] = (rotation @ self._turning.T).reshape(-1, 3, 6)
-            return cast(Array, np.linalg.inv(many))
-        turned = self.wrench_per_current.copy()
-        turned[3:] = self._turning.dot(rotation).reshape(3, 6)
-        return cast(Array, np.linalg.inv(turned))
+            maps = np.repeat(self.wrench_per_current[None], len(rotation), axis=0)
+            maps[:, 3:] = (rotation @ self._turning.T).reshape(-1, 3, 6)
+            return cast(Array, np.linalg.inv(maps))
+        rotated = self.wrench_per_current.copy()
+        rotated[3:] = self._turning.dot(rotation).reshape(3, 6)
+        return cast(Array, np.linalg.inv(rotated))
 
     def inverse_turned(self, rx: float, ry: float, rz: float) -> Array:
-        """Return currents per wrench of a turned flotor, (6, 6).
+        """Return the inverse coil map [A/N, A/(N m)], (6, 6), at a rotation vector [rad].
 
-        In [A/N, A/(N m)], for a rotation vector [rad].
-
-        The result equals that of `inverse_at` to rounding, in half the time: see `_blocks_of`.
+        Equal to `inverse_at` to rounding, in half the time; see `_blocks_of`.
         """
         square = rx * rx + ry * ry + rz * rz
         if square <= UPRIGHT * UPRIGHT:
@@ -103,27 +95,19 @@ class CoilMap:
         xx, yy, zz = 2.0 * x * x, 2.0 * y * y, 2.0 * z * z
         xy, xz, yz, wx, wy, wz = 2.0 * x * y, 2.0 * x * z, 2.0 * y * z, 2.0 * w * x, 2.0 * w * y, 2.0 * w * z
         rows = [1.0 - yy - zz, xy - wz, xz + wy, xy + wz, 1.0 - xx - zz, yz - wx, xz - wy, yz + wx, 1.0 - xx - yy]
-        lower = struct.pack("19d", *_lower_rows(self._blocks.dot(rows).tolist()))  # as an array in half the time
+        lower = struct.pack("19d", *_lower_rows(self._blocks.dot(rows).tolist()))  # packed: half the time of np.array
         return cast(Array, self._spread.dot(np.frombuffer(lower)).reshape(6, 6))
 
     def currents(self, wrench: Array) -> Array:
-        """Return the currents [A] for a wrench [N, N m].
-
-        (..., 6) each.
-        """
+        """Return the currents [A] for a wrench [N, N m], (..., 6) each."""
         return wrench @ self.current_per_wrench.T
 
     def wrench(self, currents: Array) -> Array:
-        """Return the wrench [N, N m] of currents [A].
-
-        (..., 6) each.
-        """
+        """Return the wrench [N, N m] of currents [A], (..., 6) each."""
         return currents @ self.wrench_per_current.T
 
     def largest_wrench(self, current: float) -> Array:
-        """Return the largest force or torque on each axis.
-
-        In [N, N m], (6,), with zero on all other axes.
+        """Return the largest force or torque on each axis, with zero on all others [N, N m], (6,).
 
         Args:
             current: Largest current in any coil [A].
@@ -136,34 +120,31 @@ class CoilMap:
         return np.asarray(current / np.abs(self.current_per_wrench).max(axis=0))
 
     def condition_number(self, length: float) -> float:
-        """Return the 2-norm condition number.
-
-        Torques are divided by a length [m], which makes it unitless.
-        """
+        """Return the 2-norm condition number, with torques divided by a length [m]."""
         scale = np.array([1.0, 1.0, 1.0, 1.0 / length, 1.0 / length, 1.0 / length])
         return float(np.linalg.cond(scale[:, None] * self.wrench_per_current))
 
 
 def limited_wrench(inverse_map: Array, force: Sequence[float], limit: float) -> tuple[Sequence[float], list[float]]:
-    """Return the wrench after current clipping, with its currents.
+    """Saturate the currents of a wrench; return the resulting wrench and its currents.
 
     Args:
-        inverse_map: Currents per wrench [A/N, A/(N m)], (6, 6).
-        force: The wrench [N, N m], six; it is returned itself if nothing is clipped.
+        inverse_map: Inverse coil map [A/N, A/(N m)], (6, 6).
+        force: Wrench [N, N m], six; the same object is returned if no current saturates.
         limit: Largest current in any coil [A].
     """
     currents = inverse_map.dot(force)
     listed: list[float] = currents.tolist()
     if max(listed) <= limit and min(listed) >= -limit:
         return force, listed
-    left = np.linalg.solve(inverse_map, np.clip(currents, -limit, limit))
-    return left.tolist(), inverse_map.dot(left).tolist()
+    saturated = np.linalg.solve(inverse_map, np.clip(currents, -limit, limit))
+    return saturated.tolist(), inverse_map.dot(saturated).tolist()
 
 
 def _blocks_of(upright: Array, turning: Array) -> tuple[Array, Array]:
     """Return the matrices for `CoilMap.inverse_turned`.
 
-    Turning does not change the coils' forces: the map of a turned flotor is M W, with W the upright one's and
+    Rotation does not change the coils' forces: the map is M W, with W that of the upright flotor and
     M = [[1, 0], [A, B]]. Its inverse is W⁻¹ [[1, 0], [-B⁻¹ A, B⁻¹]].
 
     Args:
@@ -186,10 +167,7 @@ def _blocks_of(upright: Array, turning: Array) -> tuple[Array, Array]:
 
 
 def _lower_rows(blocks: Sequence[float]) -> tuple[float, ...]:
-    """Return the rows of -B⁻¹ A and B⁻¹, and 1.
-
-    From the rows of A and B.
-    """
+    """Return the rows of -B⁻¹ A and B⁻¹, and 1, from the rows of A and B."""
     a0, a1, a2, a3, a4, a5, a6, a7, a8, b0, b1, b2, b3, b4, b5, b6, b7, b8 = blocks
     c0, c3, c6 = b4 * b8 - b5 * b7, b5 * b6 - b3 * b8, b3 * b7 - b4 * b6
     over = 1.0 / (b0 * c0 + b1 * c3 + b2 * c6)
@@ -205,34 +183,30 @@ def _lower_rows(blocks: Sequence[float]) -> tuple[float, ...]:
 
 
 class CoilDrive:
-    """Map from a wrench to six limited coil currents.
-
-    The map is that of the flotor's present angle.
+    """Saturated coil currents of a wrench at the flotor's present angle.
 
     Args:
-        coils: Coil model of the commanding side.
+        coils: Coil map of the commanding side.
         limit: Largest current in any coil [A]; None for no limit.
 
     Attributes:
-        inverse_map: Currents per wrench at the last angle of `follow` [A/N, A/(N m)], (6, 6).
+        inverse_map: Inverse coil map at the last angle of `follow` [A/N, A/(N m)], (6, 6).
     """
 
     def __init__(self, coils: CoilMap, limit: float | None) -> None:
         self._coils, self._limit = coils, limit
         self.inverse_map = self._upright = coils.current_per_wrench
         self._wrench, self._currents = np.zeros(6), np.zeros(6)
-        # as `self._wrench[:] = force`, in half the time
+        # equivalent to self._wrench[:] = force, in half the time
         self._fill = partial(struct.pack_into, "6d", self._wrench.data, 0)
-        self._known: tuple[Sequence[float] | None, list[float]] = None, []
+        self._cached: tuple[Sequence[float] | None, list[float]] = None, []
 
     def follow(self, rotation: Array | None, angle: Sequence[float] | None = None) -> bool:
-        """Update the map to another angle.
-
-        Returns True if the flotor was upright and still is.
+        """Update the map to a new angle; return True if the flotor was upright and still is.
 
         Args:
             rotation: Rotation matrix of the flotor, (9,); None for upright.
-            angle: Measured rotation vector in place of the matrix [rad], three.
+            angle: Measured rotation vector [rad], used instead of the matrix.
         """
         before = self.inverse_map
         if angle is not None:
@@ -242,12 +216,9 @@ class CoilDrive:
         return before is self._upright is self.inverse_map
 
     def currents(self, force: Sequence[float]) -> list[float]:
-        """Return the currents [A] for a wrench [N, N m].
-
-        Six each.
-        """
-        known, currents = self._known
-        if force is known:  # computed by the limiter already
+        """Return the currents [A] for a wrench [N, N m], six each."""
+        wrench, currents = self._cached
+        if force is wrench:  # already computed by the limiter
             return currents
         return self._mapped(force)
 
@@ -257,22 +228,19 @@ class CoilDrive:
         return listed
 
     def limited(self, command: Command) -> Command:
-        """Return a command with clipped currents.
-
-        The currents of the pulse are clipped separately.
-        """
+        """Saturate the currents of a command and those of its pulse separately."""
         force, extra = command.force, command.extra
         if extra is None:
-            left = self._clipped(force)
-            return command if left is force else Command(left)
-        total = self._clipped([one + other for one, other in zip(force, extra)])
-        left = self._clipped(force)
-        return Command(left, [one - other for one, other in zip(total, left)], command.pulse_width)
+            saturated = self._clipped(force)
+            return command if saturated is force else Command(saturated)
+        total = self._clipped([held + pulse for held, pulse in zip(force, extra)])
+        saturated = self._clipped(force)
+        return Command(saturated, [both - held for both, held in zip(total, saturated)], command.pulse_width)
 
     def _clipped(self, force: Sequence[float]) -> Sequence[float]:
         limit = self._limit
         assert limit is not None
         currents = self._mapped(force)
-        within = max(currents) <= limit and min(currents) >= -limit  # as nearly always
-        self._known = (force, currents) if within else limited_wrench(self.inverse_map, force, limit)
-        return self._known[0]
+        within = max(currents) <= limit and min(currents) >= -limit  # the usual case
+        self._cached = (force, currents) if within else limited_wrench(self.inverse_map, force, limit)
+        return self._cached[0]

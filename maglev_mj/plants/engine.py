@@ -1,4 +1,4 @@
-"""MuJoCo engine of a plant: integrator, initial state, steps."""
+"""MuJoCo engine of a plant: model options, integrators, initial state and steps."""
 
 from __future__ import annotations
 
@@ -21,13 +21,10 @@ from maglev_mj.plants.model import COILS, Device, Model, at_reference, load_mode
 from maglev_mj.spec import GRAVITY
 
 Drive: TypeAlias = tuple[Sequence[float | None], Sequence[float], Any]
-"""Commanded wrench, engine controls, inverse coil map.
-
-The wrench is (None, six currents) if currents were commanded; the map is None without coils.
-"""
+"""Commanded wrench, or (None, six currents); engine controls; inverse coil map, None without coils."""
 
 STOP_TIME = 0.02
-"""Time constant of friction along a stop [s]; assumed."""
+"""Time constant of friction along a metal stop [s]; assumed."""
 
 _HAND_STEP, _STOP_STEP, _FALLOFF_STEP, _BEND_STEP = 5e-4, 2.5e-4, 2.5e-4, 5e-5
 
@@ -44,16 +41,14 @@ _PASSIVE = (
 )
 
 NOTHING = 1e-12
-"""Largest angle [rad] treated as rounding error."""
+"""Rounding tolerance of angles [rad]."""
 
 
 @contextmanager
 def engine_warnings_silenced() -> Iterator[None]:
-    """Suppress the engine's warnings on terminal and log file.
+    """Suppress the engine's warnings on terminal and in its log file; a plant raises them as errors.
 
-    A plant raises them as errors anyway.
-
-    The engine has one warning handler for the whole process; it is restored at the end.
+    The warning handler is global to the process; it is restored on exit.
     """
     if not has_engine():
         yield
@@ -74,10 +69,7 @@ INTEGRATORS = {
     "discrete": "mjINT_DISCRETE",
     "corrected": "mjINT_EULER",
 }
-"""Integrators by name, and their names in the engine.
-
-Those of the engine, and "corrected": Euler with a half-step correction (see `CorrectedSteps`).
-"""
+"""MuJoCo's integrators by name, and "corrected": Euler with a half-step correction (see `CorrectedSteps`)."""
 
 
 def prepared(
@@ -89,47 +81,44 @@ def prepared(
     force_falloff: float = 0.0,
     **device: Any,
 ) -> Device:
-    """Load a device with its model configured for a plant.
+    """Load a device and configure its model for a plant.
 
     Args:
         model: See `load_model`.
-        gravity: Acceleration of free fall along -z, or in stator axes (3,) [m/s²].
+        gravity: Gravitational acceleration along -z, or in stator axes (3,) [m/s²].
         integrator: One of `INTEGRATORS`.
-        stops: Let the metal stops act.
-        force_falloff: See `MuJoCoPlant`; the model must have a range for it.
-        device: Further keywords of `load_model`.
+        stops: Enable the metal stops.
+        force_falloff: See `MuJoCoPlant`; needs a range of motion in the model.
+        device: Other keywords of `load_model`.
 
     Raises:
         ParameterError: If a value is outside its bounds.
-        ModelError: If the model cannot be used, or lacks the stops that are needed.
+        ModelError: If the model is invalid, or lacks joint limits needed for stops and falloff.
     """
     check_one_of("integrator", INTEGRATORS, integrator)
-    made = load_model(model, **device)
-    options = made.model.opt
+    loaded = load_model(model, **device)
+    options = loaded.model.opt
     options.integrator = mujoco.mjtIntegrator.__members__[INTEGRATORS[integrator]]
-    falling = numbers("gravity", gravity)
-    if falling.shape not in ((), (3,)):
-        raise ParameterError(f"gravity must be a number or (3,), not {falling.shape}")
-    options.gravity[:] = falling if falling.ndim else (0.0, 0.0, -float(falling))
-    if not _has_passive_forces(made.model):  # else both flags together would take all of them away
+    acceleration = numbers("gravity", gravity)
+    if acceleration.shape not in ((), (3,)):
+        raise ParameterError(f"gravity must be a number or (3,), not {acceleration.shape}")
+    options.gravity[:] = acceleration if acceleration.ndim else (0.0, 0.0, -float(acceleration))
+    if not _has_passive_forces(loaded.model):  # both flags together disable all passive forces
         options.disableflags |= mujoco.mjtDisableBit.mjDSBL_SPRING | mujoco.mjtDisableBit.mjDSBL_DAMPER
-    # an automatic reset would make a diverging run look stable, and the plant limits currents itself
+    # an automatic reset would hide divergence; currents are limited by the plant
     options.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET | mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     if flag("stops", stops):
         options.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_LIMIT)
     else:
         options.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
     falloff = number("force_falloff", force_falloff, at_least=0.0, at_most=1.0)
-    if (stops or falloff) and not np.isfinite(made.range).all():
-        raise ModelError("stops and force_falloff need limits on the joints x, y, z and rotation of the model")
-    return made
+    if (stops or falloff) and not np.isfinite(loaded.range).all():
+        raise ModelError("stops and force_falloff need joint limits on x, y, z and rotation in the model")
+    return loaded
 
 
 def _has_passive_forces(model: mujoco.MjModel) -> bool:
-    """Return True if a model may exert passive forces.
-
-    Sources are joints, tendons, a fluid, flexes and plugins.
-    """
+    """Return True if joints, tendons, a fluid, flexes or plugins may exert passive forces."""
     springs = (getattr(model, name) for name in _PASSIVE)
     options = model.opt
     return bool(any(map(np.any, springs)) or options.density or options.viscosity or model.nflex or model.nplugin)
@@ -138,20 +127,20 @@ def _has_passive_forces(model: mujoco.MjModel) -> bool:
 def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) -> tuple[Array, Array]:
     """Return qpos and qvel of a device at release.
 
-    A hand in a soft grip starts in equilibrium, at the flotor's velocity.
+    A hand with a soft grip starts in static equilibrium with the flotor, at its velocity.
 
     Args:
-        device: The device.
+        device: Device.
         pose: Pose of the flotor [m, rad], (6,).
         twist: Its velocity [m/s, rad/s], (6,).
-        hand: The hand on it.
+        hand: Hand on the flotor.
     """
     model = device.model
     position, velocity, rotation = np.zeros(model.nq), np.zeros(model.nv), np.zeros(9)
     first, start = device.position_address, device.velocity_address
     position[first : first + 3], position[first + 3 : first + 7] = pose[:3], quaternion(pose[3:])
     mujoco.mju_quat2Mat(rotation, position[first + 3 : first + 7])
-    # the engine turns about the flotor's axes
+    # MuJoCo's angular velocity is in flotor axes
     velocity[start : start + 3], velocity[start + 3 : start + 6] = twist[:3], twist[3:] @ rotation.reshape(3, 3)
     if hand is not None and hand.soft:
         for index in hand.indices:
@@ -161,9 +150,9 @@ def start_state(device: Device, pose: Array, twist: Array, hand: Hand | None) ->
 
 
 def effort_addresses(device: Device, hand: Hand | None) -> list[int]:
-    """Return indices into qvel of the hand's muscle forces.
+    """Return the indices into qvel of the hand's muscle forces on x, y and z.
 
-    They are for x, y and z; they are the hand's own if its grip is soft, otherwise the flotor's.
+    They act on the hand's own mass in a soft grip, otherwise on the flotor.
     """
     addresses = [device.velocity_address + index for index in range(3)]
     for index in hand.indices if hand is not None and hand.soft else ():
@@ -179,72 +168,65 @@ def longest_step(
     force_falloff: float = 0.0,
     flexible: bool = False,
 ) -> float | None:
-    """Return the longest integration step of a device [s].
-
-    None if it needs steps at force switches only.
+    """Return the largest integrator step [s]; None if steps at force switches are enough.
 
     Args:
-        device: The device, for its drivers' time constant.
-        driver_lag: True if the drivers' lag is on.
-        hand: The hand on the flotor.
-        stops: True if the stops act.
-        force_falloff: Share of the force lost at the ends of the range.
-        flexible: True if the handle swings.
+        device: Device, for its driver time constant.
+        driver_lag: Driver lag enabled.
+        hand: Hand on the flotor.
+        stops: Metal stops enabled.
+        force_falloff: Fraction of the force lost at the ends of the range.
+        flexible: Flexible handle.
     """
-    needed = (
+    limits = (
         (driver_lag, 0.25 * device.driver_time_constant),
         (hand is not None, _HAND_STEP),
         (stops, _STOP_STEP),
         (force_falloff > 0.0, _FALLOFF_STEP),
         (flexible, _BEND_STEP),
     )
-    return min((step for asked, step in needed if asked), default=None)
+    return min((step for applies, step in limits if applies), default=None)
 
 
-_FIERCEST, _FIERCEST_TURN = 60.0, 2500.0
-"""Half the largest acceleration [m/s², rad/s²].
-
-It is that of the flotor under coils and hand.
-"""
+_HALF_ACCELERATION, _HALF_ANGULAR = 60.0, 2500.0
+"""Half the largest acceleration of the flotor under coils and hand [m/s², rad/s²]."""
 
 
 def near_stops(reach: Sequence[float], position: Sequence[float], velocity: Sequence[float], period: float) -> bool:
-    """Return True if a flotor may reach a stop.
-
-    That is within one period. Contact needs short steps; elsewhere they are wasted.
+    """Return True if the flotor may reach a metal stop within one period, so that contact needs short steps.
 
     Args:
-        reach: Least displacement and least angle of a stop [m, rad].
-        position: x y z [m] and the first part of a quaternion.
-        velocity: Linear and angular [m/s, rad/s].
+        reach: Smallest displacement and smallest angle of a stop [m, rad].
+        position: x y z [m] and the scalar part of the quaternion.
+        velocity: Linear and angular velocity [m/s, rad/s].
         period: Sample period [s].
     """
     x, y, z, w = position
     u, v, s, p, q, r = velocity
-    if max(abs(x), abs(y), abs(z)) + period * (max(abs(u), abs(v), abs(s)) + _FIERCEST * period) > reach[0]:
+    if max(abs(x), abs(y), abs(z)) + period * (max(abs(u), abs(v), abs(s)) + _HALF_ACCELERATION * period) > reach[0]:
         return True
     angle = 2.0 * math.sqrt(max(1.0 - w * w, 0.0))
-    return angle + period * (math.sqrt(p * p + q * q + r * r) + _FIERCEST_TURN * period) > reach[1]
+    return angle + period * (math.sqrt(p * p + q * q + r * r) + _HALF_ANGULAR * period) > reach[1]
 
 
 class Steps:
     """Engine steps of one device under constant controls.
 
     Args:
-        device: The device.
+        device: Device.
         data: Its state.
         falloff: See `MuJoCoPlant`.
         stop_damping: See `MuJoCoPlant`.
 
     Attributes:
-        look: Function that returns x y z [m] and a quaternion, without a change of state.
-        settle: The same at a sample.
+        look: Function that returns x y z [m] and a quaternion without changing the state.
+        settle: The same at a sample, after which the state is that position.
     """
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
         self._options = device.model.opt
         controls = data.xfrc_applied[device.flotor] if device.coils is None else data.ctrl[: len(COILS)]
-        # as `controls[:] = values`, in half the time
+        # equivalent to controls[:] = values, in half the time
         self._control = partial(struct.Struct("6d").pack_into, controls.data, 0)
         self._drive: Drive | None = None
         self.stops = _DampedStops(device, data) if stop_damping else None
@@ -256,10 +238,7 @@ class Steps:
         self.settle: Callable[[], Sequence[float]] = self.look
 
     def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
-        """Advance the state by `duration` [s] under a drive.
-
-        The engine makes `pieces` equal steps.
-        """
+        """Advance the state by `duration` [s] under a drive, in `pieces` equal steps."""
         if drive is not self._drive:
             self._drive = drive
             self._control(*drive[1])
@@ -270,12 +249,12 @@ class Steps:
 
 
 class CorrectedSteps(Steps):
-    """Euler steps corrected to be exact under constant force.
+    """Euler steps, corrected to be exact under a constant force.
 
-    A semi-implicit step of h moves the flotor by h times the velocity at its end. Under a constant force the exact
-    motion is h times the mean velocity, so the step is (h/2) dv too far. This excess is subtracted at each sample.
-    Translation is exact to rounding, as with RK4, at a third of the cost per step. Forces that change within a step
-    (of a hand, lagging drivers, rotation about several axes) leave an error of first order in the step.
+    A semi-implicit step h moves the flotor by h v[k+1]; under a constant force the exact displacement is
+    h (v[k] + v[k+1]) / 2. The excess (h/2) (v[k+1] - v[k]) is subtracted at each sample. Translation is exact to
+    rounding, as with RK4, at a third of the cost per step. Forces that vary within a step (hand, driver lag, rotation
+    about several axes) leave an error of first order in h.
     """
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float = 0.0, stop_damping: bool = False) -> None:
@@ -284,18 +263,18 @@ class CorrectedSteps(Steps):
         self._velocity = data.qvel[device.velocity_address :][:6].tolist
         self._acceleration = data.qacc[device.velocity_address :][:6].tolist
         self._put = partial(struct.pack_into, "7d", self._position.data, 0)
-        # with damping in the engine the velocity gains something else than the step times the acceleration
+        # with implicit damping in the engine, the change in velocity is not step times acceleration
         self._damped = bool(device.model.dof_damping.any() or device.model.tendon_damping.any())
-        # excess of each interval since the last correction: a factor, and the velocity gain or acceleration
+        # excess per interval since the last correction: a factor, and the change in velocity or the acceleration
         self._excess: list[tuple[float, Sequence[float]]] = []
 
     def advance(self, duration: float, drive: Drive, pieces: int = 1) -> None:
-        """See `Steps`."""
+        """Advance the state; see `Steps`."""
         if pieces > 1 or self._damped:
             before = self._velocity()
             super().advance(duration, drive, pieces)
-            gained = [after - earlier for after, earlier in zip(self._velocity(), before)]
-            self._excess.append((0.5 * duration / pieces, gained))
+            change = [after - earlier for after, earlier in zip(self._velocity(), before)]
+            self._excess.append((0.5 * duration / pieces, change))
             return
         if drive is not self._drive:
             self._drive = drive
@@ -320,10 +299,7 @@ class CorrectedSteps(Steps):
         return x, y, z, w, a, b, c
 
     def _settle(self) -> Sequence[float]:
-        """Subtract the accumulated step error; return the position.
-
-        The position is x y z and a quaternion.
-        """
+        """Subtract the accumulated excess; return x y z [m] and a quaternion."""
         pose = self._look()
         self._excess.clear()
         self._put(*pose)
@@ -333,32 +309,27 @@ class CorrectedSteps(Steps):
 def turned_back(
     w: Component, a: Component, b: Component, c: Component, rx: Component, ry: Component, rz: Component
 ) -> tuple[Component, Component, Component, Component]:
-    """Rotate a unit quaternion backward by a small angle.
-
-    The angle (rx, ry, rz) [rad] is about the quaternion's own axes.
-    """
-    # the engine normalizes the quaternion
+    """Rotate a unit quaternion backward by a small angle (rx, ry, rz) [rad] about body axes."""
+    # second-order expansion; the engine normalizes the quaternion
     p, q, r = -0.5 * rx, -0.5 * ry, -0.5 * rz
-    one = 1.0 - 0.5 * (p * p + q * q + r * r)
+    cosine = 1.0 - 0.5 * (p * p + q * q + r * r)
     return (
-        w * one - a * p - b * q - c * r,
-        w * p + a * one + b * r - c * q,
-        w * q - a * r + b * one + c * p,
-        w * r + a * q - b * p + c * one,
+        w * cosine - a * p - b * q - c * r,
+        w * p + a * cosine + b * r - c * q,
+        w * q - a * r + b * cosine + c * p,
+        w * r + a * q - b * p + c * cosine,
     )
 
 
 def turned_work(force: Sequence[Component], before: Sequence[Component], after: Sequence[Component]) -> Component:
-    """Return a constant wrench's work [J] between two positions.
+    """Return the work [J] of a constant wrench between two positions, each x y z [m] and a quaternion.
 
-    A position is x y z [m] and a quaternion.
-
-    Exact for the translations, to second order in the angle for the rotations.
+    Exact for translations, to second order in the angle for rotations.
     """
     x, y, z, w, a, b, c = before
     p, q, r, d, i, j, k = after
     fx, fy, fz, tx, ty, tz = force
-    # twice the vector part of the turn between the two orientations
+    # vector part of the relative quaternion
     rx = w * i - a * d - b * k + c * j
     ry = w * j - b * d - c * i + a * k
     rz = w * k - c * d - a * j + b * i
@@ -366,9 +337,10 @@ def turned_work(force: Sequence[Component], before: Sequence[Component], after: 
 
 
 class _DampedStops:
-    """Engine step with friction along touched stops.
+    """Engine step with friction along stops in contact.
 
-    A joint limit acts along its own coordinate only: a flotor rotating at its angle limit would never come to rest.
+    A joint limit acts along its own coordinate only: without friction, a flotor at its angle limit rotates
+    indefinitely.
     """
 
     def __init__(self, device: Device, data: mujoco.MjData) -> None:
@@ -380,7 +352,7 @@ class _DampedStops:
         self._touched = False
 
     def __call__(self, steps: int = 1) -> None:
-        """Make `steps` steps."""
+        """Step `steps` times."""
         for _ in range(steps):
             self._damping[:] = self._touching if self._touched else self._free
             mujoco.mj_step(self._model, self._data)
@@ -388,9 +360,9 @@ class _DampedStops:
 
 
 class _Falloff:
-    """Engine step with coil force decreasing with stroke.
+    """Engine step with a coil force that decreases with stroke s: 1 - falloff (s / range)².
 
-    The force constants of a step are those at its middle, so that the error is of second order in the step.
+    Force constants are evaluated at midstep, for an error of second order in the step.
     """
 
     def __init__(self, device: Device, data: mujoco.MjData, falloff: float, step: Callable[[], object]) -> None:
@@ -400,7 +372,7 @@ class _Falloff:
         self._range = float(device.range[:3].max())
 
     def __call__(self, steps: int = 1) -> None:
-        """Make `steps` steps."""
+        """Step `steps` times."""
         model, data, coils = self._model, self._data, slice(len(COILS))
         gains = model.actuator_gainprm[coils, 0]
         length, speed = data.actuator_length[coils], data.actuator_velocity[coils]
@@ -412,7 +384,7 @@ class _Falloff:
             self._step()
 
     def share(self) -> Array:
-        """Return each coil's present force share, (6,)."""
+        """Return the relative force constant of each coil at present, (6,)."""
         mujoco.mj_fwdPosition(self._model, self._data)
         return self._share(self._data.actuator_length[: len(COILS)])
 
@@ -424,25 +396,23 @@ class _Falloff:
 def one_step(
     integrator: str, mass: float, step: float, hand: Hand | None = None, driver_lag: bool = False
 ) -> tuple[Array, Array]:
-    """Return the state transition of one engine step along z.
+    """Return the state transition of one engine step along z, one column per unit initial state.
 
-    It is found from steps that each begin with one unit of one state.
-
-    The state is that of `motion`: position and velocity of the flotor, then those of a hand in a soft grip, then the
-    force of the drivers if they lag. For "corrected" it is Euler's: the correction is made at the sample.
+    The state is that of `motion`: position and velocity of the flotor, then those of a hand with a soft grip, then the
+    lagging driver force. For "corrected" it is Euler's: the correction is made at the sample.
 
     Args:
         integrator: One of `INTEGRATORS`.
         mass: Moving mass [kg].
-        step: Time step [s].
-        hand: A hand on the flotor.
-        driver_lag: Switch the current drivers' first-order lag on.
+        step: Integrator step [s].
+        hand: Hand on the flotor.
+        driver_lag: Enable the first-order lag of the current drivers.
 
     Returns:
         Transition matrix, (n, n), and input vector of the commanded force, (n,).
 
     Raises:
-        ParameterError: If there is no such integrator.
+        ParameterError: If the integrator is unknown.
     """
     device = prepared(gravity=0.0, coils=driver_lag, integrator=integrator, mass=mass, hand=hand, driver_lag=driver_lag)
     model, coils = device.model, device.coils
@@ -456,15 +426,15 @@ def one_step(
     for start in np.eye(size + 1):
         data = mujoco.MjData(model)
         data.qpos[positions], data.qvel[speeds] = start[: size - driver_lag : 2], start[1 : size - driver_lag : 2]
-        after = np.empty(size)
+        state = np.empty(size)
         if coils is None:
             data.xfrc_applied[device.flotor, 2] = start[-1]
             mujoco.mj_step(model, data)
         else:
             data.act[:], data.ctrl[:] = np.outer(start[-2:], coils.current_per_wrench[:, 2])
             mujoco.mj_step(model, data)
-            after[-1] = coils.wrench_per_current[2] @ data.act
-        after[: size - driver_lag : 2], after[1 : size - driver_lag : 2] = data.qpos[positions], data.qvel[speeds]
-        columns.append(after)
-    whole = np.array(columns).T
-    return whole[:, :size], whole[:, size]
+            state[-1] = coils.wrench_per_current[2] @ data.act
+        state[: size - driver_lag : 2], state[1 : size - driver_lag : 2] = data.qpos[positions], data.qvel[speeds]
+        columns.append(state)
+    matrix = np.array(columns).T
+    return matrix[:, :size], matrix[:, size]

@@ -20,36 +20,33 @@ from maglev_mj.plants.model import Model, load_model
 from maglev_mj.spec import DRIVER_TIME_CONSTANT, GRAVITY, INERTIA
 
 Drive: TypeAlias = tuple[Six, Six]
-"""Accelerations with gravity [m/s², rad/s²], and forces [N, N m].
+"""Accelerations with gravity [m/s², rad/s²] and forces [N, N m], six components each."""
 
-Six components each.
-"""
-
-_Kept: TypeAlias = tuple[Sequence[Component], Sequence[Component], Sequence[Component]]
+_Snapshot: TypeAlias = tuple[Sequence[Component], Sequence[Component], Sequence[Component]]
 """Position, velocity and actuator force, six components each."""
 
 
 class ExactPlant(SampledPlant):
-    """One or N devices with closed-form motion, without integrator.
+    """One or N devices with closed-form motion between force switches.
 
-    Each coordinate is a mass under a constant force.
+    Each coordinate is a mass m under a constant force F: x(t) = x0 + v0 t + F t² / (2 m).
 
     Exact for translation, and for rotation about one principal axis; the coupling between rotations, of
-    second order in the angle, is left out. Driver lag, a hand and dry friction have closed forms too.
+    second order in the angle, is neglected. Driver lag, a hand and dry friction have closed forms too.
 
     Args:
-        timing: Sample period, delay and phase; (N,) delays and phases go with a pose (N, 6).
+        timing: Sample period, delay and phase; delays and phases (N,) need a pose (N, 6).
         model: Source of mass, moments of inertia and drivers, as for `MuJoCoPlant`; None for the published device.
-        mass: Mass of the flotor with its handle in place of the model's [kg]; (N,) for N different devices.
-        inertia: Moments of inertia about x, y, z in place of the model's [kg m²], (3,).
+        mass: Mass of the flotor with its handle [kg], instead of the model's; (N,) for N devices.
+        inertia: Moments of inertia about x, y, z [kg m²], (3,), instead of the model's.
         pose: Pose at release [m, rad], (..., 6).
         twist: Velocity at release [m/s, rad/s], (..., 6).
-        gravity: Acceleration of free fall along -z [m/s²].
-        driver_lag: Switch the current drivers' first-order lag on.
-        driver_time_constant: Time constant of that lag in place of the model's [s].
-        hand: A hand on the flotor.
-        dry_friction: Coulomb friction of the device itself [N, N m], (..., 6) or a number; not together with
-            driver lag, nor on an axis that a hand holds.
+        gravity: Gravitational acceleration along -z [m/s²].
+        driver_lag: Enable the first-order lag of the current drivers.
+        driver_time_constant: Time constant of that lag [s], instead of the model's.
+        hand: Hand on the flotor.
+        dry_friction: Coulomb friction of the device itself [N, N m], (..., 6) or a number; not with driver lag, and
+            not on an axis held by a hand.
         keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, metered.
 
     Attributes:
@@ -58,7 +55,7 @@ class ExactPlant(SampledPlant):
         start: Pose and twist at release [m, rad; m/s, rad/s], (..., 6) each.
 
     Raises:
-        ParameterError: If a value is outside its bounds or the shapes do not fit.
+        ParameterError: If a value is outside its bounds or shapes do not match.
 
     Example:
         >>> from maglev_mj import Command, ExactPlant
@@ -102,10 +99,10 @@ class ExactPlant(SampledPlant):
         self._body = (*(1.0 / value for value in body[2:]), fall)
         self._weight = (0.0, 0.0, fall * body[2], 0.0, 0.0, 0.0)
         self.load = join(self._weight) + 0.0
-        self._place, self._velocity = _shared(components(start)), _shared(components(motion))
+        self._pose, self._velocity = _shared(components(start)), _shared(components(motion))
         self._lag = lag if flag("driver_lag", driver_lag) else 0.0
         if keywords.get("record") and self._lag:
-            # only the recorded curve needs the pieces: the state itself is exact over any time
+            # for the recorded curve only: the state is exact over any duration
             keywords["longest_step"] = 0.25 * self._lag
         special = driver_lag or hand is not None or dry_friction is not None
         self._uses_force = special or bool(keywords.get("record") or keywords.get("metered"))
@@ -121,39 +118,39 @@ class ExactPlant(SampledPlant):
         rub = None if dry_friction is None else six("dry_friction", dry_friction, self.batch, finite=True)
         held = hand.indices if hand is not None else ()
         if hand is not None and hand.shape not in ((), self.batch):
-            raise ParameterError(f"hand must be one, or one for each device of {self.batch}, not {hand.shape}")
+            raise ParameterError(f"hand must be scalar or of batch shape {self.batch}, not {hand.shape}")
         if rub is not None and self._lag:
-            raise ParameterError("dry_friction must be without driver_lag: the two have no closed form together")
+            raise ParameterError("dry_friction and driver_lag cannot be combined: no closed form")
         if self._lag:
             yield Lag(body, self._lag)
         if rub is not None:
-            rubbing = {index: one for index, one in enumerate(components(rub)) if np.any(np.asarray(one) > 0.0)}
-            if not rubbing.keys().isdisjoint(held):
-                raise ParameterError("dry_friction must be 0 on an axis that a hand holds")
-            yield DryFriction(rubbing, body, self._weight, single=not self.batch)
+            friction = {index: part for index, part in enumerate(components(rub)) if np.any(np.asarray(part) > 0.0)}
+            if not friction.keys().isdisjoint(held):
+                raise ParameterError("dry_friction must be 0 on an axis held by a hand")
+            yield DryFriction(friction, body, self._weight, single=not self.batch)
         for index in held:
             assert hand is not None
-            start = self._place[index], self._velocity[index], self._actual[index]
+            start = self._pose[index], self._velocity[index], self._actual[index]
             yield HeldAxis(index, start, body[index], self._weight[index], hand, self._lag)
 
     def _prepare(self, force: Six) -> Drive:
         fx, fy, fz, tx, ty, tz = force
-        one, by_x, by_y, by_z, fall = self._body
-        if self._uses_force:  # copied, because the caller may reuse its list or arrays
+        per_mass, by_x, by_y, by_z, fall = self._body
+        if self._uses_force:  # copied: the caller may reuse its list or arrays
             force = [part if part.__class__ is float else np.array(part) for part in force]
-        return (fx * one, fy * one, fz * one + fall, tx * by_x, ty * by_y, tz * by_z), force
+        return (fx * per_mass, fy * per_mass, fz * per_mass + fall, tx * by_x, ty * by_y, tz * by_z), force
 
     def _advance(self, duration: Component, drive: Drive, pieces: int = 1) -> None:
-        place, velocity = self._place, self._velocity
+        pose, velocity = self._pose, self._velocity
         half = 0.5 * duration
-        # written out, as in `FiniteDifference`: this runs two or three times a tick
+        # written out for speed, as in `FiniteDifference`: runs two or three times per tick
         ax, ay, az, arx, ary, arz = drive[0]
         if (pull := self._pull) is not None:
             ax, ay, az = ax + pull[0], ay + pull[1], az + pull[2]
             arx, ary, arz = arx + pull[3], ary + pull[4], arz + pull[5]
-        x, y, z, rx, ry, rz = place
+        x, y, z, rx, ry, rz = pose
         u, v, w, p, q, r = velocity
-        self._place = [
+        self._pose = [
             x + duration * (u + half * ax),
             y + duration * (v + half * ay),
             z + duration * (w + half * az),
@@ -171,31 +168,31 @@ class ExactPlant(SampledPlant):
         ]
         if self._amendments:
             forces = drive[1], self._effort
-            before, after = (place, velocity, self._actual), (self._place, self._velocity, list(drive[1]))
+            before, after = (pose, velocity, self._actual), (self._pose, self._velocity, list(drive[1]))
             for amendment in self._amendments:
                 amendment.amend(duration, forces, before, after)
             self._actual = after[2]
 
     def _where(self) -> Sequence[Component]:
-        return self._place
+        return self._pose
 
     def _work(self, drive: Drive, before: Sequence[Component], after: Sequence[Component]) -> Component:
         return sum(force * (end - start) for force, start, end in zip(drive[1], before, after))
 
     def _exert(self, effort: Six) -> None:
-        one, by_x, by_y, by_z, _ = self._body
+        per_mass, by_x, by_y, by_z, _ = self._body
         fx, fy, fz, tx, ty, tz = effort
-        self._pull = fx * one, fy * one, fz * one, tx * by_x, ty * by_y, tz * by_z
+        self._pull = fx * per_mass, fy * per_mass, fz * per_mass, tx * by_x, ty * by_y, tz * by_z
 
     def _position(self) -> list[Component]:
-        self._check_escape(self._place)
-        return self._place.copy()
+        self._check_escape(self._pose)
+        return self._pose.copy()
 
-    def _kept(self, drive: Drive) -> _Kept:
-        return self._place, self._velocity, self._actual if self._lag else drive[1]
+    def _snapshot(self, drive: Drive) -> _Snapshot:
+        return self._pose, self._velocity, self._actual if self._lag else drive[1]
 
-    def _arrays(self, kept: Sequence[_Kept]) -> tuple[Array, Array, Array]:
-        pose, twist, wrench = map(self._stacked, zip(*kept))
+    def _arrays(self, snapshots: Sequence[_Snapshot]) -> tuple[Array, Array, Array]:
+        pose, twist, wrench = map(self._stacked, zip(*snapshots))
         return pose, twist, wrench
 
     def _stacked(self, rows: Sequence[Sequence[Component]]) -> Array:
@@ -212,10 +209,7 @@ class ExactPlant(SampledPlant):
 def _start(
     timing: Timing, pose: ArrayLike, twist: ArrayLike, mass: ArrayLike, inertia: ArrayLike
 ) -> tuple[Array, Array, list[Any]]:
-    """Return checked pose, twist and inertia at release.
-
-    Pose and twist have one shape; the inertia is mass and moments of inertia for the six axes.
-    """
+    """Return checked pose and twist of one shape, and mass and moments of inertia of the six axes."""
     start, motion = numbers("pose", pose), numbers("twist", twist)
     moments = numbers("inertia", inertia, at_least=0.0)
     shapes = (start.shape, motion.shape, (*np.shape(timing.phase), 6))
@@ -226,69 +220,53 @@ def _start(
     try:
         shape = np.broadcast_shapes(*shapes)
     except ValueError:
-        raise ParameterError(f"pose, twist and phase must fit one batch, not {shapes}") from None
+        raise ParameterError(f"pose, twist and phase must have one batch shape, not {shapes}") from None
     masses = numbers("mass", mass) if np.ndim(mass) else number("mass", mass, above=0.0)
     if np.shape(masses) not in ((), shape[:-1]) or not np.all(masses > 0.0):
-        raise ParameterError(f"mass must be above 0, a number or one for each device of {shape[:-1]}, not {mass!r}")
+        raise ParameterError(f"mass must be above 0, a number or of batch shape {shape[:-1]}, not {mass!r}")
     body = [masses] * 3 + [number("inertia", value, above=0.0) for value in moments]
     return np.broadcast_to(start, shape), np.broadcast_to(motion, shape), body
 
 
 def _shared(parts: list[Component]) -> list[Component]:
-    """Replace components common to all devices by numbers.
-
-    They stay numbers while the devices move alike.
-
-    One component always stays an array, so that a batch remains recognizable.
-    """
+    """Replace components common to all devices by numbers, for speed; one stays an array, to mark a batch."""
     shared = [float(part.flat[0]) if np.size(part) > 1 and (part == part.flat[0]).all() else part for part in parts]
     if np.ndim(parts[0]) and not any(np.ndim(part) for part in shared):
         shared[2] = parts[2]
     return shared
 
 
-_MOST_KEPT = 64
+_CACHE_SIZE = 64
 
 Motion: TypeAlias = tuple[list[Component], list[Component], list[Component]]
-"""Position, velocity and actuator force, six components each.
-
-In [m, rad], [m/s, rad/s] and [N, N m]. The actuator force trails the command if the drivers lag.
-"""
+"""Position [m, rad], velocity [m/s, rad/s] and actuator force [N, N m], with driver lag; six components each."""
 
 Forces: TypeAlias = tuple[Six, Six]
-"""Commanded wrench and hand muscle wrench [N, N m].
-
-Six components each.
-"""
+"""Commanded wrench and wrench of the hand's muscles [N, N m], six components each."""
 
 
 class Lag:
-    """First-order lag of the drivers.
-
-    Actual force = command + (actual - command) exp(-t / lag), integrated twice.
+    """First-order lag of the drivers: f(t) = u + (f(0) - u) exp(-t / lag), integrated twice.
 
     Args:
-        inertia: Mass and moments of inertia of the axes, six [kg, kg m²].
+        inertia: Mass and moments of inertia, six [kg, kg m²].
         lag: Time constant [s].
     """
 
     def __init__(self, inertia: Six, lag: float) -> None:
         self._inverse, self._lag = [1.0 / value for value in inertia], lag
-        self._known: dict[float, tuple[Component, list[Component], list[Component]]] = {}
+        self._cache: dict[float, tuple[Component, list[Component], list[Component]]] = {}
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
-        """Correct the motion `after`, of free masses over a duration [s], in place.
-
-        `forces` are those of the command and of the hand's muscles, `before` is the motion at the beginning.
-        """
-        factors = self._known.get(duration) if duration.__class__ is float else None
+        """Correct in place the motion `after` that free masses reach in `duration` [s] from `before`."""
+        factors = self._cache.get(duration) if duration.__class__ is float else None
         left, (way_x, way_y, way_z, way_rx, way_ry, way_rz), (by_x, by_y, by_z, by_rx, by_ry, by_rz) = (
             factors or self._factors(duration)
         )
         fx, fy, fz, tx, ty, tz = forces[0]
         ax, ay, az, arx, ary, arz = before[2]
         place, velocity, actual = after
-        # command error of each force; written out because this runs two or three times a tick
+        # force errors; written out for speed: runs two or three times per tick
         dx, dy, dz, drx, dry, drz = ax - fx, ay - fy, az - fz, arx - tx, ary - ty, arz - tz
         place[0] += way_x * dx
         place[1] += way_y * dy
@@ -310,92 +288,87 @@ class Lag:
         actual[5] = tz + left * drz
 
     def _factors(self, duration: Component) -> tuple[Component, list[Component], list[Component]]:
-        """Return decay factor, displacement and velocity per unit force error.
+        """Return decay factor, and displacement [m/N] and velocity [m/s/N] per unit force error, six each.
 
-        The last two are [m/N] and [m/s/N], six each, after a duration [s]. Results for a float duration are cached,
-        because the durations recur every period.
+        Cached for float durations, which recur every period.
         """
-        faded = -np.expm1(-duration / self._lag)
-        faded = faded if np.ndim(faded) else float(faded)
-        gained = self._lag * faded
-        way = self._lag * (duration - gained)
-        factors = 1.0 - faded, [way * one for one in self._inverse], [gained * one for one in self._inverse]
+        decay = -np.expm1(-duration / self._lag)
+        decay = decay if np.ndim(decay) else float(decay)
+        first = self._lag * decay
+        second = self._lag * (duration - first)
+        factors = (
+            1.0 - decay,
+            [second * inverse for inverse in self._inverse],
+            [first * inverse for inverse in self._inverse],
+        )
         if duration.__class__ is float:
-            _keep(self._known, duration, factors)
+            _keep(self._cache, duration, factors)
         return factors
 
 
-def _keep(known: dict[Any, Any], key: Any, value: Any) -> None:
-    """Store a value, clearing a full cache first.
-
-    A full cache means that the durations do not recur.
-    """
-    if len(known) >= _MOST_KEPT:
-        known.clear()
-    known[key] = value
+def _keep(cache: dict[Any, Any], key: Any, value: Any) -> None:
+    """Store a value; clear a full cache first, because its durations do not recur."""
+    if len(cache) >= _CACHE_SIZE:
+        cache.clear()
+    cache[key] = value
 
 
 class HeldAxis:
-    """Axis held by a hand, solved by transition matrix.
-
-    The matrix is that of `motion`.
+    """Axis held by a hand, solved by the transition matrix of `motion`.
 
     Args:
         index: Index of the axis into AXES.
-        start: Position [m], velocity [m/s] and force of the actuators [N] at release.
+        start: Position [m], velocity [m/s] and actuator force [N] at release.
         inertia: Mass of the flotor [kg].
         weight: Its weight along the axis [N].
-        hand: The hand.
-        lag: Time constant of the drivers [s]; 0 for none.
+        hand: Hand.
+        lag: Time constant of the drivers [s]; 0 for no lag.
     """
 
     def __init__(self, index: int, start: Six, inertia: Component, weight: Component, hand: Hand, lag: float) -> None:
         self._index, self._weight = index, weight
         place, velocity, actual = start
-        # the states of `motion` beyond position and velocity
+        # states of `motion` after position and velocity
         self._others = [*([hand.place(place), velocity] if hand.soft else []), *([actual] if lag else [])]
         self._a, self._b = motion(inertia, hand, lag)
-        self._known: dict[float | bytes, list[list[Component]]] = {}
+        self._cache: dict[float | bytes, list[list[Component]]] = {}
 
     def amend(self, duration: Component, forces: Forces, before: Motion, after: Motion) -> None:
         """Correct the motion `after` in place; see `Lag`."""
         index, (force, effort) = self._index, forces
         (place, velocity, _), (places, velocities, _) = before, after
-        rows = self._known.get(duration) if duration.__class__ is float else None
+        rows = self._cache.get(duration) if duration.__class__ is float else None
         rows = rows or self._rows(duration)
         push, weight, pull, x, v = force[index], self._weight, effort[index], place[index], velocity[index]
-        if len(rows) == 2:  # written out, at a third of the time
+        if len(rows) == 2:  # written out: a third of the time
             (a, b, c, d, e), (p, q, r, s, t) = rows
             places[index] = a * push + b * weight + c * pull + d * x + e * v
             velocities[index] = p * push + q * weight + r * pull + s * x + t * v
             return
-        known = push, weight, pull, x, v, *self._others
-        # not sum(), which from Python 3.12 on rounds floats otherwise than arrays
-        places[index], velocities[index], *self._others = [reduce(add, map(mul, row, known)) for row in rows]
+        inputs = push, weight, pull, x, v, *self._others
+        # not sum(): since Python 3.12 it rounds floats and arrays differently
+        places[index], velocities[index], *self._others = [reduce(add, map(mul, row, inputs)) for row in rows]
 
     def _rows(self, duration: Component) -> list[list[Component]]:
-        """Return a transition's rows as components, from the cache.
-
-        The input columns come first. Rows are cached because durations recur.
-        """
+        """Return the rows of the transition as components, input columns first; cached."""
         key = duration if duration.__class__ is float else np.asarray(duration).tobytes()
-        if (known := self._known.get(key)) is not None:
-            return known
-        whole = np.concatenate(transition(self._a, self._b, duration)[::-1], axis=-1)
+        if (cached := self._cache.get(key)) is not None:
+            return cached
+        matrix = np.concatenate(transition(self._a, self._b, duration)[::-1], axis=-1)
         rows: list[list[Component]]
-        if whole.ndim == 2:
-            rows = whole.tolist()
+        if matrix.ndim == 2:
+            rows = matrix.tolist()
         else:
-            rows = [[entry.copy() for entry in row] for row in np.moveaxis(whole, (-2, -1), (0, 1))]
-        _keep(self._known, key, rows)
+            rows = [[entry.copy() for entry in row] for row in np.moveaxis(matrix, (-2, -1), (0, 1))]
+        _keep(self._cache, key, rows)
         return rows
 
 
 class DryFriction:
-    """Coulomb friction of the device, with stops within an interval.
+    """Coulomb friction of the device; the flotor may come to rest within an interval.
 
     Args:
-        friction: Friction of the axes with friction, by index into AXES [N, N m].
+        friction: Friction by index into AXES [N, N m], of the axes that have it.
         inertia: Mass and moments of inertia, six [kg, kg m²].
         weight: Weight, six [N, N m].
         single: True for one device.
@@ -410,14 +383,14 @@ class DryFriction:
         (force, effort), (place, velocity, _), (places, velocities, _) = forces, before, after
         for index, rub, inverse, weight in self._axes:
             x, v, push = place[index], velocity[index], force[index] + (weight + effort[index])
-            # a value common to all devices of a batch is a number too
-            one = self._single or all(isinstance(part, float) for part in (push, v, x, duration, rub, inverse))
-            slide = _slide if one else _slide_many
+            # values common to all devices of a batch are numbers too
+            scalar = self._single or all(isinstance(part, float) for part in (push, v, x, duration, rub, inverse))
+            slide = _slide if scalar else _slide_many
             places[index], velocities[index] = slide(duration, x, v, push, rub, inverse)
 
 
 def _slide(duration: float, x: float, v: float, push: float, rub: float, inverse: float) -> tuple[float, float]:
-    """Return one axis's position and velocity after sliding.
+    """Return position and velocity of one axis under Coulomb friction, m dv/dt = push - rub sgn(v).
 
     Args:
         duration: Duration [s].
@@ -425,19 +398,19 @@ def _slide(duration: float, x: float, v: float, push: float, rub: float, inverse
         v: Velocity [m/s, rad/s].
         push: Force without friction [N, N m].
         rub: Sliding friction, and largest static friction [N, N m].
-        inverse: One over the mass or moment of inertia.
+        inverse: Reciprocal of the mass or moment of inertia.
     """
     if v == 0.0 and -rub <= push <= rub:
         return x, v
     first = (push - rub if v > 0.0 or (v == 0.0 and push > 0.0) else push + rub) * inverse
     speed = v + duration * first
-    if v * speed < 0.0:  # it stops within the duration
+    if v * speed < 0.0:  # comes to rest within the duration
         until = -v / first
         x += until * (v + 0.5 * until * first)
         if -rub <= push <= rub:
             return x, 0.0
-        left, second = duration - until, (push - rub if push > 0.0 else push + rub) * inverse
-        return x + 0.5 * left * left * second, left * second
+        remaining, second = duration - until, (push - rub if push > 0.0 else push + rub) * inverse
+        return x + 0.5 * remaining * remaining * second, remaining * second
     return x + duration * (v + 0.5 * duration * first), speed
 
 
@@ -445,28 +418,25 @@ def _slide_many(
     duration: Component, x: Component, v: Component, push: Component, rub: Component, inverse: Component
 ) -> tuple[Component, Component]:
     """Return the result of `_slide` for a batch, (...,)."""
-    rests = v == 0.0
+    static = v == 0.0
     first = (push - np.copysign(rub, v)) * inverse
-    if np.count_nonzero(rests):
-        first = np.where(rests, _beyond(push, rub) * inverse, first)
+    if np.count_nonzero(static):
+        first = np.where(static, _excess(push, rub) * inverse, first)
     speed = v + duration * first
-    place = x + duration * (v + 0.5 * duration * first)
-    stops = v * speed < 0.0  # few do: these are computed again
+    position = x + duration * (v + 0.5 * duration * first)
+    stops = v * speed < 0.0  # few: recomputed
     if np.count_nonzero(stops):
-        place, speed = (np.array(part) for part in np.broadcast_arrays(place, speed))
-        stops = np.nonzero(np.broadcast_to(stops, place.shape))
+        position, speed = (np.array(part) for part in np.broadcast_arrays(position, speed))
+        stops = np.nonzero(np.broadcast_to(stops, position.shape))
         parts = duration, x, v, push, rub, inverse, first
-        duration, x, v, push, rub, inverse, first = (np.broadcast_to(one, place.shape)[stops] for one in parts)
+        duration, x, v, push, rub, inverse, first = (np.broadcast_to(part, position.shape)[stops] for part in parts)
         until = -v / first
-        left, second = duration - until, _beyond(push, rub) * inverse
-        place[stops] = x + until * (v + 0.5 * until * first) + 0.5 * left * left * second
-        speed[stops] = left * second
-    return place, speed
+        remaining, second = duration - until, _excess(push, rub) * inverse
+        position[stops] = x + until * (v + 0.5 * until * first) + 0.5 * remaining * remaining * second
+        speed[stops] = remaining * second
+    return position, speed
 
 
-def _beyond(push: Component, rub: Component) -> Component:
-    """Return the force in excess of friction [N, N m].
-
-    (...,) for a batch.
-    """
+def _excess(push: Component, rub: Component) -> Component:
+    """Return the force in excess of friction [N, N m]."""
     return push - np.clip(push, -rub, rub)

@@ -1,4 +1,4 @@
-"""Device in closed form that takes coil currents and moves between metal stops."""
+"""Closed-form device with coil currents and metal stops."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from maglev_mj.spec import RANGE
 
 
 class ExactCoilPlant(ExactPlant):
-    """One device in closed form, driven by coil currents between metal stops.
+    """One closed-form device driven by coil currents, with metal stops.
 
-    From one switch of the currents to the next the wrench is constant: that of the currents at the angle halfway,
-    extrapolated by the velocity. Translation is exact, because forces keep their directions in stator axes; the error
-    of a rotation about one axis is of second order in the time between switches. The coupling between rotations is left
-    out, as in `ExactPlant`.
+    Between switches of the currents the wrench is constant: that at the angle of the interval's midpoint, extrapolated
+    by the velocity. Translation is exact, because forces keep their directions in stator axes; the error of a rotation
+    about one axis is of second order in the time between switches. The coupling between rotations is neglected, as in
+    `ExactPlant`.
 
-    Stops are inelastic: at the end of an interval, an axis beyond its range is put on its stop and keeps no velocity,
-    which never adds energy. As in `MuJoCoPlant` with `stop_damping`, a touched stop also slows motion along it. Each
-    axis has its own stops at `RANGE`; the engine limits the angle instead of each rotation.
+    Stops are inelastic: at the end of an interval, an axis outside its range is set to its stop, with zero velocity, so
+    energy never increases. As in `MuJoCoPlant` with `stop_damping`, a stop in contact also slows motion along it. Each
+    axis has its own stops at `RANGE`; MuJoCo limits the rotation angle instead of each rotation.
 
     Args:
         timing: Sample period and delay.
-        coils: The coils.
+        coils: Coil map.
         mass: Moving mass [kg].
         inertia: Moments of inertia about x, y, z [kg m²], (3,).
-        gravity: Acceleration of free fall in stator axes [m/s²], (3,).
+        gravity: Gravitational acceleration in stator axes [m/s²], (3,).
         pose: Pose at release [m, rad], (6,).
         hand_force: Force of a hand on the flotor; see `SampledPlant`.
 
@@ -43,7 +43,7 @@ class ExactCoilPlant(ExactPlant):
         stop_wrench: Mean wrench of the stops over the last interval [N, N m], (6,).
 
     Raises:
-        ParameterError: If a value is outside its bounds or the shapes do not fit.
+        ParameterError: If a value is outside its bounds or shapes do not match.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class ExactCoilPlant(ExactPlant):
         self._coils, self._constants = coils, coils.force_constants.copy()
         super().__init__(timing, mass=mass, inertia=inertia, gravity=0.0, pose=pose, hand_force=hand_force)
         self.load, self.stop_wrench = np.append(mass * gravity, np.zeros(3)), np.zeros(6)
-        self._timeline.compares = False  # equal currents are the same drive, but one equal current is not
+        self._timeline.compares = False  # drives are currents: one equal entry does not make them equal
 
     def drive(
         self,
@@ -70,7 +70,7 @@ class ExactCoilPlant(ExactPlant):
         *,
         after: float | None = None,
     ) -> None:
-        """Switch the currents as `MuJoCoPlant.drive` does.
+        """Switch the currents; see `MuJoCoPlant.drive`.
 
         Raises:
             PlantError: If a current is not finite, or no sample was read.
@@ -78,7 +78,7 @@ class ExactCoilPlant(ExactPlant):
         self._switch(tuple, currents, pulsed, width, after)
 
     def open_coil(self, coil: int) -> None:
-        """Disable a coil (0 to 5), simulating a broken wire."""
+        """Disconnect a coil (0 to 5), as by a broken wire."""
         self._constants[coil] = 0.0
 
     @property
@@ -92,28 +92,25 @@ class ExactCoilPlant(ExactPlant):
         return self._intervals
 
     def _prepare(self, force: Six) -> Any:
-        return tuple(self._coils.inverse_turned(*self._place[3:]).dot(force).tolist())
+        return tuple(self._coils.inverse_turned(*self._pose[3:]).dot(force).tolist())
 
     def _wrench(self, currents: Sequence[float], ahead: Component = 0.0) -> Array:
-        """Return the wrench [N, N m] of currents [A], (6,).
-
-        It is that at the angle `ahead` [s] from now, extrapolated by the velocity.
-        """
+        """Return the wrench [N, N m] of currents [A], (6,), at the angle extrapolated by `ahead` [s]."""
         forces = self._coils.directions * (self._constants * currents)[:, None]
-        angle = np.array(self._place[3:]) + ahead * np.array(self._velocity[3:])
+        angle = np.array(self._pose[3:]) + ahead * np.array(self._velocity[3:])
         arms = self._coils.points @ rotation_matrix(angle).T
         return np.append(forces.sum(axis=0), np.cross(arms, forces).sum(axis=0))
 
     def _advance(self, duration: Component, drive: Any, pieces: int = 1) -> None:
         super()._advance(duration, super()._prepare((self._wrench(drive, 0.5 * duration) + self.load).tolist()))
         self.stop_wrench = np.zeros(6)
-        place, velocity = np.array(self._place), np.array(self._velocity)
-        beyond = np.abs(place) > RANGE
-        if not beyond.any():
+        pose, velocity = np.array(self._pose), np.array(self._velocity)
+        outside = np.abs(pose) > RANGE
+        if not outside.any():
             return
-        left = np.where(beyond, 0.0, math.exp(-duration / STOP_TIME) * velocity)
-        self.stop_wrench = self.inertia * (left - velocity) / duration
-        self._place, self._velocity = np.clip(place, np.negative(RANGE), RANGE).tolist(), left.tolist()
+        slowed = np.where(outside, 0.0, math.exp(-duration / STOP_TIME) * velocity)
+        self.stop_wrench = self.inertia * (slowed - velocity) / duration
+        self._pose, self._velocity = np.clip(pose, np.negative(RANGE), RANGE).tolist(), slowed.tolist()
 
-    def _kept(self, drive: Any) -> Any:
-        return self._place, self._velocity, self._wrench(drive).tolist()
+    def _snapshot(self, drive: Any) -> Any:
+        return self._pose, self._velocity, self._wrench(drive).tolist()

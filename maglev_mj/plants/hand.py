@@ -1,4 +1,4 @@
-"""Hand on the flotor: impedance, forces, and published values."""
+"""Hand on the flotor: impedance, published values and forces."""
 
 from __future__ import annotations
 
@@ -19,15 +19,12 @@ HANDS: Mapping[str, tuple[float, ...]] = {
     "none": (),
     # one trial: van Beek, Bergmann Tiest, Mugge & Kappers 2015, figure 3
     "arm": (0.554, 6.45, 135.0),
-    # vertical direction of a stylus, after Fu & Cavusoglu 2012; read second-hand
+    # vertical direction of a stylus, after Fu & Cavusoglu 2012; from a secondary source
     "stylus": (0.204, 18.06, 271.7, 0.776, 769.9),
-    # assumed: the low corner of the published range
+    # assumed: lower end of the published range
     "fingertip": (0.02, 1.0, 40.0),
 }
-"""Published hands by name.
-
-Mass [kg], damping [N s/m] and stiffness [N/m] of the arm, then damping and stiffness of the grip.
-"""
+"""Published hands by name: mass [kg], damping [N s/m] and stiffness [N/m]; damping and stiffness of the grip."""
 
 _TERMS = 14
 _LEAST_MASS = 1e-3
@@ -36,13 +33,11 @@ _MOST = {"mass": 1e3, "damping": 1e6, "stiffness": 1e7, "grip_damping": 1e5, "gr
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hand:
-    """Linear, passive hand on the flotor.
+    """Linear, passive hand on the flotor: mass m, arm damping b and stiffness k, and grip.
 
-    Its weight is carried by its owner.
-
-    A mass on an arm that stands still, a spring and a damper. The grip is rigid, so that the mass moves with the
-    flotor, or a spring and a damper of its own. Without an arm (no stiffness, no damping) a hand in such a grip is
-    free. Each value is a number, or (N,) for N devices.
+    Rigid grip: m moves with the flotor, f = -m dv/dt - b v - k x. Soft grip: the hand has its own position x_h, and a
+    spring and damper connect it to the flotor; without an arm (k = b = 0) it floats freely. The hand adds no weight.
+    Each value is a number, or (N,) for N devices.
 
     Args:
         mass: Mass of the hand [kg].
@@ -50,11 +45,11 @@ class Hand:
         stiffness: Stiffness of the arm [N/m].
         grip_damping: Damping of the grip [N s/m].
         grip_stiffness: Stiffness of the grip [N/m]; None for a rigid grip.
-        axes: Names from AXES along which it acts; the translations by default.
+        axes: Names from AXES on which it acts; the translations by default.
 
     Raises:
-        ParameterError: If a value is negative or too large, the shapes do not fit, a hand in a soft grip has less than
-            a gram or no spring to it, or a rigid grip has damping.
+        ParameterError: If a value is negative or too large, shapes do not match, a hand with a soft grip has a mass
+            below 1 g or no grip stiffness, or a rigid grip has damping.
 
     Example:
         >>> from maglev_mj import Hand
@@ -81,24 +76,21 @@ class Hand:
         shape = common_shape("hand values", *(value.shape for value in self.values))
         mass, _, _, grip_damping, grip_stiffness = self.values
         if self.soft and not ((mass >= _LEAST_MASS).all() and (grip_stiffness > 0.0).all()):
-            # without a spring to it the hand could be anywhere, which no wall is to blame for
+            # otherwise the position of the hand is undetermined
             raise ParameterError(
-                f"hand mass must be at least {_LEAST_MASS:g} and grip_stiffness above 0 in a soft grip"
+                f"hand mass must be at least {_LEAST_MASS:g} kg and grip_stiffness above 0 in a soft grip"
             )
         if not self.soft and grip_damping.any():
-            raise ParameterError("hand grip_damping must be 0 in a rigid grip: give it a grip_stiffness")
+            raise ParameterError("hand grip_damping must be 0 in a rigid grip; for a soft grip set grip_stiffness")
         store(self, indices=axis_indices(self.axes), shape=shape)
 
     @property
     def soft(self) -> bool:
-        """True if the grip is soft.
-
-        The hand then has a motion of its own.
-        """
+        """True if the grip is soft, so that the hand moves on its own."""
         return self.grip_stiffness is not None
 
     def place(self, flotor: Component) -> Component:
-        """Return the hand's static position for a flotor position [m]."""
+        """Return the hand's equilibrium position for a flotor position [m]."""
         _, _, arm, _, grip = self.values
         total = arm + grip
         share = np.where(total > 0.0, grip / np.where(total > 0.0, total, 1.0), 1.0)
@@ -111,22 +103,19 @@ class Hand:
 
     @property
     def values(self) -> tuple[Array, ...]:
-        """Mass, damping, stiffness; damping and stiffness of the grip.
-
-        The last is 0 for a rigid grip.
-        """
+        """Mass, damping, stiffness, grip damping, grip stiffness; the last is 0 for a rigid grip."""
         grip = 0.0 if self.grip_stiffness is None else self.grip_stiffness
         parts = (self.mass, self.damping, self.stiffness, self.grip_damping, grip)
         return tuple(np.asarray(part, dtype=np.float64) for part in parts)
 
 
 def get_hand(text: str | Hand | None) -> Hand | None:
-    """Return a hand by name or from its numbers.
+    """Return a hand by name or from "mass,damping,stiffness[,grip damping,grip stiffness]".
 
-    The numbers are "mass,damping,stiffness[,grip damping,grip stiffness]". A hand, or None, is returned as it is.
+    A `Hand` or None is returned unchanged.
 
     Raises:
-        ParameterError: If there is no such name, or the numbers are invalid.
+        ParameterError: If the name is unknown, or the numbers are invalid.
     """
     if not isinstance(text, str):
         check_instance("hand", text, Hand | None, f"a Hand, or one of {', '.join(HANDS)}")
@@ -138,25 +127,22 @@ def get_hand(text: str | Hand | None) -> Hand | None:
         except ValueError:
             values = ()
         if len(values) not in (3, 5):
-            own = ", or mass,damping,stiffness in SI units, optionally with grip damping and grip stiffness"
-            raise ParameterError(not_one_of("hand", HANDS, text, own))
+            numeric = ", or mass,damping,stiffness[,grip damping,grip stiffness] in SI units"
+            raise ParameterError(not_one_of("hand", HANDS, text, numeric))
     by_name: dict[str, Any] = dict(zip(_MOST, values))
     return Hand(**by_name) if by_name else None
 
 
 def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple[Array, Array]:
-    """Return the continuous state space model of one axis.
+    """Return the continuous-time state space model of one axis, ds/dt = A s + B (u, w, e).
 
-    s' = A s + B (u, w, e) for a flotor with its hand.
-
-    The state s is position and velocity of the flotor, then those of a hand in a soft grip, then the force of lagging
-    drivers; u is the commanded force, w any other force on the flotor, and e the force of the hand's
-    muscles.
+    The state s is position and velocity of the flotor, then those of a hand with a soft grip, then the lagging driver
+    force; u is the commanded force, w any other force on the flotor, and e the force of the hand's muscles.
 
     Args:
         mass: Mass of the flotor [kg], (...,).
-        hand: The hand; None for none.
-        lag: Time constant of the drivers [s]; 0 for none.
+        hand: Hand; None for no hand.
+        lag: Time constant of the drivers [s]; 0 for no lag.
 
     Returns:
         A (..., n, n) and B (..., n, 3).
@@ -189,9 +175,7 @@ def motion(mass: ArrayLike, hand: Hand | None = None, lag: float = 0.0) -> tuple
 
 
 def transition(a: Array, b: Array, duration: ArrayLike) -> tuple[Array, Array]:
-    """Return the transition over a duration under constant input.
-
-    s' = A s + B u becomes s <- Phi s + Gamma u; the duration is [s], (...,).
+    """Discretise ds/dt = A s + B u under constant input: s <- Phi s + Gamma u after a duration [s], (...,).
 
     Returns:
         Phi (..., n, n) and Gamma (..., n, m).
@@ -199,19 +183,17 @@ def transition(a: Array, b: Array, duration: ArrayLike) -> tuple[Array, Array]:
     time = np.asarray(duration, dtype=np.float64)[..., None, None]
     size, inputs = b.shape[-2:]
     shape = np.broadcast_shapes(a.shape[:-2], b.shape[:-2], time.shape[:-2])
-    whole = np.zeros((*shape, size + inputs, size + inputs))
-    whole[..., :size, :size], whole[..., :size, size:] = a * time, b * time
-    result = exponential(whole)
+    augmented = np.zeros((*shape, size + inputs, size + inputs))
+    augmented[..., :size, :size], augmented[..., :size, size:] = a * time, b * time
+    result = exponential(augmented)
     return result[..., :size, :size], result[..., :size, size:]
 
 
 def exponential(matrix: Array) -> Array:
-    """Return the exponential of square matrices (..., n, n).
+    """Return the exponential of square matrices (..., n, n), by Taylor series with scaling and squaring.
 
-    Taylor's series with scaling and squaring.
-
-    Exact to rounding for the small matrices here; numpy has none, and scipy's would be a dependency for this alone. The
-    identity is left out until the end: next to it, each squaring would double what rounding takes from a small part.
+    Exact to rounding for the small matrices here. SciPy would be a dependency for this alone. exp(M) - I is squared
+    instead of exp(M): next to the identity, each squaring would double the rounding error of small entries.
     """
     largest = float(np.abs(matrix).sum(axis=-1).max(initial=0.0))
     squarings = max(int(np.ceil(np.log2(largest / 0.25))), 0) if largest > 0.0 else 0
@@ -226,10 +208,7 @@ def exponential(matrix: Array) -> Array:
 
 
 State: TypeAlias = Callable[[], tuple[Array, Array]]
-"""Function returning the flotor's present pose and twist.
-
-Both are true values, (..., 6) each.
-"""
+"""Function that returns the flotor's true pose and twist, (..., 6) each."""
 
 _NOTHING = (0.0,) * 6
 
@@ -238,12 +217,10 @@ class HandForce(Protocol):
     """Interface of a hand's force on the flotor."""
 
     def __call__(self, tick: int, time: Component, state: State) -> Six:
-        """Return the hand's wrench until the next sample.
-
-        Six components [N, N m].
+        """Return the hand's wrench until the next sample, six components [N, N m].
 
         Args:
-            tick: Number of the sample.
+            tick: Index of the sample.
             time: Time of the sample [s].
             state: Function that returns the flotor's true pose and twist.
         """
@@ -251,16 +228,16 @@ class HandForce(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Path of minimum-jerk movements through timed poses.
+    """Minimum-jerk path through timed poses.
 
     Args:
         times: Time of each pose [s], increasing, (N,).
         poses: The poses [m, rad], (N, 6).
 
     Raises:
-        ParameterError: If the shapes do not fit or the times do not increase.
+        ParameterError: If shapes do not match or the times do not increase.
 
-    Source: Flash & Hogan 1985, the movement of an arm from rest to rest: 10 s³ - 15 s⁴ + 6 s⁵.
+    Source: Flash & Hogan 1985, arm movement from rest to rest: 10 s³ - 15 s⁴ + 6 s⁵.
 
     Example:
         >>> from maglev_mj import Trajectory
@@ -283,17 +260,14 @@ class Trajectory:
         store(self, _times=times.tolist(), _poses=poses.tolist())
 
     def at(self, time: float) -> list[float]:
-        """Return the pose at a time [s].
-
-        The first pose before the path, the last one after it.
-        """
-        place = bisect.bisect_right(self._times, time)
-        if place == 0 or place == len(self._times):
-            return self._poses[place - 1 if place else 0]
-        start, end = self._times[place - 1], self._times[place]
+        """Return the pose at a time [s]: the first one before the path, the last one after it."""
+        index = bisect.bisect_right(self._times, time)
+        if index == 0 or index == len(self._times):
+            return self._poses[index - 1 if index else 0]
+        start, end = self._times[index - 1], self._times[index]
         s = (time - start) / (end - start)
         share = s * s * s * (10.0 + s * (6.0 * s - 15.0))
-        return [one + share * (other - one) for one, other in zip(self._poses[place - 1], self._poses[place])]
+        return [a + share * (b - a) for a, b in zip(self._poses[index - 1], self._poses[index])]
 
     @property
     def end(self) -> float:
@@ -303,19 +277,17 @@ class Trajectory:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GuidedHand:
-    """Hand with an arm spring drawn along a path.
+    """Hand whose muscles move the rest position of the arm's spring along a path: f = k x_path(t).
 
-    The muscles move the rest position of the arm's spring.
-
-    Give the plant the same `hand`, which holds the flotor by its mass, damping and stiffness; both plants are
-    then exact between two samples.
+    Pass the same `hand` to the plant, which adds its mass, damping and stiffness; both plants are then exact between
+    two samples.
 
     Args:
-        hand: The hand, with an arm of some stiffness.
-        path: Rest position of the arm's spring.
+        hand: Hand with arm stiffness k above 0.
+        path: Rest position x_path of the arm's spring.
 
     Raises:
-        ParameterError: If the hand's arm has no stiffness, or differs from device to device.
+        ParameterError: If the arm has no stiffness, or its values differ between devices.
     """
 
     hand: Hand
@@ -324,12 +296,12 @@ class GuidedHand:
 
     def __post_init__(self) -> None:
         if self.hand.shape or not float(np.max(self.hand.stiffness)) > 0.0:
-            raise ParameterError("a guided hand must be one, and its arm's stiffness above 0")
+            raise ParameterError("a guided hand must have scalar values and an arm stiffness above 0")
         stiffness = float(np.asarray(self.hand.stiffness))
         store(self, _pulls=tuple((index, stiffness) for index in self.hand.indices))
 
     def __call__(self, tick: int, time: Component, state: State) -> Six:
-        """See `HandForce`."""
+        """Return the hand's wrench; see `HandForce`."""
         target = self.path.at(float(time))
         wrench = list(_NOTHING)
         for index, stiffness in self._pulls:
@@ -339,10 +311,10 @@ class GuidedHand:
 
 @dataclass(kw_only=True, eq=False)
 class SpringHand:
-    """Spring and damper from the flotor to a movable pose.
+    """Spring and damper from the flotor to a movable target: f = k (x_t - x) - b v.
 
-    It is the hand of the mouse. Force and torque at the flotor's centre, within their limits, are held from sample to
-    sample. A period T reduces the damping by K T / 2; the damping must be larger than that.
+    This is the hand moved by the mouse. Force and torque act at the flotor's centre, saturate at their limits, and are
+    held between samples. A hold over the period T reduces the damping by k T / 2, so b must be larger.
 
     Args:
         stiffness: Stiffness of the translations [N/m].
@@ -351,11 +323,11 @@ class SpringHand:
         turning_damping: Damping of the rotations [N m s/rad].
         force_limit: Largest force [N].
         torque_limit: Largest torque [N m].
-        target: Target pose [m, rad], (6,), or its path; None if released.
-        device_target: Target given by an input device, used while `target` is None [m, rad], (6,); None for none.
+        target: Target pose [m, rad], (6,), or a path; None if released.
+        device_target: Target of an input device [m, rad], (6,), used while `target` is None; None if released.
 
     Raises:
-        ParameterError: If a value is negative, or a target is no pose.
+        ParameterError: If a value is negative, or a target is not a pose.
 
     Example:
         >>> import numpy as np
@@ -385,7 +357,7 @@ class SpringHand:
 
     @classmethod
     def of_mouse(cls) -> SpringHand:
-        """Return the mouse's hand, which lifts the flotor (6.9 N) and rests in walls."""
+        """Return the mouse's hand, strong enough to lift the flotor (6.9 N), weak enough to rest in walls."""
         return cls(force_limit=7.0, torque_limit=0.2)
 
     @property
@@ -394,7 +366,7 @@ class SpringHand:
         return self.device_target if self.target is None else self.target
 
     def __call__(self, tick: int, time: Component, state: State) -> Six:
-        """See `HandForce`."""
+        """Return the hand's wrench; see `HandForce`."""
         target = self.goal
         if target is None:
             return _NOTHING
@@ -402,19 +374,19 @@ class SpringHand:
             target = target.at(float(time))
         pose, twist = (part.tolist() for part in state())
         force = [
-            self.stiffness * (goal - place) - self.damping * speed
-            for goal, place, speed in zip(target[:3], pose[:3], twist[:3])
+            self.stiffness * (goal - position) - self.damping * speed
+            for goal, position, speed in zip(target[:3], pose[:3], twist[:3])
         ]
         torque = [
             self.turning_stiffness * angle - self.turning_damping * speed
             for angle, speed in zip(_turn(pose[3:], target[3:]), twist[3:])
         ]
-        return [*_no_more(force, self.force_limit), *_no_more(torque, self.torque_limit)]
+        return [*_shortened(force, self.force_limit), *_shortened(torque, self.torque_limit)]
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedHand:
-    """Recorded hand, replayed sample by sample.
+    """Replay of a recorded hand, sample by sample.
 
     Args:
         wrenches: Wrench at each sample [N, N m], (N, 6); zero after the last one.
@@ -433,21 +405,18 @@ class RecordedHand:
         store(self, _rows=rows.tolist())
 
     def __call__(self, tick: int, time: Component, state: State) -> Six:
-        """See `HandForce`."""
+        """Return the hand's wrench; see `HandForce`."""
         return self._rows[tick] if tick < len(self._rows) else _NOTHING
 
 
-def _no_more(parts: list[float], limit: float) -> list[float]:
-    """Return a vector shortened to its limit."""
+def _shortened(parts: list[float], limit: float) -> list[float]:
+    """Return a vector, shortened to a length of at most `limit`."""
     length = math.sqrt(sum(part * part for part in parts))
     return parts if length <= limit else [part * limit / length for part in parts]
 
 
 def _turn(start: Sequence[float], end: Sequence[float]) -> tuple[float, float, float]:
-    """Return the rotation vector between two orientations [rad].
-
-    Of the shorter turn, in stator axes.
-    """
+    """Return the rotation vector [rad] of the shorter rotation between two orientations, in stator axes."""
     w, x, y, z = quaternion(start)
     a, b, c, d = quaternion(end)
     turn = (

@@ -24,7 +24,7 @@ from maglev_mj.plants.model import COILS, Model, load_model
 from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
 
-_Kept: TypeAlias = tuple[Sequence[float], Sequence[float], engine.Drive]
+_Snapshot: TypeAlias = tuple[Sequence[float], Sequence[float], engine.Drive]
 """Snapshot: position and quaternion, velocity, acting drive.
 
 The velocity is in the engine's form.
@@ -430,11 +430,11 @@ class MuJoCoPlant(SampledPlant):
         wrench: list[float] = np.linalg.solve(inverse, currents).tolist()
         return wrench
 
-    def _kept(self, drive: engine.Drive) -> _Kept:
+    def _snapshot(self, drive: engine.Drive) -> _Snapshot:
         return self._look(), self._qvel.tolist(), self._acting(drive)
 
-    def _arrays(self, kept: Sequence[_Kept]) -> tuple[Array, Array, Array]:
-        places, velocities, actings = zip(*kept)
+    def _arrays(self, snapshots: Sequence[_Snapshot]) -> tuple[Array, Array, Array]:
+        places, velocities, actings = zip(*snapshots)
         pose = [[x, y, z, *rotation_vector(q0, q1, q2, q3)] for x, y, z, q0, q1, q2, q3 in places]
         twist, matrices = np.array(velocities), _matrices(np.array(places)[:, 3:])
         twist[:, 3:] = np.matmul(matrices.reshape(-1, 3, 3), twist[:, 3:, None])[..., 0]
@@ -459,7 +459,7 @@ def _of_currents(currents: Sequence[float]) -> engine.Drive:
 _BatchDrive: TypeAlias = tuple[Array, Array]
 """Wrenches (N, 6) and engine controls (N, 6)."""
 
-_BatchKept: TypeAlias = tuple[Sequence[Component], Array, Array, Array, Array | None, Array | None]
+_BatchSnapshot: TypeAlias = tuple[Sequence[Component], Array, Array, Array, Array | None, Array | None]
 """Snapshot of a batch.
 
 Position x y z and quaternion, the engine's own quaternion (N, 4), velocities (N, 6), wrenches (N, 6), currents (N, 6),
@@ -615,22 +615,22 @@ class MuJoCoBatchPlant(SampledPlant):
             self._inverse_map = coils.current_per_wrench if upright else coils.inverse_at(_matrices(self._qpos[:, 3:]))
         return position
 
-    def _kept(self, drive: _BatchDrive) -> _BatchKept:
+    def _snapshot(self, drive: _BatchDrive) -> _BatchSnapshot:
         currents = None
         if self.device.model.na:  # the drivers lag: their currents, not the commanded ones
             currents = self._engine.bind("act").copy()
         return self._where(), self._qpos[:, 3:].copy(), self._qvel.copy(), drive[0], currents, self._inverse_map
 
-    def _arrays(self, kept: Sequence[_BatchKept]) -> tuple[Array, Array, Array]:
-        pose, twist, wrench = (np.stack(part) for part in zip(*map(self._parts, kept)))
+    def _arrays(self, snapshots: Sequence[_BatchSnapshot]) -> tuple[Array, Array, Array]:
+        pose, twist, wrench = (np.stack(part) for part in zip(*map(self._parts, snapshots)))
         return pose, twist, wrench
 
-    def _parts(self, kept: _BatchKept) -> tuple[Array, Array, Array]:
+    def _parts(self, snapshot: _BatchSnapshot) -> tuple[Array, Array, Array]:
         """Return pose, twist and wrench of one snapshot.
 
         (N, 6) each.
         """
-        place, turns, velocity, wrench, currents, inverse_map = kept
+        place, turns, velocity, wrench, currents, inverse_map = snapshot
         spin = np.einsum("nab,nb->na", _matrices(turns).reshape(-1, 3, 3), velocity[:, 3:])
         if currents is not None:
             maps = np.broadcast_to(np.asarray(inverse_map), (*self.batch, 6, 6))

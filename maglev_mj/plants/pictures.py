@@ -1,4 +1,4 @@
-"""Pictures of motion: position and force over time."""
+"""Charts of motion: position and force over time."""
 
 from __future__ import annotations
 
@@ -14,9 +14,7 @@ _STILL = 1e-6
 
 
 def moving_axes(time: Array, position: Array, force: Array) -> Any:
-    """Draw position and force of the moving axes, translations and rotations side by side.
-
-    If none moves, draw z.
+    """Plot position and force of the moving axes, translations and rotations side by side; z if none moves.
 
     Args:
         time: Times [s], (N,).
@@ -28,17 +26,17 @@ def moving_axes(time: Array, position: Array, force: Array) -> Any:
     """
     moving = np.flatnonzero(np.ptp(position, axis=0) > _STILL)
     groups = [axes for axes in (moving[moving < 3], moving[moving > 2]) if axes.size] or [np.array([2])]
-    found, shown, lowest = {}, dict[str, Any](), {}
+    curves, styles, lowest = {}, dict[str, Any](), {}
     for axes in groups:
         first = int(axes[0])
-        place, effort = ("position", "force") if first < 3 else ("rotation", "torque")
-        found[place] = 1e3 * position.T[axes], unit_of("mm", first)
-        found[effort] = force.T[axes], unit_of("N", first)
-        shown |= {place: (axes, "default"), effort: (axes, "steps-post")}
-    figure, panels = new_grid(found, "time (s)", high=2, always=next(iter(found)))
+        motion, effort = ("position", "force") if first < 3 else ("rotation", "torque")
+        curves[motion] = 1e3 * position.T[axes], unit_of("mm", first)
+        curves[effort] = force.T[axes], unit_of("N", first)
+        styles |= {motion: (axes, "default"), effort: (axes, "steps-post")}
+    figure, panels = new_grid(curves, "time (s)", high=2, always=next(iter(curves)))
     for name, panel in panels.items():
-        axes, step = shown[name]
-        for axis, curve in zip(axes, found[name][0], strict=True):
+        axes, step = styles[name]
+        for axis, curve in zip(axes, curves[name][0], strict=True):
             panel.plot(time, curve, drawstyle=step, color=SERIES[axis % 3], linewidth=1.3, label=AXES[axis])
         lowest[axes[0]] = panel
     for panel in lowest.values():

@@ -1,7 +1,6 @@
-"""Exact motion between samples, stored at every switch of the force, and energies.
+"""Motion between samples, stored at every switch of the force, and energy.
 
-Energy of the hand and of the rendered environment is computed for a running session, from samples alone, or for a whole
-motion.
+Energy of hand and rendered environment: for a running session, from samples alone, or for a complete trace.
 """
 
 from __future__ import annotations
@@ -25,8 +24,6 @@ from maglev_mj.result import Result
 class TraceRecorder:
     """Recorder of the states at each switch.
 
-    It makes arrays of them at the end.
-
     Args:
         time: Function from a tick and an offset [s] to the time [s].
         arrays: Function from K stored states to pose, twist and wrench, (K, ..., 6) each.
@@ -41,10 +38,7 @@ class TraceRecorder:
         self._rows: list[tuple[int, Component, Any]] = []
 
     def add(self, tick: int, offset: Component, state: Any) -> None:
-        """Store the state at `offset` [s] after sample `tick`.
-
-        The state must not change afterwards.
-        """
+        """Store an immutable state at `offset` [s] after sample `tick`."""
         self._rows.append((tick, offset, state))
 
     def finish(self, tick: int, state: Any) -> Trace:
@@ -52,20 +46,17 @@ class TraceRecorder:
         ticks, offsets, states = zip(*self._rows, (tick, 0.0, state))
         pose, twist, wrench = self._arrays(states)
         time = np.empty(pose.shape[:-1])
-        for row, when in enumerate(map(self._time, ticks, offsets)):
-            time[row] = when
+        for row, instant in enumerate(map(self._time, ticks, offsets)):
+            time[row] = instant
         return Trace(time, pose, twist, wrench)
 
 
 @dataclass(frozen=True, eq=False)
 class Trace(Result):
-    """Motion as knots at the switches of the wrench.
+    """Motion as knots at the switches of the wrench: the state, and the wrench until the next knot.
 
-    Each knot has the state, and the wrench that acts until the next knot.
-
-    Under a wrench that is constant between knots the motion is a parabola, which the cubic Hermite curve
-    through position and velocity at both ends reproduces exactly; evaluation between knots adds no error. For
-    rotations this is true about one axis at a time; about several axes the error is of second order in the angle.
+    Under a constant wrench the motion between knots is a parabola, which cubic Hermite interpolation reproduces
+    exactly, for rotations about one axis; about several axes its error is of second order in the angle.
 
     Attributes:
         time: Knot times since release [s], (K, ...).
@@ -85,9 +76,7 @@ class Trace(Result):
     }
 
     def columns(self) -> dict[str, Array]:
-        """Return the knots, a column for each coordinate, (K,) each.
-
-        Such as `pose.z`.
+        """Return the knots as columns such as `pose.z`, (K,) each.
 
         Raises:
             ParameterError: If the trace is not of one device on six axes.
@@ -97,7 +86,7 @@ class Trace(Result):
         return dict(zip(self.units, [self.time, *self.pose.T, *self.twist.T, *self.wrench.T], strict=True))
 
     def plot(self, path: Path | None = None) -> Any:
-        """Draw position and force of the moving axes over time; see `Result.plot`.
+        """Plot position and force of the moving axes over time; see `Result.plot`.
 
         Raises:
             ParameterError: If the trace is not of one device on six axes.
@@ -108,13 +97,13 @@ class Trace(Result):
         return save(moving_axes(self.time, self.pose, self.wrench), path)
 
     def at(self, time: ArrayLike) -> tuple[Array, Array, Array]:
-        """Evaluate at given times.
+        """Interpolate the motion.
 
         Args:
             time: Times since release [s], (M,), within the trace.
 
         Returns:
-            Pose, twist and wrench, (M, ..., 6) each. At a switch the wrench is the one that begins there.
+            Pose, twist and wrench, (M, ..., 6) each; at a switch, the wrench after it.
 
         Raises:
             ParameterError: If a time is outside the trace.
@@ -124,61 +113,54 @@ class Trace(Result):
             raise ParameterError(f"time must be a number or (M,), not {times.shape}")
         first, last = float(self.time[0].max()), float(self.time[-1].min())
         if times.size and not (first - 1e-12 <= times.min() and times.max() <= last + 1e-12):
-            raise ParameterError(f"time must be from {first:g} to {last:g}, not {times.min():g} to {times.max():g}")
+            raise ParameterError(f"time must be from {first:g} to {last:g} s, not {times.min():g} to {times.max():g} s")
         knots = self.time.reshape(len(self.time), -1)
-        # a picosecond past the knot still counts as the knot: switch times and grid times round differently
+        # tolerance of 1 ps: switch times and grid times round differently
         index = np.stack([np.searchsorted(column, times + 1e-12, side="right") - 1 for column in knots.T], axis=-1)
         index = np.clip(index, 0, len(knots) - 2).reshape(times.shape + self.time.shape[1:])
         start, end = (np.take_along_axis(self.time, index + shift, axis=0) for shift in (0, 1))
         width = np.where(end > start, end - start, 1.0)
-        where = (times.reshape((-1,) + (1,) * (self.time.ndim - 1)) - start)[..., None]
-        wide = index[..., None]
+        elapsed = (times.reshape((-1,) + (1,) * (self.time.ndim - 1)) - start)[..., None]
+        knot = index[..., None]
         x0, x1, v0, v1 = (
-            np.take_along_axis(values, wide + shift, axis=0) for values in (self.pose, self.twist) for shift in (0, 1)
+            np.take_along_axis(values, knot + shift, axis=0) for values in (self.pose, self.twist) for shift in (0, 1)
         )
-        wrench = np.take_along_axis(self.wrench, wide, axis=0)
+        wrench = np.take_along_axis(self.wrench, knot, axis=0)
         h = width[..., None]
-        s = where / h
-        # the cubic beyond the parabola through x0, v0, v1; zero but for rounding under a constant wrench
-        bend = (x1 - x0) - 0.5 * h * (v0 + v1)
-        pose = x0 + h * s * (v0 + 0.5 * s * (v1 - v0)) + bend * s * s * (3.0 - 2.0 * s)
-        twist = v0 + s * (v1 - v0) + bend * 6.0 * s * (1.0 - s) / h
-        final = np.abs(times.reshape(where.shape[:1] + (1,) * (where.ndim - 1)) - self.time[-1][..., None]) <= 1e-12
+        s = elapsed / h
+        # cubic term in addition to the parabola through x0, v0, v1; zero to rounding under a constant wrench
+        cubic = (x1 - x0) - 0.5 * h * (v0 + v1)
+        pose = x0 + h * s * (v0 + 0.5 * s * (v1 - v0)) + cubic * s * s * (3.0 - 2.0 * s)
+        twist = v0 + s * (v1 - v0) + cubic * 6.0 * s * (1.0 - s) / h
+        final = np.abs(times.reshape(elapsed.shape[:1] + (1,) * (elapsed.ndim - 1)) - self.time[-1][..., None]) <= 1e-12
         return pose, twist, np.where(final, self.wrench[-1], wrench)
 
     def along(self, axis: int) -> Trace:
-        """Return one coordinate of the motion.
-
-        The last dimension is 1.
-        """
+        """Return one coordinate of the motion; the last dimension is 1."""
         parts = (part[..., axis : axis + 1] for part in (self.pose, self.twist, self.wrench))
         return Trace(self.time, *parts)
 
     def furthest(self) -> Array:
-        """Return the largest distance from zero, (..., 6).
+        """Return the largest magnitude of each coordinate [m, rad], (..., 6), motion between knots included.
 
-        On each coordinate [m, rad].
-
-        Motion between knots is included; exact under a constant wrench.
+        Exact under a constant wrench.
         """
-        places = np.concatenate([self.pose, self.turning_points()[1]])
-        return np.asarray(np.abs(places).max(axis=0))
+        poses = np.concatenate([self.pose, self.turning_points()[1]])
+        return np.asarray(np.abs(poses).max(axis=0))
 
     def until(self, end: float) -> Trace:
-        """Return the trace cut off at `end` [s].
-
-        Later knots become copies of the state at the end.
+        """Return the trace up to `end` [s]; later knots become copies of the state at the end.
 
         Raises:
             ParameterError: If `end` is outside the trace.
         """
         pose, twist, wrench = self.at(end)
-        beyond = self.time > end
-        keep = np.flatnonzero(~beyond.reshape(len(beyond), -1).all(axis=1))
-        last = min(int(keep[-1]) + 2, len(beyond)) if keep.size else 1
+        after = self.time > end
+        keep = np.flatnonzero(~after.reshape(len(after), -1).all(axis=1))
+        last = min(int(keep[-1]) + 2, len(after)) if keep.size else 1
         pairs = (pose, self.pose), (twist, self.twist), (wrench, self.wrench)
-        parts = (np.where(beyond[..., None], at_end, knots)[:last] for at_end, knots in pairs)
-        return Trace(np.where(beyond, end, self.time)[:last], *parts)
+        parts = (np.where(after[..., None], at_end, knots)[:last] for at_end, knots in pairs)
+        return Trace(np.where(after, end, self.time)[:last], *parts)
 
     def turning_points(self) -> tuple[Array, Array]:
         """Return times and poses of turning points between knots.
@@ -195,21 +177,17 @@ class Trace(Result):
 
 
 def actuator_work(trace: Trace, carried: ArrayLike = 0.0) -> Array:
-    """Return the work of the actuators between knots [J].
-
-    (K - 1, ..., 6). It is exact under a constant wrench between knots.
+    """Return the work of the actuators between knots [J], (K - 1, ..., 6); exact under a constant wrench.
 
     Args:
-        trace: The motion.
-        carried: Weight-bearing wrench, which does not count [N, N m], (6,).
+        trace: Motion.
+        carried: Weight compensation, which is excluded [N, N m], (6,).
     """
     return np.asarray((trace.wrench[:-1] - np.asarray(carried)) * np.diff(trace.pose, axis=0))
 
 
 def hand_work(poses: Array, efforts: Array) -> Array:
-    """Return the work of the hand between samples [J].
-
-    (N - 1, 6).
+    """Return the work of the hand between samples [J], (N - 1, 6).
 
     Args:
         poses: Poses at the samples [m, rad], (N, 6).
@@ -219,12 +197,10 @@ def hand_work(poses: Array, efforts: Array) -> Array:
 
 
 class HandWork:
-    """Accumulator of the hand's work.
-
-    The hand's wrench is constant from sample to sample.
+    """Accumulator of the work of a hand with constant wrench between samples.
 
     Attributes:
-        total: Work since the first sample [J]; NaN if a wrench of the hand is NaN, that is not known.
+        total: Work since the first sample [J]; NaN if a wrench of the hand is not available (NaN).
     """
 
     def __init__(self) -> None:
@@ -233,7 +209,7 @@ class HandWork:
         self.total = 0.0
 
     def add(self, pose: Array, effort: Sequence[float]) -> None:
-        """Add the displacement up to a sample.
+        """Add the work up to a sample.
 
         Args:
             pose: Pose at the sample [m, rad], (6,).
@@ -245,39 +221,35 @@ class HandWork:
         self._pose, self._effort = pose, np.array(effort)
 
     def take(self, poses: Array, efforts: Array) -> Array:
-        """Add N samples; return the totals [J], (N,).
-
-        The bits are the same as with one sample at a time.
+        """Add N samples; return the totals [J], (N,), bit-identical to one `add` per sample.
 
         Args:
             poses: Poses at the samples [m, rad], (N, 6).
             efforts: Wrenches of the hand from each sample on [N, N m], (N, 6).
         """
         acting = np.concatenate([efforts[:1] if self._pose is None else self._effort[None], efforts[:-1]])
-        ways = np.diff(poses, axis=0, prepend=poses[:1] if self._pose is None else self._pose[None])
-        work = (acting[:, None, :] @ ways[:, :, None])[:, 0, 0]
+        travels = np.diff(poses, axis=0, prepend=poses[:1] if self._pose is None else self._pose[None])
+        work = (acting[:, None, :] @ travels[:, :, None])[:, 0, 0]
         totals: Array = np.add.accumulate(np.append(self.total, work))[1:]
         self._pose, self._effort, self.total = poses[-1], efforts[-1], float(totals[-1])
         return totals
 
 
 class EnergyAccount:
-    """Energy account of hand and rendered environment.
+    """Energy balance of hand and rendered environment, updated at each sample.
 
-    It is updated from sample to sample.
-
-    The rendered environment is all actuator action besides weight compensation: walls, friction, springs. It has an
-    energy tank: absorbed energy fills it, up to a bound above the energy of any spring here, and emitted energy empties
-    it. An environment that emits more than its tank holds is not passive, and one that keeps emitting is unstable.
+    The rendered environment is all actuator action except weight compensation: walls, friction, springs. Absorbed
+    energy fills an energy tank, up to a bound above the energy of any spring in the package; emitted energy empties it.
+    An environment that emits more than its tank holds is not passive; one that keeps emitting is unstable.
 
     Args:
-        pose: At the start [m, rad], (6,).
-        carried: Weight-bearing wrench of the actuators [N, N m], (6,); zero if there is none.
-        tank: Largest energy that counts as stored [J].
+        pose: Initial pose [m, rad], (6,).
+        carried: Weight compensation of the actuators [N, N m], (6,).
+        tank: Capacity of the tank [J].
 
     Attributes:
-        taken: Energy absorbed by the rendered environment [J]; below 0 it has generated energy.
-        stored: Energy in the tank [J]; below 0 by the generated energy.
+        taken: Energy absorbed by the rendered environment [J]; negative if it generated energy.
+        stored: Energy in the tank [J]; negative if the tank is overdrawn.
     """
 
     def __init__(self, pose: Array, carried: ArrayLike, *, tank: float = 0.2) -> None:
@@ -291,39 +263,37 @@ class EnergyAccount:
         return self._hand.total
 
     def add(self, pose: Array, effort: Sequence[float], work: float) -> None:
-        """Add the displacement up to a sample.
+        """Add the energy up to a sample.
 
         Args:
             pose: Pose at the sample [m, rad], (6,).
             effort: Wrench of the hand from the sample on [N, N m], six.
-            work: Work of the actuators since the start [J], as from a metered plant.
+            work: Work of the actuators since the start [J], as metered by the plant.
         """
-        taken = float(self._carried @ (pose - self._pose)) - (work - self._work)
+        absorbed = float(self._carried @ (pose - self._pose)) - (work - self._work)
         self._hand.add(pose, effort)
-        self.taken += taken
-        self.stored = min(self.stored + taken, self._tank)
+        self.taken += absorbed
+        self.stored = min(self.stored + absorbed, self._tank)
         self._pose, self._work = pose, work
 
 
 class PassivityObserver:
-    """Passivity observer of the rendered environment, axis by axis.
+    """Passivity observer of the rendered environment for each axis, from samples and commands alone.
 
-    It needs samples and commands alone.
-
-    Pass it to `run` as `observe`. Between two samples up to four forces act in turn: the older command and the rest
-    of its pulse, the newer command and its pulse. The inertia gives the displacement under each of them, exactly if the
-    only other force is a constant load. Without inertia the motion is assumed straight, which is exact only if one
-    force acts throughout, so without delay and pulse.
+    Pass it to `run` as `observe`. Between two samples up to four forces act in turn: the older command with the
+    remainder of its pulse, and the newer command with its pulse. The inertia gives the displacement under each, exactly
+    if the only other force is a constant load. Without inertia constant velocity is assumed, which is exact only for a
+    single force per period, without delay and pulse.
 
     Args:
         timing: Timing of the plant.
-        inertia: Mass and moments of inertia of the six axes [kg, kg m²], (6,); None for a straight line.
-        load: Further constant wrench, such as weight [N, N m], (6,).
+        inertia: Mass and moments of inertia of the six axes [kg, kg m²], (6,); None for constant velocity.
+        load: Other constant wrench, such as weight [N, N m], (6,).
         before: Wrench of the environment until the first command takes effect [N, N m], (6,).
 
     Attributes:
         energy: Absorbed energy [J], (..., 6).
-        least: Least absorbed energy so far [J], (..., 6).
+        least: Minimum of the absorbed energy [J], (..., 6).
 
     Raises:
         ParameterError: If an inertia is not above 0.
@@ -337,7 +307,7 @@ class PassivityObserver:
         self._load = numbers("load", load)
         self._inertia = np.inf if inertia is None else numbers("inertia", inertia, at_least=1e-12)
         self._timing, self._before = timing, np.zeros(6) + numbers("before", before)
-        # held wrench, wrench with the pulse and width of the commands that can still act
+        # held wrench, wrench during the pulse and pulse width of the commands that are still in effect
         self._commands: Sequence[Array] = ()
         self._pose: Array | None = None
         self._count = 0
@@ -345,56 +315,49 @@ class PassivityObserver:
         self.least: Array = np.zeros(6)
 
     def __call__(self, sample: Sample, command: Command) -> None:
-        """Process one sample and its command.
-
-        Missing samples do not count.
-        """
+        """Process one sample and its command; lost samples are ignored."""
         pose = sample.pose
         held, pulse = (np.broadcast_to(wrench, pose.shape)[None] for wrench in (command.wrench, command.pulse))
         self.take(pose[None], held, pulse, np.array([0.0 if command.extra is None else command.pulse_width]))
 
     def take(self, poses: Array, held: Array, pulses: Array, widths: Array) -> Array:
-        """Process N samples with their commands.
-
-        The bits are the same as with one sample at a time.
+        """Process N samples with their commands, bit-identical to one call per sample.
 
         Args:
             poses: Poses [m, rad], (N, ..., 6).
             held: Held wrenches of the commands [N, N m], (N, ..., 6).
             pulses: Wrenches of their pulses [N, N m], (N, ..., 6).
-            widths: Widths of the pulses [s], (N,); 0 for none.
+            widths: Pulse widths [s], (N,); 0 for no pulse.
 
         Returns:
             Absorbed energy up to each sample [J], (N, ..., 6).
         """
-        late = self._timing.whole + 1  # periods after which a command has been replaced
+        age = self._timing.whole + 1  # periods until a command is replaced
         widths = widths.reshape(-1, *(1,) * (poses.ndim - 2))
         begun = self._pose is not None
         if self._pose is None:
             self._pose, self.energy = poses[0], np.zeros(poses.shape[1:])
-            before = np.broadcast_to(self._before, (late, *poses.shape[1:]))
-            self._commands = before, before, np.zeros((late, *widths.shape[1:]))
-        given = held, held + pulses, widths
-        commands = [np.concatenate(parts) for parts in zip(self._commands, given)]
-        self._commands = [part[-late - 1 :] for part in commands]
-        count, end = len(poses) - (not begun), len(commands[0]) - late
-        moved = np.diff(poses, axis=0, prepend=self._pose[None])[len(poses) - count :]
-        work = self._work(moved, self._intervals(*(part[end - count - 1 : end] for part in commands)))
+            before = np.broadcast_to(self._before, (age, *poses.shape[1:]))
+            self._commands = before, before, np.zeros((age, *widths.shape[1:]))
+        new = held, held + pulses, widths
+        commands = [np.concatenate(parts) for parts in zip(self._commands, new)]
+        self._commands = [part[-age - 1 :] for part in commands]
+        count, end = len(poses) - (not begun), len(commands[0]) - age
+        travel = np.diff(poses, axis=0, prepend=self._pose[None])[len(poses) - count :]
+        work = self._work(travel, self._intervals(*(part[end - count - 1 : end] for part in commands)))
         energy: Array = np.subtract.accumulate(np.concatenate([self.energy[None], work]))[int(begun) :]
         self.energy, self._pose, self._count = energy[-1], poses[-1], self._count + count
         self.least = np.minimum(self.least, energy.min(axis=0))
         return energy
 
     def _intervals(self, held: Array, pulsed: Array, width: Array) -> list[Interval]:
-        """Return the intervals of the next K periods.
-
-        They are those of a `Timeline`; one that is missing in a period has the duration 0 there.
+        """Return the intervals of the next K periods, as in `Timeline`; absent intervals have duration 0.
 
         Args:
-            held: Held wrenches of the commands that take effect in these periods, after that of the period before
-                [N, N m], (K + 1, ..., 6).
-            pulsed: Wrenches with their pulses [N, N m], (K + 1, ..., 6).
-            width: Widths of the pulses [s], (K + 1, ...).
+            held: Held wrenches of the previous period and of the commands that take effect in these periods [N, N m],
+                (K + 1, ..., 6).
+            pulsed: Wrenches during the pulses [N, N m], (K + 1, ..., 6).
+            width: Pulse widths [s], (K + 1, ...).
         """
         timing, ticks = self._timing, range(self._count - 1, self._count + len(held) - 1)
         rest = np.array([timing.rest_at(max(tick, 0)) for tick in ticks] if timing.jitter else [timing.rest])
@@ -402,30 +365,32 @@ class PassivityObserver:
         if not width.any():
             return [(start[..., None], held[:-1]), (after[-len(held) + 1 :, ..., None], held[1:])]
         inside = np.minimum(width, after)
-        left = np.minimum(self._long(width - inside)[:-1], start)
-        durations = self._long(left), self._long(start - left), self._long(inside[1:]), self._long((after - inside)[1:])
+        remaining = np.minimum(self._rounded(width - inside)[:-1], start)
+        durations = (
+            self._rounded(remaining),
+            self._rounded(start - remaining),
+            self._rounded(inside[1:]),
+            self._rounded((after - inside)[1:]),
+        )
         forces = pulsed[:-1], held[:-1], pulsed[1:], held[1:]
         return [(duration[..., None], force) for duration, force in zip(durations, forces)]
 
-    def _long(self, duration: Array) -> Array:
-        """Return durations with 0 in place of rounding errors."""
+    def _rounded(self, duration: Array) -> Array:
+        """Return durations, with rounding errors set to 0."""
         return np.where(duration > self._timing.negligible, duration, 0.0)
 
-    def _work(self, moved: Array, periods: Sequence[Interval]) -> Array:
-        """Return the work of the forces over a period.
-
-        It follows from the displacement between the samples and the intervals of the period.
-        """
+    def _work(self, travel: Array, periods: Sequence[Interval]) -> Array:
+        """Return the work of the forces over a period from the displacement between its samples."""
         intervals = [
             (duration, force, duration * ((force + self._load) / self._inertia)) for duration, force in periods
         ]
-        # speed at the start, such that the intervals add up to the displacement between the samples
-        place: Component = 0.0
+        # initial speed for which the intervals sum to the displacement between the samples
+        position: Component = 0.0
         speed: Component = 0.0
-        for duration, _, gained in intervals:
-            place, speed = place + duration * (speed + 0.5 * gained), speed + gained
+        for duration, _, change in intervals:
+            position, speed = position + duration * (speed + 0.5 * change), speed + change
         work: Component = 0.0
-        speed = (moved - place) / self._timing.period
-        for duration, force, gained in intervals:
-            work, speed = work + force * duration * (speed + 0.5 * gained), speed + gained
+        speed = (travel - position) / self._timing.period
+        for duration, force, change in intervals:
+            work, speed = work + force * duration * (speed + 0.5 * change), speed + change
         return np.asarray(work)

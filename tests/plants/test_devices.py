@@ -141,7 +141,7 @@ def test_what_an_environment_gave_back_beyond_its_tank_counts() -> None:
 
 def test_work_that_is_not_metered_is_not_zero() -> None:
     for kind in (ExactPlant, MuJoCoPlant):
-        with pytest.raises(PlantError, match="make the plant with metered=True"):
+        with pytest.raises(PlantError, match="create the plant with metered=True"):
             _ = kind().work
 
 
@@ -366,8 +366,8 @@ def test_what_an_option_needs_of_a_model_is_named(tmp_path: Path) -> None:
     MuJoCoPlant(model=path, driver_lag=True, driver_time_constant=1e-4)
     for options, what in (
         ({"driver_lag": True}, "no numeric 'driver_time_constant'"),
-        ({"stops": True}, "need limits on the joints x, y, z and rotation"),
-        ({"force_falloff": 0.1}, "need limits on the joints x, y, z and rotation"),
+        ({"stops": True}, "need joint limits on x, y, z and rotation"),
+        ({"force_falloff": 0.1}, "need joint limits on x, y, z and rotation"),
     ):
         with pytest.raises(ModelError, match=what):
             MuJoCoPlant(model=path, **options)
