@@ -1,4 +1,4 @@
-"""MJCF device: files, names, and the compiled model's properties."""
+"""Device model in MJCF: files, names and compiled properties."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ COILS = tuple(f"{kind}{arm}" for kind in ("vertical", "horizontal") for arm in r
 """Actuator names, in the order of the six currents."""
 
 JOINTS = ("x", "y", "z", "rotation")
-"""Names of the flotor's joints, in their order."""
+"""Names of the flotor's joints, in order."""
 
 
 Model: TypeAlias = "str | Path | mujoco.MjSpec"
-"""Name in the package, MJCF file (.xml), or specification."""
+"""Name of a model of the package, MJCF file (.xml), or specification."""
 
 
 def scenes() -> list[str]:
@@ -45,9 +45,7 @@ def model_names() -> tuple[str, ...]:
 
 
 def model_files(model: str | Path) -> tuple[tuple[str, str], ...]:
-    """Return names and texts of a model's MJCF files.
-
-    Included files come after the model's own.
+    """Return names and texts of a model's MJCF files, included files last.
 
     Raises:
         ModelError: If there is no such model.
@@ -63,9 +61,9 @@ def _read(path: Path, written: int) -> tuple[tuple[str, str], ...]:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         raise unusable(path.name, error) from None
-    own = path.relative_to(MODELS.resolve()).as_posix() if path.is_relative_to(MODELS.resolve()) else path.name
-    parts = [path.parent / name for name in re.findall(r'<include\s+file="([^"]+)"', text)]
-    return ((own, text), *(file for part in parts for file in model_files(part)))
+    name = path.relative_to(MODELS.resolve()).as_posix() if path.is_relative_to(MODELS.resolve()) else path.name
+    parts = [path.parent / included for included in re.findall(r'<include\s+file="([^"]+)"', text)]
+    return ((name, text), *(file for part in parts for file in model_files(part)))
 
 
 def model_path(model: str | Path) -> Path:
@@ -84,7 +82,7 @@ def model_path(model: str | Path) -> Path:
     if isinstance(model, Path) or model.endswith(".xml"):
         path = Path(model)
         if not path.is_file():
-            raise ModelError(f"model must be an MJCF file that is there, not {str(model)!r}")
+            raise ModelError(f"no such MJCF file: {str(model)!r}")
         return path
     path = MODELS / f"{model}.xml"
     if not path.is_file():
@@ -93,21 +91,21 @@ def model_path(model: str | Path) -> Path:
 
 
 def written(folder: Path) -> tuple[tuple[str, int], ...]:
-    """Return a folder's MJCF files with their modification times."""
+    """Return the MJCF files of a folder with their modification times [ns]."""
     return tuple(sorted((str(path), path.stat().st_mtime_ns) for path in folder.glob("*.xml")))
 
 
 @dataclass(frozen=True, eq=False)
 class Device:
-    """Compiled model with its named parts resolved.
+    """Compiled model with resolved names.
 
     Attributes:
-        model: The compiled model.
+        model: Compiled model.
         flotor: Body index of the flotor.
         position_address: Index of x in qpos; y, z and the quaternion follow.
         velocity_address: Index of the x velocity in qvel; five more follow.
-        coils: Wrench map of the six coils, the first six actuators, at centre; None without coils.
-        driver_time_constant: The drivers' time constant [s], even with their lag switched off; NaN for none.
+        coils: Coil map of the first six actuators, at the centre; None without coils.
+        driver_time_constant: Time constant of the drivers [s], also with their lag disabled; NaN if the model has none.
     """
 
     model: mujoco.MjModel
@@ -124,27 +122,18 @@ class Device:
 
     @property
     def mass_matrix(self) -> Array:
-        """Mass matrix of the flotor at the centre, (6, 6).
-
-        In [kg, kg m, kg m²], upright; the mass of a hand with a rigid grip is included.
-        """
+        """Mass matrix of the upright flotor at the centre [kg, kg m, kg m²], (6, 6), with a hand in a rigid grip."""
         flotor = slice(self.velocity_address, self.velocity_address + 6)
         return _mass_matrix(self.model)[flotor, flotor].copy()
 
     @property
     def inertia(self) -> Array:
-        """Moments of inertia of flotor and handle [kg m²], (3,).
-
-        About stator axes through the centre.
-        """
+        """Moments of inertia of flotor and handle about stator axes through the centre [kg m²], (3,)."""
         return np.diag(self.mass_matrix)[3:].copy()
 
     @property
     def range(self) -> Array:
-        """Motion range until a stop [m, rad], (4,).
-
-        Largest displacement along x, y, z and largest angle; infinite without a stop.
-        """
+        """Range of motion: displacement along x, y, z and angle [m, rad], (4,); infinite without a stop."""
         model = self.model
         joints = [model.joint(joint).id for joint in JOINTS]
         limits = np.where(model.jnt_limited[joints], model.jnt_range[joints, 1], np.inf)
@@ -170,27 +159,27 @@ def load_model(
 ) -> Device:
     """Compile a model and resolve its names.
 
-    A file is compiled once; every call returns a copy of its own.
+    A file is compiled once and cached; every call returns a separate copy.
 
     Args:
-        model: The device: bodies `flotor` and, on it, `handle`; the flotor's joints `x`, `y`, `z` (slides) and
-            `rotation` (a ball), in this order; its first six actuators those of COILS.
-        lean: Leave out sensors, and sites without an actuator: no equation of motion uses them.
-        driver_lag: Give every coil its driver's first-order lag.
-        driver_time_constant: Time constant of the lag in place of the model's [s].
+        model: Device with the bodies `flotor` and, on it, `handle`; the flotor's joints `x`, `y`, `z` (slides) and
+            `rotation` (ball), in this order; COILS as its first six actuators.
+        lean: Remove sensors, and sites without an actuator, which the equations of motion do not use.
+        driver_lag: Add the first-order lag of its driver to every coil.
+        driver_time_constant: Time constant of the lag [s], instead of the model's.
         coils: False removes the coils, for an ideal wrench.
-        coil_map: Coils in place of the model's.
-        mass: Moving mass in place of the model's [kg], in the same proportions; the moments of inertia stay.
-        inertia: Moments of inertia about stator axes, the handle included, in place of the model's [kg m²], (3,).
-        hand: A hand on the flotor; numbers, and translations only.
-        flexible: Let the handle swing against the flotor along z, at 1 kHz and with a hundredth of critical damping;
-            the frequency is the paper's, the shape and the damping are assumed.
+        coil_map: Coils instead of the model's.
+        mass: Moving mass [kg], instead of the model's, in the same proportions; moments of inertia stay.
+        inertia: Moments of inertia of flotor and handle about stator axes [kg m²], (3,), instead of the model's.
+        hand: Hand on the flotor, scalar and on translations only.
+        flexible: Let the handle swing against the flotor along z, at 1 kHz and a damping ratio of 0.01; the frequency
+            is the paper's, shape and damping are assumed.
 
     Raises:
-        ModelError: If the file is missing, does not compile, or lacks the flotor, its joints, its coils, or a needed
+        ModelError: If the file is missing, does not compile, or lacks the flotor, its joints, its coils, or a required
             time constant.
-        ParameterError: If a number is not above 0, the flotor cannot have these moments, or the hand is for a batch or
-            on a rotation.
+        ParameterError: If a number is not above 0, the moments of inertia are impossible for the flotor, or the hand
+            has a batch shape or acts on a rotation.
 
     Example:
         >>> from maglev_mj import load_model
@@ -198,7 +187,7 @@ def load_model(
         >>> round(device.mass, 3), device.range[:3].tolist()  # [kg], [m]
         (1.0, [0.0045, 0.0045, 0.0045])
     """
-    chosen = _Chosen(
+    options = _Options(
         lean=flag("lean", lean),
         driver_lag=flag("driver_lag", driver_lag),
         coils=flag("coils", coils),
@@ -209,10 +198,10 @@ def load_model(
         inertia=None if inertia is None else _moments(inertia),
     )
     if isinstance(model, mujoco.MjSpec):
-        device = _compile(model.modelname, model.copy(), chosen)
+        device = _compile(model.modelname, model.copy(), options)
     else:
         path = model_path(model)
-        device = _compiled(path, written(path.parent), chosen)
+        device = _compiled(path, written(path.parent), options)
     device = replace(device, model=copy(device.model))
     if coil_map is not None:
         if device.coils is None:
@@ -230,7 +219,7 @@ def _moments(inertia: ArrayLike) -> tuple[float, ...]:
     return tuple(moments.tolist())
 
 
-class _Chosen(NamedTuple):
+class _Options(NamedTuple):
     """Options of `load_model` that affect the compiled model."""
 
     lean: bool
@@ -244,52 +233,52 @@ class _Chosen(NamedTuple):
 
 
 @lru_cache(maxsize=32)
-def _compiled(path: Path, written: tuple[tuple[str, int], ...], chosen: _Chosen) -> Device:
-    """See `load_model`."""
+def _compiled(path: Path, written: tuple[tuple[str, int], ...], options: _Options) -> Device:
+    """Compile a file; see `load_model`."""
     name = path.stem if path.parent == MODELS else path.name
     try:
         spec = mujoco.MjSpec.from_file(str(path))
     except (ValueError, KeyError) as error:
         raise unusable(name, error) from error
-    return _compile(name, spec, chosen)
+    return _compile(name, spec, options)
 
 
 def unusable(name: str, error: object) -> ModelError:
-    """Return the error of a model that cannot be used."""
-    return ModelError(f"model {name!r} cannot be used: {' '.join(str(error).split())}")
+    """Return the error for an invalid model."""
+    return ModelError(f"model {name!r} is invalid: {' '.join(str(error).split())}")
 
 
-def _compile(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> Device:
-    """See `load_model`."""
-    _check_names(name, spec, chosen)
+def _compile(name: str, spec: mujoco.MjSpec, options: _Options) -> Device:
+    """Compile a specification; see `load_model`."""
+    _check_names(name, spec, options)
     numeric = spec.numeric("driver_time_constant")
     constant = math.nan if numeric is None else float(numeric.data[0])
-    constant = constant if chosen.lag is None else chosen.lag
-    if chosen.driver_lag and not constant > 0.0:
-        raise unusable(name, "it has no numeric 'driver_time_constant' above 0 for the drivers' lag")
+    constant = constant if options.lag is None else options.lag
+    if options.driver_lag and not constant > 0.0:
+        raise unusable(name, "driver_lag needs a numeric 'driver_time_constant' above 0")
     try:
-        if not chosen.coils:
+        if not options.coils:
             for actuator in list(spec.actuators):
                 spec.delete(actuator)
-        if chosen.driver_lag:
+        if options.driver_lag:
             for actuator in spec.actuators:
                 actuator.dyntype = mujoco.mjtDyn.mjDYN_FILTER
                 actuator.dynprm[0] = constant
-        for key in list(spec.keys):  # of the device alone: a hand or a flexible handle has more coordinates
+        for key in list(spec.keys):  # keyframes lack the coordinates of a hand or flexible handle
             spec.delete(key)
-        if chosen.lean:
+        if options.lean:
             _delete_sensors_and_sites(spec)
-        if chosen.hand is not None:
-            _hold(spec, chosen.hand)
-        if chosen.flexible:
-            _bend(spec, chosen.mass)
+        if options.hand is not None:
+            _hold(spec, options.hand)
+        if options.flexible:
+            _bend(spec, options.mass)
         model = spec.compile()
-        if chosen.inertia is not None:
-            _give_inertia(spec, model, chosen.inertia)
+        if options.inertia is not None:
+            _give_inertia(spec, model, options.inertia)
             model = spec.compile()
         flotor = model.body("flotor").id
         joints = [model.joint(joint) for joint in JOINTS]
-        order = [model.actuator(coil).id for coil in COILS] if chosen.coils else []
+        order = [model.actuator(coil).id for coil in COILS] if options.coils else []
     except ParameterError:
         raise
     except (ValueError, KeyError) as error:
@@ -297,37 +286,37 @@ def _compile(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> Device:
     addresses = [int(joint.qposadr[0]) for joint in joints]
     first = addresses[0]
     if addresses != [first, first + 1, first + 2, first + 3]:
-        raise ModelError(f"model {name!r} must list the flotor's joints as {', '.join(JOINTS)}")
+        raise ModelError(f"model {name!r} must define the flotor's joints in the order {', '.join(JOINTS)}")
     if order != list(range(len(order))):
-        raise ModelError(f"model {name!r} must list its coils first, as {', '.join(COILS)}")
-    if chosen.mass is not None:
-        _share_out(model, flotor, chosen.mass)
+        raise ModelError(f"model {name!r} must define its coils first, in the order {', '.join(COILS)}")
+    if options.mass is not None:
+        _share_out(model, flotor, options.mass)
     return Device(
         model=model,
         flotor=flotor,
         position_address=first,
         velocity_address=int(joints[0].dofadr[0]),
-        coils=_coil_map(model, flotor) if chosen.coils else None,
+        coils=_coil_map(model, flotor) if options.coils else None,
         driver_time_constant=constant,
     )
 
 
-def _check_names(name: str, spec: mujoco.MjSpec, chosen: _Chosen) -> None:
-    """Raise ModelError for missing or wrong parts."""
+def _check_names(name: str, spec: mujoco.MjSpec, options: _Options) -> None:
+    """Raise ModelError for missing or wrong bodies, joints and actuators."""
     flotor = spec.body("flotor")
     if flotor is None:
-        raise unusable(name, "it has no body 'flotor'")
-    if chosen.flexible and spec.body("handle") is None:
-        raise unusable(name, "it has no body 'handle' to swing")
+        raise unusable(name, "no body 'flotor'")
+    if options.flexible and spec.body("handle") is None:
+        raise unusable(name, "a flexible handle needs a body 'handle'")
     kinds = [mujoco.mjtJoint.mjJNT_SLIDE] * 3 + [mujoco.mjtJoint.mjJNT_BALL]
-    found = {joint.name: joint.type for joint in flotor.joints}
+    types = {joint.name: joint.type for joint in flotor.joints}
     for joint, kind in zip(JOINTS, kinds, strict=True):
-        if found.get(joint) != kind:
-            is_kind = "ball" if kind == mujoco.mjtJoint.mjJNT_BALL else "slide"
-            raise unusable(name, f"its flotor has no {is_kind} joint {joint!r}")
+        if types.get(joint) != kind:
+            label = "ball" if kind == mujoco.mjtJoint.mjJNT_BALL else "slide"
+            raise unusable(name, f"the flotor has no {label} joint {joint!r}")
     names = [actuator.name for actuator in spec.actuators]
-    if missing := [coil for coil in COILS if chosen.coils and coil not in names]:
-        raise unusable(name, f"of its {len(names)} actuators none is {' or '.join(missing)}")
+    if missing := [coil for coil in COILS if options.coils and coil not in names]:
+        raise unusable(name, f"no actuator {', '.join(missing)} among its {len(names)} actuators")
 
 
 def _delete_sensors_and_sites(spec: mujoco.MjSpec) -> None:
@@ -341,34 +330,36 @@ def _delete_sensors_and_sites(spec: mujoco.MjSpec) -> None:
 
 
 def _share_out(model: mujoco.MjModel, flotor: int, mass: float) -> None:
-    """Set the flotor's moving mass [kg], keeping its inertia."""
+    """Set the moving mass [kg]; keep the moments of inertia."""
     carried = np.flatnonzero(model.body_treeid == model.body_treeid[flotor])
     share, data = mass / model.body_subtreemass[flotor], at_reference(model)
     centre = data.subtree_com[flotor]
-    # nearer to the common centre of mass, so that mass times distance squared stays
-    places = centre + (data.xipos[carried] - centre) / math.sqrt(share) - data.xpos[carried]
-    model.body_ipos[carried] = np.einsum("ba,bac->bc", places, data.xmat[carried].reshape(-1, 3, 3))
+    # scale distances from the common centre of mass, so that mass times distance squared stays
+    positions = centre + (data.xipos[carried] - centre) / math.sqrt(share) - data.xpos[carried]
+    model.body_ipos[carried] = np.einsum("ba,bac->bc", positions, data.xmat[carried].reshape(-1, 3, 3))
     model.body_mass[carried] *= share
     mujoco.mj_setConst(model, data)
 
 
 def _give_inertia(spec: mujoco.MjSpec, model: mujoco.MjModel, inertia: Sequence[float]) -> None:
-    """Set the inertia [kg m²] of flotor with handle."""
+    """Set the moments of inertia [kg m²] of flotor and handle."""
     body, turn = spec.body("flotor"), np.zeros(9)
     address = int(model.joint("rotation").dofadr[0])
-    more = np.diag(inertia) - _mass_matrix(model)[address : address + 3, address : address + 3]
+    difference = np.diag(inertia) - _mass_matrix(model)[address : address + 3, address : address + 3]
     if np.isfinite(body.fullinertia).all():
         xx, yy, zz, xy, xz, yz = body.fullinertia
         own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     else:
         mujoco.mju_quat2Mat(turn, body.iquat)
         own = turn.reshape(3, 3) @ np.diag(body.inertia) @ turn.reshape(3, 3).T
-    moments, axes = np.linalg.eigh(own + more)
+    moments, axes = np.linalg.eigh(own + difference)
     if not (moments[0] > 0.0 and moments[0] + moments[1] >= moments[2]):
-        raise ParameterError(f"inertia must leave the flotor without its handle a body's, not {list(inertia)} kg m²")
-    turned = np.zeros(4)
-    mujoco.mju_mat2Quat(turned, (axes * np.linalg.det(axes)).ravel())  # a rotation, not a reflection
-    body.inertia, body.iquat, body.fullinertia = moments, turned, np.full(6, np.nan)
+        raise ParameterError(
+            f"inertia {list(inertia)} kg m² is impossible: the flotor without its handle would not be a rigid body"
+        )
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, (axes * np.linalg.det(axes)).ravel())  # a rotation, not a reflection
+    body.inertia, body.iquat, body.fullinertia = moments, quaternion, np.full(6, np.nan)
 
 
 def at_reference(model: mujoco.MjModel) -> mujoco.MjData:
@@ -381,25 +372,25 @@ def at_reference(model: mujoco.MjModel) -> mujoco.MjData:
 def _mass_matrix(model: mujoco.MjModel) -> Array:
     """Return a model's mass matrix at its reference pose."""
     data = at_reference(model)
-    whole = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, whole)
-    return whole
+    matrix = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, matrix)
+    return matrix
 
 
 def _bend(spec: mujoco.MjSpec, mass: float | None) -> None:
     """Make the handle flexible along z, at 1 kHz."""
     handle, flotor = spec.body("handle"), spec.body("flotor")
-    whole = handle.mass + flotor.mass
-    reduced = handle.mass * flotor.mass / whole * (1.0 if mass is None else mass / whole)
-    rate = 2.0 * math.pi * _MODE
+    total = handle.mass + flotor.mass
+    reduced = handle.mass * flotor.mass / total * (1.0 if mass is None else mass / total)
+    frequency = 2.0 * math.pi * _MODE
     joint = handle.add_joint(name="bend", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[0.0, 0.0, 1.0])
-    joint.stiffness[0], joint.damping[0] = reduced * rate**2, 2.0 * _MODE_DAMPING * reduced * rate
+    joint.stiffness[0], joint.damping[0] = reduced * frequency**2, 2.0 * _MODE_DAMPING * reduced * frequency
 
 
 def _hold(spec: mujoco.MjSpec, hand: Hand) -> None:
-    """Add a hand to the joints, directly or by tendons."""
+    """Add a hand to the joints, or by tendons for a soft grip."""
     if hand.shape or max(hand.indices) > 2:
-        raise ParameterError(f"hand must have one mass and lead along x, y or z in MuJoCo, not {hand!r}")
+        raise ParameterError(f"a hand in MuJoCo must have scalar values and act on x, y or z, not {hand!r}")
     mass, damping, stiffness, grip_damping, grip_stiffness = (float(value) for value in hand.values)
     body = spec.worldbody.add_body(name="hand", gravcomp=1.0) if hand.soft else None
     if body is not None:
@@ -433,11 +424,11 @@ def _coil_map(model: mujoco.MjModel, flotor: int) -> CoilMap:
 
 def _put_coils(device: Device, coils: CoilMap) -> None:
     """Replace the model's coils by a coil map."""
-    model, known = device.model, device.coils
-    assert known is not None
+    model, present = device.model, device.coils
+    assert present is not None
     data = at_reference(model)
     sites, magnets = model.actuator_trnid[: len(COILS)].T
-    model.site_pos[sites] += coils.points - known.points
+    model.site_pos[sites] += coils.points - present.points
     axes = data.site_xmat[magnets].reshape(-1, 3, 3)
     model.actuator_gear[: len(COILS), :3] = np.einsum("jba,jb->ja", axes, coils.directions)
     model.actuator_gainprm[: len(COILS), 0] = coils.force_constants

@@ -1,4 +1,4 @@
-"""MuJoCo plants, stepped from force switch to force switch: one device, or N in one batch."""
+"""MuJoCo plants, stepped from force switch to force switch: one device, or a batch of N."""
 
 from __future__ import annotations
 
@@ -25,10 +25,7 @@ from maglev_mj.plants.sensor import Measure
 from maglev_mj.spec import GRAVITY
 
 _Snapshot: TypeAlias = tuple[Sequence[float], Sequence[float], engine.Drive]
-"""Snapshot: position and quaternion, velocity, acting drive.
-
-The velocity is in the engine's form.
-"""
+"""Position and quaternion, velocity as in MuJoCo's qvel, and drive in effect."""
 
 _ENGINE_BOUND = 1e10
 
@@ -36,44 +33,43 @@ _ENGINE_BOUND = 1e10
 class MuJoCoPlant(SampledPlant):
     """One device in MuJoCo, stepped at every force switch.
 
-    With RK4, the default, translation is exact to rounding.
-
-    It accepts wrenches (`write`) and, for a host with its own coil model, currents (`drive`). By default nothing is
-    limited: for the device's limit of 60 N along z, give `current_limit=10`.
+    With RK4, the default, translation is exact to rounding. The plant accepts wrenches (`write`) and, for a host with
+    its own coil map, currents (`drive`). By default nothing saturates: for the device's limit of 60 N along z, set
+    `current_limit=10`.
 
     Args:
         timing: Sample period, delay and phase (a number).
-        model: The device: name of a model of the package, MJCF file, or specification; see `load_model`.
-        mass: Moving mass in place of the model's [kg].
-        inertia: Moments of inertia about x, y, z in place of the model's [kg m²], (3,).
+        model: Device: name of a model of the package, MJCF file, or specification; see `load_model`.
+        mass: Moving mass [kg], instead of the model's.
+        inertia: Moments of inertia about x, y, z [kg m²], (3,), instead of the model's.
         pose: Pose at release [m, rad], (6,).
         twist: Velocity at release [m/s, rad/s], (6,).
-        gravity: Acceleration of free fall along -z, or in stator axes (3,) for a tilted base [m/s²].
-        coils: True sends each wrench through the six coils, by their map at the flotor's angle at the sample, as
-            measured by the sensor if there is one; False applies it to the flotor directly, as an ideal actuator.
-        coil_map: Coils in place of the model's, such as calibrated ones.
+        gravity: Gravitational acceleration along -z, or in stator axes (3,) for a tilted base [m/s²].
+        coils: True applies each wrench by the six coils, with the coil map at the flotor's angle at the sample (as
+            measured, if there is a sensor); False applies it to the flotor directly, as an ideal actuator.
+        coil_map: Coils instead of the model's, such as calibrated ones.
         current_limit: Largest current in any coil [A]; None for no limit. Without coils, the wrench is limited as by
             coils at angle zero.
-        driver_lag: Switch the current drivers' first-order lag on.
-        driver_time_constant: Time constant of that lag in place of the model's [s].
-        hand: A hand on the flotor, along x, y or z.
+        driver_lag: Enable the first-order lag of the current drivers.
+        driver_time_constant: Time constant of that lag [s], instead of the model's.
+        hand: Hand on the flotor, along x, y or z.
         integrator: One of `INTEGRATORS`.
-        stops: The metal stops at the ends of the range.
-        stop_damping: A touched stop also slows motion along it, with a time constant of 20 ms; assumed. Without it a
-            flotor slides and turns along its stops without end.
-        force_falloff: Loss of a coil's force constant at the end of the device's range along its force, as a share;
-            it grows with the square of the distance from the magnets' centre. Assumed.
-        flexible: The handle swings against the flotor along z; see `load_model`.
+        stops: Enable the metal stops at the ends of the range.
+        stop_damping: A stop in contact also slows motion along it, with a time constant of 20 ms (assumed). Otherwise
+            the flotor slides and rotates along its stops indefinitely.
+        force_falloff: Fraction of a coil's force constant lost at the end of the range along its force; grows with the
+            square of the distance from the magnets' centre (assumed).
+        flexible: Handle that swings against the flotor along z; see `load_model`.
         keywords: Those of `SampledPlant`: wrench, wrench_limit, sensor, escape, record, hand_force, longest_step,
-            metered. Without a longest integration step a step lasts as long as the wrench is constant; the default is
-            a quarter of the drivers' time constant with driver lag, 0.5 ms with a hand.
+            metered. By default an integrator step lasts as long as the wrench is constant, at most a quarter of the
+            drivers' time constant with driver lag, and 0.5 ms with a hand.
 
     Attributes:
         start: Pose and twist at release [m, rad; m/s, rad/s], (6,) each.
 
     Raises:
-        ParameterError: If a value is outside its bounds or the shapes do not fit.
-        ModelError: If the model cannot be used.
+        ParameterError: If a value is outside its bounds or shapes do not match.
+        ModelError: If the model is invalid.
 
     Example:
         >>> from maglev_mj import Command, MuJoCoPlant
@@ -85,7 +81,7 @@ class MuJoCoPlant(SampledPlant):
         (0.005, -0.000122625)
     """
 
-    # as in `SampledPlant`: attributes not used on every tick
+    # rarely used attributes, as in `SampledPlant`
     __slots__ = (
         "_angle",
         "_coil_drive",
@@ -133,7 +129,7 @@ class MuJoCoPlant(SampledPlant):
         start, motion = numbers("pose", pose), numbers("twist", twist)
         if start.shape != (6,) or motion.shape != (6,) or np.ndim(timing.phase):
             raise ParameterError(
-                f"a MuJoCo plant is one device: pose and twist must be (6,) and phase a number, "
+                f"MuJoCoPlant is one device: pose and twist must be (6,) and phase a number, "
                 f"not {start.shape}, {motion.shape} and {np.shape(timing.phase)}"
             )
         self.hand, self.start = hand, (start, motion)
@@ -156,10 +152,10 @@ class MuJoCoPlant(SampledPlant):
             raise ParameterError("driver_lag and force_falloff need coils=True")
         self.current_limit = None if current_limit is None else number("current_limit", current_limit, at_least=0.0)
         self._coils = self.device.coils
-        known = self._coils
-        if known is None and current_limit is not None:
-            known = load_model(model, coil_map=coil_map).coils
-        self._coil_drive = None if known is None else CoilDrive(known, self.current_limit)
+        limiting = self._coils
+        if limiting is None and current_limit is not None:
+            limiting = load_model(model, coil_map=coil_map).coils
+        self._coil_drive = None if limiting is None else CoilDrive(limiting, self.current_limit)
         self._open(integrator, force_falloff, flag("stop_damping", stop_damping), hand)
         self._data.qpos[:], self._data.qvel[:] = engine.start_state(self.device, start, motion, hand)
         free = False
@@ -169,7 +165,7 @@ class MuJoCoPlant(SampledPlant):
                 self.device, driver_lag, hand, stops, force_falloff, flexible
             )
         super().__init__(timing, batch=(), **keywords)
-        # if only the stops need short steps, these are made only near a stop
+        # if only the stops need short steps, take them only near a stop
         self._reach = None
         if stops and free and self._recorder is None:
             self._reach = float(self.device.range[:3].min()), float(self.device.range[3])
@@ -179,19 +175,16 @@ class MuJoCoPlant(SampledPlant):
         self._sensor = self._measure
         if self._measure is not None and self._coils is not None:
             self._upright = math.inf
-            self._measure = self._noted
-        # it warns of positions and velocities that are not finite or beyond 1e10, each an escape too unless that is
-        # wider still; and of controls, which it then leaves out
+            self._measure = self._measured
+        # MuJoCo warns of positions and velocities that are not finite or above 1e10, which the escape check catches too
+        # unless its bounds are wider; and of controls, which it then ignores
         self._warns_unseen = max(self._escape) > _ENGINE_BOUND or stops
 
     def _open(self, integrator: str, falloff: float, stop_damping: bool, hand: Hand | None) -> None:
-        """Create the engine's state and live views of it.
-
-        Looking them up on each tick would cost as much as their use.
-        """
+        """Create the engine's state and views of it, which are too expensive to look up on each tick."""
         model, device = self.device.model, self.device
         self._data = mujoco.MjData(model)
-        mujoco.mj_step(model, self._data)  # the first step fetches its memory, which would make the first tick late
+        mujoco.mj_step(model, self._data)  # allocates memory, which would delay the first tick
         mujoco.mj_resetData(model, self._data)
         self._model = model
         steps = engine.CorrectedSteps if integrator == "corrected" else engine.Steps
@@ -204,7 +197,7 @@ class MuJoCoPlant(SampledPlant):
         self._turning = slice(device.velocity_address + 3, device.velocity_address + 6)
         self._rotation = np.zeros(9)
         self._last: engine.Drive = (), (), None
-        # flag of an outdated coil map, renewed for the next wrench; and the measured angle if there is a sensor
+        # whether the coil map is outdated (updated for the next wrench); measured angle, with a sensor
         self._stale = self._turned = False
         self._angle: Sequence[float] | None = None
         self._upright = math.inf if self._coils is None else UPRIGHT * UPRIGHT
@@ -219,34 +212,30 @@ class MuJoCoPlant(SampledPlant):
         *,
         after: float | None = None,
     ) -> None:
-        """Switch the currents, cancelling later switches.
+        """Switch the currents; cancel later switches.
 
-        If the currents and their switching times equal those computed by `write`, the motion is the same to the last
-        bit.
+        Bit-identical to `write` for equal currents and switching times.
 
         Args:
-            currents: Currents from then on [A], six.
-            pulsed: In place of them for the first `width` seconds [A], six.
-            width: Duration of the pulse [s]; 0 for no pulse.
-            after: Time of the switch since the last sample [s]; the timing's delay by default.
+            currents: Currents after the pulse [A], six.
+            pulsed: Currents during the first `width` seconds [A], six.
+            width: Pulse width [s]; 0 for no pulse.
+            after: Delay from the last sample to the switch [s]; the timing's delay by default.
 
         Raises:
             PlantError: If a current is not finite, no sample was read, or the plant has no coils.
         """
         if self._coils is None:
-            raise PlantError("there are no currents: the plant was made with coils=False")
+            raise PlantError("no currents: the plant was created with coils=False")
         self._switch(_of_currents, currents, pulsed, width, after)
 
     def open_coil(self, coil: int) -> None:
-        """Disable a coil (0 to 5), simulating a broken wire."""
+        """Disconnect a coil (0 to 5), as by a broken wire."""
         self._model.actuator_gainprm[coil, 0] = 0.0
 
     @cached_property
     def inertia(self) -> Array:
-        """Mass and moments of inertia [kg, kg m²], (6,).
-
-        They are those of the model with its handle, rounded to 12 digits.
-        """
+        """Mass and moments of inertia of flotor and handle [kg, kg m²], (6,), rounded to 12 digits."""
         return np.array([float(f"{part:.12g}") for part in (*[self.device.mass] * 3, *self.device.inertia)])
 
     @property
@@ -261,32 +250,27 @@ class MuJoCoPlant(SampledPlant):
 
     @property
     def stop_wrench(self) -> Array:
-        """Wrench of the metal stops [N, N m], (6,).
-
-        It is that of the engine's last step.
-        """
+        """Wrench of the metal stops in the engine's last step [N, N m], (6,)."""
         wrench: Array = self._data.qfrc_constraint[self.device.velocity_address :][:6].copy()
-        if wrench[3:].any():  # the engine turns about the flotor's axes
+        if wrench[3:].any():  # MuJoCo's torques are about flotor axes
             wrench[3:] = self._data.xmat[self.device.flotor].reshape(3, 3) @ wrench[3:]
         return wrench
 
     @property
     def currents(self) -> Array:
-        """Commanded coil currents at the last sample [A], (6,).
-
-        With driver lag, the actual currents trail them.
+        """Commanded coil currents at the last sample [A], (6,), without driver lag.
 
         Raises:
             PlantError: If the plant has no coils.
         """
         if self._coils is None:
-            raise PlantError("there are no currents: the plant was made with coils=False")
+            raise PlantError("no currents: the plant was created with coils=False")
         return np.array(self._data.ctrl[: len(COILS)])
 
     def saved(self) -> tuple[Any, ...]:
         """Return the present state between two ticks, for `restore`.
 
-        A sensor of one's own is saved if it can be copied: with its state in an object, not in a function's variables.
+        A user-defined sensor is saved if it can be deep-copied: its state must be in an object, not in a closure.
         """
         kind = mujoco.mjtState.mjSTATE_INTEGRATION
         state = np.empty(mujoco.mj_stateSize(self._model, kind))
@@ -296,7 +280,7 @@ class MuJoCoPlant(SampledPlant):
         return states, state, self._angle, _copy_of(self._sensor)
 
     def restore(self, saved: tuple[Any, ...]) -> None:
-        """Go back to a state of `saved`, from which motion is the same again."""
+        """Restore a state of `saved`, from which the motion repeats exactly."""
         states, state, self._angle, sensor = saved
         restore(states)
         mujoco.mj_setState(self._model, self._data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -306,10 +290,7 @@ class MuJoCoPlant(SampledPlant):
 
     @property
     def intervals(self) -> list[tuple[float, Sequence[float]]]:
-        """Durations [s] and six currents [A] of the last period.
-
-        They are the engine's controls between the last two samples, in order; without coils, wrenches.
-        """
+        """Durations [s] and six commanded currents [A] (wrenches without coils) of the last period, in order."""
         return [(duration, drive[1]) for duration, drive in self._intervals]
 
     def _limited(self, command: Command) -> Command:
@@ -322,31 +303,31 @@ class MuJoCoPlant(SampledPlant):
         return self._coil_drive.limited(command)
 
     def _prepare(self, force: Sequence[float]) -> engine.Drive:
-        given = tuple(force)  # the caller may use its list again
+        wrench = tuple(force)  # copied: the caller may reuse its list
         if self._coils is None:
-            return given, given, None
+            return wrench, wrench, None
         if self._stale:
             self._follow_turn()
         drive = self._coil_drive
         assert drive is not None
-        if given != self._last[0] or drive.inverse_map is not self._last[2]:
-            self._last = given, drive.currents(force), drive.inverse_map
+        if wrench != self._last[0] or drive.inverse_map is not self._last[2]:
+            self._last = wrench, drive.currents(force), drive.inverse_map
         return self._last
 
     @property
     def _carry(self) -> Callable[..., None]:
-        return self._steps.advance if self._total is None else self._advance_metered  # a call less than `_advance`
+        return self._steps.advance if self._total is None else self._advance_metered  # saves a call of `_advance`
 
     def _advance(self, duration: float, drive: engine.Drive, pieces: int = 1) -> None:
         self._steps.advance(duration, drive, pieces)
 
     def _exert(self, effort: Sequence[float]) -> None:
         push = self._push_on
-        for place, address in enumerate(self._effort_addresses[:3]):
-            push[address] = effort[place]
+        for index, address in enumerate(self._effort_addresses[:3]):
+            push[address] = effort[index]
         if any(effort[3:]):
             mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
-            push[self._turning] = np.dot(effort[3:], self._rotation.reshape(3, 3))  # about the flotor's axes
+            push[self._turning] = np.dot(effort[3:], self._rotation.reshape(3, 3))  # in flotor axes
         else:
             push[self._turning] = 0.0
 
@@ -355,10 +336,10 @@ class MuJoCoPlant(SampledPlant):
             self._check_warnings()
         x, y, z, q0, q1, q2, q3 = self._settle()
         rx, ry, rz = rotation_vector(q0, q1, q2, q3)
-        turned = rx * rx + ry * ry + rz * rz
-        far, far_turned = self._escape
+        turned = rx * rx + ry * ry + rz * rz  # squared angle
+        largest_distance, largest_angle = self._escape
         position = [x, y, z, rx, ry, rz]
-        if not (x * x + y * y + z * z < far and turned < far_turned):
+        if not (x * x + y * y + z * z < largest_distance and turned < largest_angle):
             self._check_warnings()
             self._check_escape(position)
         if turned > self._upright:
@@ -378,18 +359,18 @@ class MuJoCoPlant(SampledPlant):
         if self._turned:
             mujoco.mju_quat2Mat(self._rotation, self._qpos[3:])
             rotation = self._rotation
-        # no two maps of a turned flotor are the same, so no two commands
+        # the map of a rotated flotor is always new, and so are its drives
         self._timeline.compares = self._coil_drive.follow(rotation, self._angle)
 
-    def _noted(self, position: Six) -> list[Component]:
-        """Return the measurement; the coil map is renewed for its angle."""
+    def _measured(self, position: Six) -> list[Component]:
+        """Return the measurement, and mark the coil map as outdated."""
         assert self._sensor is not None
-        known = self._sensor(position)
-        self._angle, self._stale = known[3:], True
-        return known
+        measurement = self._sensor(position)
+        self._angle, self._stale = measurement[3:], True
+        return measurement
 
     def _check_warnings(self) -> None:
-        """Raise PlantError for warnings of the engine."""
+        """Raise PlantError if the engine has warned."""
         counts = self._warnings.tolist()
         if any(counts):
             names = ", ".join(mujoco.mjtWarning(kind).name for kind, count in enumerate(counts) if count)
@@ -399,15 +380,12 @@ class MuJoCoPlant(SampledPlant):
         return self._look()
 
     def _work(self, drive: engine.Drive, before: Sequence[float], after: Sequence[float]) -> float:
-        known = drive[0][0] is not None
-        force: Any = drive[0] if known else self._wrench(self._acting(drive), before)
+        commanded = drive[0][0] is not None
+        force: Any = drive[0] if commanded else self._wrench(self._acting(drive), before)
         return float(engine.turned_work(force, before, after))
 
     def _acting(self, drive: engine.Drive) -> engine.Drive:
-        """Return a drive as it acts now.
-
-        It has the actual currents of the coils, and no wrench if these give another than the commanded one.
-        """
+        """Return a drive with the actual coil currents, and without its wrench if they produce a different one."""
         _, controls, inverse = drive
         falloff = self._steps.falloff
         if self._coils is None or (inverse is not None and not self._model.na and falloff is None):
@@ -415,17 +393,14 @@ class MuJoCoPlant(SampledPlant):
         currents = np.array(self._data.act if self._model.na else controls)
         return (None,), (currents if falloff is None else currents * falloff.share()).tolist(), inverse
 
-    def _wrench(self, acting: engine.Drive, place: Sequence[float]) -> Sequence[float]:
-        """Return the wrench on the flotor, six components.
-
-        `acting` is a drive of `_acting`, `place` is x y z and a quaternion.
-        """
+    def _wrench(self, acting: engine.Drive, position: Sequence[float]) -> Sequence[float]:
+        """Return the wrench of a drive of `_acting` on a flotor at `position`, x y z and a quaternion."""
         force, currents, inverse = acting
         if force[0] is not None:
             return cast("Sequence[float]", force)
         assert self._coils is not None
         if inverse is None:
-            mujoco.mju_quat2Mat(self._rotation, np.array(place[3:]))
+            mujoco.mju_quat2Mat(self._rotation, np.array(position[3:]))
             inverse = self._coils.inverse_at(self._rotation)
         wrench: list[float] = np.linalg.solve(inverse, currents).tolist()
         return wrench
@@ -434,25 +409,22 @@ class MuJoCoPlant(SampledPlant):
         return self._look(), self._qvel.tolist(), self._acting(drive)
 
     def _arrays(self, snapshots: Sequence[_Snapshot]) -> tuple[Array, Array, Array]:
-        places, velocities, actings = zip(*snapshots)
-        pose = [[x, y, z, *rotation_vector(q0, q1, q2, q3)] for x, y, z, q0, q1, q2, q3 in places]
-        twist, matrices = np.array(velocities), _matrices(np.array(places)[:, 3:])
+        positions, velocities, drives = zip(*snapshots)
+        pose = [[x, y, z, *rotation_vector(q0, q1, q2, q3)] for x, y, z, q0, q1, q2, q3 in positions]
+        twist, matrices = np.array(velocities), _matrices(np.array(positions)[:, 3:])
         twist[:, 3:] = np.matmul(matrices.reshape(-1, 3, 3), twist[:, 3:, None])[..., 0]
-        return np.array(pose), twist, np.array([self._wrench(*one) for one in zip(actings, places)])
+        return np.array(pose), twist, np.array([self._wrench(*pair) for pair in zip(drives, positions)])
 
 
 def _copy_of(sensor: Measure | None) -> Measure | None:
     try:
         return deepcopy(sensor)
-    except Exception:  # of one's own, with a lock or the like: it stays as it is
+    except Exception:  # user-defined, with a lock or similar: shared instead of copied
         return sensor
 
 
 def _of_currents(currents: Sequence[float]) -> engine.Drive:
-    """Return the drive of directly commanded currents.
-
-    Drives of this kind are never equal.
-    """
+    """Return the drive of directly commanded currents; such drives are never equal."""
     return (None, *currents), tuple(currents), None
 
 
@@ -460,38 +432,33 @@ _BatchDrive: TypeAlias = tuple[Array, Array]
 """Wrenches (N, 6) and engine controls (N, 6)."""
 
 _BatchSnapshot: TypeAlias = tuple[Sequence[Component], Array, Array, Array, Array | None, Array | None]
-"""Snapshot of a batch.
-
-Position x y z and quaternion, the engine's own quaternion (N, 4), velocities (N, 6), wrenches (N, 6), currents (N, 6),
-inverse coil maps.
-"""
+"""Position x y z and quaternion, MuJoCo's quaternion (N, 4), velocities (N, 6), wrenches (N, 6), currents (N, 6),
+inverse coil maps."""
 
 
 class MuJoCoBatchPlant(SampledPlant):
-    """N MuJoCo devices advanced by one engine call.
-
-    Each device is as in `MuJoCoPlant` with its coils.
+    """N MuJoCo devices, each as in `MuJoCoPlant`, advanced by one engine call.
 
     Args:
-        timing: Sample period, delay and phase; (N,) phases go with poses (N, 6).
-        model: See `MuJoCoPlant`, and for mass, inertia, gravity, coils, coil_map, driver_lag, driver_time_constant.
-        mass: Moving mass in place of the model's [kg].
-        inertia: Moments of inertia in place of the model's [kg m²], (3,).
+        timing: Sample period, delay and phase; phases may be (N,).
+        model: Device; see `MuJoCoPlant` for this and for the following options.
+        mass: Moving mass [kg], instead of the model's.
+        inertia: Moments of inertia [kg m²], (3,), instead of the model's.
         pose: Poses at release [m, rad], (N, 6).
         twist: Velocities at release [m/s, rad/s], (N, 6) or (6,).
-        gravity: Acceleration of free fall [m/s²].
-        coils: Send each wrench through the coils.
-        coil_map: Coils in place of the model's.
-        driver_lag: Switch the current drivers' first-order lag on.
-        driver_time_constant: Time constant of that lag in place of the model's [s].
-        hand: A hand on each flotor, all alike.
+        gravity: Gravitational acceleration [m/s²].
+        coils: True applies each wrench by the coils.
+        coil_map: Coils instead of the model's.
+        driver_lag: Enable the first-order lag of the current drivers.
+        driver_time_constant: Time constant of that lag [s], instead of the model's.
+        hand: Hand on each flotor, equal for all.
         integrator: One of `INTEGRATORS`.
-        threads: Number of stepping threads; 0 for one per processor.
+        threads: Number of threads; 0 for one per processor.
         keywords: As for `MuJoCoPlant`.
 
     Raises:
-        ParameterError: If a value is outside its bounds or the shapes do not fit.
-        ModelError: If the model cannot be used.
+        ParameterError: If a value is outside its bounds or shapes do not match.
+        ModelError: If the model is invalid.
     """
 
     def __init__(
@@ -536,11 +503,11 @@ class MuJoCoBatchPlant(SampledPlant):
             driver_time_constant=driver_time_constant,
             hand=hand,
         )
-        from mujoco.batch import Batch  # the engine is loaded by now
+        from mujoco.batch import Batch  # imported late, to load MuJoCo on demand
 
         self._engine = Batch(self.device.model, len(start), count)
-        for row, (place, speed) in enumerate(zip(start, np.broadcast_to(motion, start.shape), strict=True)):
-            self._engine.qpos[row], self._engine.qvel[row] = engine.start_state(self.device, place, speed, hand)
+        for row, (at, speed) in enumerate(zip(start, np.broadcast_to(motion, start.shape), strict=True)):
+            self._engine.qpos[row], self._engine.qvel[row] = engine.start_state(self.device, at, speed, hand)
         self._qpos = self._engine.bind("qpos")[:, self.device.position_address :][:, :7]
         self._qvel = self._engine.bind("qvel")[:, self.device.velocity_address :][:, :6]
         self._controls = (
@@ -551,7 +518,7 @@ class MuJoCoBatchPlant(SampledPlant):
         self._timestep = self._engine.expand("opt.timestep")
         self._efforts = self._engine.bind("qfrc_applied")
         self._effort_addresses = engine.effort_addresses(self.device, hand)
-        # inverse maps of the coils, (N, 6, 6) while any flotor is turned; None without coils
+        # inverse coil maps, (N, 6, 6) while any flotor is rotated; None without coils
         self._inverse_map = None if self.device.coils is None else self.device.coils.current_per_wrench
         if keywords.get("longest_step") is None:
             keywords["longest_step"] = engine.longest_step(self.device, driver_lag, hand)
@@ -581,23 +548,20 @@ class MuJoCoBatchPlant(SampledPlant):
         return engine.turned_work(components(drive[0]), before, after)
 
     def _where(self) -> list[Component]:
-        """Return x y z and a quaternion, corrected.
-
-        The lead of the steps since the last sample is taken off; see `CorrectedSteps`.
-        """
-        places: list[Component] = [column.copy() for column in self._qpos.T]  # a batch of one would return live views
+        """Return x y z and a quaternion without the excess since the last sample; see `CorrectedSteps`."""
+        parts: list[Component] = [column.copy() for column in self._qpos.T]  # copied: a batch of one has live views
         if not self._corrects or not self._excess.any():
-            return places
-        over = self._excess.T
-        moved = [place - ahead for place, ahead in zip(places[:3], over[:3])]
-        turned = np.abs(over[3:]).max() > engine.NOTHING
-        return [*moved, *(engine.turned_back(*places[3:], *over[3:]) if turned else places[3:])]
+            return parts
+        excess = self._excess.T
+        moved = [part - over for part, over in zip(parts[:3], excess[:3])]
+        turned = np.abs(excess[3:]).max() > engine.NOTHING
+        return [*moved, *(engine.turned_back(*parts[3:], *excess[3:]) if turned else parts[3:])]
 
     def _exert(self, effort: Six) -> None:
         wrench = np.broadcast_to(join(effort), (*self.batch, 6))
         self._efforts[:, list(self._effort_addresses)] = wrench[:, :3]
         start = self.device.velocity_address + 3
-        # about the flotors' axes
+        # in flotor axes
         self._efforts[:, start : start + 3] = np.einsum(
             "na,nab->nb", wrench[:, 3:], _matrices(self._qpos[:, 3:]).reshape(-1, 3, 3)
         )
@@ -605,7 +569,7 @@ class MuJoCoBatchPlant(SampledPlant):
     def _position(self) -> list[Component]:
         if self._engine.warning.any():
             raise PlantError(f"MuJoCo warns at tick {self._tick}, in {int(self._engine.warning.any(-1).sum())} devices")
-        if self._corrects:  # the lead is taken off the flotors' positions
+        if self._corrects:  # subtract the excess from the state
             self._qpos[:] = np.stack(self._where(), axis=-1)
             self._excess[:] = 0.0
         position = _pose(self._where())
@@ -617,7 +581,7 @@ class MuJoCoBatchPlant(SampledPlant):
 
     def _snapshot(self, drive: _BatchDrive) -> _BatchSnapshot:
         currents = None
-        if self.device.model.na:  # the drivers lag: their currents, not the commanded ones
+        if self.device.model.na:  # driver lag: actual currents, not the commanded ones
             currents = self._engine.bind("act").copy()
         return self._where(), self._qpos[:, 3:].copy(), self._qvel.copy(), drive[0], currents, self._inverse_map
 
@@ -626,30 +590,24 @@ class MuJoCoBatchPlant(SampledPlant):
         return pose, twist, wrench
 
     def _parts(self, snapshot: _BatchSnapshot) -> tuple[Array, Array, Array]:
-        """Return pose, twist and wrench of one snapshot.
-
-        (N, 6) each.
-        """
-        place, turns, velocity, wrench, currents, inverse_map = snapshot
-        spin = np.einsum("nab,nb->na", _matrices(turns).reshape(-1, 3, 3), velocity[:, 3:])
+        """Return pose, twist and wrench of one snapshot, (N, 6) each."""
+        position, quaternions, velocity, wrench, currents, inverse_map = snapshot
+        spin = np.einsum("nab,nb->na", _matrices(quaternions).reshape(-1, 3, 3), velocity[:, 3:])
         if currents is not None:
             maps = np.broadcast_to(np.asarray(inverse_map), (*self.batch, 6, 6))
             wrench = np.linalg.solve(maps, currents[..., None])[..., 0]
-        return join(_pose(place)), np.column_stack([velocity[:, :3], spin]), wrench
+        return join(_pose(position)), np.column_stack([velocity[:, :3], spin]), wrench
 
 
-def _pose(place: Sequence[Component]) -> list[Component]:
-    """Return pose components from x y z and a quaternion.
-
-    (N,) each.
-    """
-    x, y, z, q0, q1, q2, q3 = place
+def _pose(position: Sequence[Component]) -> list[Component]:
+    """Return pose components, (N,) each, from x y z and a quaternion."""
+    x, y, z, q0, q1, q2, q3 = position
     return [x, y, z, *rotation_vector(q0, q1, q2, q3, np.sqrt, np.arctan2)]
 
 
-def _matrices(turns: Array) -> Array:
+def _matrices(quaternions: Array) -> Array:
     """Return rotation matrices (N, 9) of quaternions (N, 4)."""
-    matrices = np.empty((len(turns), 9))
-    for matrix, turn in zip(matrices, turns, strict=True):
-        mujoco.mju_quat2Mat(matrix, turn)
+    matrices = np.empty((len(quaternions), 9))
+    for matrix, quaternion in zip(matrices, quaternions, strict=True):
+        mujoco.mju_quat2Mat(matrix, quaternion)
     return matrices

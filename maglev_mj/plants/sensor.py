@@ -1,6 +1,6 @@
-"""Pose sensors: resolution and noise, and the geometry of three light beams on three position-sensing diodes.
+"""Pose sensors: resolution and noise, and three light beams on three position-sensing diodes.
 
-Spots follow from a pose, and the pose from spots by Newton's method.
+Light spots are computed from a pose, and the pose from spots by Newton's method.
 """
 
 from __future__ import annotations
@@ -30,20 +30,18 @@ _NEWTON_STEPS = 20
 
 @dataclass(frozen=True, eq=False)
 class Beams:
-    """Geometry of the pose sensor.
-
-    Three LEDs on the flotor each light one two-dimensional diode on the stator.
+    """Geometry of the pose sensor: three LEDs on the flotor, each on one two-dimensional diode of the stator.
 
     Args:
         leds: Position of each LED from the flotor's centre of mass, in flotor axes [m], (3, 3).
         directions: Unit direction of each beam in flotor axes, (3, 3).
         diodes: Centre of each diode from the centre of the range, in stator axes [m], (3, 3).
-        across: The two unit axes of each diode's surface in stator axes, (3, 2, 3).
+        across: Two unit axes of each diode's surface in stator axes, (3, 2, 3).
 
     Raises:
         ModelError: If a beam does not meet its diode, or the spots at the centre do not determine the pose.
 
-    Source: Salcudean & Vlaar 1997, section 2 and figure 1; the positions are the model's, assumed.
+    Source: Salcudean & Vlaar 1997, section 2 and figure 1; positions assumed, as in the model.
     """
 
     leds: Array
@@ -56,9 +54,9 @@ class Beams:
         if shapes != ((3, 3), (3, 3), (3, 3), (3, 2, 3)):
             raise ModelError(f"three LEDs and three diodes are needed, not {shapes}")
         if np.abs(np.einsum("ka,ka->k", self.directions, self.normals)).min() < 1e-6:
-            raise ModelError("every beam must meet its diode, not run along it")
+            raise ModelError("every beam must meet its diode; one is parallel to it")
         if np.linalg.matrix_rank(self._spots(np.zeros(6))[1]) < 6:
-            raise ModelError("the spots must tell all six coordinates apart")
+            raise ModelError("the spots do not determine all six coordinates of the pose")
 
     @property
     def normals(self) -> Array:
@@ -66,31 +64,31 @@ class Beams:
         return np.cross(self.across[:, 0], self.across[:, 1])
 
     def spots(self, pose: Array) -> Array:
-        """Return the beams' spots on their diodes.
+        """Return the light spots on the diodes.
 
         Args:
             pose: Poses [m, rad], (..., 6).
 
         Returns:
-            Both coordinates of the first diode's spot, then of the second's and the third's [m], (..., 6).
+            Two spot coordinates per diode [m], (..., 6).
         """
         return self._spots(pose)[0]
 
     def pose(self, spots: Array, guess: Array | None = None) -> Array:
-        """Return the pose of given spots by Newton's method.
+        """Return the pose for light spots, by Newton's method.
 
         Args:
-            spots: Spots in the order of `spots` [m], (..., 6).
-            guess: Start of Newton's method [m, rad], (..., 6); the centre by default.
+            spots: Spot coordinates as in `spots` [m], (..., 6).
+            guess: Initial guess [m, rad], (..., 6); the centre by default.
 
         Raises:
-            SensingError: If it does not converge, as for spots outside the range of poses.
+            SensingError: If it does not converge.
         """
         pose = np.zeros(spots.shape) if guess is None else np.array(np.broadcast_to(guess, spots.shape))
         for _ in range(_NEWTON_STEPS):
-            seen, slopes = self._spots(pose)
+            predicted, jacobian = self._spots(pose)
             try:
-                change = np.linalg.solve(slopes, (spots - seen)[..., None])[..., 0]
+                change = np.linalg.solve(jacobian, (spots - predicted)[..., None])[..., 0]
             except np.linalg.LinAlgError:
                 break
             if not np.isfinite(change).all():
@@ -98,13 +96,10 @@ class Beams:
             pose = _moved(pose, change)
             if np.abs(change).max(initial=0.0) < _NEWTON_CLOSE:
                 return pose
-        raise SensingError(f"no pose was found for the spots {np.array2string(spots, precision=6)} m")
+        raise SensingError(f"no pose found for the spots {np.array2string(spots, precision=6)} m")
 
     def _spots(self, pose: Array) -> tuple[Array, Array]:
-        """Return spots (..., 6) and their derivatives (..., 6, 6).
-
-        Derivatives with respect to small translations and rotations in stator axes.
-        """
+        """Return spots (..., 6) and their Jacobian (..., 6, 6) for translations and rotations in stator axes."""
         turn = rotation_matrix(pose[..., 3:])
         arm = np.einsum("...ab,kb->...ka", turn, self.leds)
         beam = np.einsum("...ab,kb->...ka", turn, self.directions)
@@ -113,20 +108,17 @@ class Beams:
         to_diode = self.diodes - arm - pose[..., None, :3]
         length = np.einsum("...ka,ka->...k", to_diode, normals)[..., None] / forward
         spots = np.einsum("kca,...ka->...kc", self.across, length * beam - to_diode)
-        # a motion of the light moves the spot by its part along the diode, seen along the beam
-        seen = self.across - np.einsum("kca,...ka->...kc", self.across, beam)[..., None] * (
+        # a displacement of the LED moves the spot by its projection along the beam onto the diode
+        projection = self.across - np.einsum("kca,...ka->...kc", self.across, beam)[..., None] * (
             normals[:, None] / forward[..., None]
         )
-        turned = np.cross((arm + length * beam)[..., None, :], seen)
-        slopes = np.concatenate([seen, turned], axis=-1)
-        return spots.reshape(*pose.shape[:-1], 6), slopes.reshape(*pose.shape[:-1], 6, 6)
+        turned = np.cross((arm + length * beam)[..., None, :], projection)
+        jacobian = np.concatenate([projection, turned], axis=-1)
+        return spots.reshape(*pose.shape[:-1], 6), jacobian.reshape(*pose.shape[:-1], 6, 6)
 
 
 def _moved(pose: Array, change: NDArray[Any]) -> Array:
-    """Return poses after a translation and a rotation.
-
-    The rotation is about stator axes.
-    """
+    """Return poses after a translation and a rotation in stator axes."""
     w, x, y, z = quaternions(change[..., 3:])
     p, a, b, c = quaternions(pose[..., 3:])
     product = (
@@ -140,45 +132,37 @@ def _moved(pose: Array, change: NDArray[Any]) -> Array:
 
 
 FARTHEST = 30e-3
-"""Largest distance of a measured pose from the centre [m].
-
-The default; several times the range.
-"""
+"""Default largest distance of a measured pose from the centre [m]; several times the range of motion."""
 
 MOST_TURNED = 0.8
-"""Largest angle of a measured pose [rad].
+"""Default largest angle of a measured pose [rad].
 
-The default. At most three other poses give the same spots on the model's diodes, each upside down or half a turn about
-the flotor's axis away: no two are within a quarter turn.
+At most three other poses give the same spots on the model's diodes, each upside down or rotated by half a turn about
+the flotor's axis: no two are within a quarter turn of each other.
 """
 
 _CLOSE_ENOUGH = 1e-7
-"""Last step of Newton's method in g.
+"""Convergence tolerance of Newton's method in g.
 
-As steps square, the next would be 1e-14, the rounding of a pose. (A spot's resolution of 0.8 µm is 1e-5 here.)
+Convergence is quadratic: the next step would be 1e-14, the rounding of a pose. (A spot resolution of 0.8 µm is 1e-5.)
 """
 
 _MOST_STEPS = 12
-"""Largest number of Newton steps.
-
-From the centre to any pose within `FARTHEST` and `MOST_TURNED` it takes 5.
-"""
+"""Largest number of Newton steps; 5 suffice from the centre to any pose within `FARTHEST` and `MOST_TURNED`."""
 
 _Turn: TypeAlias = tuple[float, float, float]
 _UPRIGHT: _Turn = (0.0, 0.0, 0.0)
 
 
 def _form(stator: Array, flotor: Array) -> Array:
-    """Return a . R b as a quaternion's quadratic form.
-
-    The ten entries of K in q . K q = (q . q) (a . R b), with the quaternion q of R.
+    """Return a . R b as a quadratic form K of the quaternion q of R: q . K q = (q . q) (a . R b).
 
     Args:
         stator: a in stator axes, (..., 3).
         flotor: b in flotor axes, (..., 3).
 
     Returns:
-        Entries ww, wx, wy, wz, xx, yy, zz, xy, xz, yz, (..., 10); off the diagonal each counts twice.
+        Entries ww, wx, wy, wz, xx, yy, zz, xy, xz, yz, (..., 10); off-diagonal ones count twice.
     """
     product = np.sum(stator * flotor, axis=-1)[..., None]
     outer = stator[..., :, None] * flotor[..., None, :]
@@ -196,96 +180,92 @@ class FastBeams:
     """Fast `Beams.spots` for one device, in plain floats.
 
     Args:
-        beams: The geometry.
+        beams: Geometry.
     """
 
     def __init__(self, beams: Beams) -> None:
-        # by diode: where the light is and where its beam points, each along the diode's normal and its two axes
+        # per diode: LED position and beam direction, each along the diode's normal and its two axes
         normals = beams.normals[:, None]
         rows = []
         for axes in (normals, beams.across):
-            place = _form(axes, beams.leds[:, None])
+            led = _form(axes, beams.leds[:, None])
             beam = _form(axes, beams.directions[:, None])
             from_diode = -np.sum(axes * beams.diodes[:, None], axis=-1)[..., None]
-            rows.append(np.concatenate([place, axes, from_diode], axis=-1).reshape(-1, 14))
+            rows.append(np.concatenate([led, axes, from_diode], axis=-1).reshape(-1, 14))
             rows.append(np.concatenate([beam, np.zeros((*beam.shape[:-1], 4))], axis=-1).reshape(-1, 14))
         self._rows = np.concatenate(rows)
 
     def spots(self, pose: Sequence[float]) -> list[float]:
-        """Return the beams' spots on their diodes.
+        """Return the light spots on the diodes.
 
         Args:
             pose: Six components [m, rad].
 
         Returns:
-            The six coordinates of `Beams.spots` [m], to 1e-16 m.
+            Spot coordinates as in `Beams.spots` [m], accurate to 1e-16 m.
 
         Raises:
-            SensingError: If a beam runs along its diode, or the pose is not finite.
+            SensingError: If a beam is parallel to its diode, or the pose is not finite.
         """
         px, py, pz, rx, ry, rz = pose
         angle = math.sqrt(rx * rx + ry * ry + rz * rz)
         if not math.isfinite(px * px + py * py + pz * pz + angle):
-            raise SensingError(f"no spots were found for the pose {_written(pose)} m, rad")
+            raise SensingError(f"no spots for the pose {_formatted(pose)} m, rad: not finite")
         scale = math.sin(0.5 * angle) / angle if angle else 0.5
         w, x, y, z = math.cos(0.5 * angle), scale * rx, scale * ry, scale * rz
         v, u, t = w + w, x + x, y + y
         monomials = (w * w, v * x, v * y, v * z, x * x, y * y, z * z, u * y, u * z, t * z, px, py, pz, 1.0)
-        # d0: ahead of diode 0; f0: how fast its beam goes there; places and slants along both axes of each diode
+        # d: distance along the normal, f: its change along the beam; p, s: position and slope along the diode's axes
         d0, d1, d2, f0, f1, f2, p0, p1, p2, p3, p4, p5, s0, s1, s2, s3, s4, s5 = self._rows.dot(monomials).tolist()
         if not f0 * f1 * f2:
-            raise SensingError(f"no spots were found for the pose {_written(pose)} m, rad: a beam runs along its diode")
+            raise SensingError(f"no spots for the pose {_formatted(pose)} m, rad: a beam is parallel to its diode")
         d0, d1, d2 = d0 / f0, d1 / f1, d2 / f2
         return [p0 - d0 * s0, p1 - d0 * s1, p2 - d1 * s2, p3 - d1 * s3, p4 - d2 * s4, p5 - d2 * s5]
 
 
 class PoseTracker:
-    """Fast `Beams.pose` for one device, in plain floats.
+    """Fast `Beams.pose` for one device, in plain floats, starting from the last rotation.
 
-    Each search begins at the last rotation.
-
-    The same spots in the same order give bit-identical poses from every tracker of the same geometry on one machine.
-    The start of a search changes only the rounding (1e-14).
+    On one machine, equal sequences of spots give bit-identical poses for equal geometries. The initial guess affects
+    rounding only (1e-14).
 
     Args:
-        beams: The geometry.
+        beams: Geometry.
         farthest: Largest distance of a pose from the centre [m]; may be infinite.
         most_turned: Largest angle of a pose [rad].
 
     Raises:
-        ParameterError: If the largest distance or angle is negative, or the angle is beyond pi.
+        ParameterError: If the largest distance or angle is negative, or the angle is above pi.
     """
 
     def __init__(self, beams: Beams, farthest: float = FARTHEST, most_turned: float = MOST_TURNED) -> None:
         distance = float(numbers("farthest", farthest, at_least=0.0, finite=False))
         angle = number("most_turned", most_turned, at_least=0.0, at_most=math.pi)
         self._limits = distance * distance, angle * angle
-        self._forms, self._spots, self._found = _forms(beams), np.ones(7), np.empty(60)
-        # as `self._spots[:6] = spots`, in half the time
+        self._forms, self._spots, self._products = _forms(beams), np.ones(7), np.empty(60)
+        # equivalent to self._spots[:6] = spots, in half the time
         self._fill = partial(struct.pack_into, "6d", self._spots.data, 0)
         self._last = _UPRIGHT
 
     def __call__(self, spots: Sequence[float]) -> list[float]:
-        """Return the pose of given spots.
-
-        Six components [m, rad], the angle in [0, pi].
+        """Return the pose for light spots, six components [m, rad], the angle in [0, pi].
 
         Args:
-            spots: Both coordinates of the first diode's spot, then of the second's and the third's [m].
+            spots: Two spot coordinates per diode [m], six.
 
         Raises:
-            SensingError: If no pose is found within the largest distance and angle, as for spots that are not finite.
-                The next search begins upright.
+            SensingError: If there is no pose within the largest distance and angle, or a spot is not finite. The next
+                search starts upright.
         """
         a, b, c, d, e, f = spots
-        # numpy would warn of non-finite values; squares also catch values that would overflow there
+        # checked first, because numpy warns of non-finite values; squares also catch overflow
         if not math.isfinite(a * a + b * b + c * c + d * d + e * e + f * f):
             raise self._lost(spots)
         self._fill(a, b, c, d, e, f)
-        forms = self._forms.dot(self._spots, out=self._found).tolist()
+        forms = self._forms.dot(self._spots, out=self._products).tolist()
         turning, placing = forms[:30], forms[30:]
         distance, angle = self._limits  # squared
-        # where the last rotation leads astray, upright has yet to
+        # fall back to upright if the search from the last rotation fails
         for start in (self._last, _UPRIGHT):
             turn = _turn(turning, start)
             if turn is not None:
@@ -296,31 +276,29 @@ class PoseTracker:
         raise self._lost(spots)
 
     def __deepcopy__(self, memo: object) -> Self:
-        return copy(self)  # what it fills at each search needs no second one
+        return copy(self)  # buffers may be shared: every search fills them first
 
     def reset(self) -> None:
-        """Forget the last pose: the next search begins upright."""
+        """Start the next search upright."""
         self._last = _UPRIGHT
 
     def _lost(self, spots: Sequence[float]) -> SensingError:
-        """Forget the last pose and return the error to raise."""
+        """Reset the search and return the error to raise."""
         self.reset()
-        return SensingError(f"no pose was found for the spots {_written(spots)} m")
+        return SensingError(f"no pose found for the spots {_formatted(spots)} m")
 
 
 def _forms(beams: Beams) -> Array:
-    """Return the matrix from spots to quadratic forms, (60, 7).
+    """Return the matrix (60, 7) from six spot coordinates and a 1 to the coefficients of six quadratic forms.
 
-    It turns six spots and a 1 into the coefficients of six forms.
-
-    The first three vanish at the rotation; the others, over q . q, are the translation in flotor axes.
+    The first three vanish at the rotation; the others, divided by q . q, are the translation in flotor axes.
     """
     across_beam = np.linalg.svd(beams.directions[:, None])[2][:, 1:]
-    linear = across_beam.reshape(6, 3)  # of rank 3: only parallel beams have less, and Beams has refused those
+    linear = across_beam.reshape(6, 3)  # rank 3: `Beams` rejects parallel beams
     without = np.linalg.svd(linear.T)[2][3:]
-    # by form, by diode: the flotor axis whose product with the spot counts
+    # per form and diode: the flotor axis to multiply with the spot
     axes = np.einsum("jki,kia->jka", np.concatenate([without, np.linalg.pinv(linear)]).reshape(6, 3, 2), across_beam)
-    spot = np.zeros((3, 7, 3))  # in stator axes, by diode: its part for each coordinate of each spot, and for the 1
+    spot = np.zeros((3, 7, 3))  # stator axes, per diode: contribution of each spot coordinate and of the 1
     for diode in range(3):
         spot[diode, 2 * diode : 2 * diode + 2] = beams.across[diode]
         spot[diode, 6] = beams.diodes[diode]
@@ -330,14 +308,12 @@ def _forms(beams: Beams) -> Array:
 
 
 def _turn(forms: Sequence[float], start: _Turn, close: float = _CLOSE_ENOUGH) -> _Turn | None:
-    """Solve three quadratic forms in (1, g) for g.
-
-    By Newton's method, from `start`.
+    """Solve three quadratic forms in (1, g) for g by Newton's method.
 
     Args:
-        forms: Ten entries of each of them.
+        forms: Ten entries of each form.
         start: Initial g.
-        close: Size of a last step in g.
+        close: Convergence tolerance of g.
 
     Returns:
         g; None if it does not converge.
@@ -346,11 +322,11 @@ def _turn(forms: Sequence[float], start: _Turn, close: float = _CLOSE_ENOUGH) ->
     c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = forms[20:]
     x, y, z = start
     for _ in range(_MOST_STEPS):
-        # half the slopes of each form
+        # half the gradient of each form
         ax, ay, az = a1 + a4 * x + a7 * y + a8 * z, a2 + a7 * x + a5 * y + a9 * z, a3 + a8 * x + a9 * y + a6 * z
         bx, by, bz = b1 + b4 * x + b7 * y + b8 * z, b2 + b7 * x + b5 * y + b9 * z, b3 + b8 * x + b9 * y + b6 * z
         cx, cy, cz = c1 + c4 * x + c7 * y + c8 * z, c2 + c7 * x + c5 * y + c9 * z, c3 + c8 * x + c9 * y + c6 * z
-        # their values
+        # values of the forms
         a = a0 + (a1 + ax) * x + (a2 + ay) * y + (a3 + az) * z
         b = b0 + (b1 + bx) * x + (b2 + by) * y + (b3 + bz) * z
         c = c0 + (c1 + cx) * x + (c2 + cy) * y + (c3 + cz) * z
@@ -370,10 +346,7 @@ def _turn(forms: Sequence[float], start: _Turn, close: float = _CLOSE_ENOUGH) ->
 
 
 def _pose(forms: Sequence[float], turn: _Turn) -> tuple[float, float, float, float, float, float]:
-    """Return the pose [m, rad] of a rotation g.
-
-    `forms` are those of the translation in flotor axes.
-    """
+    """Return the pose [m, rad] of a rotation g, with the `forms` of the translation in flotor axes."""
     a0, a1, a2, a3, a4, a5, a6, a7, a8, a9, b0, b1, b2, b3, b4, b5, b6, b7, b8, b9 = forms[:20]
     c0, c1, c2, c3, c4, c5, c6, c7, c8, c9 = forms[20:]
     x, y, z = turn
@@ -384,9 +357,9 @@ def _pose(forms: Sequence[float], turn: _Turn) -> tuple[float, float, float, flo
     a = over * (a0 + (a1 + a7 * y) * u + (a2 + a9 * z) * v + (a3 + a8 * x) * w + a4 * x * x + a5 * y * y + a6 * z * z)
     b = over * (b0 + (b1 + b7 * y) * u + (b2 + b9 * z) * v + (b3 + b8 * x) * w + b4 * x * x + b5 * y * y + b6 * z * z)
     c = over * (c0 + (c1 + c7 * y) * u + (c2 + c9 * z) * v + (c3 + c8 * x) * w + c4 * x * x + c5 * y * y + c6 * z * z)
-    # turned into stator axes
+    # rotated into stator axes
     upright, beside, along = (1.0 - square) * over, 2.0 * over, 2.0 * over * (x * a + y * b + z * c)
-    # the offset keeps 0/0 away and is far below the rounding of any rotation that is not zero
+    # the offset avoids 0/0 and is far below the rounding of any non-zero rotation
     sine = math.sqrt(square) + 1e-300
     angle = 2.0 * (math.atan(sine) / sine)
     return (
@@ -399,13 +372,12 @@ def _pose(forms: Sequence[float], turn: _Turn) -> tuple[float, float, float, flo
     )
 
 
-def _written(values: Sequence[float]) -> str:
-    """Return values for a message."""
+def _formatted(values: Sequence[float]) -> str:
     return np.array2string(np.asarray(values), precision=6)
 
 
 def beams() -> Beams:
-    """Return the geometry of the LEDs and position-sensing diodes.
+    """Return the model's geometry of LEDs and position-sensing diodes.
 
     Raises:
         ModelError: If the model lacks an LED or diode.
@@ -415,7 +387,6 @@ def beams() -> Beams:
 
 @lru_cache(maxsize=1)
 def _beams(written: tuple[tuple[str, int], ...]) -> Beams:
-    """See `beams`."""
     try:
         spec = mujoco.MjSpec.from_file(str(model_path("maglev")))
         model = spec.compile()
@@ -442,38 +413,33 @@ class PoseSensor(Protocol):
     """Interface of a pose sensor to a plant."""
 
     def start(self) -> Measure:
-        """Return the measurement function in its initial state.
-
-        It maps the components of the true pose to the measured ones.
-        """
+        """Return a measurement function in its initial state, from true to measured pose components."""
 
 
 def measuring(sensor: PoseSensor) -> Measure:
-    """Start a sensor and return its measuring function.
+    """Start a sensor and return its measurement function.
 
     Raises:
-        ParameterError: If it has no `start`, or that returns no function.
+        ParameterError: If it has no `start`, or `start` does not return a function.
     """
     start = None if isinstance(sensor, type) else getattr(sensor, "start", None)
     measure = start() if callable(start) else None
     if not callable(measure):
-        raise ParameterError(f"sensor must have start(), which returns a function of six components, not {sensor!r}")
+        raise ParameterError(f"sensor must have start() that returns a function of six components, not {sensor!r}")
     return measure  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sensor:
-    """Pose sensor with limited resolution and white Gaussian noise.
-
-    The noise is added before quantization.
+    """Pose sensor with white Gaussian noise and quantization, in this order.
 
     Args:
-        quantum: Resolution, (6,) or a number [m, rad]; zero for none.
-        noise: Standard deviation of the noise, (6,) or a number [m, rad]; devices of a batch draw their own.
-        seed: Seed of the noise: the same seed gives the same run.
+        quantum: Resolution, (6,) or a number [m, rad]; 0 for none.
+        noise: Standard deviation of the noise, (6,) or a number [m, rad]; independent for each device of a batch.
+        seed: Seed of the noise; equal seeds give equal runs.
 
     Raises:
-        ParameterError: If a value is negative or of another shape.
+        ParameterError: If a value is negative or has another shape.
 
     Example:
         >>> from maglev_mj import ExactPlant, Sensor
@@ -493,28 +459,18 @@ class Sensor:
         store(self, seed=whole("seed", self.seed))
 
     def start(self) -> Measure:
-        """Return the measurement function in its initial state.
-
-        It maps the components of the true pose to the measured ones; the noise begins at the seed.
-        """
+        """Return a measurement function in its initial state, with the noise restarted from the seed."""
         return _electronics(np.asarray(self.quantum).tolist(), self.noise, self.seed)
 
 
 _WHOLE = 1.5 * 2.0**52
-"""Offset for rounding a float to a whole number.
-
-x + _WHOLE - _WHOLE is x rounded to the nearest whole number, halves to the even one.
-
-This holds below 2**51; beyond that, a float's own rounding is larger. NaN and infinity stay.
-"""
+"""Offset for rounding: x + _WHOLE - _WHOLE is x rounded half to even, for |x| < 2**51; NaN and infinity stay."""
 
 
 def _quantizer(quantum: Sequence[float]) -> Callable[[Iterable[Component]], list[Component]]:
-    """Return a function that quantizes six components.
+    """Return a function that quantizes six components by six steps [m, rad]; 0 for no quantization.
 
-    The steps are six [m, rad]; a step of 0 leaves its component unchanged.
-
-    The result equals np.rint to the last bit, except for the sign of a zero.
+    Bit-identical to np.rint, except for the sign of zero.
     """
     if not all(quantum):
         return lambda position: [
@@ -523,7 +479,7 @@ def _quantizer(quantum: Sequence[float]) -> Callable[[Iterable[Component]], list
     x_step, y_step, z_step, rx_step, ry_step, rz_step = quantum
 
     def quantize(position: Iterable[Component]) -> list[Component]:
-        x, y, z, rx, ry, rz = position  # written out: this runs on every tick
+        x, y, z, rx, ry, rz = position  # written out for speed: runs on every tick
         return [
             (x / x_step + _WHOLE - _WHOLE) * x_step,
             (y / y_step + _WHOLE - _WHOLE) * y_step,
@@ -537,9 +493,9 @@ def _quantizer(quantum: Sequence[float]) -> Callable[[Iterable[Component]], list
 
 
 class _Noise:
-    """White noise on six components; a copy of it goes on alike.
+    """White noise on six components; a copy continues the same sequence.
 
-    For one device many samples are drawn at once, with the same values as one by one.
+    For one device many samples are drawn at once; the values are the same.
     """
 
     def __init__(self, spread: ArrayLike, seed: int) -> None:
@@ -567,18 +523,16 @@ def _measured(noise: _Noise, quantize: Callable[[Iterable[Component]], list[Comp
 
 
 class SpotReader:
-    """Simulated diode electronics of one device.
-
-    The light spots of the true pose are returned with noise and quantization.
+    """Simulated diode electronics of one device: light spots of the true pose, with noise and quantization.
 
     Args:
-        beams: The geometry.
-        quantum: Resolution of a spot's position [m]; 0 for none.
-        noise: Standard deviation of white Gaussian noise on each coordinate of a spot before quantization [m].
-        seed: Seed of the noise: the same seed gives the same run.
+        beams: Geometry.
+        quantum: Resolution of a spot coordinate [m]; 0 for none.
+        noise: Standard deviation of the white Gaussian noise on a spot coordinate, before quantization [m].
+        seed: Seed of the noise; equal seeds give equal runs.
 
     Attributes:
-        read: Function that adds noise and quantization to the six coordinates of true spots, of a batch too.
+        read: Function that adds noise and quantization to six spot coordinates, also of a batch.
 
     Raises:
         ParameterError: If a value is negative.
@@ -590,30 +544,26 @@ class SpotReader:
         self.read = _electronics([checked.quantum] * 6, checked.noise, checked.seed)
 
     def __call__(self, pose: Sequence[float]) -> list[float]:
-        """Return six measured spot coordinates [m] of a true pose.
-
-        The pose is six floats [m, rad].
+        """Return six measured spot coordinates [m] for a true pose, six floats [m, rad].
 
         Raises:
-            SensingError: If a beam runs along its diode, or the pose is not finite.
+            SensingError: If a beam is parallel to its diode, or the pose is not finite.
         """
         return self.read(self._beams.spots(pose))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SpotSensor:
-    """The device's own optical sensor with three light beams.
+    """Optical pose sensor of the device: light spots with noise and quantization, and the pose computed from them.
 
-    Spots of the beams on three diodes are read with noise and quantization, and the pose is computed from them.
-
-    One device is measured by a `SpotReader` and a `PoseTracker`, a batch at once by `Beams`.
+    Uses `SpotReader` and `PoseTracker` for one device, `Beams` for a batch.
 
     Args:
-        beams: The geometry; that of the model by default.
-        quantum: Resolution of a spot's position [m]; 0 for none.
-        noise: Standard deviation of white Gaussian noise on each coordinate of a spot before quantization [m]; devices
-            of a batch draw their own.
-        seed: Seed of the noise: the same seed gives the same run.
+        beams: Geometry; that of the model by default.
+        quantum: Resolution of a spot coordinate [m]; 0 for none.
+        noise: Standard deviation of the white Gaussian noise on a spot coordinate, before quantization [m]; independent
+            for each device of a batch.
+        seed: Seed of the noise; equal seeds give equal runs.
 
     Raises:
         ParameterError: If a value is negative.
@@ -637,20 +587,18 @@ class SpotSensor:
         store(self, seed=whole("seed", self.seed))
 
     def start(self) -> Measure:
-        """Return the measurement function in its initial state.
+        """Return a measurement function in its initial state.
 
-        It maps the components of the true pose to the measured ones. Each search begins at the last pose found.
-
-        The function raises SensingError if no pose fits the spots, and for one device also beyond a quarter turn.
+        It raises SensingError if no pose matches the spots, and for one device also above a quarter turn.
         """
         geometry = self.beams or beams()
         reader = SpotReader(geometry, self.quantum, self.noise, self.seed)
-        # the plant checks the distance (its `escape`); no two poses within a quarter turn give the same spots
+        # the distance is checked by the plant (`escape`); spots determine the pose within a quarter turn
         tracker = PoseTracker(geometry, farthest=math.inf, most_turned=0.5 * math.pi)
-        return partial(_seen, tracker, reader, _many(geometry, reader.read))
+        return partial(_sensed, tracker, reader, _batch_measure(geometry, reader.read))
 
 
-def _many(geometry: Beams, read: Measure) -> Measure:
+def _batch_measure(geometry: Beams, read: Measure) -> Measure:
     """Return the measurement function of a batch."""
     last: Array | None = None
 
@@ -662,5 +610,5 @@ def _many(geometry: Beams, read: Measure) -> Measure:
     return measure
 
 
-def _seen(tracker: PoseTracker, reader: SpotReader, many: Measure, position: Six) -> list[Component]:
-    return tracker(reader(position)) if join(position).ndim == 1 else many(position)
+def _sensed(tracker: PoseTracker, reader: SpotReader, batch: Measure, position: Six) -> list[Component]:
+    return tracker(reader(position)) if join(position).ndim == 1 else batch(position)

@@ -1,4 +1,4 @@
-"""Shapes of a device for any drawing program, and its figures beside Table 1."""
+"""Shapes of a device for rendering, and its measured figures compared with Table 1 of the paper."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from maglev_mj.result import Result, Table
 from maglev_mj.spec import GRAVITY, Spec
 
 ARROW = 0.003
-"""Length of an arrow for each newton [m]."""
+"""Length of a force arrow per newton [m/N]."""
 
 LEAST_FORCE = 0.05
-"""Least force with an arrow [N]."""
+"""Smallest force drawn as an arrow [N]."""
 
 GRIP = np.array([0.0, 0.0, 0.079])
-"""Middle of the handle's knob in the flotor [m]."""
+"""Centre of the handle's knob in flotor axes [m]."""
 
 KNOB = 0.0165, 0.0125
 """Radius and half height of the knob [m]."""
 
 UNDER_KNOB = 0.0676
-"""Height of its lower side in the flotor [m]."""
+"""Height of the knob's lower side in flotor axes [m]."""
 
 _PLATE, _THIN = 0.024, 0.0002
 _KINDS = {
@@ -45,7 +45,7 @@ _KINDS = {
     int(mujoco.mjtGeom.mjGEOM_SPHERE): "ellipsoid",
     int(mujoco.mjtGeom.mjGEOM_ELLIPSOID): "ellipsoid",
 }
-_HIDDEN = 3  # the first group of geoms that is not drawn
+_HIDDEN = 3  # first geom group that is not drawn
 
 
 class Shape(NamedTuple):
@@ -53,13 +53,13 @@ class Shape(NamedTuple):
 
     Attributes:
         moves: True for a shape of the flotor.
-        kind: box, cylinder or ellipsoid.
-        half: Half lengths along its own axes; a cylinder is along its z [m], (3,).
-        position: Position of its centre, from the flotor's [m], (3,).
-        turn: Unit quaternion (w, x, y, z).
+        kind: "box", "cylinder" (along its z axis) or "ellipsoid".
+        half: Half lengths along its own axes [m], (3,).
+        position: Centre, relative to the flotor's [m], (3,).
+        turn: Orientation, as a unit quaternion (w, x, y, z).
         colour: Red, green, blue, opacity, each from 0 to 1.
-        material: Name of its material; empty for none.
-        part: "handle", or "coil0" to "coil5" for a winding; empty for the rest.
+        material: Name of the material; empty for none.
+        part: "handle", or "coil0" to "coil5" for a winding; otherwise empty.
     """
 
     moves: bool
@@ -73,17 +73,15 @@ class Shape(NamedTuple):
 
 
 def shapes(model: Model) -> list[Shape]:
-    """Return the visible geoms of a model.
-
-    Planes and meshes are left out; a capsule is three shapes.
+    """Return the visible geoms of a model; a capsule is three shapes, planes and meshes are skipped.
 
     Raises:
-        ModelError: If the file is missing or cannot be used.
+        ModelError: If the file is missing or invalid.
     """
     device = load_model(model, lean=False)
     compiled, data = device.model, mujoco.MjData(device.model)
     mujoco.mj_kinematics(compiled, data)
-    origin, turn, found = data.xpos[device.flotor], np.zeros(4), []
+    origin, turn, visible = data.xpos[device.flotor], np.zeros(4), []
     moving, coils = {device.flotor}, data.site_xpos[compiled.actuator_trnid[: len(COILS), 0]]
     for body in range(compiled.nbody):  # parents come first
         moving |= {body} if int(compiled.body_parentid[body]) in moving else set()
@@ -94,26 +92,24 @@ def shapes(model: Model) -> list[Shape]:
             continue
         moves = int(compiled.geom_bodyid[geom]) in moving
         mujoco.mju_mat2Quat(turn, data.geom_xmat[geom])
-        place, (radius, half, third) = data.geom_xpos[geom] - origin, compiled.geom_size[geom]
+        centre, (radius, half, third) = data.geom_xpos[geom] - origin, compiled.geom_size[geom]
         name = "" if material < 0 else compiled.material(material).name
         part = "handle" if compiled.body(compiled.geom_bodyid[geom]).name == "handle" else ""
         if name == "copper":
             part = f"coil{np.linalg.norm(coils - data.geom_xpos[geom], axis=1).argmin()}"
         about = turn.tolist(), colour.tolist(), name, part
         if kind in ("cylinder", "capsule"):
-            found.append(Shape(moves, "cylinder", np.array([radius, radius, half]), place, *about))
+            visible.append(Shape(moves, "cylinder", np.array([radius, radius, half]), centre, *about))
             along = half * data.geom_xmat[geom][2::3]
-            ends = (place - along, place + along) if kind == "capsule" else ()
-            found += [Shape(moves, "ellipsoid", np.full(3, radius), end, *about) for end in ends]
+            ends = (centre - along, centre + along) if kind == "capsule" else ()
+            visible += [Shape(moves, "ellipsoid", np.full(3, radius), end, *about) for end in ends]
         else:
-            found.append(Shape(moves, kind, np.array([radius, half or radius, third or radius]), place, *about))
-    return found
+            visible.append(Shape(moves, kind, np.array([radius, half or radius, third or radius]), centre, *about))
+    return visible
 
 
 def wall_plate(face: tuple[int, float, float]) -> tuple[Array, Array] | None:
-    """Return centre and half lengths of a wall's plate [m].
-
-    (3,) each; the knob meets this plate. None for a rotation.
+    """Return centre and half lengths [m], (3,) each, of the plate that the knob touches at a wall; None for a rotation.
 
     Args:
         face: Index into AXES, normal (1 or -1), edge [m, rad].
@@ -132,19 +128,13 @@ def wall_plate(face: tuple[int, float, float]) -> tuple[Array, Array] | None:
 
 
 def arrow_start(knob: Array, force: Array) -> Array:
-    """Return the start of a force arrow [m], (3,).
-
-    It is on the surface of the knob.
-    """
+    """Return the start of a force arrow on the surface of the knob [m], (3,)."""
     radius, half_height = KNOB
     return np.asarray(knob + force / np.linalg.norm(force / [radius, radius, half_height]))
 
 
 def envelope(device: Device) -> tuple[float, float]:
-    """Return radius and height of the device's envelope [m].
-
-    It is an upright cylinder around the device without its handle.
-    """
+    """Return radius and height [m] of the upright cylinder around the device without its handle."""
     model = device.model
     data = at_reference(model)
     handle = model.body("handle").id
@@ -158,7 +148,7 @@ def envelope(device: Device) -> tuple[float, float]:
         size = model.geom_size[geom]
         if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_BOX:
             reach = np.hypot(corners[:, 0], corners[:, 1]).max()
-        else:  # round about its own z axis: the ends of the axis, and the radius beyond them
+        else:  # cylinder about its z axis: ends of the axis, plus the radius
             ends = centre[:2] + np.outer((-size[1], size[1]), turn[2, :2])
             reach = np.hypot(ends[:, 0], ends[:, 1]).max() + size[0]
         radius = max(radius, float(reach))
@@ -170,15 +160,15 @@ _HEAD = "figure", "paper", "model", "unit", "remark"
 
 @dataclass(frozen=True, eq=False)
 class DeviceReport(Result):
-    """Figures of the compiled device, beside those of Table 1.
+    """Figures of the compiled device, compared with Table 1 of the paper.
 
     Attributes:
-        figures: Figures measured on the model, SI units.
+        figures: Figures measured on the model, in SI units.
     """
 
     figures: Mapping[str, Any]
     derived: ClassVar = ("contradictions",)
-    units: ClassVar[Mapping[str, str]] = {}  # each row has its own
+    units: ClassVar[Mapping[str, str]] = {}  # a unit per row
 
     def columns(self) -> dict[str, Any]:
         """Return the figures of Table 1 and of the model."""
@@ -188,24 +178,24 @@ class DeviceReport(Result):
     def contradictions(self) -> list[str]:
         """Contradictions within the paper."""
         spec, figures = Spec(), self.figures
-        payload, flotor, weak = spec.payload.value, spec.flotor_mass.value, spec.continuous_current.value
-        per_ampere = figures["largest_at_continuous_current"][2] / weak
+        payload, flotor, current = spec.payload.value, spec.flotor_mass.value, spec.continuous_current.value
+        per_ampere = figures["largest_at_continuous_current"][2] / current
         needed = (payload + flotor) * GRAVITY / per_ampere
         return [
-            f"A payload of {payload:g} kg with the flotor's {flotor:g} kg takes {needed:.2f} A in each vertical "
-            f"coil, above the {weak:g} A continuous, at which the payload is {_payload(figures):.2f} kg.",
-            "Table 1 gives a force response above 3 kHz; section 2 has the currents controlled to about 2 kHz. "
+            f"Payload: {payload:g} kg plus the flotor's {flotor:g} kg need {needed:.2f} A per vertical coil, above the "
+            f"continuous current of {current:g} A, which supports {_payload(figures):.2f} kg.",
+            "Force bandwidth: above 3 kHz in Table 1, current control to about 2 kHz in section 2. "
             "The model's driver lag follows section 2.",
-            "Table 1 gives 10 A as the peak per coil; section 2 gives 10 A as the drivers' continuous maximum.",
+            "10 A per coil: peak current in Table 1, continuous maximum of the drivers in section 2.",
         ]
 
     def table(self) -> Table:
-        """Return Table 1 beside the model, its largest wrenches and what the currents do."""
+        """Return Table 1 compared with the model, its largest wrenches and its coil map."""
         figures = self.figures
         inertia = ", ".join(f"{value * 1e4:.2f}" for value in figures["inertia"])
         note = (
-            f"inertia about x, y, z with handle {inertia} 1e-4 kg m² (assumed)\n"
-            f"hover current, each vertical coil {figures['hover_current']:.2f} A at {figures['moving_mass']:g} kg"
+            f"moments of inertia about x, y, z, handle included: {inertia} 1e-4 kg m² (assumed)\n"
+            f"hover current per vertical coil: {figures['hover_current']:.2f} A at {figures['moving_mass']:g} kg"
         )
         largest = [
             (f"at {Spec.continuous_current.value:g} A", *figures["largest_at_continuous_current"]),
@@ -213,25 +203,25 @@ class DeviceReport(Result):
         ]
         coils = [(axis, *row) for axis, row in zip(AXES, np.round(figures["wrench_map"], 12).tolist(), strict=True)]
         condition = (
-            f"condition number {figures['condition_number']:.2f} (torques over the mean arm, "
+            f"condition number: {figures['condition_number']:.2f} (torques divided by the mean arm, "
             f"{figures['mean_arm'] * 1e3:.1f} mm), {figures['condition_number_si']:.1f} in SI units"
         )
         below = [
-            Table("largest pure wrench [N, N m]", ("", *AXES), largest),
+            Table("largest force or torque on a single axis [N, N m]", ("", *AXES), largest),
             Table(
-                "wrench of one ampere in each coil [N/A, N m/A]; coil places are assumed",
+                "coil map: wrench per ampere [N/A, N m/A] (coil positions assumed)",
                 ("", *COILS),
                 coils,
                 condition,
             ),
-            Table("where the paper contradicts itself", (), (), "\n".join(self.contradictions)),
+            Table("contradictions within the paper", (), (), "\n".join(self.contradictions)),
         ]
-        title = "The UBC maglev joystick: what the paper prints, what the compiled model yields"
+        title = "UBC maglev joystick: paper and compiled model"
         return Table(title, ("", *_HEAD[1:]), _rows(figures), note, below)
 
 
 def device_report() -> DeviceReport:
-    """Compile the device and measure it.
+    """Compile the device and measure its figures.
 
     Source: Salcudean & Vlaar 1997, Table 1 and section 2.
     """
@@ -240,7 +230,7 @@ def device_report() -> DeviceReport:
 
 def _measure(device: Device) -> dict[str, Any]:
     model, coils = device.model, device.coils
-    assert coils is not None  # the device is loaded with its coils
+    assert coils is not None  # loaded with coils
     radius, height = envelope(device)
     gains = model.actuator_gainprm[: len(COILS), 0]
     peak = float(model.actuator_ctrlrange[: len(COILS), 1].min())
@@ -272,49 +262,44 @@ def _measure(device: Device) -> dict[str, Any]:
 
 
 def _rows(figures: Mapping[str, Any]) -> list[tuple[str, float | str, float, str, str]]:
-    """Return name, figure of the paper, of the model, unit and remark of each row."""
-    spec, mm, option = Spec, 1e3, "an option of the plants"
-    moving, strong = figures["moving_mass"], figures["peak_current"]
+    """Return the rows: name, figure of the paper, figure of the model, unit, remark."""
+    spec, mm, option = Spec, 1e3, "optional in the plants"
+    moving, peak = figures["moving_mass"], figures["peak_current"]
     largest = figures["largest_at_peak_current"][2]
     hold = "hold 6000 N/m, 80 N s/m at 200 Hz, 1.5 ms"
     return [
-        ("envelope, radius", spec.radius.value * mm, figures["radius"] * mm, "mm", ""),
-        ("envelope, height", spec.height.value * mm, figures["height"] * mm, "mm", "without handle"),
+        ("envelope radius", spec.radius.value * mm, figures["radius"] * mm, "mm", ""),
+        ("envelope height", spec.height.value * mm, figures["height"] * mm, "mm", "without handle"),
         ("stator mass", spec.stator_mass.value, figures["stator_mass"], "kg", ""),
         ("flotor mass", spec.flotor_mass.value, figures["flotor_mass"], "kg", ""),
         ("moving mass", spec.moving_mass.value, moving, "kg", "handle included"),
-        ("payload, continuous", spec.payload.value, _payload(figures), "kg", "see below"),
+        ("continuous payload", spec.payload.value, _payload(figures), "kg", "see below"),
         ("translation range ±", spec.translation_range.value * mm, figures["translation_range"] * mm, "mm", ""),
         ("rotation range ±", spec.rotation_range.value, figures["rotation_range"], "deg", ""),
-        ("resolution, translation", "< 5", math.nan, "µm", option),
-        ("resolution, rotation", "< 10", math.nan, "µrad", option),
-        ("force frequency response", "> 3", figures["driver_bandwidth"] / 1e3, "kHz", "see below"),
-        ("position response, translation", "> 30", figures["translation_bandwidth"], "Hz", hold),
-        ("position response, rotation", "> 15", figures["rotation_bandwidth"], "Hz", "8 N m/rad, 0.1 N m s/rad"),
-        ("actuator force constant", spec.force_constant.value, figures["force_constant"], "N/A", ""),
-        ("continuous current, per coil", spec.continuous_current.value, math.nan, "A", "a thermal limit"),
-        ("peak current, per coil", spec.peak_current.value, strong, "A", ""),
-        ("largest force along z", spec.largest_vertical_force.value, largest, "N", "section 2"),
+        ("sensor resolution, translation", "< 5", math.nan, "µm", option),
+        ("sensor resolution, rotation", "< 10", math.nan, "µrad", option),
+        ("force bandwidth", "> 3", figures["driver_bandwidth"] / 1e3, "kHz", "see below"),
+        ("position bandwidth, translation", "> 30", figures["translation_bandwidth"], "Hz", hold),
+        ("position bandwidth, rotation", "> 15", figures["rotation_bandwidth"], "Hz", "8 N m/rad, 0.1 N m s/rad"),
+        ("force constant", spec.force_constant.value, figures["force_constant"], "N/A", ""),
+        ("continuous current per coil", spec.continuous_current.value, math.nan, "A", "thermal limit"),
+        ("peak current per coil", spec.peak_current.value, peak, "A", ""),
+        ("force limit along z", spec.largest_vertical_force.value, largest, "N", "section 2"),
     ]
 
 
 def _payload(figures: Mapping[str, Any]) -> float:
-    """Return the payload [kg] at the continuous current.
-
-    It is in addition to the flotor's own mass.
-    """
+    """Return the payload [kg] at the continuous current, in addition to the flotor."""
     return float(figures["largest_at_continuous_current"][2] / GRAVITY - figures["flotor_mass"])
 
 
 def position_bandwidth(
     axis: str, *, stiffness: float, damping: float, period: float, delay: float, step: float = 1e-4
 ) -> float:
-    """Return the -3 dB bandwidth of a hold [Hz].
+    """Return the -3 dB bandwidth [Hz] from the target of a hold to the position.
 
-    It is that of the response to the hold's target.
-
-    It is measured on the MuJoCo device without gravity: the target steps, the sampled positions are
-    differenced, and their Fourier transform is the frequency response.
+    Measured on the MuJoCo device without gravity: the frequency response is the Fourier transform of the differenced
+    step response.
 
     Args:
         axis: Name from AXES.

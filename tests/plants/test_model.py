@@ -252,7 +252,7 @@ def test_the_engine_neither_resets_nor_clamps(scene: str) -> None:
 def test_report_prints_table_1_beside_the_model() -> None:
     report = device_report()
     text = str(report.table())
-    for words in ("wrench of one ampere", "condition number", "hover current", "at 3 A", "at 10 A", "4.33 A", *COILS):
+    for words in ("wrench per ampere", "condition number", "hover current", "at 3 A", "at 10 A", "4.33 A", *COILS):
         assert words in text
     assert all(len(line) <= WIDTH for line in text.splitlines())
     rows = {row[0]: row[1:3] for row in report.table().rows}

@@ -59,7 +59,7 @@ def test_a_geometry_that_cannot_tell_is_refused() -> None:
             good.diodes,
             good.across,
         )
-    with pytest.raises(ModelError, match="tell all six coordinates apart"):
+    with pytest.raises(ModelError, match="do not determine all six coordinates"):
         Beams(good.leds[[0, 0, 0]], good.directions[[0, 0, 0]], good.diodes[[0, 0, 0]], good.across[[0, 0, 0]])
     with pytest.raises(ModelError, match="three LEDs"):
         Beams(good.leds[:2], good.directions, good.diodes, good.across)
