@@ -258,6 +258,6 @@ def test_report_prints_table_1_beside_the_model() -> None:
     rows = {row[0]: row[1:3] for row in report.table().rows}
     assert len(rows) == len(report.table().rows) == 17
     assert report.figures["condition_number"] == pytest.approx(2.02, abs=0.01)
-    assert rows["payload, continuous"] == (2.0, pytest.approx(1.185, abs=5e-4))
+    assert rows["continuous payload"] == (2.0, pytest.approx(1.185, abs=5e-4))
     echoed = {name for name, (_, model) in rows.items() if math.isnan(model)}
-    assert echoed == {"resolution, translation", "resolution, rotation", "continuous current, per coil"}
+    assert echoed == {"sensor resolution, translation", "sensor resolution, rotation", "continuous current per coil"}
