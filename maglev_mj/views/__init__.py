@@ -1,1 +1,1 @@
-"""What a person sees of a session, in a window or on a page."""
+"""Views of a session: window and web page."""

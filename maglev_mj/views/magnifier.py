@@ -1,4 +1,4 @@
-"""Magnified motion of the handle in window and page; the physics stays as it is."""
+"""Magnified display of the handle's motion; the physics is unaffected."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from maglev_mj.frames import Array
 from maglev_mj.session import Snapshot
 
 MAGNIFICATIONS = 1, 3, 5
-"""Factors of the handle's drawn motion that a viewer offers; the first is the true motion."""
+"""Magnifications of the handle's displayed motion; the first is the true motion."""
 
 _TRAVEL = 0.0042
 
 
 def magnified(snapshot: Snapshot, factor: float) -> Snapshot:
-    """Return a snapshot with handle, stick position and walls drawn further from the centre.
+    """Return a snapshot with magnified displacements of handle, stick position and walls.
 
-    For the handle's drawing alone: flotor and coils stay between their magnets, and words and plots say the truth.
-    A wall that the handle touches is touched in the drawing, too.
+    Use it to draw the handle only: flotor, coils, texts and plots keep the true values. Contact with a wall is
+    preserved.
 
     Args:
         snapshot: The true snapshot.
@@ -35,18 +35,15 @@ def magnified(snapshot: Snapshot, factor: float) -> Snapshot:
 
 
 def widening(factor: float) -> float:
-    """Return how much a drawn wall is wider on each side, for the handle's travel [m]."""
+    """Return the margin added to each side of a drawn wall for the magnified travel [m]."""
     return _TRAVEL * (factor - 1.0)
 
 
 def true_pose(drawn: Array, factor: float) -> Array:
-    """Return the true pose, or move, of a magnified one [m, rad].
-
-    A drag on the drawing asks for it.
-    """
+    """Return the true pose or displacement of a magnified one [m, rad]."""
     return drawn / factor
 
 
 def motion_words(factor: float) -> str:
-    """Return the label of a magnified drawing; empty for the true motion."""
+    """Return the label of a magnification; empty for the true motion."""
     return "" if factor == 1 else f"motion x{factor:g}"

@@ -1,6 +1,6 @@
-"""Readings, banner and charts of a session, which window and page draw.
+"""Readings, banner and charts of a session, shared by window and page.
 
-The stability of its gains is one of them, found in a process beside.
+The stability margin is computed in a side process.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from maglev_mj.session import DEVICES_OWN, SHOWN, Snapshot
 from maglev_mj.theory import Verdict, inertia_of, largest_stable_stiffness, stability, stated_gains
 
 _DAMPINGS = 32
-_NOTHING = np.zeros(0)
+_EMPTY = np.zeros(0)
 
 
 class Margin(NamedTuple):
-    """Place of a scene's gains under the stability boundary.
+    """Stability margin of a scene's gains.
 
     Attributes:
-        words: Verdict, such as "stable: 59 % of the boundary".
-        stable: None where that is not known.
-        axis: Name of the axis that is nearest to its boundary; empty where the laws do not state their gains.
-        stiffness: Of all that acts together there [N/m, N m/rad].
-        damping: Likewise [N s/m, N m s/rad].
-        dampings: Of the axis' boundary, increasing, (N,).
-        stiffnesses: Largest stable stiffness at each, (N,).
-        wall: Of the scene's wall alone; None without one.
+        words: Verdict, such as "stable: 59 % of critical stiffness".
+        stable: None if not computed.
+        axis: Axis with the smallest margin; empty if the laws do not state their gains.
+        stiffness: Total stiffness of the active laws on that axis [N/m, N m/rad].
+        damping: Total damping of the active laws on that axis [N s/m, N m s/rad].
+        dampings: Dampings of the stability boundary, increasing, (N,).
+        stiffnesses: Critical stiffness at each damping, (N,).
+        wall: Margin of the scene's wall alone; None without a wall.
     """
 
     words: str
@@ -47,60 +47,58 @@ class Margin(NamedTuple):
     axis: str = ""
     stiffness: float = 0.0
     damping: float = 0.0
-    dampings: Array = _NOTHING
-    stiffnesses: Array = _NOTHING
+    dampings: Array = _EMPTY
+    stiffnesses: Array = _EMPTY
     wall: WallMargin | None = None
 
 
 def margin(scene: Scene, delay: float | None = None, inertia: Sequence[float] | None = None) -> Margin:
-    """Return a scene's gains and their stability boundary.
-
-    The loop is that of a flotor that nobody holds: of all axes and combinations of laws the one nearest its boundary.
+    """Return the smallest stability margin of a scene, over all axes and combinations of laws, without a hand.
 
     Args:
         scene: The scene.
         delay: See `stability`.
         inertia: See `stability`.
     """
-    body, late = inertia_of(scene) if inertia is None else np.array(inertia), scene.delay if delay is None else delay
+    body, lag = inertia_of(scene) if inertia is None else np.array(inertia), scene.delay if delay is None else delay
     try:
         gains = stated_gains(scene.controller())
-        verdict, wall = stability(scene, inertia=body, delay=late), wall_margin(scene, inertia=body, delay=late)
+        verdict, wall = stability(scene, inertia=body, delay=lag), wall_margin(scene, inertia=body, delay=lag)
         if gains is None:
             return Margin(str(verdict), verdict.stable, wall=wall)
-        return _placed(scene, verdict, list(gains.values()), body, late)._replace(wall=wall)
-    except MaglevError:
-        return Margin("stability not known")
+        return _smallest(scene, verdict, list(gains.values()), body, lag)._replace(wall=wall)
+    except MaglevError as error:
+        return Margin(f"stability not computed: {error}")
 
 
-def _placed(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]], body: Array, delay: float) -> Margin:
+def _smallest(scene: Scene, verdict: Verdict, gains: list[tuple[Array, Array]], body: Array, delay: float) -> Margin:
     stiffness, damping = (np.array(both) for both in zip(*gains, strict=True))
-    shares = np.zeros_like(stiffness)
+    ratios = np.zeros_like(stiffness)
     if stiffness.any():
-        most = largest_stable_stiffness(damping, period=scene.period, delay=delay, mass=body)
+        critical = largest_stable_stiffness(damping, period=scene.period, delay=delay, mass=body)
         with np.errstate(divide="ignore", invalid="ignore"):
-            shares = np.where(stiffness > 0.0, stiffness / most, 0.0)
-        # of those that are alike but for rounding the first
-        place = divmod(int(np.argmax(shares >= shares.max() * (1.0 - 1e-9))), len(AXES))
-    else:  # the most damped combination, on the axis that is looked at
-        place = int(damping[:, scene.axis_index].argmax()), scene.axis_index
-    share, index = float(shares[place]), place[1]
-    own = float(stiffness[place]), float(damping[place])
+            ratios = np.where(stiffness > 0.0, stiffness / critical, 0.0)
+        # the first of those equal within rounding
+        worst = divmod(int(np.argmax(ratios >= ratios.max() * (1.0 - 1e-9))), len(AXES))
+    else:  # the most damped combination on the scene's axis
+        worst = int(damping[:, scene.axis_index].argmax()), scene.axis_index
+    ratio, index = float(ratios[worst]), worst[1]
+    pair = float(stiffness[worst]), float(damping[worst])
     if not verdict.stable:
         index = AXES.index(verdict.axes[0])
-        own = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
-        words = f"UNSTABLE on {AXES[index]}"
-        if 1.0 <= share < np.inf:
-            words += f": {100.0 * share:.0f} % of the boundary"
-    elif own[0]:
-        words = f"stable: {100.0 * share:.0f} % of the boundary"
+        pair = float(verdict.stiffness[index, index]), float(verdict.damping[index, index])
+        words = f"unstable on {AXES[index]}"
+        if 1.0 <= ratio < np.inf:
+            words += f": {100.0 * ratio:.0f} % of critical stiffness"
+    elif pair[0]:
+        words = f"stable: {100.0 * ratio:.0f} % of critical stiffness"
     else:
         words = "stable: no stiffness"
-    return Margin(words, verdict.stable, AXES[index], *own, *_boundary(scene.period, delay, float(body[index])))
+    return Margin(words, verdict.stable, AXES[index], *pair, *_boundary(scene.period, delay, float(body[index])))
 
 
 class StabilityMap:
-    """Margin of the newest scene, found in a process beside the viewers of this one.
+    """Stability margin of the newest scene, computed in a side process.
 
     Attributes:
         scene: Scene of the last margin; None before the first.
@@ -110,10 +108,10 @@ class StabilityMap:
         self.scene: Scene | None = None
         self._answers: SideAnswers | None = None
         self._asked: Any = None
-        self._found, self._waits = Margin(""), False
+        self._margin, self._waits = Margin(""), False
 
     def of(self, snapshot: Snapshot) -> Margin:
-        """Return the margin of a snapshot's scene, or the last one meanwhile."""
+        """Return the margin of a snapshot's scene, or the previous one until it is computed."""
         if not self._waits and (question := _question(snapshot)) != self._asked:
             if self._answers is None or self._answers.ended:
                 self._answers = SideAnswers(margin, "")
@@ -121,41 +119,38 @@ class StabilityMap:
             self._asked, self._waits = question, True
         if self._waits and self._answers is not None:
             try:
-                found = self._answers.answer()
-            except Exception:  # no answer, or a scene that another process cannot get
-                found = Margin("stability not known")
-            if found is not None:
-                self.scene, self._found, self._waits = self._asked[0], found, False
-        return self._found
+                computed = self._answers.answer()
+            except Exception:  # no answer, or a scene that cannot be pickled
+                computed = Margin("stability not computed")
+            if computed is not None:
+                self.scene, self._margin, self._waits = self._asked[0], computed, False
+        return self._margin
 
     def wait(self, snapshot: Snapshot) -> None:
-        """Compute a missing margin at once."""
+        """Compute a missing margin in this process."""
         if self.scene != snapshot.scene:
             self.scene, self._asked, self._waits = snapshot.scene, _question(snapshot), False
-            self._found = margin(*self._asked)
+            self._margin = margin(*self._asked)
 
 
 STABILITY = StabilityMap()
-"""That of all viewers of this process."""
+"""Shared by all viewers of this process."""
 
 
 def _question(snapshot: Snapshot) -> tuple[Scene, float | None, Sequence[float] | None]:
-    """Return the arguments of `margin`; a measured delay to 0.1 ms, as it fluctuates."""
+    """Return the arguments of `margin`; a measured delay is rounded to 0.1 ms, because it fluctuates."""
     return snapshot.scene, round(snapshot.delay, 4) if snapshot.state == "flying" else None, snapshot.inertia
 
 
 @lru_cache
 def _boundary(period: float, delay: float, mass: float) -> tuple[Array, Array]:
-    """Return dampings and the largest stable stiffness at each.
-
-    Of an axis with one mass or moment of inertia.
-    """
-    # no damping beyond this is stable, whatever the stiffness
-    most = 0.5 * np.pi * mass / (0.5 * period + delay) * 1.1
-    dampings = np.linspace(0.0, most, _DAMPINGS)
+    """Return dampings and the critical stiffness at each, for one mass or moment of inertia."""
+    # no damping above this is stable at any stiffness
+    largest = 0.5 * np.pi * mass / (0.5 * period + delay) * 1.1
+    dampings = np.linspace(0.0, largest, _DAMPINGS)
     try:
         stiffnesses = largest_stable_stiffness(dampings, period=period, delay=delay, mass=mass)
-    except ParameterError:  # theory goes up to ten periods of delay; beyond it there is no boundary to draw
+    except ParameterError:  # no boundary above ten periods of delay
         stiffnesses = np.zeros_like(dampings)
     end = int(np.flatnonzero(stiffnesses).max(initial=-2)) + 2
     return dampings[:end], stiffnesses[:end]
@@ -163,7 +158,7 @@ def _boundary(period: float, delay: float, mass: float) -> tuple[Array, Array]:
 
 _ROUNDING = 1e-6
 _LEAST_GAIN = 1e-3
-_LEAST_TIME = 0.2  # shown of a run that has just begun [s]
+_LEAST_TIME = 0.2  # time axis of a run that has just begun [s]
 
 Range: TypeAlias = tuple[float, float]
 
@@ -172,11 +167,11 @@ class Line(NamedTuple):
     """One line of a chart.
 
     Attributes:
-        colour: Its colour.
-        x: Along, (N,).
-        y: Up, (N,); not drawn where it is not finite.
-        dashed: Whether it is dashed.
-        dot: Whether its last point is marked.
+        colour: Colour of the line.
+        x: Horizontal coordinates, (N,).
+        y: Vertical coordinates, (N,); gaps where not finite.
+        dashed: True for a dashed line.
+        dot: True to mark the last point.
     """
 
     colour: Colour
@@ -190,11 +185,11 @@ class Chart(NamedTuple):
     """One chart.
 
     Attributes:
-        title: Pieces of text, each with a colour or None for the text's own.
-        lines: The lines, the last one on top; none where the title says all.
-        across: Ends of the axis along.
-        up: Ends of the axis up.
-        foot: Words beside the axis along; empty for none.
+        title: Parts of the title with their colours; None for the text colour.
+        lines: Lines, the last one on top; empty for a title alone.
+        across: Limits of the horizontal axis.
+        up: Limits of the vertical axis.
+        foot: Label of the horizontal axis; empty for none.
     """
 
     title: Sequence[tuple[str, Colour | None]]
@@ -208,24 +203,24 @@ class Charts:
     """Charts of one axis of a session over the last seconds.
 
     Args:
-        most: Largest number of points of a line.
+        points: Largest number of points of a line.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most, self._axis = most, -1
+    def __init__(self, points: int) -> None:
+        self._points, self._axis = points, -1
 
     def of(self, snapshot: Snapshot, axis: int) -> list[Chart]:
-        """Return position, force, gains and phase plane, the most important first.
+        """Return the charts of position, force, stability map and phase plane.
 
         Args:
             snapshot: The snapshot.
             axis: Index into AXES.
         """
         if axis != self._axis:
-            self._axis, self._places, self._speeds = axis, SteadyRange(2.0), SteadyRange(20.0)
+            self._axis, self._positions, self._speeds = axis, SteadyRange(2.0), SteadyRange(20.0)
             self._forces = SteadyRange(0.02 if axis > 2 else 2.0)
         rows = snapshot.history
-        rows = rows[:: -max(-(-len(rows) // self._most), 1)][::-1]  # the newest is among them
+        rows = rows[:: -max(-(-len(rows) // self._points), 1)][::-1]  # keeps the newest
         now = rows[-1, 0] if len(rows) else 0.0
         time = rows[:, 0] - now
         position, speed = 1e3 * rows[:, 1 + axis], 1e3 * rows[:, 7 + axis]
@@ -233,21 +228,21 @@ class Charts:
         walls = [edge * 1e3 for index, _, edge in snapshot.faces if index == axis]
         past = now - snapshot.history[0, 0] if len(rows) else 0.0
         name, unit, across = AXES[axis], unit_of("mm", axis), (-round_up(min(max(past, _LEAST_TIME), SHOWN)), 0.0)
-        before = snapshot.first
-        places, speeds = self._places(position, walls, 1e3 * before[:, 1 + axis]), self._speeds(speed)
-        kind = f"{'torque about' if axis > 2 else 'force on'} {name} [{unit_of('N', axis)}]"
-        shown = [(f"{name} [{unit}]", MEASURED), *([("walls", None)] if walls else [])]
-        shown += [("first try", FIRST)] if len(before) else []
+        first = snapshot.first
+        positions, speeds = self._positions(position, walls, 1e3 * first[:, 1 + axis]), self._speeds(speed)
+        kind = f"{'torque' if axis > 2 else 'force'}, {name} [{unit_of('N', axis)}]"
+        title = [(f"{name} [{unit}]", MEASURED), *([("walls", None)] if walls else [])]
+        title += [("first attempt", FIRST)] if len(first) else []
         return [
             Chart(
-                shown,
+                title,
                 [
                     *(Line(BOUNDARY, across, (wall, wall), True) for wall in walls),
-                    Line(FIRST, before[:, 0] - now, 1e3 * before[:, 1 + axis], dot=True),
+                    Line(FIRST, first[:, 0] - now, 1e3 * first[:, 1 + axis], dot=True),
                     Line(MEASURED, time, position, dot=True),
                 ],
                 across,
-                places,
+                positions,
             ),
             Chart(
                 [(kind, None), ("device", DEVICE), ("hand, estimated" if snapshot.hand_estimated else "hand", HAND)],
@@ -257,18 +252,18 @@ class Charts:
             ),
             self._gains(snapshot),
             Chart(
-                [(f"speed [{unit}/s] over {name} [{unit}]", None)],
+                [(f"velocity [{unit}/s] vs {name} [{unit}]", None)],
                 [
                     *(Line(BOUNDARY, (wall, wall), speeds, True) for wall in walls),
                     Line(MEASURED, position, speed, dot=True),
                 ],
-                places,
+                positions,
                 speeds,
             ),
         ]
 
     def _gains(self, snapshot: Snapshot) -> Chart:
-        """Return the gains under their stability boundary; the verdict alone if a law states no gains."""
+        """Return the stability map; the verdict alone if a law states no gains."""
         margin = STABILITY.of(snapshot)
         colour = None if margin.stable is None else GOOD if margin.stable else BAD
         if not margin.axis:
@@ -281,15 +276,15 @@ class Charts:
             Line(BOUNDARY, margin.dampings, boundary),
             Line(colour or BOUNDARY, [margin.damping], [stiffness], dot=True),
         ]
-        foot = f"{margin.axis}: {unit} over damping"
+        foot = f"stiffness [{unit}] vs damping, {margin.axis}"
         return Chart([(margin.words, colour)], lines, (0.0, round_up(width)), (0.0, round_up(height)), foot)
 
 
 class SteadyRange:
-    """Range of a plot's axis that follows data without jitter.
+    """Axis range that follows data without jitter.
 
     Args:
-        least: Smallest span, in the data's unit.
+        least: Smallest span, in the unit of the data.
     """
 
     def __init__(self, least: float) -> None:
@@ -297,30 +292,28 @@ class SteadyRange:
         self._last: tuple[float, float] | None = None
 
     def __call__(self, *values: ArrayLike) -> tuple[float, float]:
-        """Return a range that holds all values.
+        """Return a range that contains all values.
 
-        It is narrower than the last only if that is twice as wide.
+        It shrinks only when half of the last range is enough.
         """
-        found = fitted_range(np.concatenate([np.ravel(some) for some in values]), self._least)
-        if found[0] < 0.0 < found[1]:  # alike on both sides, so that zero has the middle tick
-            found = -max(-found[0], found[1]), max(-found[0], found[1])
+        low, high = fitted_range(np.concatenate([np.ravel(array) for array in values]), self._least)
+        if low < 0.0 < high:  # symmetric, so that zero is the middle tick
+            low, high = -max(-low, high), max(-low, high)
         last = self._last
-        if last is None or found[0] < last[0] or found[1] > last[1] or found[1] - found[0] <= 0.5 * (last[1] - last[0]):
-            last = self._last = found
+        if last is None or low < last[0] or high > last[1] or high - low <= 0.5 * (last[1] - last[0]):
+            last = self._last = low, high
         return last
 
 
 def fitted_range(values: Array, least: float) -> tuple[float, float]:
-    """Return a range between multiples of a power of ten.
-
-    That below its span.
+    """Return a range whose ends are multiples of the power of ten below its span.
 
     Args:
-        values: Values that it holds; any number.
+        values: Values to contain; any number.
         least: Smallest span.
     """
-    kept = values[np.isfinite(values)]
-    low, high = (float(kept.min()), float(kept.max())) if kept.size else (0.0, 0.0)
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
     if (lack := least - (high - low)) > 0.0:
         low, high = low - 0.5 * lack, high + 0.5 * lack
     step = 10.0 ** np.floor(np.log10(high - low) + _ROUNDING)
@@ -328,23 +321,23 @@ def fitted_range(values: Array, least: float) -> tuple[float, float]:
         bottom, top = (float(np.floor(low / step + _ROUNDING)), float(np.ceil(high / step - _ROUNDING)))
         if top - bottom < 10.0:
             return bottom * step, top * step
-        step *= 10.0  # both ends rounded away beyond the next power
+        step *= 10.0  # rounding both ends outward passed the next power of ten
 
 
 def round_up(value: float) -> float:
-    """Return the next of 1, 2, 5 times 10^n."""
+    """Return the next larger of 1, 2, 5 times 10^n."""
     step = 10.0 ** np.floor(np.log10(value))
     return float(next(step * size for size in (1.0, 2.0, 5.0, 10.0) if step * size >= 0.999 * value))
 
 
 class Banner(NamedTuple):
-    """Words over everything else.
+    """Banner above all other elements.
 
     Attributes:
-        text: What is the matter.
-        way_on: Action that goes on; empty where there is none.
-        bad: Whether something is wrong, and not only asked for.
-        remedy: Way on where it is no action; empty otherwise.
+        text: State and reason.
+        way_on: Action that resumes; empty for none.
+        bad: True for a problem, False for a state that the user asked for.
+        remedy: Advice where no action resumes; empty otherwise.
     """
 
     text: str
@@ -356,51 +349,53 @@ class Banner(NamedTuple):
 def banner(snapshot: Snapshot) -> Banner | None:
     """Return the banner of a snapshot; None while running normally."""
     if snapshot.state == "stopped":
-        return Banner(f"STOPPED: {snapshot.reason}", _known("centre", snapshot), True, snapshot.remedy)
+        return Banner(f"STOPPED: {snapshot.reason}", _available("centre", snapshot), True, snapshot.remedy)
     if snapshot.state == "paused":
-        where = f", {snapshot.rewound:.1f} s back" if snapshot.rewound else ""
-        where += "" if snapshot.duration is None else f": {snapshot.time:.3f} of {snapshot.duration:.3f} s"
-        return Banner(f"PAUSED{where}", _known("pause", snapshot), False)
-    if (line := snapshot.tour) is not None and line.done and line.number < line.total:
+        position = f", {snapshot.rewound:.1f} s back" if snapshot.rewound else ""
+        position += "" if snapshot.duration is None else f": {snapshot.time:.3f} of {snapshot.duration:.3f} s"
+        return Banner(f"PAUSED{position}", _available("pause", snapshot), False)
+    if (step := snapshot.tour) is not None and step.done and step.number < step.total:
         return Banner("DONE", "next", False)
     if snapshot.late:
-        text = "TOO SLOW: this machine cannot keep up, simulated time slows down"
-        return Banner(text, _known("slower", snapshot), True)
+        return Banner("Running slower than real time", _available("slower", snapshot), True)
     return None
 
 
-def _known(action: str, snapshot: Snapshot) -> str:
-    """Return an action if it has effect; else empty."""
+RESUME = {"centre": "to restart", "pause": "to resume", "slower": "for slow motion", "next": "to continue"}
+"""Purpose of each action that a banner names."""
+
+
+def _available(action: str, snapshot: Snapshot) -> str:
     return action if action in snapshot.actions else ""
 
 
 def pace(snapshot: Snapshot) -> str:
-    """Return the pace of time; empty for real time."""
+    """Return the ratio of simulated to real time; empty for real time."""
     if (scale := snapshot.time_scale) == 1.0:
         return ""
-    return f"1/{1.0 / scale:.3g} of real time" if scale < 1.0 else f"{scale:.3g} times real time"
+    return f"1/{1.0 / scale:.3g} of real time" if scale < 1.0 else f"{scale:.3g}x real time"
 
 
 _LEAST_TORQUE = 1e-3
-"""Below this no stop is met [N m]."""
+"""Threshold of contact with the rotation stop [N m]."""
 
 
-class MetStops(NamedTuple):
-    """Metal stops that push.
+class StopContacts(NamedTuple):
+    """Contacts with the metal stops.
 
     Attributes:
-        faces: Those along the axes: index into AXES, normal, edge [m].
-        turning: Whether that of the rotation is one.
-        words: Names them; empty where there is none.
+        faces: Contacts along x, y, z: index into AXES, normal, edge [m].
+        rotation: True for contact with the rotation stop.
+        words: Description; empty without contact.
     """
 
     faces: tuple[tuple[int, float, float], ...]
-    turning: bool
+    rotation: bool
     words: str
 
 
-def met_stops(snapshot: Snapshot) -> MetStops:
-    """Return the metal stops that the flotor is at."""
+def stop_contacts(snapshot: Snapshot) -> StopContacts:
+    """Return the contacts of the flotor with the metal stops."""
     pose, wrench = snapshot.pose, snapshot.stops
     faces, words = [], []
     for index in range(3):
@@ -411,24 +406,24 @@ def met_stops(snapshot: Snapshot) -> MetStops:
                 f"{'-' if force > 0.0 else '+'}{AXES[index]} {abs(pose[index]) * 1e3:.1f} mm, {abs(force):.1f} N"
             )
     torque = float(np.linalg.norm(wrench[3:]))
-    turning = torque >= _LEAST_TORQUE
-    if turning:
-        words.append(f"turned {np.degrees(np.linalg.norm(pose[3:])):.1f} deg, {torque:.2f} N m")
-    return MetStops(tuple(faces), turning, f"metal stop: {'; '.join(words)}" if words else "")
+    rotation = torque >= _LEAST_TORQUE
+    if rotation:
+        words.append(f"rotation {np.degrees(np.linalg.norm(pose[3:])):.1f} deg, {torque:.2f} N m")
+    return StopContacts(tuple(faces), rotation, f"metal stop: {'; '.join(words)}" if words else "")
 
 
-_ROUNDED_ENERGY = 5e-5
+_LEAST_ENERGY = 5e-5
 FORCES = "hand", "device", "stops"
-"""Names of the readings of forces."""
+"""Names of the force readings."""
 
 
 class Reading(NamedTuple):
     """One reading.
 
     Attributes:
-        name: Its name; empty for a note.
-        value: Its value in words, with the unit.
-        colour: Colour of what it is about; None for none.
+        name: Name; empty for a note.
+        value: Value as text, with its unit.
+        colour: Colour; None for the text colour.
     """
 
     name: str
@@ -437,71 +432,66 @@ class Reading(NamedTuple):
 
 
 def readings(snapshot: Snapshot, notes: Sequence[str] = ()) -> list[Reading]:
-    """Return the readings of a session that say something, the most important first.
+    """Return the readings of a session that have a value.
 
     Args:
         snapshot: The present snapshot.
-        notes: Further notes, such as the last screenshot.
+        notes: Additional notes, such as the file of a screenshot.
     """
     scene = snapshot.scene
-    live = [one for one in scene.parameters() if one.live and one.live.has_keys and one.name not in DEVICES_OWN]
-    on = [one.name for one in live if one.kind is bool and getattr(scene, one.name)]
-    gains = [_gain(one, getattr(scene, one.name), scene.axis) for one in live if one.kind in (float, int)]
-    whole = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
+    live = [item for item in scene.parameters() if item.live and item.live.has_keys and item.name not in DEVICES_OWN]
+    enabled = [item.name for item in live if item.kind is bool and getattr(scene, item.name)]
+    gains = [_gain(item, getattr(scene, item.name), scene.axis) for item in live if item.kind in (float, int)]
+    total = "" if snapshot.duration is None else f" of {snapshot.duration:.1f}"
     digits = 3 if snapshot.time_scale < 1.0 else 1
-    place = 1e3 * snapshot.pose[:3].round(5) + 0.0
+    position = 1e3 * snapshot.pose[:3].round(5) + 0.0
     rows = [
         Reading("scene", f"{scene.name}: {scene.describe()}"),
-        *(Reading("", note) for note in (met_stops(snapshot).words, *snapshot.notes, *notes)),
+        *(Reading("", note) for note in (stop_contacts(snapshot).words, *snapshot.notes, *notes)),
         Reading("gains", "  ".join(gains)),
         _wall(snapshot),
-        Reading("on", ", ".join(on) or "none" * any(one.kind is bool for one in live)),
+        Reading("active", ", ".join(enabled) or "none" * any(item.kind is bool for item in live)),
         Reading("rate", f"{1.0 / scene.period:.0f} Hz, delay {scene.delay * 1e3:.1f} ms"),
-        Reading("time", f"{snapshot.time:.{digits}f}{whole} s"),
+        Reading("time", f"{snapshot.time:.{digits}f}{total} s"),
         Reading("speed", pace(snapshot)),
-        Reading("position", ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", place)) + " mm"),
+        Reading("position", ", ".join(f"{name} {value:.2f}" for name, value in zip("xyz", position)) + " mm"),
         _force("hand", snapshot.hand, HAND, " (estimated)" * snapshot.hand_estimated),
         _force("device", snapshot.force, DEVICE),
         _force("stops", snapshot.stops, STOP),
-        Reading("energy", _energy(snapshot), BAD if _makes_energy(snapshot) else None),
-        Reading("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} missed" if snapshot.cost else ""),
+        Reading("energy", _energy(snapshot), BAD if _is_active(snapshot) else None),
+        Reading("tick", f"{snapshot.cost * 1e6:.0f} us, {snapshot.missed} skipped" if snapshot.cost else ""),
     ]
     return [row for row in rows if row.value]
 
 
 def _force(name: str, wrench: Array, colour: Colour, note: str = "") -> Reading:
-    """Return a force's size, if known."""
-    known = np.isfinite(wrench).all()
-    return Reading(name, f"{np.linalg.norm(wrench[:3]):.1f} N{note}" if known else "", colour)
+    available = np.isfinite(wrench).all()
+    return Reading(name, f"{np.linalg.norm(wrench[:3]):.1f} N{note}" if available else "", colour)
 
 
 def _wall(snapshot: Snapshot) -> Reading:
-    """Return the stability of the wall alone, if there is one."""
+    """Return the stability margin of the wall alone; empty without a wall."""
     wall = STABILITY.of(snapshot).wall
     if STABILITY.scene != snapshot.scene:
         return Reading("wall", "..." if snapshot.faces else "")
     return Reading("wall", str(wall or ""), BAD if wall and wall.spectral_radius >= 1.0 else None)
 
 
-def _makes_energy(snapshot: Snapshot) -> bool:
-    return snapshot.taken < -_ROUNDED_ENERGY
+def _is_active(snapshot: Snapshot) -> bool:
+    return snapshot.taken < -_LEAST_ENERGY
 
 
 def _energy(snapshot: Snapshot) -> str:
-    """Return the energy of the hand and of the computed forces, if known."""
-    added = _makes_energy(snapshot)
-    parts = {"hand gave": snapshot.work, f"device {'added' if added else 'took'}": abs(snapshot.taken)}
-    words = ", ".join(f"{name} {value * 1e3:.1f} mJ" for name, value in parts.items() if not math.isnan(value))
-    return f"{words}: its forces come late" if added else words
+    active = _is_active(snapshot)
+    parts = {"from the hand": snapshot.work, "generated" if active else "absorbed": abs(snapshot.taken)}
+    words = ", ".join(f"{value * 1e3:.1f} mJ {name}" for name, value in parts.items() if not math.isnan(value))
+    return f"{words} (delayed forces)" if active else words
 
 
-def _gain(one: Parameter, value: float | None, axis: str) -> str:
-    """Return a gain as text, with its name if needed.
-
-    Gains of a wall have no name.
-    """
+def _gain(parameter: Parameter, value: float | None, axis: str) -> str:
+    """Return a gain as text; stiffness and damping are recognised by their units."""
     if value is None:
-        return f"{one.name} none"
+        return f"{parameter.name} none"
     number = f"{value:.0f}" if abs(value) >= 1e3 else f"{value:.3g}"
-    text = f"{number} {unit_of(one.unit, axis, one.along)}".strip()
-    return text if one.name in ("stiffness", "damping") else f"{one.name} {text}"
+    text = f"{number} {unit_of(parameter.unit, axis, parameter.along)}".strip()
+    return text if parameter.name in ("stiffness", "damping") else f"{parameter.name} {text}"

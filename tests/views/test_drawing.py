@@ -56,13 +56,13 @@ def test_a_chosen_library_that_is_not_here_stops_what_draws_alone(tmp_path: Any)
     paths = os.pathsep.join([str(tmp_path), *sys.path])
     status, told = run(["-c", BOTH], tmp_path, "osmesa", PYTHONPATH=paths)
     assert (status, told.count("\n")) == (1, 1), told
-    assert told.startswith("maglev-mj render: pictures by osmesa need on Debian `apt install lib"), told
+    assert told.startswith("maglev-mj render: cannot render with osmesa (needs `apt install lib"), told
 
 
 def test_drawing_that_is_turned_off_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "off")
     status, _, told = run_here(*RENDER.split())
-    assert status == 1 and told.startswith("maglev-mj render: MUJOCO_GL=off turns drawing off: unset it"), told
+    assert status == 1 and told.startswith("maglev-mj render: MUJOCO_GL=off disables rendering: unset it"), told
 
 
 @pytest.mark.needs("drawing")
@@ -105,7 +105,7 @@ def test_they_are_tried_in_order_until_one_works(working: tuple[str, ...], monke
 @pytest.mark.needs("linux")
 def test_what_to_install_is_said_where_none_works(monkeypatch: pytest.MonkeyPatch) -> None:
     works(monkeypatch)
-    with pytest.raises(DisplayError, match=r"nothing that draws works here, of osmesa, egl, glfw: .* libosmesa6"):
+    with pytest.raises(DisplayError, match=r"no working OpenGL library among osmesa, egl, glfw: .* libosmesa6"):
         drawing_library()
 
 

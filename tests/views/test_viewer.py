@@ -165,7 +165,7 @@ def session(tmp_path_factory: pytest.TempPathFactory, screen: VirtualScreen) -> 
         geometry = dict(line.split("=") for line in screen.xdotool("getwindowgeometry", "--shell", window).split())
         assert (int(geometry["WIDTH"]), int(geometry["HEIGHT"])) == fitted_size(*SCREEN)
         camera, _ = framed(Joystick(), VIEW)
-        right, up = Framing(Scenery(Joystick).model).seen(camera, VIEW, GRIP)[0]
+        right, up = Framing(Scenery(Joystick).model).project(camera, VIEW, GRIP)[0]
         middle = int(geometry["X"]) + round(right), int(geometry["Y"]) + VIEW.height - round(up)
         screen.xdotool("mousemove", *middle)  # keys go to the window under the mouse
         time.sleep(0.5)

@@ -30,7 +30,7 @@ from maglev_mj.scenes.interactive import CENTRING, Joystick
 from maglev_mj.session import Note, Pacer, Session, Snapshot, TourLine, device_actions
 from maglev_mj.session.replay import Replay
 from maglev_mj.theory import inertia_of, largest_stable_stiffness
-from maglev_mj.views.readings import STABILITY, SteadyRange, banner, fitted_range, margin, met_stops
+from maglev_mj.views.readings import STABILITY, SteadyRange, banner, fitted_range, margin, stop_contacts
 from maglev_mj.views.window.keys import KEYS, MAGNIFY, help_rows
 from maglev_mj.views.window.layout import Area, Font, Layout, arranged
 from maglev_mj.views.window.scenery import Framing, Scenery, directions
@@ -138,7 +138,9 @@ def test_nothing_moves_when_states_change(shot: Snapshot, size: tuple[int, int],
     states: list[dict[str, Any]] = [{}, STOPPED, {"state": "paused"}, {"late": True}, BUSY, OFF]
     places = {
         (drawn.layout.text, drawn.layout.handle, drawn.layout.label, *drawn.layout.plots, *stay[:room])
-        for _, keys, _, drawn in drawings(shot, Area(0, 0, *size), 100, states, "shadows are off; S puts them back")
+        for _, keys, _, drawn in drawings(
+            shot, Area(0, 0, *size), 100, states, "Shadows off: slow drawing. S turns them on."
+        )
         if (stay := [name for name, _ in lines(drawn, "TOPLEFT")]) and not keys
     }
     assert len(places) == 1
@@ -193,7 +195,7 @@ def test_the_knob_is_in_the_free_part_of_the_picture(name: str) -> None:
             points = seen(model, camera, view, KNOB + place)
             assert (points >= (free.left, free.bottom)).all() and (points <= (free.right, free.top)).all(), view
         middle = seen(model, camera, view, GRIP[None, :])[0]
-        place, right, up = framing.seen(camera, view, GRIP)
+        place, right, up = framing.project(camera, view, GRIP)
         assert place == pytest.approx(middle)
         moved = seen(model, camera, view, (GRIP + 7.0 * right - 5.0 * up)[None, :])[0]
         assert moved - middle == pytest.approx([7.0, -5.0], abs=1e-6)
@@ -202,7 +204,7 @@ def test_the_knob_is_in_the_free_part_of_the_picture(name: str) -> None:
 
 STOPS = {
     "metal stop: +x 4.5 mm": (8e-3, 0.0, 0.0, 0.0, 0.0, 0.0),
-    "metal stop: turned 6.0 deg": (0.0, 0.0, 0.0, 0.5, 0.0, 0.4),
+    "metal stop: rotation 6.0 deg": (0.0, 0.0, 0.0, 0.5, 0.0, 0.4),
 }
 """Targets of the hand beyond a stop, by the words that name it."""
 
@@ -219,10 +221,10 @@ def test_forces_balance_at_a_metal_stop_and_it_is_named(words: str) -> None:
         forces = [shown.hand[part], shown.force[part], shown.stops[part]]
         largest = max(np.linalg.norm(force) for force in forces)
         assert np.linalg.norm(sum(forces)) <= 0.02 * largest + 1e-9
-    stops = met_stops(shown)
-    assert met_stops(replace(shown, stops=np.zeros(6))) == ((), False, "")
+    stops = stop_contacts(shown)
+    assert stop_contacts(replace(shown, stops=np.zeros(6))) == ((), False, "")
     assert stops.words.startswith(words) and words in dict(message_rows(shown))[""]
-    assert stops.turning is ("turned" in words) and bool(stops.faces) is not stops.turning
+    assert stops.rotation is ("rotation" in words) and bool(stops.faces) is not stops.rotation
     for axis, normal, edge in stops.faces:
         assert abs(edge) == pytest.approx(4.5e-3, rel=0.1) and normal == -np.sign(edge) == -np.sign(target[axis])
 
@@ -231,7 +233,7 @@ def test_what_balances_is_drawn_as_long_on_both_sides() -> None:
     # Hand to one side; device and stop, one behind the other, to the other: sums of lengths agree.
     shown, scenery = at_stop(next(iter(STOPS))), Scenery(Joystick)
     scene = mujoco.MjvScene(scenery.model, 500)
-    scenery.place(shown)
+    scenery.set_pose(shown)
     scenery.decorate(scene, shown)
     arrow = int(mujoco.mjtGeom.mjGEOM_ARROW)
     hand, device, stop = [geom for geom in scene.geoms[: scene.ngeom] if geom.type == arrow]
@@ -268,17 +270,17 @@ def test_the_cross_is_at_the_gains_that_act_together() -> None:
     assert found.stable and found.axis == "x"
     assert found.stiffness == pytest.approx(6000.0 + CENTRING) and found.damping == pytest.approx(92.0)
     most = float(largest_stable_stiffness(92.0, period=0.005, delay=0.0015, mass=float(body[0])))
-    assert found.words == f"stable: {100.0 * found.stiffness / most:.0f} % of the boundary"
+    assert found.words == f"stable: {100.0 * found.stiffness / most:.0f} % of critical stiffness"
     free = margin(Joystick(wall=False))
     assert free.stable and max(free.stiffness, 12.0) <= CENTRING + 1e-9  # nothing of the wall that is off
     wrong = margin(Drop(stiffness=20000.0))
-    assert wrong.stable is False and wrong.axis == "z" and wrong.words.startswith("UNSTABLE on z: ")
+    assert wrong.stable is False and wrong.axis == "z" and wrong.words.startswith("unstable on z: ")
     assert wrong.stiffness >= 20000.0
     six = margin(find_scene("six-axes")())
     assert six.stable and six.stiffness < 6000.0
     assert margin(find_scene("twist")()).words == "stable: no stiffness"
     for name in BUILT_IN:
-        assert "known" not in margin(find_scene(name)()).words
+        assert "not computed" not in margin(find_scene(name)()).words
 
 
 def titles(figures: list[Any]) -> list[tuple[str, Any]]:
@@ -290,18 +292,19 @@ def test_the_banner_says_what_is_the_matter_and_the_key_that_goes_on(shot: Snaps
 
     def said(shown: Snapshot, size: Area = view) -> str:
         found = [title.rstrip("\0") for title, _ in titles(screen.draw(shown, size, 100).figures)]
-        return next((title for title in found if title.startswith(("STOPPED", "PAUSED", "TOO"))), "")
+        return next((title for title in found if title.startswith(("STOPPED", "PAUSED", "Running"))), "")
 
     assert said(shot) == ""
     stopped = replace(shot, state="stopped", reason="emergency stop")
-    assert said(stopped) == "STOPPED: press / to start again"
-    assert said(replace(shot, state="paused")) == "PAUSED: press Space to go on"
+    assert said(stopped) == "STOPPED: press / to restart"
+    assert said(replace(shot, state="paused")) == "PAUSED: press Space to resume"
     device = replace(stopped, actions=device_actions(Joystick), remedy="maglev-mj bridge ADDRESS --reset goes on")
     assert said(device) == "STOPPED"  # no key does
     found = banner(device)
     assert found is not None and found.way_on == "" and "--reset" in found.remedy
     assert said(stopped, Area(0, 0, 1040, 700)).startswith("STOPPED: press /")
-    assert said(replace(shot, late=True)) == said(shot) == "TOO SLOW: press - for slow motion"  # it stays for a while
+    late = "Running slower than real time: press - for slow motion"
+    assert said(replace(shot, late=True)) == said(shot) == late  # held for a while
 
 
 def test_a_key_draws_the_handle_and_its_walls_further_out_and_says_so(shot: Snapshot) -> None:
@@ -309,14 +312,14 @@ def test_a_key_draws_the_handle_and_its_walls_further_out_and_says_so(shot: Snap
     shown, scenery, other = replace(shot, pose=pose), Scenery(Joystick), Scenery(Joystick)
     scene = mujoco.MjvScene(scenery.model, 500)
     grip = scenery.model.geom_bodyid == scenery.model.body("handle").id
-    scenery.place(shown)
+    scenery.set_pose(shown)
     true = scenery.data.geom_xpos.copy()
     for factor in (1, 3, 5):
         assert screen.factor == factor
         rows = lines(screen.draw(shown, Area(0, 0, 1280, 800), 100), "BOTTOMLEFT")
         assert any(f"motion x{factor}" in words for _, words in rows) is (factor > 1)
-        scenery.place(shown, factor)
-        other.place(replace(shown, pose=factor * pose))
+        scenery.set_pose(shown, factor)
+        other.set_pose(replace(shown, pose=factor * pose))
         assert (scenery.data.geom_xpos[~grip] == true[~grip]).all()
         assert np.allclose(scenery.data.geom_xpos[grip], other.data.geom_xpos[grip], atol=1e-12)
         assert np.allclose(scenery.data.geom_xmat[grip], other.data.geom_xmat[grip], atol=1e-12)
@@ -370,7 +373,7 @@ def test_a_plain_drag_is_the_hand_and_a_magnified_one_is_divided(shot: Snapshot,
     shown = [replace(shot, pose=start)]
     session = SimpleNamespace(snapshot=lambda: shown[0], hand=hand)
     none = SimpleNamespace(pushes=False, twists=False)
-    window.__dict__ |= {"_session": session, "_screen": Screen(), "_grab": Grab(), "_mouse": none, "_from": None}
+    window.__dict__ |= {"_session": session, "_screen": Screen(), "_grab": Grab(), "_mouse": none, "_grab_pose": None}
     window._screen.factor = factor
     window._guide_hand()
     assert hand.target is None and not window._screen.dragged
@@ -382,10 +385,10 @@ def test_a_plain_drag_is_the_hand_and_a_magnified_one_is_divided(shot: Snapshot,
     assert window._screen.dragged
     window._grab.moved, window._mouse = None, none
     window._guide_hand()
-    assert hand.target is None and window._from is None
+    assert hand.target is None and window._grab_pose is None
     grip = 2.0 * start[:3] + rotation_matrix(2.0 * start[3:]) @ GRIP
     window._mouse = SimpleNamespace(
-        pushes=True, twists=False, place=grip + 3e-3 * np.eye(3)[0]
+        pushes=True, twists=False, position=grip + 3e-3 * np.eye(3)[0]
     )  # the engine's own drag
     window._guide_hand()
     assert hand.target == pytest.approx([2e-3 + 3e-3 / factor, 0.0, 0.0, *shown[0].pose[3:]])
@@ -398,15 +401,15 @@ WAYS = ((1, 0, 0), (0, 1, 0), (0.7, 0.7, 0), (0, 0, 1), (0.6, 0.6, -0.5), (-1, 0
 def test_the_default_hand_meets_the_wall_and_not_the_stop(scene: type[Scene], way: tuple[float, ...]) -> None:
     # However far it is pulled, along each axis and across.
     shown = made(scene(), [*(0.1 * np.array(way)), 0.0, 0.0, 0.0])
-    assert not met_stops(shown).words, way
+    assert not stop_contacts(shown).words, way
     assert any(normal * (shown.pose[axis] - edge) <= 0.0 for axis, normal, edge in shown.faces)
-    assert dict(status_rows(shown))["energy"].startswith("hand gave ")
+    assert dict(status_rows(shown))["energy"].endswith(" absorbed")
 
 
 def test_the_energy_says_who_gave_and_who_took(shot: Snapshot) -> None:
-    for taken, words in ((2e-3, "device took 2.0 mJ"), (-2e-3, "device added 2.0 mJ: its forces come late")):
+    for taken, words in ((2e-3, "2.0 mJ absorbed"), (-2e-3, "2.0 mJ generated (delayed forces)")):
         shown = replace(shot, work=3e-3, taken=taken)
-        assert dict(status_rows(shown))["energy"] == f"hand gave 3.0 mJ,\n{words}"
+        assert dict(status_rows(shown))["energy"] == f"3.0 mJ from the hand,\n{words}"
     assert "energy" not in dict(status_rows(replace(shot, work=np.nan, taken=np.nan)))
 
 

@@ -220,7 +220,7 @@ _ROWS = {
     "tour": ("back", "next"),
 }
 _USUAL_STIFFNESS, _MOST_STIFFNESS = 200.0, 5000.0  # of the hand [N/m]
-_INPUTS = "gains", "on"
+_INPUTS = "gains", "active"
 _MOTIONS = {f"x{factor}": factor for factor in MAGNIFICATIONS}
 _PAUSED: Colour = (0.25, 0.28, 0.33)
 

@@ -1,1 +1,1 @@
-"""Display of a scene: window, pictures, clips."""
+"""Window, pictures and clips of a scene."""

@@ -1,4 +1,4 @@
-"""Choice of the library that draws off screen."""
+"""Choice of the OpenGL library for offscreen rendering."""
 
 from __future__ import annotations
 
@@ -13,47 +13,47 @@ _WORDS = dict(zip(_LIBRARIES, _LIBRARIES)) | {"linux": {"glx": "glfw"}, "win32":
 _ON, _OFF = ("", "on", "enable", "enabled", "true", "1"), ("off", "disable", "disabled", "false", "0")
 _TRIAL = "from mujoco.{0} import GLContext; GLContext(8, 8).make_current()"
 NEEDS = {
-    "osmesa": "on Debian `apt install libosmesa6`",
-    "egl": "on Debian `apt install libegl1 libgl1`",
-    "glfw": "a display with OpenGL",
-    "cgl": "a Mac with OpenGL",
+    "osmesa": "needs `apt install libosmesa6` on Debian",
+    "egl": "needs `apt install libegl1 libgl1` on Debian",
+    "glfw": "needs a display with OpenGL",
+    "cgl": "needs a Mac with OpenGL",
 }
-"""What each library needs."""
+"""Requirement of each library."""
 
 
 class DisplayError(MaglevError):
-    """Error of a missing display or drawing library."""
+    """Missing display or OpenGL library."""
 
 
 def check_mujoco_gl() -> str:
-    """Return the word of MUJOCO_GL, one that the engine knows on this system.
+    """Return the value of MUJOCO_GL, in lower case.
 
     Raises:
-        ParameterError: If it is another.
+        ParameterError: If MuJoCo does not accept the value on this system.
     """
-    given = os.environ.get("MUJOCO_GL", "")
-    word = given.lower().strip()
+    value = os.environ.get("MUJOCO_GL", "")
+    word = value.lower().strip()
     if word not in (*_WORDS, *_ON, *_OFF):
-        raise ParameterError(not_one_of("MUJOCO_GL", (*_WORDS, *_ON[1:], *_OFF), given, " or unset"))
+        raise ParameterError(not_one_of("MUJOCO_GL", (*_WORDS, *_ON[1:], *_OFF), value, " or unset"))
     return word
 
 
 def drawing_library(default: str | None = None) -> str:
-    """Return the name of the library to draw with.
+    """Return the name of the OpenGL library for offscreen rendering.
 
-    That is the one which MUJOCO_GL names, else the default, else the first that works here: osmesa, egl or glfw on
-    Linux, cgl or glfw on macOS, glfw on Windows. Each is tried in a program of its own: loading one excludes others.
+    Order: MUJOCO_GL, `default`, the first that works: osmesa, egl, glfw on Linux; cgl, glfw on macOS; glfw on Windows.
+    Each is tried in a process of its own, because a process can load only one.
 
     Args:
-        default: Library where MUJOCO_GL names none; None to look for one.
+        default: Library if MUJOCO_GL names none; None to try all.
 
     Raises:
-        DisplayError: If none works, or MUJOCO_GL turns drawing off.
-        ParameterError: If MUJOCO_GL is no word that the engine knows on this system.
+        DisplayError: If none works, or MUJOCO_GL disables rendering.
+        ParameterError: If MuJoCo does not accept the value of MUJOCO_GL on this system.
     """
     word = check_mujoco_gl()
     if word in _OFF:
-        raise DisplayError(f"MUJOCO_GL={word} turns drawing off: unset it, or choose one of {', '.join(_LIBRARIES)}")
+        raise DisplayError(f"MUJOCO_GL={word} disables rendering: unset it, or use one of {', '.join(_LIBRARIES)}")
     return _WORDS.get(word) or default or _first_working()
 
 
@@ -66,4 +66,6 @@ def _first_working() -> str:
         environment = {**os.environ, "MUJOCO_GL": name}
         if subprocess.run(trial, env=environment, capture_output=True, check=False).returncode == 0:
             return name
-    raise DisplayError(f"nothing that draws works here, of {', '.join(_LIBRARIES)}: {NEEDS[_LIBRARIES[0]]}")
+    raise DisplayError(
+        f"no working OpenGL library among {', '.join(_LIBRARIES)}: {_LIBRARIES[0]} {NEEDS[_LIBRARIES[0]]}"
+    )

@@ -1,4 +1,4 @@
-"""Pictures and clips of a scene, drawn without a window and written as files."""
+"""Pictures and clips of a scene, rendered off screen and written to files."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ from maglev_mj.views.window.scenery import Framing, Scenery
 from maglev_mj.views.window.screen import Screen
 
 CLIPS = (".gif", ".mp4")
-"""File endings of clips."""
+"""File extensions of clips."""
 
 Pixels = NDArray[np.uint8]
 
 
 def checked_name(path: Path) -> Path:
-    """Return a file's name with a checked ending.
+    """Return a path after checking its extension.
 
     Raises:
-        ParameterError: If the ending is not that of a picture or clip.
-        MissingPackageError: If the package that writes it is not installed.
+        ParameterError: If the extension is not that of a picture or clip.
+        MissingPackageError: If the package that writes clips is not installed.
     """
     if path.suffix not in (".png", *CLIPS):
         raise ParameterError(f"out must end in .png, .gif or .mp4, not {str(path)!r}")
@@ -58,11 +58,11 @@ def write_picture(pixels: Pixels, path: Path) -> None:
     """Write a PNG file.
 
     Args:
-        pixels: The picture, (height, width, 3).
-        path: The file.
+        pixels: Picture, (height, width, 3).
+        path: Path of the file.
     """
     height, width, _ = pixels.shape
-    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter: 0, none
+    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row begins with its filter type, 0: none
     rows[:, 1:] = pixels.reshape(height, -1)
     head = struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0)
     parts = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes(), 6)), (b"IEND", b""))
@@ -76,8 +76,8 @@ def write_clip(frames: Iterable[Pixels], path: Path, rate: int) -> None:
     """Write a GIF or MP4 file.
 
     Args:
-        frames: The pictures, (height, width, 3) each, of even height and width.
-        path: The file.
+        frames: Pictures, (height, width, 3) each, of even height and width.
+        path: Path of the file.
         rate: Frames per second.
 
     Raises:
@@ -93,20 +93,17 @@ def write_clip(frames: Iterable[Pixels], path: Path, rate: int) -> None:
 
 
 def _write_gif(frames: Iterable[Pixels], path: Path, duration: float) -> None:
-    """Write a GIF of frames with own palettes.
+    """Write a GIF; each frame lasts `duration` [ms] and has its own palette of 256 colours."""
+    from PIL import Image  # a dependency of imageio
 
-    A frame lasts `duration` [ms] and has 256 colours of its own.
-    """
-    from PIL import Image  # imageio's own
-
-    # the octree keeps the colour of a small mark, which a median cut loses to shades of a large floor
+    # an octree preserves the colour of small marks, which a median cut loses to shades of the floor
     octree, plain = Image.Quantize.FASTOCTREE, Image.Dither.NONE
     few = (Image.fromarray(np.ascontiguousarray(frame)).quantize(256, octree, dither=plain) for frame in frames)
     next(few).save(path, save_all=True, append_images=few, duration=duration, loop=0)
 
 
 def _imageio() -> Any:
-    require(("imageio", "imageio_ffmpeg"), "clips", "clips need imageio with ffmpeg")
+    require(("imageio", "imageio_ffmpeg"), "clips", "clips require imageio with ffmpeg")
     import imageio.v2
 
     return imageio.v2
@@ -116,22 +113,19 @@ _LARGE = 1500
 
 
 class OffscreenPainter:
-    """Painter of one scene's snapshots into arrays.
-
-    It draws with the library that MUJOCO_GL names, by default with the first that works.
+    """Renderer of a scene's snapshots to arrays, with the OpenGL library of `drawing_library`.
 
     Args:
         scene: The scene.
         width: Width of the pictures [pixels].
         height: Height of the pictures [pixels].
         plots: True to include plots and text.
-        default: Drawing library where MUJOCO_GL names none; None to look for one. A program that has opened a window
-            can only use glfw.
-        factor: One of MAGNIFICATIONS, of the handle's motion.
+        default: OpenGL library if MUJOCO_GL names none; None to try all. A process with a window can only use glfw.
+        factor: Magnification of the handle's motion, one of MAGNIFICATIONS.
 
     Raises:
-        DisplayError: If there is no drawing library.
-        ModelError: If the scene cannot be used.
+        DisplayError: If there is no OpenGL library.
+        ModelError: If the model file is missing or invalid.
     """
 
     def __init__(
@@ -141,7 +135,7 @@ class OffscreenPainter:
         self._screen = Screen(keys=False, factor=factor) if plots else None
         self.scenery = Scenery(scene)
         self._framing = Framing(self.scenery.model)
-        self._whole = mujoco.MjrRect(0, 0, width, height)
+        self._rectangle = mujoco.MjrRect(0, 0, width, height)
         model = self.scenery.model
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         self._gl = _context(width, height, drawing_library(default))
@@ -155,53 +149,53 @@ class OffscreenPainter:
 
     def picture(self, snapshot: Snapshot) -> NDArray[np.uint8]:
         """Return a picture, (height, width, 3)."""
-        scenery, scene, whole, render = self.scenery, self._scene, self._whole, self._render
-        view = Area(0, 0, whole.width, whole.height)
+        scenery, scene, rectangle, render = self.scenery, self._scene, self._rectangle, self._render
+        view = Area(0, 0, rectangle.width, rectangle.height)
         over = None
         if self._screen is not None:
             STABILITY.wait(snapshot)
             over = self._screen.draw(snapshot, view, self._scale)
         self._gl.make_current()
-        scenery.place(snapshot, self._factor)
+        scenery.set_pose(snapshot, self._factor)
         self._framing.follow(self._camera, view, view if over is None else over.layout.handle)
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(scenery.model, scenery.data, self._option, None, self._camera, everything, scene)
         scenery.decorate(scene, snapshot, self._factor)
         if over is not None and (corner := self._framing.corner(self._camera, view, over.layout.handle)) is not None:
             scenery.draw_axes(scene, *corner)
-        mujoco.mjr_render(whole, scene, render)
+        mujoco.mjr_render(rectangle, scene, render)
         if over is not None:
-            for rectangle, figure in over.figures:
-                mujoco.mjr_figure(rectangle, figure, render)
+            for area, figure in over.figures:
+                mujoco.mjr_figure(area, figure, render)
             for font, grid, *columns in over.texts:
-                mujoco.mjr_overlay(font, grid, whole, *columns, render)
-        pixels = np.empty((whole.height, whole.width, 3), dtype=np.uint8)
-        mujoco.mjr_readPixels(pixels, None, whole, render)
+                mujoco.mjr_overlay(font, grid, rectangle, *columns, render)
+        pixels = np.empty((rectangle.height, rectangle.width, 3), dtype=np.uint8)
+        mujoco.mjr_readPixels(pixels, None, rectangle, render)
         return pixels[::-1]
 
     def close(self) -> None:
-        """Release the drawing resources."""
+        """Free the OpenGL resources."""
         self._render.free()
         self._gl.free()
 
 
 def _context(width: int, height: int, library: str) -> Any:
-    """Return an OpenGL context without a visible window."""
+    """Return an offscreen OpenGL context."""
     try:
-        with interrupts_held(), warnings.catch_warnings():  # a context half made cannot be released
+        with interrupts_held(), warnings.catch_warnings():  # a half-created context cannot be freed
             warnings.simplefilter("error", UserWarning)  # glfw only warns of a missing display
             return import_module(f"mujoco.{library}").GLContext(width, height)
     except (ImportError, AttributeError, OSError, RuntimeError, TypeError, UserWarning) as error:
-        raise DisplayError(f"pictures by {library} need {NEEDS[library]}; MUJOCO_GL chooses: {error}") from error
+        raise DisplayError(f"cannot render with {library} ({NEEDS[library]}; or set MUJOCO_GL): {error}") from error
 
 
-_FOR_EVER = 3600.0
+_UNLIMITED = 3600.0
 
 
 def slow_motion(seconds: float) -> float:
-    """Return the time scale of a clip of so many simulated seconds.
+    """Return the default time scale of a clip.
 
-    It is 1 from a second on, and else one of TIME_SCALES at which the clip lasts 4 s at least.
+    1 from 1 s of simulated time; below, the largest of TIME_SCALES at which the clip lasts at least 4 s.
     """
     slow = [scale for scale in TIME_SCALES if seconds / scale >= 4.0]
     return 1.0 if seconds >= 1.0 else max(slow, default=TIME_SCALES[0])
@@ -220,28 +214,28 @@ def render(
     magnify: int = 1,
     progress: Callable[[int, int], object] = lambda done, total: None,
 ) -> int:
-    """Run a scene and write a picture or clip.
+    """Run a scene with its scripted hand and write a picture or clip.
 
-    The scripted hand moves the flotor. An MP4 file has the force as sound, slowed as its pictures are.
+    An MP4 file contains the force as sound, at the time scale of the clip.
 
     Args:
         scene: The scene.
-        path: File with the ending .png, .gif or .mp4.
-        seconds: Simulated time of the picture, or of the whole clip [s]; None for half the run, or all of it.
-        time_scale: Simulated time for each second of a clip, 0.001 to 1; None for `slow_motion`.
+        path: File with the extension .png, .gif or .mp4.
+        seconds: Simulated time of the picture, or duration of the clip [s]; None for half the run, or all of it.
+        time_scale: Simulated time per second of a clip, 0.001 to 1; None for `slow_motion`.
         width: Width [pixels].
         height: Height [pixels].
         rate: Frames per second of a clip.
         plots: True to include plots and text.
-        magnify: One of MAGNIFICATIONS, of the handle's drawn motion.
-        progress: Function called with the number of pictures drawn and the number of all.
+        magnify: Magnification of the handle's motion, one of MAGNIFICATIONS.
+        progress: Function called with the number of pictures drawn and the total.
 
     Returns:
         Number of pictures drawn.
 
     Raises:
-        DisplayError: If there is no drawing library.
-        MissingPackageError: If a clip is requested, and the package that writes it is not installed.
+        DisplayError: If there is no OpenGL library.
+        MissingPackageError: If the package that writes clips is not installed.
     """
     flag("plots", plots)
     check_one_of("magnify", tuple(map(str, MAGNIFICATIONS)), str(magnify))
@@ -250,7 +244,7 @@ def render(
     session = Session(
         scene,
         hand=scene.scripted_hand() or SpringHand(),
-        pacer=Pacer(budget=_FOR_EVER, patience=_FOR_EVER),  # no hurry
+        pacer=Pacer(budget=_UNLIMITED, patience=_UNLIMITED),  # no deadline
     )
     if time_scale is None:
         time_scale = slow_motion(end) if moving else 1.0
@@ -260,11 +254,11 @@ def render(
     with closing(painter), engine_warnings_silenced():
 
         def pictures() -> Iterator[Pixels]:
-            for place in range(drawn):
+            for index in range(drawn):
                 yield painter.picture(session.snapshot())
                 if ticks := session.tick(1.0 / rate):
                     forces.append(session.snapshot().history[-ticks:, 13:19])
-                progress(place + 1, drawn)
+                progress(index + 1, drawn)
 
         if not moving:
             session.tick(end / time_scale)
@@ -280,15 +274,15 @@ def render(
 
 
 def _add_sound(path: Path, sound: bytes, length: float) -> None:
-    """Add a WAV file to a clip of some length [s]; say why if it fails."""
+    """Add the sound of a WAV file to a clip of a given duration [s]; report a failure."""
     from imageio_ffmpeg import get_ffmpeg_exe
 
     partial = path.with_suffix(".partial.mp4")
-    how = f"-c:v copy -c:a aac -af apad -t {length} -loglevel error -y".split()
-    command = [get_ffmpeg_exe(), "-i", str(path), "-i", "pipe:0", *how, str(partial)]
-    told = subprocess.run(command, input=sound, capture_output=True)
-    if told.returncode:
-        say(f"  {path} is silent: {told.stderr.decode(errors='replace').partition(chr(10))[0]}")
+    options = f"-c:v copy -c:a aac -af apad -t {length} -loglevel error -y".split()
+    command = [get_ffmpeg_exe(), "-i", str(path), "-i", "pipe:0", *options, str(partial)]
+    result = subprocess.run(command, input=sound, capture_output=True)
+    if result.returncode:
+        say(f"  {path} has no sound: {result.stderr.decode(errors='replace').partition(chr(10))[0]}")
         partial.unlink(missing_ok=True)
     else:
         partial.replace(path)

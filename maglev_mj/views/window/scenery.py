@@ -1,4 +1,4 @@
-"""3D drawing of a scene: device, walls, stick position, forces, currents; and its camera."""
+"""3D view of a scene: device, walls, stick position, forces, currents, camera."""
 
 from __future__ import annotations
 
@@ -16,28 +16,22 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session import Snapshot
 from maglev_mj.spec import Spec
 from maglev_mj.views.magnifier import magnified, widening
-from maglev_mj.views.readings import met_stops
+from maglev_mj.views.readings import stop_contacts
 from maglev_mj.views.window.layout import Area
 
 _HIGH, _WIDE = 0.85, 0.95
-"""Shares of the default view's height kept in view.
+"""Fractions of the default view's height that stay visible, vertically and horizontally."""
 
-Vertically and horizontally.
-"""
-
-_NEAR, _INSET, _ROOM = 0.45, 70, 220
-"""Position of the axes in the picture.
-
-Their distance from the camera as a share of the distance to its target, their distance from the corner, and the width
-they need [pixels].
-"""
+_DEPTH, _INSET, _MIN_WIDTH = 0.45, 70, 220
+"""Position of the coordinate axes: depth relative to the camera's target, distance from the corner, and the smallest
+width of the free area [pixels]."""
 
 
 class Framing:
-    """Free camera with its target centred in a free area.
+    """Free camera that centres its target in the free area of a picture.
 
     Args:
-        model: The compiled model, whose file gives the default view.
+        model: Compiled model with the default view.
     """
 
     def __init__(self, model: mujoco.MjModel) -> None:
@@ -45,23 +39,18 @@ class Framing:
         self._last: tuple[Area, Area] | None = None
 
     def reset(self, camera: Any) -> None:
-        """Reset a camera to the default view.
-
-        The view is applied at the next `follow`.
-        """
+        """Reset a camera to the default view, applied at the next `follow`."""
         mujoco.mjv_defaultFreeCamera(self._model, camera)
-        camera.lookat[:2] = 0.0  # the flotor's own axis
+        camera.lookat[:2] = 0.0  # the flotor's axis
         self._last = None
 
     def follow(self, camera: Any, view: Area, free: Area) -> None:
-        """Move a camera after a change of the free area.
-
-        Turns and shifts by the user are kept.
+        """Adapt a camera to a change of the free area; the user's rotation and pan are kept.
 
         Args:
-            camera: The camera to be moved.
-            view: The picture.
-            free: Its free area.
+            camera: Camera to move.
+            view: Area of the picture.
+            free: Free area in it.
         """
         if self._last == (view, free) or camera.type != int(mujoco.mjtCamera.mjCAMERA_FREE):
             return
@@ -73,38 +62,33 @@ class Framing:
         self._last = view, free
 
     def corner(self, camera: Any, view: Area, free: Area) -> tuple[Array, float] | None:
-        """Return a position in the free area's upper left corner.
+        """Return a point near the camera in the upper left corner of the free area, and the height of a pixel there.
 
-        It is near the camera; None if there is no room.
-
-        The height of a pixel there is returned too. Both are in metres; the position is (3,).
+        Point [m], (3,), and height [m]; None if the area is too narrow.
         """
-        if free.width < _ROOM:
+        if free.width < _MIN_WIDTH:
             return None
         across, up = directions(camera)
-        pixel = _NEAR * self._pixel(camera, view)
+        pixel = _DEPTH * self._pixel(camera, view)
         x, y = free.left + _INSET - view.centre[0], free.top - _INSET - view.centre[1]
         eye = camera.lookat - camera.distance * np.cross(up, across)
-        place: Array = eye + _NEAR * (camera.lookat - eye) + pixel * (x * across + y * up)
-        return place, pixel
+        point: Array = eye + _DEPTH * (camera.lookat - eye) + pixel * (x * across + y * up)
+        return point, pixel
 
-    def seen(self, camera: Any, view: Area, point: Array) -> tuple[Array, Array, Array]:
-        """Return a point's pixel, (2,), and a pixel's steps right and up [m], (3,) each."""
+    def project(self, camera: Any, view: Area, point: Array) -> tuple[Array, Array, Array]:
+        """Return a point's pixel, (2,), and the displacement of one pixel right and up [m], (3,) each."""
         across, up = directions(camera)
         away = point - (camera.lookat - camera.distance * np.cross(up, across))
         pixel = self._pixel(camera, view) * (away @ np.cross(up, across)) / camera.distance
         return view.centre + np.array([away @ across, away @ up]) / pixel, pixel * across, pixel * up
 
     def _pixel(self, camera: Any, view: Area) -> float:
-        """Return a pixel's height at the camera's target [m]."""
+        """Return the height of a pixel at the camera's target [m]."""
         half = math.radians(0.5 * float(self._model.vis.global_.fovy))
         return 2.0 * float(camera.distance) * math.tan(half) / view.height
 
     def _shift(self, camera: Any, view: Area, free: Area) -> Array:
-        """Return the offset of the free area's middle [m], (3,).
-
-        It is that from the middle of the picture, at the camera's distance.
-        """
+        """Return the offset of the free area's centre from the picture's, at the target's depth [m], (3,)."""
         across, up = directions(camera)
         pixel = self._pixel(camera, view)
         (x, y), (middle, level) = free.centre, view.centre
@@ -113,31 +97,28 @@ class Framing:
 
 def directions(camera: Any) -> tuple[Array, Array]:
     """Return a camera's right and upward unit vectors, (3,) each."""
-    turn, lift = math.radians(camera.azimuth), math.radians(camera.elevation)
-    forward = np.array([math.cos(lift) * math.cos(turn), math.cos(lift) * math.sin(turn), math.sin(lift)])
-    across = np.array([math.sin(turn), -math.cos(turn), 0.0])
+    azimuth, lift = math.radians(camera.azimuth), math.radians(camera.elevation)
+    forward = np.array([math.cos(lift) * math.cos(azimuth), math.cos(lift) * math.sin(azimuth), math.sin(lift)])
+    across = np.array([math.sin(azimuth), -math.cos(azimuth), 0.0])
     return across, np.cross(across, forward)
 
 
 def _zoom(view: Area, free: Area) -> float:
-    """Return the camera's distance factor for the free area.
-
-    It is relative to the distance for the whole picture.
-    """
+    """Return the factor of the camera's distance for the free area, relative to the full picture."""
     return max(_HIGH * view.height / max(free.height, 1), _WIDE * view.height / max(free.width, 1))
 
 
 _WALL, _TOUCHED, _GHOST, _STOP = (*WALL, 0.08), (*TOUCHED, 0.11), 0.40, (*STOP, 0.40)
-_EDGE = 0.6  # of a wall's colour: glass is faint, so that colours behind it stay what they are
+_EDGE = 0.6  # brightness of a wall's edge; the face is faint, so that it does not tint what is behind
 _COLD, _WARM, _LIMIT = np.array([0.84, 0.49, 0.22]), np.array([1.0, 0.90, 0.20]), np.array([1.0, 0.05, 0.05])
-_MOST = Spec.peak_current.value
+_PEAK = Spec.peak_current.value
 _GLOW, _GHOST_SIZE, _AXIS = 1.06, 1.08, 44
-_QUALITY = 40, 16, 2048, 4  # slices and stacks of round shapes, pixels of a shadow, samples of a pixel
+_QUALITY = 40, 16, 2048, 4  # slices, stacks, shadow size, offscreen samples
 _SIMPLE = 2
-"""Group of the device's shapes that a scene's meshes stand in for."""
+"""Group of simple geoms that a scene's meshes replace."""
 
 _TURNS, _UPRIGHT = (-0.0015, 0.0, 0.0015), np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-"""Offsets of a winding's turns along its axis [m], and the rotation of a vertical coil."""
+"""Offsets of the turns along the axis of a winding [m]; rotation of a vertical coil."""
 
 _IDENTITY = np.eye(3).ravel()
 _SPHERE, _UNSEEN = int(mujoco.mjtGeom.mjGEOM_SPHERE), (0.0, 0.0, 0.0, 0.0)
@@ -147,30 +128,27 @@ _Shade: TypeAlias = tuple[float, float, float, float]
 
 
 _Winding: TypeAlias = tuple[int, int, int, Array, int, Array, Array]
-"""Shape of a coil's winding.
-
-Coil, its site, kind, size and mesh; place and turn in the site's frame.
-"""
+"""Geom of a winding: coil, site, type, size, mesh; position and rotation in the site's frame."""
 
 
 class Scenery:
-    """Displayed model of a scene, with added shapes.
+    """Displayed model of a scene, with added geoms.
 
     Args:
         scene: The scene, or its class.
 
     Attributes:
-        shown: File of the model.
-        model: The compiled model, with all its shapes.
-        data: Its state, which follows the snapshots.
+        path: File of the model.
+        model: Compiled model with all geoms.
+        data: State, which follows the snapshots.
 
     Raises:
-        ModelError: If the scene's file is missing or cannot be used.
+        ModelError: If the model file is missing or invalid.
     """
 
     def __init__(self, scene: Scene | type[Scene]) -> None:
         device = load_model(scene.model, lean=False)
-        self.shown = scene.model
+        self.path = scene.model
         self.model = device.model
         quality: Any = self.model.vis.quality
         quality.numslices, quality.numstacks, quality.shadowsize, quality.offsamples = _QUALITY
@@ -181,11 +159,11 @@ class Scenery:
         self._handle_shapes = np.flatnonzero(self.model.geom_bodyid == self.model.body("handle").id)
         self._windings = self._find_windings()
         rgba: Any = self.model.vis.rgba
-        # shapes of the mouse's hand by the engine: its spring, its turned box, and its grip
+        # MuJoCo's decoration of a drag: spring, rotated box, grip
         rgba.constraint[:] = rgba.inertia[:] = rgba.selectpoint[:] = (*HAND, 1.0)
 
-    def place(self, snapshot: Snapshot, factor: float = 1.0) -> None:
-        """Move the model to the flotor's pose, its handle to the magnified one; see `magnified`."""
+    def set_pose(self, snapshot: Snapshot, factor: float = 1.0) -> None:
+        """Set the flotor's pose, and the handle's magnified one; see `magnified`."""
         qpos, first = self.data.qpos, self._address
         qpos[first : first + 3] = snapshot.pose[:3]
         qpos[first + 3 : first + 7] = quaternion(snapshot.pose[3:])
@@ -193,16 +171,14 @@ class Scenery:
         mujoco.mj_comPos(self.model, self.data)
         mujoco.mj_camlight(self.model, self.data)
         if factor != 1.0:
-            for shape, place, turn in self._moved_handle(snapshot.pose, factor * snapshot.pose):
-                self.data.geom_xpos[shape], self.data.geom_xmat[shape] = place, turn.ravel()
+            for shape, position, rotation in self._moved_handle(snapshot.pose, factor * snapshot.pose):
+                self.data.geom_xpos[shape], self.data.geom_xmat[shape] = position, rotation.ravel()
 
     def decorate(self, scene: Any, snapshot: Snapshot, factor: float = 1.0) -> None:
-        """Add all further shapes to a scene of the engine.
-
-        They are walls, stops, coils, forces, and the stick position or the first try.
+        """Add walls, stops, coils, forces, and the stick position or the first attempt, to an MjvScene.
 
         Args:
-            scene: The engine's scene.
+            scene: The MjvScene.
             snapshot: The true snapshot.
             factor: Magnification of the handle's motion.
         """
@@ -213,10 +189,10 @@ class Scenery:
             self._draw_plate(scene, face, _TOUCHED if touched else _WALL, wider)
             if face[0] > 2 and touched:
                 self._draw_ring(scene, snapshot.pose, _TOUCHED)
-        stops = met_stops(snapshot)
+        stops = stop_contacts(snapshot)
         for face in stops.faces:
             self._draw_plate(scene, face, _STOP, wider)
-        if stops.turning:
+        if stops.rotation:
             self._draw_ring(scene, snapshot.pose, _STOP)
         if (ghost := snapshot.ghost) is not None:
             self._draw_ghost(scene, snapshot.pose, ghost, FIRST if len(snapshot.first) else STUCK)
@@ -224,29 +200,29 @@ class Scenery:
         hand, device, stop = snapshot.hand[:3], snapshot.force[:3], snapshot.stops[:3]
         _draw_arrow(scene, knob, hand, HAND)
         _draw_arrow(scene, knob, device, DEVICE)
-        # a stop's arrow begins at the end of the device's in the same direction, so that balanced forces look equal
+        # stack the stop's arrow on the device's, so that balanced forces have equal lengths
         size = float(np.linalg.norm(stop)) or 1.0
         _draw_arrow(scene, knob + max(float(device @ stop) / size, 0.0) * ARROW / size * stop, stop, STOP)
 
-    def draw_axes(self, scene: Any, place: Array, pixel: float) -> None:
-        """Add arrows along x, y and z, with their names.
+    def draw_axes(self, scene: Any, origin: Array, pixel: float) -> None:
+        """Add labelled arrows along x, y and z.
 
         Args:
-            scene: The engine's scene.
-            place: Origin of the arrows [m], (3,).
-            pixel: Height of a pixel there [m].
+            scene: The MjvScene.
+            origin: Origin of the arrows [m], (3,).
+            pixel: Height of a pixel at the origin [m].
         """
         length = _AXIS * pixel
         for name, direction in zip(AXES[:3], np.eye(3), strict=True):
-            _connect(scene, place, place + 2.0 * length * direction, 0.05 * length, STOP)
-            # an invisible point beyond the tip carries the name
+            _connect(scene, origin, origin + 2.0 * length * direction, 0.05 * length, STOP)
+            # an invisible sphere past the tip carries the label
             if (
-                shape := _add(scene, _SPHERE, np.zeros(3), place + 1.25 * length * direction, _IDENTITY, _UNSEEN)
+                shape := _add(scene, _SPHERE, np.zeros(3), origin + 1.25 * length * direction, _IDENTITY, _UNSEEN)
             ) is not None:
                 shape.label = name
 
     def _find_windings(self) -> list[_Winding]:
-        """Return the windings: turns of the scene's mesh, else the device's simple shapes."""
+        """Return the windings: turns of the scene's mesh, else the simple geoms."""
         model, data = self.model, self.data
         sites = model.actuator_trnid[: len(COILS), 0]
         mesh = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_MESH, "winding")
@@ -261,31 +237,28 @@ class Scenery:
                 for coil, turn in enumerate(turns)
                 for along in _TURNS
             ]
-        found = []
+        windings = []
         for shape in np.flatnonzero(model.geom_matid == model.material("copper").id):
             coil = int(np.linalg.norm(data.site_xpos[sites] - data.geom_xpos[shape], axis=1).argmin())
             back = data.site_xmat[sites[coil]].reshape(3, 3).T
-            place, turn = data.geom_xpos[shape] - data.site_xpos[sites[coil]], data.geom_xmat[shape].reshape(3, 3)
+            offset, rotation = data.geom_xpos[shape] - data.site_xpos[sites[coil]], data.geom_xmat[shape].reshape(3, 3)
             kind, size = int(model.geom_type[shape]), _GLOW * model.geom_size[shape]
-            found.append((coil, sites[coil], kind, size, -1, back @ place, back @ turn))
-        return found
+            windings.append((coil, sites[coil], kind, size, -1, back @ offset, back @ rotation))
+        return windings
 
     def _draw_coils(self, scene: Any, snapshot: Snapshot) -> None:
-        """Draw the windings, coloured by their current.
-
-        The colour goes from copper over yellow to red at the limit.
-        """
-        for coil, site, kind, size, mesh, place, turn in self._windings:
-            share = min(abs(float(snapshot.currents[coil])) / _MOST, 1.0)
+        """Draw the windings, coloured by current: copper at 0, yellow, red at the limit."""
+        for coil, site, kind, size, mesh, offset, rotation in self._windings:
+            share = min(abs(float(snapshot.currents[coil])) / _PEAK, 1.0)
             colour = _LIMIT if share > 0.999 else _COLD + share * (_WARM - _COLD)
             frame = self.data.site_xmat[site].reshape(3, 3)
-            at, matrix = self.data.site_xpos[site] + frame @ place, (frame @ turn).ravel()
+            at, matrix = self.data.site_xpos[site] + frame @ offset, (frame @ rotation).ravel()
             shape = _add(scene, kind, size, at, matrix, (*colour.tolist(), 1.0), emission=0.8 * share)
             if shape is not None:
                 shape.dataid = mesh
 
     def _draw_plate(self, scene: Any, face: tuple[int, float, float], colour: _Shade, wider: float) -> None:
-        """Draw a wall's plane; rotations have none."""
+        """Draw a wall along x, y or z; walls of rotations are not drawn."""
         if (plate := wall_plate(face)) is not None:
             centre, size = plate
             size = size + wider * (np.arange(3) != face[0])
@@ -295,19 +268,19 @@ class Scenery:
             _add(scene, int(mujoco.mjtGeom.mjGEOM_LINEBOX), size, centre, _IDENTITY, edge)
 
     def _draw_ring(self, scene: Any, pose: Array, colour: _Shade) -> None:
-        """Highlight the knob's rim, for a rotation stop."""
-        turn = rotation_matrix(pose[3:])
-        place = pose[:3] + turn @ [0.0, 0.0, UNDER_KNOB + 0.0012]
-        _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], place, turn.ravel(), colour)
+        """Highlight the rim of the knob: contact with a wall or stop of a rotation."""
+        rotation = rotation_matrix(pose[3:])
+        centre = pose[:3] + rotation @ [0.0, 0.0, UNDER_KNOB + 0.0012]
+        _add(scene, int(mujoco.mjtGeom.mjGEOM_CYLINDER), [0.0118, 0.0012, 0.0], centre, rotation.ravel(), colour)
 
     def _draw_ghost(self, scene: Any, pose: Array, ghost: Array, colour: Colour) -> None:
         """Draw the handle at another pose."""
-        for shape, place, turn in self._moved_handle(pose, ghost):
+        for shape, position, rotation in self._moved_handle(pose, ghost):
             size = self.model.geom_size[shape] * _GHOST_SIZE
-            _add(scene, int(self.model.geom_type[shape]), size, place, turn.ravel(), (*colour, _GHOST))
+            _add(scene, int(self.model.geom_type[shape]), size, position, rotation.ravel(), (*colour, _GHOST))
 
     def _moved_handle(self, start: Array, end: Array) -> list[tuple[int, Array, Array]]:
-        """Return the handle's shapes, with place and rotation, moved between two poses."""
+        """Return the handle's geoms with position and rotation, moved from one pose to another."""
         back, data = rotation_matrix(end[3:]) @ rotation_matrix(start[3:]).T, self.data
         return [
             (shape, end[:3] + back @ (data.geom_xpos[shape] - start[:3]), back @ data.geom_xmat[shape].reshape(3, 3))
@@ -316,13 +289,10 @@ class Scenery:
 
 
 def _draw_arrow(scene: Any, knob: Array, force: Array, colour: Colour) -> None:
-    """Draw a force to scale, from the knob's surface.
-
-    A force below 0.05 N is not drawn.
-    """
+    """Draw a force to scale from the surface of the knob; none below 0.05 N."""
     if float(np.linalg.norm(force)) >= LEAST_FORCE:
         start = arrow_start(knob, force)
-        # an arrow between two points is drawn from the first on, at half the length between them
+        # mjGEOM_ARROW is drawn at half the distance between its points
         _connect(scene, start, start + 2.0 * ARROW * force, 0.0016, colour)
 
 
@@ -332,20 +302,17 @@ def _connect(scene: Any, start: Array, end: Array, width: float, colour: Colour)
         _style(shape, (*colour, 1.0), 0.3)
 
 
-def _add(scene: Any, kind: int, size: Any, place: Any, matrix: Any, colour: _Shade, emission: float = 0.1) -> Any:
-    """Add a shape; return it, or None if full."""
+def _add(scene: Any, kind: int, size: Any, position: Any, matrix: Any, colour: _Shade, emission: float = 0.1) -> Any:
+    """Add a geom to a scene; return it, or None if the scene is full."""
     if (shape := _next(scene)) is not None:
-        parts = (np.asarray(part, dtype=np.float64) for part in (size, place, matrix))
+        parts = (np.asarray(part, dtype=np.float64) for part in (size, position, matrix))
         mujoco.mjv_initGeom(shape, kind, *parts, np.array(colour, np.float32))
         _style(shape, colour, emission)
     return shape
 
 
 def _next(scene: Any) -> Any:
-    """Return a scene's next free shape.
-
-    None if the scene is full; the rest is then left out.
-    """
+    """Return the next free geom of a scene, or None if the scene is full."""
     if scene.ngeom >= scene.maxgeom:
         return None
     scene.ngeom += 1

@@ -1,7 +1,4 @@
-"""Window: MuJoCo's viewer on a session.
-
-The mouse is the hand.
-"""
+"""Window of a session in MuJoCo's viewer; the mouse is the hand."""
 
 from __future__ import annotations
 
@@ -37,44 +34,39 @@ from maglev_mj.views.window.offscreen import OffscreenPainter, write_picture
 from maglev_mj.views.window.scenery import Framing, Scenery
 from maglev_mj.views.window.screen import Screen, moved_by_mouse
 
-_SHARES, _AT_MOST, _LARGE = (0.92, 0.88), (1200, 800), 2.0 / 3.0
-"""Shares of a small screen, width and height; their largest size [pixels]; a large screen's share."""
+_SMALL, _LIMITS, _LARGE = (0.92, 0.88), (1200, 800), 2.0 / 3.0
+"""Fractions of a small screen, width and height; their limits [pixels]; fraction of a large screen."""
 
 
 def fitted_size(width: int, height: int) -> tuple[int, int]:
-    """Return a window's size [pixels]: nearly a small screen's, two thirds of a large one's."""
-    sizes = (int(max(min(s * a, m), _LARGE * a)) for s, a, m in zip(_SHARES, (width, height), _AT_MOST))
+    """Return the window size [pixels]: most of a small screen, two thirds of a large one."""
+    sizes = (int(max(min(s * a, m), _LARGE * a)) for s, a, m in zip(_SMALL, (width, height), _LIMITS))
     return next(sizes), next(sizes)
 
 
 class Grab:
-    """Take plain left drags of the knob before the engine's viewer gets them.
-
-    Others go on to it: they turn the camera.
+    """Filter that takes plain left drags of the knob from MuJoCo's viewer and passes on all other mouse events.
 
     Attributes:
-        moved: Displacement of the held knob in the drawing [m], (3,); None if it is not held.
-        knob: Its place on the screen, see `Framing.seen`; None if no hand moves it.
+        moved: Displayed displacement of the held knob [m], (3,); None if not held.
+        knob: Projection of the knob, see `Framing.project`; None if the mouse is not the hand.
     """
 
     def __init__(self) -> None:
         self.moved: Array | None = None
         self.knob: tuple[Array, Array, Array] | None = None
         self._start = np.zeros(2)
-        self._kept: tuple[Any, ...] = ()
+        self._callbacks: tuple[Any, ...] = ()
 
     def attach(self, window: Any) -> None:
-        """Size a window of the engine, and take its mouse.
-
-        The thread that polls its events calls this.
-        """
-        with warnings.catch_warnings():  # some screens place windows themselves
+        """Set a window's size and mouse callbacks; call it in the thread that polls events."""
+        with warnings.catch_warnings():  # some window systems do not let a program position its windows
             warnings.simplefilter("ignore")
             left, top, wide, high = glfw.get_monitor_workarea(glfw.get_primary_monitor())
             size = fitted_size(wide, high)
             glfw.set_window_size(window, *size)
             glfw.set_window_pos(window, left + (wide - size[0]) // 2, top + (high - size[1]) // 2)
-        inner: Any = glfw  # the package's own setters do not return the engine's callbacks
+        inner: Any = glfw  # its public setters do not return the previous callbacks
         raw = inner._glfw
 
         def button(which: Any, number: int, action: int, modifiers: int) -> None:
@@ -95,10 +87,10 @@ class Grab:
             raw.glfwSetMouseButtonCallback(window, calls[0]),
             raw.glfwSetCursorPosCallback(window, calls[1]),
         )
-        self._kept = calls, pressed, pointed
+        self._callbacks = calls, pressed, pointed  # ctypes keeps no reference
 
     def _take(self, window: Any) -> bool:
-        """Take hold of the knob if the mouse points at it."""
+        """Grab the knob if the pointer is on it; return True if it is held."""
         self._start, knob = _pixel(window), self.knob
         if knob is not None and np.linalg.norm(self._start - knob[0]) * np.linalg.norm(knob[1]) <= KNOB[0]:
             self.moved = np.zeros(3)
@@ -106,7 +98,7 @@ class Grab:
 
 
 def _pixel(window: Any) -> Array:
-    """Return the mouse's pixel, from the lower left corner, (2,)."""
+    """Return the pointer's position from the lower left corner [pixels], (2,)."""
     (x, y), (wide, high) = glfw.get_cursor_pos(window), glfw.get_framebuffer_size(window)
     scale = wide / max(glfw.get_window_size(window)[0], 1)
     return np.array([scale * x, high - scale * y])
@@ -115,101 +107,95 @@ def _pixel(window: Any) -> Array:
 _FRAME = 1.0 / 60.0
 _NAP = 0.001
 _PATIENCE = 10.0
-_SLOW, _LONG = 0.05, 1.0
+_SLOW_FRAME, _SLOW_TIME = 0.05, 1.0
 _PICTURE = 1600, 1000
 
 
 class SlowFrames:
-    """Detector of a second of slow frames.
-
-    It reports once, when every frame of a second has taken more than 50 ms.
+    """Detector of slow drawing: reports once, after a second in which every frame took more than 50 ms.
 
     Args:
-        clock: Function that returns real time [s].
+        clock: Clock of real time [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock, self._since, self._told = clock, -1.0, False
+        self._clock, self._since, self._reported = clock, -1.0, False
 
     def add(self, cost: float) -> bool:
-        """Return True once to switch shadows off.
+        """Return True once, when drawing is slow.
 
-        `cost` is the time of the last frame [s].
+        Args:
+            cost: Time of the last frame [s].
         """
         now = self._clock()
-        if self._told or cost <= _SLOW:
+        if self._reported or cost <= _SLOW_FRAME:
             self._since = -1.0
             return False
         if self._since < 0.0:
             self._since = now
-        self._told = now - self._since >= _LONG
-        return self._told
+        self._reported = now - self._since >= _SLOW_TIME
+        return self._reported
 
 
 class _Mouse(NamedTuple):
-    """State of the mouse as a hand.
-
-    Flags for pushing and twisting, the target of the grip [m], and the target rotation, a quaternion.
-    """
+    """Drag of the flotor by MuJoCo's viewer: translation and rotation flags, target of the grip [m], quaternion."""
 
     pushes: bool
     twists: bool
-    place: Array
-    turn: tuple[float, float, float, float]
+    position: Array
+    quaternion: tuple[float, float, float, float]
 
 
 def require_display() -> None:
     """Check that a window can be opened.
 
     Raises:
-        DisplayError: If there is no display, or no library to open a window with.
+        DisplayError: If there is no display or no OpenGL library.
     """
-    instead = "--web shows it in a browser, and `maglev-mj render SCENE --out FILE.png` draws a picture"
+    instead = "use --web (browser) or `maglev-mj render SCENE --out FILE.png` (picture)"
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise DisplayError(f"a window needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set: {instead}")
+        raise DisplayError(f"no display for a window (DISPLAY and WAYLAND_DISPLAY are not set): {instead}")
     # mjpython has loaded the viewer module and set this attribute
     if sys.platform == "darwin" and getattr(sys.modules.get("mujoco.viewer"), "_MJPYTHON", None) is None:
         raise DisplayError(
-            "a window on macOS needs the program mjpython, which comes with mujoco: `mjpython -m maglev_mj view`; or "
-            "without it `maglev-mj view --web`, in a browser"
+            "a window on macOS needs mjpython (part of mujoco): run `mjpython -m maglev_mj view`, or "
+            "`maglev-mj view --web` in a browser"
         )
-    with warnings.catch_warnings():  # its warning is raised as an error here
+    with warnings.catch_warnings():  # raised as DisplayError below
         warnings.simplefilter("ignore")
         if not glfw.init():
-            raise DisplayError(f"a window cannot be opened on this display: {instead}")
+            raise DisplayError(f"cannot open a window on this display: {instead}")
 
 
 def show(
     session: SnapshotSource, *, folder: Path = Path(), duration: float | None = None, shadows: bool | None = None
 ) -> ShowReport:
-    """Open a window on a session and run it.
-
-    The session runs in real time until the window is closed.
+    """Show a session in a window and run it in real time until the window is closed.
 
     Args:
         session: Session to show.
-        folder: Folder of screenshots.
-        duration: Real time until the window closes [s]; None waits for the user.
-        shadows: True to draw shadows; None to draw them while frames are not slow.
+        folder: Folder for screenshots.
+        duration: Real time until the window closes [s]; None to wait for the user.
+        shadows: True to draw shadows; None to turn them off when drawing is slow.
 
     Returns:
-        Figures of the frames and the session.
+        Report of the frames and the session.
 
     Raises:
         DisplayError: If a window cannot be opened.
     """
     require_display()
-    with interrupts_held():  # half open it cannot be closed, and its drawing thread crashes a program that ends
+    with interrupts_held():  # a half-open window cannot be closed, and its render thread would crash the exit
         window = _Window(session, folder, shadows)
     with closing(window), closing(session), engine_warnings_silenced():
         return window.run(duration)
 
 
 class _Window:
-    """Window on a session.
+    """Window of a session.
 
-    There are three threads: the calling one makes the control ticks, a second passes each snapshot to the engine's
-    viewer, and the viewer draws in its own. Passing a snapshot waits for a frame, which must not delay the ticks.
+    Three threads: the caller's runs the ticks, a second passes snapshots to MuJoCo's viewer, the viewer renders in its
+    own. Passing a snapshot blocks until a frame is drawn, which must not delay the ticks.
     """
 
     def __init__(self, session: SnapshotSource, folder: Path, shadows: bool | None) -> None:
@@ -220,7 +206,7 @@ class _Window:
         self._snapshots: queue.Queue[Snapshot | None] = queue.Queue(maxsize=1)
         self._mouse: _Mouse | None = None
         self._grab = Grab()
-        self._from: Array | None = None
+        self._grab_pose: Array | None = None
         self._note = Note()
         self._costs: list[float] = []
         self._failed: Exception | None = None
@@ -229,7 +215,7 @@ class _Window:
         self._framing, self._camera_back = Framing(self._scenery.model), True
         before = set(threading.enumerate())
         self._handle = _launch(self._scenery.model, self._scenery.data, self._pressed.put, self._grab)
-        with self._handle.lock():  # for the frames until the first of ours
+        with self._handle.lock():  # for frames before our first
             self._framing.reset(self._handle.cam)
         if shadows is False:
             self._drop_shadows()
@@ -238,7 +224,7 @@ class _Window:
         self._painter.start()
 
     def run(self, duration: float | None) -> ShowReport:
-        """Make the ticks until the window is closed."""
+        """Run the ticks until the window is closed."""
         session, handle, due = self._session, self._handle, Due(_FRAME)
         ticks, wall_time = 0, 0.0
         for elapsed, passed in real_time(duration, _NAP):
@@ -262,13 +248,10 @@ class _Window:
         )
 
     def close(self) -> None:
-        """Close the window, and wait for the drawing threads.
-
-        They must not outlive the program.
-        """
+        """Close the window and join its threads, which must not outlive the program."""
         self._handle.close()
         simulation = self._handle._sim()
-        loading = simulation is not None and simulation.loading  # that load does not end
+        loading = simulation is not None and simulation.loading  # that load never returns
         end = time.monotonic() + (_NAP if loading else _PATIENCE)
         while self._painter.is_alive() and time.monotonic() < end:
             with suppress(queue.Full):
@@ -278,10 +261,7 @@ class _Window:
             thread.join(_PATIENCE)
 
     def _press_keys(self) -> None:
-        """Run the actions of the keys pressed.
-
-        They are those since the last tick.
-        """
+        """Perform the actions of the keys pressed since the last tick."""
         while not self._pressed.empty():
             code, snapshot = self._pressed.get(), self._session.snapshot()
             self._screen.note_engine_key(code)
@@ -298,45 +278,45 @@ class _Window:
             elif action is not None:
                 try:
                     self._session.act(action)
-                except (MaglevError, OSError) as error:  # such as a rate without a possible controller
+                except (MaglevError, OSError) as error:  # for example a rate that no controller supports
                     self._note.say(str(error))
 
     def _guide_hand(self) -> None:
-        """Move the hand's target to the mouse, or release it."""
+        """Set the hand's target from the mouse, or release the hand."""
         mouse, self._mouse, moved = self._mouse, None, self._grab.moved
         if mouse is None and moved is None:
             return
         hand = self._session.hand
         if moved is None and not (mouse is not None and (mouse.pushes or mouse.twists)):
-            self._from = None
+            self._grab_pose = None
             if hand.target is not None:
                 hand.target = None
             return
         pose = self._session.snapshot().pose
-        start = self._from = pose if self._from is None else self._from
+        start = self._grab_pose = pose if self._grab_pose is None else self._grab_pose
         goal, turned = pose[:3], pose[3:]
         if mouse is not None and moved is None:
-            turned = np.array(rotation_vector(*mouse.turn)) if mouse.twists else turned
-            moved = mouse.place - rotation_matrix(start[3:]) @ GRIP - start[:3] if mouse.pushes else None
+            turned = np.array(rotation_vector(*mouse.quaternion)) if mouse.twists else turned
+            moved = mouse.position - rotation_matrix(start[3:]) @ GRIP - start[:3] if mouse.pushes else None
         if moved is not None:
             goal, self._screen.dragged = start[:3] + true_pose(moved, self._screen.factor), True
         hand.target = [float(part) for part in (*goal, *turned)]
 
     def _paint(self) -> None:
-        """Pass snapshots to the viewer until the end."""
+        """Pass snapshots to the viewer until None arrives."""
         while (snapshot := self._snapshots.get()) is not None:
             begun = time.perf_counter()
             try:
                 self._draw(snapshot)
             except Exception as error:
-                if self._handle.is_running():  # otherwise the window was closed
+                if self._handle.is_running():  # else the window was closed
                     self._failed = error
                 return
             cost = time.perf_counter() - begun
             self._costs.append(cost)
             if self._slow is not None and self._slow.add(cost):
                 self._drop_shadows()
-                self._note.say("shadows are off, for frames were slow; S puts them back")
+                self._note.say("Shadows off: slow drawing. S turns them on.")
 
     def _drop_shadows(self) -> None:
         with self._handle.lock():
@@ -346,12 +326,12 @@ class _Window:
         handle = self._handle
         if not handle.is_running():
             return
-        if snapshot.scene.model != self._scenery.shown:
+        if snapshot.scene.model != self._scenery.path:
             self._scenery = Scenery(snapshot.scene)
             self._framing, self._camera_back = Framing(self._scenery.model), True
-            # the handle offers no way to change the model; the simulation behind it, which opened it, does
+            # the handle cannot change the model, but its simulation can
             simulation = handle._sim()
-            simulation.loading = True  # before the look whether it runs: a window closed from here on destroys nothing
+            simulation.loading = True  # set before the check: a window closed from here on is not destroyed
             if not handle.is_running():
                 return
             simulation.load(self._scenery.model, self._scenery.data, "")
@@ -363,7 +343,7 @@ class _Window:
             over = self._screen.draw(snapshot, view, self._scale, self._note.lines)
         with handle.lock():
             factor = self._screen.factor
-            scenery.place(snapshot, factor)
+            scenery.set_pose(snapshot, factor)
             scene = handle.user_scn
             scene.ngeom = 0
             scenery.decorate(scene, snapshot, factor)
@@ -374,11 +354,11 @@ class _Window:
                 framing.follow(handle.cam, view, over.layout.handle)
                 pose = magnified(snapshot, factor).pose
                 knob = pose[:3] + rotation_matrix(pose[3:]) @ GRIP
-                self._grab.knob = framing.seen(handle.cam, view, knob) if moved_by_mouse(snapshot) else None
+                self._grab.knob = framing.project(handle.cam, view, knob) if moved_by_mouse(snapshot) else None
                 if (corner := framing.corner(handle.cam, view, over.layout.handle)) is not None:
                     scenery.draw_axes(scene, *corner)
             self._mouse = _mouse(handle.perturb)
-            handle.perturb.select = scenery.flotor  # always in reach, without a double click
+            handle.perturb.select = scenery.flotor  # selected without a double click
             handle.perturb.localpos[:] = GRIP
         if over is not None:
             handle.set_figures(over.figures)
@@ -386,13 +366,10 @@ class _Window:
         handle.sync()
 
     def _picture(self, snapshot: Snapshot, path: Path) -> None:
-        """Write a picture, larger than the window.
-
-        It has no window borders.
-        """
+        """Write a screenshot, rendered off screen at a fixed size."""
         try:
-            # a program draws with one library only: that of its window, unless MUJOCO_GL is set
-            with self._handle.lock():  # it may be loading a model, and the engine's table of GL functions is one
+            # a process can load one OpenGL library: the window's, unless MUJOCO_GL is set
+            with self._handle.lock():  # not while a model loads: MuJoCo's table of GL functions is global
                 painter = OffscreenPainter(snapshot.scene, *_PICTURE, default="glfw", factor=self._screen.factor)
             with closing(painter):
                 write_picture(painter.picture(snapshot), path)
@@ -402,31 +379,31 @@ class _Window:
 
 
 def _launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Callable[[int], object], grab: Grab) -> Any:
-    """Open a window of the engine's viewer on a model; return the engine's handle."""
-    from mujoco import viewer  # imported here, because it needs a display
+    """Open MuJoCo's passive viewer on a model; return its handle."""
+    from mujoco import viewer  # needs a display
 
     engine: Any = viewer
     plain = engine._Simulate
 
-    class Simulation(engine._Simulate):  # type: ignore[misc] # it has no types
-        """The engine's simulation, which lends us its mouse and may be closed while it loads a model.
+    class Simulation(engine._Simulate):  # type: ignore[misc]
+        """MuJoCo's simulation with our mouse callbacks, and a window that may be closed during a load.
 
-        A load waits for the drawing thread, which a closed window has ended: to destroy the simulation then would wait
-        for the load indefinitely, and hold the interpreter's lock meanwhile.
+        A load waits for the render thread, which a closed window has ended: destroying the simulation would wait for
+        the load indefinitely while holding the GIL.
         """
 
         loading = False
 
         def __init__(self, *arguments: Any) -> None:
             super().__init__(*arguments)
-            grab.attach(glfw.get_current_context())  # made with the window, in the thread that polls its events
+            grab.attach(glfw.get_current_context())  # the thread that polls events
 
         def destroy(self) -> None:
-            """Destroy the simulation, unless it loads."""
+            """Destroy the simulation unless it is loading."""
             if not self.loading:
                 super().destroy()
 
-    engine._Simulate = Simulation  # launch_passive takes no callback for its mouse
+    engine._Simulate = Simulation  # launch_passive takes no mouse callback
     try:
         return viewer.launch_passive(model, data, key_callback=key_callback, show_left_ui=False, show_right_ui=False)
     finally:
@@ -434,34 +411,29 @@ def _launch(model: mujoco.MjModel, data: mujoco.MjData, key_callback: Callable[[
 
 
 def _mouse(perturb: Any) -> _Mouse:
-    """Return the mouse's action on the flotor."""
     active = int(perturb.active)
     return _Mouse(
         pushes=bool(active & int(mujoco.mjtPertBit.mjPERT_TRANSLATE)),
         twists=bool(active & int(mujoco.mjtPertBit.mjPERT_ROTATE)),
-        place=perturb.refselpos.copy(),
-        turn=tuple(perturb.refquat.tolist()),
+        position=perturb.refselpos.copy(),
+        quaternion=tuple(perturb.refquat.tolist()),
     )
 
 
 def _font_scale() -> int:
-    """Return the engine's font scale on this screen [%].
-
-    The engine's viewer does not report it.
-    """
+    """Return MuJoCo's font scale on this screen [%], which its viewer does not report."""
     monitor = glfw.get_primary_monitor()
     if not monitor:
         return 100
     if sys.platform == "darwin":
-        dense = 100.0 * glfw.get_monitor_content_scale(monitor)[0]
+        dpi = 100.0 * glfw.get_monitor_content_scale(monitor)[0]
     else:
         width, _ = glfw.get_monitor_physical_size(monitor)
-        dense = 25.4 * glfw.get_video_mode(monitor).size.width / width if width else 0.0
-        dense = dense if 50.0 < dense < 350.0 else 150.0
-    return min(max(50 * round(0.02 * dense), 100), 300)
+        dpi = 25.4 * glfw.get_video_mode(monitor).size.width / width if width else 0.0
+        dpi = dpi if 50.0 < dpi < 350.0 else 150.0
+    return min(max(50 * round(0.02 * dpi), 100), 300)
 
 
 def _new_picture(folder: Path) -> Path:
-    """Return an unused file name for a picture."""
     names = (folder / f"maglev-{number:03d}.png" for number in count(1))
     return next(path for path in names if not path.exists())
