@@ -107,37 +107,37 @@ class StabilityMap:
     def __init__(self) -> None:
         self.scene: Scene | None = None
         self._answers: SideAnswers | None = None
-        self._asked: Any = None
-        self._margin, self._waits = Margin(""), False
+        self._arguments: Any = None
+        self._margin, self._pending = Margin(""), False
 
     def of(self, snapshot: Snapshot) -> Margin:
         """Return the margin of a snapshot's scene, or the previous one until it is computed."""
-        if not self._waits and (question := _question(snapshot)) != self._asked:
+        if not self._pending and (arguments := _arguments(snapshot)) != self._arguments:
             if self._answers is None or self._answers.ended:
                 self._answers = SideAnswers(margin, "")
-            self._answers.ask(*question)
-            self._asked, self._waits = question, True
-        if self._waits and self._answers is not None:
+            self._answers.ask(*arguments)
+            self._arguments, self._pending = arguments, True
+        if self._pending and self._answers is not None:
             try:
                 computed = self._answers.answer()
             except Exception:  # no answer, or a scene that cannot be pickled
                 computed = Margin("stability not computed")
             if computed is not None:
-                self.scene, self._margin, self._waits = self._asked[0], computed, False
+                self.scene, self._margin, self._pending = self._arguments[0], computed, False
         return self._margin
 
     def wait(self, snapshot: Snapshot) -> None:
         """Compute a missing margin in this process."""
         if self.scene != snapshot.scene:
-            self.scene, self._asked, self._waits = snapshot.scene, _question(snapshot), False
-            self._margin = margin(*self._asked)
+            self.scene, self._arguments, self._pending = snapshot.scene, _arguments(snapshot), False
+            self._margin = margin(*self._arguments)
 
 
 STABILITY = StabilityMap()
 """Shared by all viewers of this process."""
 
 
-def _question(snapshot: Snapshot) -> tuple[Scene, float | None, Sequence[float] | None]:
+def _arguments(snapshot: Snapshot) -> tuple[Scene, float | None, Sequence[float] | None]:
     """Return the arguments of `margin`; a measured delay is rounded to 0.1 ms, because it fluctuates."""
     return snapshot.scene, round(snapshot.delay, 4) if snapshot.state == "flying" else None, snapshot.inertia
 

@@ -130,8 +130,8 @@ def test_in_flight_it_is_of_the_measured_delay_and_the_devices_mass(beside: Stab
     flying: dict[str, Any] = {"state": "flying", "inertia": [0.75] * 3 + [1e-3] * 3}
     shots = [shown(Joystick(), delay=delay, **flying) for delay in (0.0021, 0.00212, 0.0031)]
     found = [settled(shots[0], lambda: beside.scene is not None), wall_of(shots[1])]
-    assert beside._asked[1] == 0.0021 and wall_of(shots[2]) != Reading("wall", "...")  # of the same scene
-    found.append(settled(shots[2], lambda: not beside._waits))
+    assert beside._arguments[1] == 0.0021 and wall_of(shots[2]) != Reading("wall", "...")  # of the same scene
+    found.append(settled(shots[2], lambda: not beside._pending))
     want = [str(wall_margin(Joystick(), delay=delay, inertia=flying["inertia"])) for delay in (0.0021, 0.0031)]
     assert [one.value for one in found if one] == [want[0], *want]
 

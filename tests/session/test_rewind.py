@@ -364,5 +364,5 @@ def test_single_steps_go_on_from_there_and_a_program_waits_for_none() -> None:
 def test_a_device_refuses_a_rewind() -> None:
     viewer, said = object.__new__(RemoteViewer), list[str]()
     viewer._scene, viewer._note = Joystick(), type("Said", (), {"say": staticmethod(said.append)})()
-    assert viewer._asked("change", {"rewind": 1.0}) is None and viewer._asked("act", "rewind") is None
-    assert said == 2 * ["rewind is for a simulation: a device cannot be rewound"]
+    assert viewer._changed("change", {"rewind": 1.0}) is None and viewer._changed("act", "rewind") is None
+    assert said == 2 * ["rewind needs a simulation: a device cannot be rewound"]

@@ -129,7 +129,7 @@ def test_both_ends_of_a_window_agree() -> None:
         viewer.show(blank)
     assert closed == [1] and viewer.hand.target is None
     viewer.line.close()
-    with pytest.raises(MaglevError, match="the device's program has ended"):
+    with pytest.raises(MaglevError, match="the control process has ended"):
         session.tick(0.02)
 
 
@@ -189,7 +189,7 @@ def test_where_a_recording_has_jumped_few_rows_are_sent_and_the_newest_of_them()
 
 @pytest.mark.machine
 def test_a_page_whose_process_ends_ends_the_session() -> None:
-    with pytest.raises(MaglevError, match="the process that shows the scene has ended"):
+    with pytest.raises(MaglevError, match="the viewer process has ended"):
         show_remotely(Session(), id, 60.0)
 
 

@@ -153,7 +153,7 @@ def test_a_token_is_shown_once_and_kept_as_a_cookie_that_scripts_and_other_sites
 def test_a_server_that_starts_without_the_door_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     # As another version of viser might: the process that serves the page ends.
     monkeypatch.setattr(viser.ViserServer, "__init__", lambda self, **options: None)
-    with listen(0) as listener, pytest.raises(MaglevError, match="without its door"):
+    with listen(0) as listener, pytest.raises(MaglevError, match="access control would be missing"):
         PageServer(Door("127.0.0.1", listener.getsockname()[1]), listener)
 
 
@@ -301,7 +301,7 @@ def test_magnified_the_handle_moves_further_among_its_walls_and_a_drag_asks_for_
     pose, faces = np.array([1e-3, 0.0, 2e-3, 0.0, 0.0, 0.0]), [(0, -1.0, 3.5e-3), (2, -1.0, 2e-3)]
     with page_of(pose=pose, faces=faces) as (page, source):
         page._panel._motion.value = "x5"
-        asyncio.run(page._panel._larger(None))
+        asyncio.run(page._panel._set_motion(None))
         stage = shown(page, source)
         assert stage._handle.position.tolist() == [5e-3, 0.0, 0.01] and stage._flotor.position.tolist() == [
             1e-3,
@@ -388,9 +388,9 @@ def test_a_page_that_only_watches_has_neither_hand_nor_sliders() -> None:
     snapshot = Snapshot(scene=Joystick(), actions=(*Session().actions, EMERGENCY_STOP))
     with served() as server:
         page = Page(server, Recorder(snapshot), drag=False, settings=False)
-        assert page._grab is None and page._panel._followed == [] and not page._stage.knob._impl.drag_cb
+        assert page._grab is None and page._panel._controls == [] and not page._stage.knob._impl.drag_cb
     with page_of() as (page, _):
-        assert page._grab is not None and len(page._panel._followed) > 5 and page._stage.knob._impl.drag_cb
+        assert page._grab is not None and len(page._panel._controls) > 5 and page._stage.knob._impl.drag_cb
 
 
 def test_the_page_of_a_recording_has_a_slider_of_its_time_and_a_button_for_each_action() -> None:
@@ -519,7 +519,7 @@ def grab_of(aimed: list[Any], server: Any = None) -> Grab:
     knob = SimpleNamespace(on_drag=lambda button, modifier: lambda callback: callback)
     grab = Grab(server, knob, aimed.append)
     if server is None:
-        grab._ask = lambda client: asyncio.sleep(10.0)  # type: ignore[method-assign]
+        grab._ping = lambda client: asyncio.sleep(10.0)  # type: ignore[method-assign]
     return grab
 
 
@@ -605,7 +605,7 @@ def test_ctrl_c_ends_a_page_and_says_what_it_came_to() -> None:
 
         waited(answered)
         ended = program.end()
-    assert (ended.status, ended.errors) == (0, "") and re.search(r"control ticks, \d+ missed", ended.output)
+    assert (ended.status, ended.errors) == (0, "") and re.search(r"control ticks, \d+ skipped", ended.output)
 
 
 def requested(url: str) -> int:

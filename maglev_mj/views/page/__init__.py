@@ -1,1 +1,1 @@
-"""A running scene as a page for any browser."""
+"""Web page of a running scene."""

@@ -1,4 +1,4 @@
-"""Browser page of a running scene, in its own process, behind a guard; viser serves it."""
+"""Web page of a running scene: a viser server in its own process, with access control."""
 
 from __future__ import annotations
 
@@ -34,23 +34,21 @@ from maglev_mj.views.page.stage import VIEWS, Grab, Stage, look
 from maglev_mj.views.viewer_process import Front, Inbox
 
 _FRAMES = "frame-ancestors 'self' http://127.0.0.1:* http://localhost:*"
-"""Pages that may frame this one: notebooks on this machine.
-
-Another page could lure a click to it.
-"""
+"""Origins that may embed the page: notebooks on this machine. Others could be used for clickjacking."""
 
 _TITLE, _HEAD = b"<title>Viser</title>", Path(__file__).with_name("head.html").read_bytes()
-"""Title of viser's page, and what stands in its place: title, icon, layout, and scripts."""
+"""Title of viser's page and its replacement: title, icon, styles, scripts."""
 
 
 @dataclass(frozen=True)
 class Door:
-    """Address of the page and the key to it.
+    """Address and access control of the page.
 
     Args:
-        host: IPv4 address, or name of one, where it listens.
-        port: Where it listens.
-        token: Text that a browser must show once; None for none.
+        host: IPv4 address or host name to listen on.
+        port: Port to listen on.
+        token: Access token; None for none.
+        origins: Other origins that may connect.
     """
 
     host: str
@@ -60,54 +58,51 @@ class Door:
 
     @property
     def url(self) -> str:
-        """Address for a browser, with the token, if any."""
+        """URL for a browser, with the access token if any."""
         return f"http://{self.host}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie.
-
-        It holds the port, by which browsers do not keep cookies apart.
-        """
+        """Name of the cookie; contains the port, because browsers share cookies between ports."""
         return f"maglev_mj_{self.port}"
 
     def refusal(self, path: str, headers: Headers) -> str:
-        """Return the reason for refusing a request; empty if allowed."""
+        """Return the reason for rejecting a request; empty if accepted."""
         hosts, origins, jar = (headers.get_all(name) for name in ("Host", "Origin", "Cookie"))
         upgrade = "Upgrade" in headers
-        if why := self._access.refusal(hosts, origins or [""] * upgrade):
-            return why
+        if reason := self._access.refusal(hosts, origins or [""] * upgrade):
+            return reason
         if self.token is None:
             return ""
-        shown = re.findall(rf"(?:^|;)\s*{self.cookie}=([\w-]+)", "; ".join(jar), re.ASCII)
+        tokens = re.findall(rf"(?:^|;)\s*{self.cookie}=([\w-]+)", "; ".join(jar), re.ASCII)
         if not upgrade:
-            shown += parse_qs(urlsplit(path).query).get("token", [])
-        right = [hmac.compare_digest(one.encode(), self.token.encode()) for one in shown]
-        return "" if any(right) else "the address must have the token that was printed at the start: ?token=..."
+            tokens += parse_qs(urlsplit(path).query).get("token", [])
+        valid = [hmac.compare_digest(token.encode(), self.token.encode()) for token in tokens]
+        return "" if any(valid) else "access token missing or invalid: open the URL printed at startup (?token=...)"
 
     @cached_property
     def _access(self) -> Access:
-        """Access by the host asked for, and this machine's names if they lead here."""
-        # at every address any number is right, but no name: those are what an attacker can have
-        own = r"(?:\d{1,3}\.){3}\d{1,3}" if self.host == "0.0.0.0" else re.escape(self.host)
-        hosts = rf"{own}(?::\d{{1,5}})?" + (f"|{LOOPBACK}" if is_loopback(self.host) else "")
+        """Access check for the host, and for the loopback names if it is a loopback address."""
+        # listening on all addresses: accept any IP address but no name, which an attacker could own (DNS rebinding)
+        pattern = r"(?:\d{1,3}\.){3}\d{1,3}" if self.host == "0.0.0.0" else re.escape(self.host)
+        hosts = rf"{pattern}(?::\d{{1,5}})?" + (f"|{LOOPBACK}" if is_loopback(self.host) else "")
         return Access(hosts, self.host, allowed=self.origins)
 
 
 @contextmanager
 def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
-    """Put websocket servers that start meanwhile behind a door.
+    """Apply access control to WebSocket servers that start in this context.
 
-    viser starts its server by `websockets.asyncio.server.serve`. It takes neither a socket that listens nor a check of
-    requests before the handshake, so any web page could steer a device on this machine. Until it takes both, this
-    replaces `serve` while viser starts, here alone.
+    viser calls `websockets.asyncio.server.serve` and accepts neither a listening socket nor a check of requests before
+    the handshake, without which any web page could control a device on this machine. Therefore this replaces `serve`
+    while viser starts.
 
     Args:
-        door: The door.
-        listener: Socket that listens; in place of any host and port that the server would choose.
+        door: Address and access control.
+        listener: Listening socket, in place of the server's host and port.
 
     Raises:
-        MaglevError: If no server has started: one that starts in another way has no door.
+        MaglevError: If no server has started through `serve`: it would have no access control.
     """
     real, started = websockets_server.serve, False
 
@@ -116,11 +111,11 @@ def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
         started = True
 
         def check(connection: Any, request: Request) -> Response | None:
-            if why := door.refusal(request.path, request.headers):
+            if reason := door.refusal(request.path, request.headers):
                 text = Headers({"Content-Type": "text/plain; charset=utf-8"})
-                return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", text, f"{why}\n".encode())
+                return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", text, f"{reason}\n".encode())
             page = "Upgrade" not in request.headers
-            # without its headers it is answered uncompressed, so that its head can be ours
+            # without headers the response is uncompressed, so that its head can be replaced
             answer: Response | None = process_request(connection, Request(request.path, Headers()) if page else request)
             if answer is not None:
                 answer.body = answer.body.replace(_TITLE, _HEAD, 1)
@@ -129,8 +124,8 @@ def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
                 answer.headers["Content-Security-Policy"] = _FRAMES
                 answer.headers["Referrer-Policy"] = "no-referrer"
                 if door.token is not None:
-                    kept = "HttpOnly; SameSite=Strict; Path=/"
-                    answer.headers["Set-Cookie"] = f"{door.cookie}={door.token}; {kept}"
+                    attributes = "HttpOnly; SameSite=Strict; Path=/"
+                    answer.headers["Set-Cookie"] = f"{door.cookie}={door.token}; {attributes}"
             return answer
 
         return real(handler, sock=listener, process_request=check, **options)
@@ -141,7 +136,7 @@ def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
     finally:
         websockets_server.serve = real  # type: ignore[misc]
     if not started:
-        raise MaglevError("the page's server starts in a way that is not known here, without its door")
+        raise MaglevError("the page's server did not start through websockets.serve, access control would be missing")
 
 
 _FRAME, _PLOT = 1.0 / 30.0, 1.0 / 8.0
@@ -149,13 +144,11 @@ _NAP = 0.005
 
 
 class PageServer(viser.ViserServer):
-    """viser's server behind a door.
-
-    No browser can make it ask for a public address.
+    """viser's server with access control and without public share URLs.
 
     Args:
-        door: The door.
-        listener: Socket that listens there.
+        door: Address and access control.
+        listener: Listening socket.
     """
 
     def __init__(self, door: Door, listener: socket.socket) -> None:
@@ -164,18 +157,18 @@ class PageServer(viser.ViserServer):
         self._websock_server.unregister_handler(ShareUrlRequest)
 
     def request_share_url(self, verbose: Any = True) -> str | None:
-        """Return None: a device is not for the public."""
+        """Return None: share URLs are disabled."""
         return None
 
 
 class Page:
-    """The page of one source.
+    """Page of a source.
 
     Args:
-        server: Its server.
-        source: What it shows.
-        drag: Whether the knob can be pulled.
-        settings: Whether parameters can be changed.
+        server: Server of the page.
+        source: Source to show.
+        drag: True to let the user pull the knob.
+        settings: True to let the user change parameters.
     """
 
     def __init__(
@@ -199,7 +192,7 @@ class Page:
         server.on_client_connect(_greet)
 
     def run(self) -> None:
-        """Show the source until it ends."""
+        """Show the source until it raises."""
         for elapsed, _ in real_time(None, _NAP):
             self._source.tick(elapsed)
             self._apply()
@@ -221,7 +214,7 @@ class Page:
             self._grab.pose, self._grab.factor = snapshot.pose, self._stage.factor
         if snapshot.target is not None:
             self._stage.hint = ""
-        if not self._server.get_clients():  # the next one is told all at once
+        if not self._server.get_clients():  # a new client gets the full state
             return
         with self._server.atomic():
             self._stage.show(snapshot)
@@ -231,33 +224,30 @@ class Page:
 
 
 async def _greet(client: viser.ClientHandle) -> None:
-    """Fit the device into a browser with an unmoved camera.
-
-    It is unmoved at first, and after a reset by the person.
-    """
-    view, (place, _) = next(iter(VIEWS.items()))
+    """Fit the device into a browser's view while its camera is at the default position."""
+    view, (position, _) = next(iter(VIEWS.items()))
 
     async def fit(camera: viser.CameraHandle) -> None:
-        if np.allclose(camera.position, place, atol=1e-4):
+        if np.allclose(camera.position, position, atol=1e-4):
             look(client, view)
 
     client.camera.on_update(fit)
 
 
 def page(door: Door, listener: socket.socket, *, drag: bool = True, settings: bool = True) -> Front:
-    """Return the server of a page.
+    """Return the viewer function of a page.
 
     Args:
-        door: Where, and to whom.
-        listener: Socket that listens there.
-        drag: Whether the knob can be pulled.
-        settings: Whether parameters can be changed.
+        door: Address and access control.
+        listener: Listening socket.
+        drag: True to let the user pull the knob.
+        settings: True to let the user change parameters.
     """
     return partial(_serve, door, listener, {"drag": flag("drag", drag), "settings": flag("settings", settings)})
 
 
 def _serve(door: Door, listener: socket.socket, options: Mapping[str, bool], source: SnapshotSource) -> None:
-    # what viser says is not for the terminal, nor what browsers do wrong
+    # no messages of viser or of failed handshakes on the terminal
     sys.stdout = open(os.devnull, "w", encoding="utf-8")
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
     server = PageServer(door, listener)

@@ -1,4 +1,4 @@
-"""The page's panel: banner, readings, actions, scene, parameters, cameras, and their inputs."""
+"""Panel of the page: banner, readings, actions, scene, parameters, cameras."""
 
 from __future__ import annotations
 
@@ -18,66 +18,61 @@ from maglev_mj.session.actions import actions
 from maglev_mj.session.snapshot import TourLine
 from maglev_mj.views.magnifier import MAGNIFICATIONS
 from maglev_mj.views.page.stage import VIEWS, look, update
-from maglev_mj.views.readings import FORCES, Banner, Reading, banner, readings, round_up
+from maglev_mj.views.readings import FORCES, RESUME, Banner, Reading, banner, readings, round_up
 
 Ask = Callable[[str, Any], object]
-"""Takes "act" and an action, or "change" and parameters."""
+"""Request of a user: "act" and an action, or "change" and parameters."""
 
 SETTLED = 1.0
-"""Pause after a person's last change [s].
+"""Time after a user's last change before a control shows the current value again [s], longer than its round trip."""
 
-A control shows the value in force only then, since that comes back with a delay.
-"""
-
-_SHARES, _ROOM = 200.0, 2.5
+_STEPS, _HEADROOM = 200.0, 2.5
 _INSIDE = 1e-3
-"""Distance from an excluded bound, a share of the default."""
+"""Distance from an excluded bound, as a fraction of the default."""
 
 
 class Control:
-    """Input of the page for one value.
+    """Input for one value.
 
     Args:
         name: Name of the parameter.
-        handle: viser's.
-        ask: Told what a person wants.
+        handle: viser's handle of the input.
+        ask: Called with the user's requests.
     """
 
     def __init__(self, name: str, handle: Any, ask: Ask) -> None:
         self.name, self.handle, self._moved = name, handle, -math.inf
 
         async def moved(event: Any) -> None:
-            if event.client is not None:  # a person's
+            if event.client is not None:  # by a user
                 self._moved = time.monotonic()
                 ask("change", {name: self.value(handle.value)})
 
         handle.on_update(moved)
 
     def show(self, value: Any) -> None:
-        """Show the value in force.
-
-        Not while a person is changing it.
-        """
+        """Show the current value, unless the user is changing it."""
         if time.monotonic() - self._moved > SETTLED:
-            update(self.handle, value=self.shown(value))
+            update(self.handle, value=self.to_input(value))
 
-    def value(self, shown: Any) -> Any:
-        """Convert an input's number into a parameter's value."""
-        return shown
+    def value(self, displayed: Any) -> Any:
+        """Convert the input's value to the parameter's."""
+        return displayed
 
-    def shown(self, value: Any) -> Any:
-        """Convert a parameter's value into an input's number."""
+    def to_input(self, value: Any) -> Any:
+        """Convert the parameter's value to the input's."""
         return value
 
 
 class Choice(Control):
-    """A choice among texts, or among numbers with their unit.
+    """Drop-down list of texts, or of numbers with their unit.
 
     Args:
         name: See `Control`.
         handle: See `Control`.
         ask: See `Control`.
-        texts: Text for each value.
+        texts: Function that returns the text of a value.
+        values: Value of each text.
     """
 
     def __init__(
@@ -86,15 +81,12 @@ class Choice(Control):
         self._texts, self._values = texts, dict(values)
         super().__init__(name, handle, ask)
 
-    def value(self, shown: Any) -> Any:
+    def value(self, displayed: Any) -> Any:
         """See `Control`."""
-        return self._values[shown]
+        return self._values[displayed]
 
-    def shown(self, value: Any) -> str:
-        """See `Control`.
-
-        A value that is not among the choices is added to them.
-        """
+    def to_input(self, value: Any) -> str:
+        """See `Control`; a new value is added to the list."""
         text = self._texts(value)
         if text not in self._values:
             self._values[text] = value
@@ -103,18 +95,18 @@ class Choice(Control):
 
 
 class Slider(Control):
-    """Slider whose range grows up to the parameter's bounds.
+    """Slider whose range extends up to the parameter's bounds.
 
     Args:
-        gui: viser's.
+        gui: viser's GUI.
         name: See `Control`.
-        label: Its label.
-        hint: Shown when the pointer rests on it.
-        value: Value at first.
-        bounds: Least and largest value that a person may choose.
+        label: Label.
+        hint: Tooltip.
+        value: Initial value.
+        bounds: Smallest and largest value.
         ask: See `Control`.
-        scale: Shown for each unit of the value.
-        room: A value that shall be in the range.
+        scale: Displayed number per unit of the value.
+        reference: Value that the initial range includes.
     """
 
     def __init__(
@@ -127,88 +119,82 @@ class Slider(Control):
         bounds: tuple[float, float],
         ask: Ask,
         scale: float = 1.0,
-        room: float = 0.0,
+        reference: float = 0.0,
     ) -> None:
-        self._scale, (self._least, self._most) = scale, bounds
-        most = self._top(max(abs(value), room)) * scale
-        step = round_up(most / _SHARES)
-        low = max(self._least * scale, -most)
-        low = 0.0 if 0.0 <= low < step else low  # or every value would be odd by that much
-        shown = min(max(value * scale, low), most)
-        super().__init__(name, gui.add_slider(label, low, most, step, shown, hint=hint), ask)
+        self._scale, (self._lower, self._upper) = scale, bounds
+        high = self._top(max(abs(value), reference)) * scale
+        step = round_up(high / _STEPS)
+        low = max(self._lower * scale, -high)
+        low = 0.0 if 0.0 <= low < step else low  # else every value is offset by it
+        initial = min(max(value * scale, low), high)
+        super().__init__(name, gui.add_slider(label, low, high, step, initial, hint=hint), ask)
 
-    def value(self, shown: float) -> float:
+    def value(self, displayed: float) -> float:
         """See `Control`."""
-        return min(max(shown / self._scale, self._least), self._most)
+        return min(max(displayed / self._scale, self._lower), self._upper)
 
-    def shown(self, value: float) -> float:
+    def to_input(self, value: float) -> float:
         """See `Control`."""
-        shown = float(f"{value * self._scale:.12g}")
-        if shown >= self.handle.max and value < self._most:
+        displayed = float(f"{value * self._scale:.12g}")
+        if displayed >= self.handle.max and value < self._upper:
             update(self.handle, max=self._top(value) * self._scale)
-        if shown < self.handle.min:
-            update(self.handle, min=shown)
-        return shown
+        if displayed < self.handle.min:
+            update(self.handle, min=displayed)
+        return displayed
 
     def _top(self, value: float) -> float:
-        """Return a range's upper end, with room above a value."""
-        return min(round_up(_ROOM * value) if value else 1.0, self._most)
+        """Return the upper limit of a range with headroom above a value."""
+        return min(round_up(_HEADROOM * value) if value else 1.0, self._upper)
 
 
-def control(gui: Any, one: Parameter, scene: Scene, ask: Ask) -> Control | None:
-    """Return an input for a live parameter.
-
-    None for a parameter that programs alone set.
-    """
-    value, label, hint = getattr(scene, one.name), one.name.replace("_", " "), _hint(one, scene.axis)
-    if one.kind is bool:
-        return Control(one.name, gui.add_checkbox(label, value, hint=hint), ask)
-    if one.kind is str and one.choices:
-        handle = gui.add_dropdown(label, one.choices, initial_value=value, hint=hint)
-        return Choice(one.name, handle, ask, str, {text: text for text in one.choices})
-    if one.kind not in (float, int) or value is None or not one.live:
+def control(gui: Any, item: Parameter, scene: Scene, ask: Ask) -> Control | None:
+    """Return an input for a live parameter; None for one that only programs set."""
+    value, label, hint = getattr(scene, item.name), item.name.replace("_", " "), _hint(item, scene.axis)
+    if item.kind is bool:
+        return Control(item.name, gui.add_checkbox(label, value, hint=hint), ask)
+    if item.kind is str and item.choices:
+        handle = gui.add_dropdown(label, item.choices, initial_value=value, hint=hint)
+        return Choice(item.name, handle, ask, str, {text: text for text in item.choices})
+    if item.kind not in (float, int) or value is None or not item.live:
         return None
-    if one.live.among:
-        inverse, unit = one.live.inverse, "Hz" if one.live.inverse and one.unit == "s" else one.unit
+    if item.live.among:
+        inverse, unit = item.live.inverse, "Hz" if item.live.inverse and item.unit == "s" else item.unit
 
         def text(value: float) -> str:
             return f"{1.0 / value if inverse else value:.4g} {unit}".strip()
 
-        values = sorted({*(1.0 / each if inverse else each for each in one.live.among), value}, reverse=inverse)
-        named = {text(each): each for each in values}
-        handle = gui.add_dropdown(one.live.word or label, tuple(named), initial_value=text(value), hint=hint)
-        return Choice(one.name, handle, ask, text, named)
-    scale, unit = (1e3, "ms") if one.unit == "s" else (1.0, unit_of(one.unit, scene.axis, one.along))
+        values = sorted({*(1.0 / entry if inverse else entry for entry in item.live.among), value}, reverse=inverse)
+        choices = {text(entry): entry for entry in values}
+        handle = gui.add_dropdown(item.live.word or label, tuple(choices), initial_value=text(value), hint=hint)
+        return Choice(item.name, handle, ask, text, choices)
+    scale, unit = (1e3, "ms") if item.unit == "s" else (1.0, unit_of(item.unit, scene.axis, item.along))
     return Slider(
         gui,
-        one.name,
+        item.name,
         f"{label} [{unit}]" if unit else label,
         hint,
         value,
-        _ends(one),
+        _limits(item),
         ask,
         scale,
-        abs(one.default) if isinstance(one.default, float | int) else 0.0,
+        abs(item.default) if isinstance(item.default, float | int) else 0.0,
     )
 
 
-def _ends(one: Parameter) -> tuple[float, float]:
-    """Return the least and largest value to choose.
-
-    These are the parameter's bounds, or the limits of its keys.
-    """
-    assert one.live
-    bounds, keys, inside = one.bounds, one.live, _INSIDE * abs(one.default or 1.0)
-    least = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf) + inside, keys.least)
-    most = min(bounds.get("at_most", math.inf), bounds.get("below", math.inf) - inside, keys.most)
-    return least, most
+def _limits(item: Parameter) -> tuple[float, float]:
+    """Return the smallest and largest value of a slider: the parameter's bounds, or the limits of its keys."""
+    assert item.live
+    bounds, keys, inside = item.bounds, item.live, _INSIDE * abs(item.default or 1.0)
+    lower = max(bounds.get("at_least", -math.inf), bounds.get("above", -math.inf) + inside, keys.least)
+    upper = min(bounds.get("at_most", math.inf), bounds.get("below", math.inf) - inside, keys.most)
+    return lower, upper
 
 
-def _hint(one: Parameter, axis: str) -> str:
-    """Return a parameter's description and allowed values."""
-    unit = unit_of(one.unit, axis, one.along)
-    words = [f"{word.replace('_', ' ')} {bound:g} {unit}".strip() for word, bound in one.bounds.items()]
-    return ": ".join([one.help, " and ".join(words)]) if words else one.help
+def _hint(item: Parameter, axis: str) -> str:
+    """Return a parameter's description and bounds."""
+    unit = unit_of(item.unit, axis, item.along)
+    bounds = [f"{word.replace('_', ' ')} {bound:g} {unit}".strip() for word, bound in item.bounds.items()]
+    return f"{item.help} ({', '.join(bounds)})" if bounds else item.help
 
 
 _ROWS = {
@@ -219,21 +205,21 @@ _ROWS = {
     "skip": ("skip back", "skip forward"),
     "tour": ("back", "next"),
 }
-_USUAL_STIFFNESS, _MOST_STIFFNESS = 200.0, 5000.0  # of the hand [N/m]
+_USUAL_STIFFNESS, _MAX_STIFFNESS = 200.0, 5000.0  # of the hand [N/m]
 _INPUTS = "gains", "active"
 _MOTIONS = {f"x{factor}": factor for factor in MAGNIFICATIONS}
 _PAUSED: Colour = (0.25, 0.28, 0.33)
 
 
 class Panel:
-    """Everything beside the scene but the plots.
+    """Panel beside the scene: banner, readings, buttons and controls.
 
     Args:
-        server: viser's.
-        snapshot: What is shown at first.
-        ask: Told what a person wants.
-        magnify: Told how far motion is magnified.
-        settings: Whether parameters can be changed.
+        server: viser's server.
+        snapshot: Initial snapshot.
+        ask: Called with the user's requests.
+        magnify: Called with the magnification of the handle's motion.
+        settings: True to let the user change parameters.
     """
 
     def __init__(
@@ -245,14 +231,14 @@ class Panel:
         self._scene: Any = None
         self._banner, self._words = gui.add_html("", order=0.0), gui.add_html("", order=0.1)
         self._buttons, self._parameters = gui.add_folder(None), gui.add_folder(None)
-        self._followed: list[tuple[Control, Callable[[Snapshot], Any]]] = []
+        self._controls: list[tuple[Control, Callable[[Snapshot], Any]]] = []
         self._time: Slider | None = None
         if snapshot.duration is not None:
-            hint, bounds = "moment of the recording", (0.0, snapshot.duration)
-            self._time = Slider(gui, "time", "time [s]", hint, snapshot.time, bounds, ask, room=snapshot.duration)
+            hint, bounds = "time in the recording", (0.0, snapshot.duration)
+            self._time = Slider(gui, "time", "time [s]", hint, snapshot.time, bounds, ask, reference=snapshot.duration)
         elif snapshot.rewound is not None and settings:
-            hint, bounds = "pauses, and shows the scene as it was before", (0.0, KEPT)
-            self._time = Slider(gui, "rewind", "rewind [s]", hint, 0.0, bounds, ask, room=KEPT)
+            hint, bounds = "time before now; pauses the scene", (0.0, KEPT)
+            self._time = Slider(gui, "rewind", "rewind [s]", hint, 0.0, bounds, ask, reference=KEPT)
             self._time.handle.order = 1.1
         self._add_views()
         self.show(snapshot)
@@ -267,27 +253,27 @@ class Panel:
             self._make_controls(snapshot)
         update(self._banner, content=_banner(banner(snapshot), snapshot))
         update(self._words, content=_tour(snapshot.tour) + _words(snapshot, self._settings))
-        for each, value in self._followed:
-            each.show(value(snapshot))
+        for control, value in self._controls:
+            control.show(value(snapshot))
         if self._time is not None:
             self._time.show(round(snapshot.time if snapshot.rewound is None else snapshot.rewound, 2))
 
     def _make_buttons(self, snapshot: Snapshot) -> None:
-        """Make a button for each action without another control."""
+        """Add a button for each action without another control."""
         self._buttons.remove()
-        self._buttons, known = self._gui.add_folder(None, order=1.0), snapshot.actions
-        shown = {name for row in _ROWS.values() for name in row} | {
+        self._buttons, available = self._gui.add_folder(None, order=1.0), snapshot.actions
+        placed = {name for row in _ROWS.values() for name in row} | {
             EMERGENCY_STOP,
             "next scene",
             REWINDS[0],
             *actions(type(snapshot.scene)),
         }
-        others = tuple(name for name in known if name not in shown and not name.startswith(CHOOSES))
+        others = tuple(name for name in available if name not in placed and not name.startswith(CHOOSES))
         with self._buttons:
             for label, row in (_ROWS | {"more": others}).items():
-                if there := tuple(name for name in row if name in known):
-                    self._add_row(label, there)
-            if EMERGENCY_STOP in known:
+                if names := tuple(name for name in row if name in available):
+                    self._add_row(label, names)
+            if EMERGENCY_STOP in available:
                 stop = self._gui.add_button(EMERGENCY_STOP, color=tuple(round(255 * part) for part in BAD))
                 stop.on_click(partial(self._act, lambda: EMERGENCY_STOP))
 
@@ -306,89 +292,91 @@ class Panel:
 
         views.on_click(chosen)
         self._motion = self._gui.add_button_group(
-            "motion", tuple(_MOTIONS), order=4.1, hint="of the handle, as it is drawn"
+            "motion", tuple(_MOTIONS), order=4.1, hint="magnification of the displayed motion"
         )
-        self._motion.on_click(self._larger)
+        self._motion.on_click(self._set_motion)
 
-    async def _larger(self, _: Any) -> None:
-        self._magnify(_MOTIONS.get(self._motion.value, 1))  # a browser may say anything
+    async def _set_motion(self, _: Any) -> None:
+        self._magnify(_MOTIONS.get(self._motion.value, 1))  # untrusted input
 
     def _make_controls(self, snapshot: Snapshot) -> None:
-        """Make the controls of scene, live parameters and hand."""
+        """Add the controls of scene, live parameters and hand."""
         self._parameters.remove()
-        self._followed, scene, gui = [], snapshot.scene, self._gui
+        self._controls, scene, gui = [], snapshot.scene, self._gui
         self._parameters = gui.add_folder(None, order=2.0)
         if not self._settings:
             return
         with self._parameters:
             names = [name.removeprefix(CHOOSES) for name in snapshot.actions if name.startswith(CHOOSES)]
             if scene.name in names:
-                handle = gui.add_dropdown("scene", names, initial_value=scene.name, hint="starts it")
+                handle = gui.add_dropdown("scene", names, initial_value=scene.name, hint="scene to start")
                 choose = Choice("scene", handle, self._choose, str, {name: name for name in names})
-                self._followed.append((choose, lambda snapshot: snapshot.scene.name))
-            for one in sorted(scene.parameters(), key=lambda one: one.name in DEVICES_OWN):
-                if one.live and (made := control(gui, one, scene, self._ask)) is not None:
-                    self._followed.append((made, partial(_value, one.name)))
-            hint, bounds = "of the spring from the pointer to the knob", (0.0, _MOST_STIFFNESS)
+                self._controls.append((choose, lambda snapshot: snapshot.scene.name))
+            for item in sorted(scene.parameters(), key=lambda item: item.name in DEVICES_OWN):
+                if item.live and (added := control(gui, item, scene, self._ask)) is not None:
+                    self._controls.append((added, partial(_value, item.name)))
+            hint, bounds = "stiffness of the spring between pointer and knob", (0.0, _MAX_STIFFNESS)
             hand = snapshot.hand_stiffness
-            spring = Slider(gui, "hand_stiffness", "hand [N/m]", hint, hand, bounds, self._ask, room=_USUAL_STIFFNESS)
-            self._followed.append((spring, lambda snapshot: snapshot.hand_stiffness))
+            spring = Slider(
+                gui, "hand_stiffness", "hand [N/m]", hint, hand, bounds, self._ask, reference=_USUAL_STIFFNESS
+            )
+            self._controls.append((spring, lambda snapshot: snapshot.hand_stiffness))
 
-    def _choose(self, _: str, given: Any) -> None:
-        self._ask("act", CHOOSES + given["scene"])
+    def _choose(self, _: str, values: Any) -> None:
+        self._ask("act", CHOOSES + values["scene"])
 
 
 def _value(name: str, snapshot: Snapshot) -> Any:
     return getattr(snapshot.scene, name)
 
 
-def _banner(said: Banner | None, snapshot: Snapshot) -> str:
+def _banner(content: Banner | None, snapshot: Snapshot) -> str:
     """Return the banner as HTML."""
-    if said is None:
+    if content is None:
         return ""
-    way = f"press {said.way_on}" if said.way_on in snapshot.actions else snapshot.remedy
-    style = f"background:{hex_of(BAD if said.bad else _PAUSED)};color:#fff;font-weight:600;padding:.5em .7em"
-    return (
-        f'<div role="alert" style="{style};border-radius:4px">{escape(said.text)}<br><small>{escape(way)}</small></div>'
-    )
+    action = content.way_on
+    advice = f"press {action} {RESUME[action]}" if action in snapshot.actions else snapshot.remedy
+    style = f"background:{hex_of(BAD if content.bad else _PAUSED)};color:#fff;font-weight:600;padding:.5em .7em"
+    texts = f"{escape(content.text)}<br><small>{escape(advice)}</small>"
+    return f'<div role="alert" style="{style};border-radius:4px">{texts}</div>'
 
 
 def _tour(step: TourLine | None) -> str:
     """Return the step of a guided tour as HTML."""
     if step is None:
         return ""
-    text, deed = (escape(part) for part in step.words(_called))
+    text, task = (escape(part) for part in step.words(_input_name))
     done = f' <b style="color:{hex_of(GOOD)}">done</b>' if step.done else ""
     style = f"border-left:4px solid {hex_of(GOOD if step.done else HAND)};margin:.3em .5em;padding:.2em .6em"
     head = f"<small>step {step.number} of {step.total}</small>{done}"
-    return f'<div style="{style}">{head}<br>{text}<br><b>{deed}</b></div>'
+    return f'<div style="{style}">{head}<br>{text}<br><b>{task}</b></div>'
 
 
-def _called(name: str) -> str:
-    """Return the input that triggers an action here."""
+def _input_name(name: str) -> str:
+    """Return the name of the input that triggers an action."""
     if name == "hand":
         return "drag the knob"
-    moved = name.removesuffix(" up").removesuffix(" down")
-    return f"the slider {moved}" if moved != name else f"the button {name}"
+    parameter = name.removesuffix(" up").removesuffix(" down")
+    return f"the slider {parameter}" if parameter != name else f"the button {name}"
 
 
 def _words(snapshot: Snapshot, inputs: bool) -> str:
-    """Return the session's readings as HTML, without the values that inputs show."""
-    rows = [one for one in readings(snapshot) if not (inputs and one.name in _INPUTS)]
-    forces = " ".join(_coloured(one) for one in rows if one.name in FORCES)
-    lines = dict.fromkeys(forces if one.name in FORCES else _line(one) for one in rows)
+    """Return the readings as HTML, without those that inputs show."""
+    rows = [row for row in readings(snapshot) if not (inputs and row.name in _INPUTS)]
+    forces = " ".join(_coloured(row) for row in rows if row.name in FORCES)
+    lines = dict.fromkeys(forces if row.name in FORCES else _line(row) for row in rows)
     style = "font-size:.85em;line-height:1.45;padding:.2em .5em"
     return f'<div style="{style}">{"".join(f"<div>{line}</div>" for line in lines)}</div>'
 
 
-def _line(one: Reading) -> str:
-    value = escape(one.value)
-    if not one.name:
+def _line(row: Reading) -> str:
+    value = escape(row.value)
+    if not row.name:
         return f"<i>{value}</i>"
-    if one.colour is not None:
-        value = f'<b style="color:{hex_of(one.colour)}">{value}</b>'
-    return f'<span style="opacity:.65">{one.name}</span> {value}'
+    if row.colour is not None:
+        value = f'<b style="color:{hex_of(row.colour)}">{value}</b>'
+    return f'<span style="opacity:.65">{row.name}</span> {value}'
 
 
-def _coloured(one: Reading) -> str:
-    return f'<span style="color:{hex_of(one.colour or STOP)}">&#9632;</span> {one.name} {one.value}'
+def _coloured(row: Reading) -> str:
+    return f'<span style="color:{hex_of(row.colour or STOP)}">&#9632;</span> {row.name} {row.value}'

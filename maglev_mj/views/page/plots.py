@@ -1,4 +1,4 @@
-"""Plots of the page: charts as SVG, which a browser draws at any width."""
+"""Plots of the page: charts as SVG, scalable to any width."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _GRID, _TEXT = "rgba(128,128,128,.28)", "currentColor"
 
 
 def drawn(chart: Chart) -> str:
-    """Return a chart as SVG, or its title alone if it has no lines."""
+    """Return a chart as SVG; only its title if it has no lines."""
     title, lines, across, up, foot = chart
     if not lines:
         return f'<p style="margin:.5em">{escape(textwrap.shorten(title[0][0], 300))}</p>'
@@ -35,30 +35,30 @@ def drawn(chart: Chart) -> str:
         f'</text><svg x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}" '
         f'viewBox="{_LEFT} {_TOP} {right - _LEFT} {bottom - _TOP}">',
     ]
-    words = []
+    labels = []
     for value in ticks(*across):
-        place = float(_between(value, across, _LEFT, right))
-        parts.append(f'<path d="M{place:.1f} {_TOP}V{bottom}" stroke="{_GRID}"/>')
-        words.append(f'<text x="{place:.1f}" y="{_HEIGHT - 5}" text-anchor="middle">{value:g}</text>')
+        position = float(_between(value, across, _LEFT, right))
+        parts.append(f'<path d="M{position:.1f} {_TOP}V{bottom}" stroke="{_GRID}"/>')
+        labels.append(f'<text x="{position:.1f}" y="{_HEIGHT - 5}" text-anchor="middle">{value:g}</text>')
     for value in ticks(*up):
-        place = float(_between(value, up, bottom, _TOP))
-        parts.append(f'<path d="M{_LEFT} {place:.1f}H{right}" stroke="{_GRID}"/>')
-        words.append(f'<text x="{_LEFT - 4}" y="{place + 4:.1f}" text-anchor="end">{value:g}</text>')
+        position = float(_between(value, up, bottom, _TOP))
+        parts.append(f'<path d="M{_LEFT} {position:.1f}H{right}" stroke="{_GRID}"/>')
+        labels.append(f'<text x="{_LEFT - 4}" y="{position + 4:.1f}" text-anchor="end">{value:g}</text>')
     for line in lines:
         x, y = _between(line.x, across, _LEFT, right), _between(line.y, up, bottom, _TOP)
-        points = " ".join(f"{one:.1f},{other:.1f}" for one, other in zip(x, y) if np.isfinite(other))
+        points = " ".join(f"{px:.1f},{py:.1f}" for px, py in zip(x, y) if np.isfinite(py))
         dash = ' stroke-dasharray="4 3"' if line.dashed else ""
-        look = f'fill="none" stroke="{hex_of(line.colour)}" stroke-width="1.6"{dash}'
-        parts.append(f'<polyline points="{points}" {look}/>')
+        style = f'fill="none" stroke="{hex_of(line.colour)}" stroke-width="1.6"{dash}'
+        parts.append(f'<polyline points="{points}" {style}/>')
         if line.dot and len(x) and np.isfinite(y[-1]):
             parts.append(f'<circle cx="{x[-1]:.1f}" cy="{y[-1]:.1f}" r="4"{_fill(line.colour)}/>')
-    words.append(f'<text x="{right - 5}" y="{bottom - 5}" text-anchor="end">{escape(foot)}</text>')
+    labels.append(f'<text x="{right - 5}" y="{bottom - 5}" text-anchor="end">{escape(foot)}</text>')
     frame = f'<rect x="{_LEFT}" y="{_TOP}" width="{right - _LEFT}" height="{bottom - _TOP}"'
-    return "".join([*parts, "</svg>", f'{frame} fill="none" stroke="{hex_of(BOUNDARY)}"/>', *words, "</svg>"])
+    return "".join([*parts, "</svg>", f'{frame} fill="none" stroke="{hex_of(BOUNDARY)}"/>', *labels, "</svg>"])
 
 
 def ticks(low: float, high: float) -> list[float]:
-    """Return round numbers between two ends, some four of them."""
+    """Return about four round numbers between two limits."""
     step = 10.0 ** np.floor(np.log10((high - low) / _TICKS))
     step *= next(size for size in (1.0, 2.0, 2.5, 5.0, 10.0) if size * step * (_TICKS + 1) >= high - low)
     return [float(np.round(count * step, 12)) for count in range(int(np.ceil(low / step)), int(high / step) + 1)]
@@ -69,7 +69,7 @@ def _fill(colour: Colour | None) -> str:
 
 
 def _between(value: ArrayLike, ends: Range, first: int, last: int) -> Any:
-    """Return the places of values from one end to the other [px]."""
+    """Return pixel coordinates of values [px]."""
     return first + (np.asarray(value) - ends[0]) / (ends[1] - ends[0]) * (last - first)
 
 
@@ -80,20 +80,20 @@ class Plots:
     """Four plots of one axis.
 
     Args:
-        gui: viser's, within the container for the plots.
-        scene: The scene, whose own axis is shown at first.
+        gui: viser's GUI, inside the container of the plots.
+        scene: Scene with the initial axis.
     """
 
     def __init__(self, gui: Any, scene: Scene) -> None:
         self._charts, self._type = Charts(_POINTS), type(scene)
-        self._axis = gui.add_dropdown("axis", AXES, initial_value=scene.axis, hint="axis of the plots")
+        self._axis = gui.add_dropdown("axis", AXES, initial_value=scene.axis, hint="plot axis")
         self._plots = [gui.add_html("") for _ in range(4)]
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot."""
         if type(snapshot.scene) is not self._type:
             self._type, self._axis.value = type(snapshot.scene), snapshot.scene.axis
-        axis = self._axis.value if self._axis.value in AXES else snapshot.scene.axis  # a browser may say anything
+        axis = self._axis.value if self._axis.value in AXES else snapshot.scene.axis  # untrusted input
         charts = self._charts.of(snapshot, AXES.index(axis))
         for plot, chart in zip(self._plots, charts, strict=True):
             update(plot, content=drawn(chart))

@@ -1,4 +1,4 @@
-"""3D scene of the page: device, walls, stick position, forces; and drags of its knob."""
+"""3D view of the page: device, walls, stick position, forces; drags of the knob."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from maglev_mj.views.viewer_process import SILENCE
 
 _LOOKS = {"frame": (0.9, 0.38), "steel": (0.7, 0.4), "base": (0.25, 0.45), "psd": (0.2, 0.08), "grip": (0.0, 0.75)}
 _LOOK = 0.5, 0.35
-"""Metallic and roughness factors of the model's materials, and of others."""
+"""Metallic and roughness factors of the model's materials; default."""
 
-_TINT = 0.2  # what the device keeps of its colours, so that a colour means an arrow, a wall or a current
-_GAMMA = 2.2  # glTF's colours are linear
-_FEWEST, _PER_METRE, _MOST = 8, 2000.0, 48
-"""Sides of round shapes: even, and more for larger shapes."""
+_TINT = 0.2  # saturation of the device, so that colours mark arrows, walls and currents
+_GAMMA = 2.2  # glTF colours are linear
+_MIN_SIDES, _SIDES_PER_METRE, _MAX_SIDES = 8, 2000.0, 48
+"""Number of sides of round shapes: even, larger for larger shapes."""
 
 
 def glb(shapes: Sequence[Shape]) -> bytes:
-    """Return shapes as binary glTF, one mesh a material."""
+    """Return shapes as binary glTF, one mesh per material."""
     scene, looks = trimesh.Scene(), [(shape.material, tuple(shape.colour)) for shape in shapes]
-    for look in sorted(set(looks)):
-        mesh = _joined([solid(shape) for shape, its in zip(shapes, looks) if its == look])
-        (metallic, roughness), colour = _LOOKS.get(look[0], _LOOK), _grey(look[1])
+    for material, rgba in sorted(set(looks)):
+        mesh = _joined([solid(shape) for shape, look in zip(shapes, looks) if look == (material, rgba)])
+        (metallic, roughness), colour = _LOOKS.get(material, _LOOK), _grey(rgba)
         mesh.visual = TextureVisuals(
             material=PBRMaterial(
                 baseColorFactor=[*np.power(colour[:3], _GAMMA), colour[3]],
@@ -48,19 +48,19 @@ def glb(shapes: Sequence[Shape]) -> bytes:
             )
         )
         scene.add_geometry(mesh)
-    made: bytes = scene.export(file_type="glb")
-    return made
+    data: bytes = scene.export(file_type="glb")
+    return data
 
 
 def _grey(colour: Sequence[float]) -> list[float]:
-    """Return a colour and its opacity, with little of its hue."""
+    """Return a desaturated colour with the same opacity."""
     light = 0.3 * colour[0] + 0.59 * colour[1] + 0.11 * colour[2]
     return [*(light + _TINT * (part - light) for part in colour[:3]), colour[3]]
 
 
 def solid(shape: Shape) -> trimesh.Trimesh:
-    """Return a shape in place, its edges sharp and its round sides smooth."""
-    mesh = _unit(shape.kind, min(_FEWEST + 2 * int(_PER_METRE * max(shape.half[:2])), _MOST)).copy()
+    """Return a shape as a mesh in place, with sharp edges and smooth round sides."""
+    mesh = _unit(shape.kind, min(_MIN_SIDES + 2 * int(_SIDES_PER_METRE * max(shape.half[:2])), _MAX_SIDES)).copy()
     mesh.apply_scale(shape.half)
     mesh.apply_transform(quaternion_matrix(shape.turn))
     mesh.apply_translation(shape.position)
@@ -70,10 +70,10 @@ def solid(shape: Shape) -> trimesh.Trimesh:
 @lru_cache(maxsize=64)
 def _unit(kind: str, sides: int) -> trimesh.Trimesh:
     if kind == "ellipsoid":
-        return creation.uv_sphere(1.0, count=(sides // 2, sides // 2))  # twice as many around
+        return creation.uv_sphere(1.0, count=(sides // 2, sides // 2))  # twice as many around the axis
     mesh = creation.box((2.0, 2.0, 2.0)) if kind == "box" else creation.cylinder(1.0, 2.0, sections=sides)
     facing = np.round(mesh.face_normals @ ([1.0, 2.0, 3.0] if kind == "box" else [0.0, 0.0, 1.0]))
-    return _joined(mesh.submesh([np.flatnonzero(facing == one) for one in np.unique(facing)]))  # which share no corners
+    return _joined(mesh.submesh([np.flatnonzero(facing == side) for side in np.unique(facing)]))  # no shared vertices
 
 
 def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
@@ -81,92 +81,85 @@ def _joined(meshes: list[trimesh.Trimesh]) -> trimesh.Trimesh:
 
 
 Aim = Callable[[list[float] | None], object]
-"""Takes a target pose [m, rad], (6,); None on release."""
+"""Receives a target pose [m, rad], (6,); None on release."""
 
 
 class Grab:
-    """Follow drags of the knob: plain moves, Shift tilts.
+    """Drags of the knob: plain drags translate, Shift tilts; one browser at a time.
 
-    The first browser to grab has the hand.
-
-    Its methods run in the event loop of viser, in order.
+    All methods run in viser's event loop.
 
     Args:
-        server: viser's.
-        knob: What is dragged.
-        aim: Told of each target.
+        server: viser's server.
+        knob: Scene node to drag.
+        aim: Called with each target.
 
     Attributes:
-        pose: Where the flotor is [m, rad], (6,).
-        factor: How much further from the centre the knob is drawn.
+        pose: Pose of the flotor [m, rad], (6,).
+        factor: Magnification of the handle's motion.
     """
 
     def __init__(self, server: Any, knob: Any, aim: Aim) -> None:
         self._server, self._aim = server, aim
         self._holder: int | None = None
-        self._listening: asyncio.Task[None] | None = None
-        self._tilts = self._silent = False
+        self._monitor: asyncio.Task[None] | None = None
+        self._tilts = self._unresponsive = False
         self.factor = 1.0
-        self.pose = self._from = np.zeros(6)
+        self.pose = self._start_pose = np.zeros(6)
         self._start, self._target = np.zeros(3), [0.0] * 6
         for modifier in (None, "shift"):
             knob.on_drag("left", modifier=modifier)(self._dragged)
 
     async def _dragged(self, event: Any) -> None:
-        if event.phase == "start" and (self._holder is None or self._silent):
-            self._let_go()
+        if event.phase == "start" and (self._holder is None or self._unresponsive):
+            self._release()
             self._holder, self._tilts = event.client_id, event.modifier == "shift"
-            self._from, self._start = self.pose, np.array(event.start_position)
-            self._listening = asyncio.create_task(self._listen(event.client_id))
+            self._start_pose, self._start = self.pose, np.array(event.start_position)
+            self._monitor = asyncio.create_task(self._watch(event.client_id))
         if event.client_id != self._holder:
             return
         if event.phase == "end":
-            self._let_go()
+            self._release()
         else:
             self._target = self._pose(np.array(event.end_position) - self._start).tolist()
             self._aim(self._target)
 
     def _pose(self, moved: Array) -> Array:
-        """Return the target pose for a drawn displacement of the knob [m], (3,)."""
-        place, turn, moved = self._from[:3], self._from[3:], true_pose(moved, self.factor)
+        """Return the target pose for a displayed displacement of the knob [m], (3,)."""
+        position, rotation, moved = self._start_pose[:3], self._start_pose[3:], true_pose(moved, self.factor)
         if self._tilts:
-            return np.concatenate([place, turn + np.cross(GRIP, moved) / (GRIP @ GRIP)])
-        return np.concatenate([place + moved, turn])
+            return np.concatenate([position, rotation + np.cross(GRIP, moved) / (GRIP @ GRIP)])
+        return np.concatenate([position + moved, rotation])
 
-    def _let_go(self) -> None:
-        self._holder, self._silent = None, False
-        if self._listening is not None:
-            self._listening.cancel()
+    def _release(self) -> None:
+        self._holder, self._unresponsive = None, False
+        if self._monitor is not None:
+            self._monitor.cancel()
         self._aim(None)
 
-    async def _listen(self, client: int) -> None:
-        """Release the knob while a browser does not answer.
-
-        One that is held still sends nothing by itself.
-        """
+    async def _watch(self, client: int) -> None:
+        """Release the knob while its browser does not respond: a drag held still sends no messages."""
         while self._holder == client:
-            answer = asyncio.ensure_future(self._ask(client))
-            self._silent = not (await asyncio.wait([answer], timeout=SILENCE))[0]
-            if self._silent:
+            response = asyncio.ensure_future(self._ping(client))
+            self._unresponsive = not (await asyncio.wait([response], timeout=SILENCE))[0]
+            if self._unresponsive:
                 self._aim(None)
-                await asyncio.wait([answer])
+                await asyncio.wait([response])
             if self._holder != client:
                 return
-            if answer.exception() is not None:  # it is gone, and nobody may say the end of its drag
-                self._let_go()
+            if response.exception() is not None:  # disconnected: its drag may never end
+                self._release()
                 return
-            if self._silent:
-                self._silent = False
+            if self._unresponsive:
+                self._unresponsive = False
                 self._aim(self._target)
             await asyncio.sleep(SILENCE / 5.0)
 
-    async def _ask(self, client: int) -> None:
-        """Wait for a browser's answer to a ping.
-
-        viser reports only closed connections, not a browser that sleeps, and has no public way to its connections.
+    async def _ping(self, client: int) -> None:
+        """Wait for a browser's pong; viser reports closed connections, but not suspended browsers.
 
         Raises:
-            Exception: If it is gone.
+            Exception: If the browser is disconnected.
         """
         await (await self._server._websock_server._live_connections[client].ping())
 
@@ -178,71 +171,63 @@ VIEWS = {
     "top": ((0.0, -0.02, 0.40), (0.0, 0.0, 0.03)),
     "knob": ((0.09, -0.13, 0.14), (0.0, 0.0, 0.072)),
 }
-"""Camera presets: position and point looked at [m]."""
+"""Camera presets: position and target [m]."""
 
-_WIDE = 0.175  # of the device, with some room [m]
+_WIDTH = 0.175  # of the device with a margin [m]
 FIELD = 0.62
-"""Angle of view, up [rad]."""
+"""Vertical field of view [rad]."""
 _FAINT, _LIT = 0.07, 0.22
 _COLD, _WARM, _LIMIT = np.array([0.66, 0.30, 0.10]), np.array([1.0, 0.88, 0.25]), (1.0, 0.05, 0.05)
 _SKY = (206.0, 213.0, 224.0), (247.0, 248.0, 250.0)
-"""Colours of the background, above and below."""
+"""Background colours, top and bottom."""
 _FLOOR = -0.0552
-_REACH = 0.021  # of the ball by which the knob is taken hold of [m]
-_LONGEST = 0.12  # of an arrow [m]
-_SWOLLEN = 1.06
+_REACH = 0.021  # radius of the invisible ball that can be grabbed [m]
+_MAX_ARROW = 0.12  # [m]
+_GHOST_SIZE = 1.06
 _EDGE = 0.0006  # thickness of a wall's edge [m]
 _RIM = 0.0118, 0.0012
-"""Radius and half height of the rotation-stop ring [m].
-
-It lies under the knob and is lit when a rotation meets its stop.
-"""
+"""Radius and half height of the ring under the knob, visible on contact with a wall of a rotation [m]."""
 
 
 def update(handle: Any, **properties: Any) -> None:
-    """Set the properties of viser's element that differ.
-
-    viser would send the others to every browser again.
-    """
+    """Set only the properties of a viser element that differ; viser would resend unchanged ones to every browser."""
     for name, value in properties.items():
         if not np.array_equal(getattr(handle, name), value):
             setattr(handle, name, value)
 
 
 def look(client: Any, view: str) -> None:
-    """Point a browser's camera."""
+    """Set a browser's camera to a preset."""
     camera = client.camera
     with client.atomic():
         camera.position, camera.look_at = placed(view, camera.image_width, camera.image_height)
 
 
 def placed(view: str, width: int, height: int) -> tuple[Array, Array]:
-    """Return position and target of a camera [m], (3,) each.
-
-    Far enough that the device fits into a narrow picture.
+    """Return position and target of a camera [m], (3,) each, far enough to fit the device into a narrow picture.
 
     Args:
         view: One of VIEWS.
         width: Width of the picture [px].
-        height: Its height.
+        height: Height of the picture [px].
     """
-    place, target = np.array(VIEWS[view])
-    back = place - target
-    seen = 2.0 * np.linalg.norm(back) * np.tan(0.5 * FIELD) * width / max(height, 1)
-    return target + back * max(_WIDE / max(seen, 1e-3), 1.0), target
+    position, target = np.array(VIEWS[view])
+    back = position - target
+    visible = 2.0 * np.linalg.norm(back) * np.tan(0.5 * FIELD) * width / max(height, 1)
+    return target + back * max(_WIDTH / max(visible, 1e-3), 1.0), target
 
 
 class Stage:
-    """The scene in three dimensions.
+    """3D view of a scene.
 
     Args:
-        server: viser's.
-        snapshot: What is shown at first.
+        server: viser's server.
+        snapshot: Initial snapshot.
 
     Attributes:
-        knob: What can be taken hold of.
-        factor: How much further from the centre the handle is drawn; the walls, too.
-        hint: Words over the knob; empty for none.
+        knob: Scene node to drag.
+        factor: Magnification of the motion of handle and walls.
+        hint: Text above the knob; empty for none.
     """
 
     def __init__(self, server: Any, snapshot: Snapshot) -> None:
@@ -267,10 +252,10 @@ class Stage:
             position=(0.0, 0.0, _FLOOR),
         )
         self._flotor, self._handle = (scene.add_frame(name, show_axes=False) for name in ("/flotor", "/handle"))
-        # as glTF, for viser's own sphere would hide the walls behind it, though it is not seen itself
+        # as glTF: viser's own transparent sphere would occlude the walls behind it
         ball = Shape(True, "ellipsoid", np.full(3, _REACH), GRIP, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0))
         self.knob = scene.add_glb("/handle/knob", glb([ball]), **_PLAIN)
-        size = _SWOLLEN * KNOB[0], _SWOLLEN * KNOB[0], _SWOLLEN * KNOB[1]
+        size = _GHOST_SIZE * KNOB[0], _GHOST_SIZE * KNOB[0], _GHOST_SIZE * KNOB[1]
         self._ghost = scene.add_icosphere(
             "/stuck", 1.0, _bytes(STUCK), scale=size, opacity=0.45, visible=False, **_PLAIN
         )
@@ -280,8 +265,8 @@ class Stage:
         )
         self._arrows = [_Arrow(scene, name, colour) for name, colour in _FORCES.items()]
         self._walls: dict[tuple[int, float, float], tuple[Any, Any]] = {}
-        self._met: set[tuple[int, float, float]] = set()
-        self._word = scene.add_label("/word", "", position=(0.0, 0.0, 0.116), anchor="bottom-center", visible=False)
+        self._touched: set[tuple[int, float, float]] = set()
+        self._label = scene.add_label("/word", "", position=(0.0, 0.0, 0.116), anchor="bottom-center", visible=False)
         self._model: Any = None
         self._coils: dict[int, Any] = {}
         self._shares: list[float] = []
@@ -297,28 +282,28 @@ class Stage:
             if (share := shares[coil]) != self._shares[coil]:
                 winding.color = _bytes(_COLD + share * (_WARM - _COLD) if share < 1.0 else _LIMIT)
         self._shares = shares
-        self._place(self._flotor, snapshot.pose)
+        self._set_pose(self._flotor, snapshot.pose)
         snapshot = magnified(snapshot, self.factor)
         pose = snapshot.pose
-        self._place(self._handle, pose)
+        self._set_pose(self._handle, pose)
         knob = pose[:3] + rotation_matrix(pose[3:]) @ GRIP
         for arrow, wrench in zip(self._arrows, (snapshot.hand, snapshot.force, snapshot.stops), strict=True):
             arrow.show(knob, wrench[:3])
         self._show_walls(snapshot)
-        if (place := snapshot.ghost) is not None:
-            self._place(self._ghost, np.concatenate([place[:3] + rotation_matrix(place[3:]) @ GRIP, place[3:]]))
+        if (ghost := snapshot.ghost) is not None:
+            self._set_pose(self._ghost, np.concatenate([ghost[:3] + rotation_matrix(ghost[3:]) @ GRIP, ghost[3:]]))
             update(self._ghost, color=_bytes(FIRST if len(snapshot.first) else STUCK))
-        update(self._ghost, visible=place is not None)
-        said = banner(snapshot)
-        words = self.hint if said is None else said.text.split(":")[0]
-        words = ", ".join(filter(None, (words, motion_words(self.factor))))
-        update(self._word, visible=bool(words), text=words)
+        update(self._ghost, visible=ghost is not None)
+        content = banner(snapshot)
+        text = self.hint if content is None else content.text.split(":")[0]
+        text = ", ".join(filter(None, (text, motion_words(self.factor))))
+        update(self._label, visible=bool(text), text=text)
 
-    def _place(self, node: Any, pose: Array) -> None:
+    def _set_pose(self, node: Any, pose: Array) -> None:
         update(node, position=np.round(pose[:3], 6), wxyz=np.round(quaternion(pose[3:]), 6))
 
     def _load(self, snapshot: Snapshot) -> None:
-        """Show another device."""
+        """Load the device of a snapshot's scene."""
         self._model, scene = snapshot.scene.model, self._server.scene
         nodes: dict[str, list[Shape]] = {}
         for shape in shapes(self._model):
@@ -337,20 +322,20 @@ class Stage:
     def _show_walls(self, snapshot: Snapshot) -> None:
         faces = {(axis, normal, round(edge, 6)) for axis, normal, edge in snapshot.faces}
         for face in self._walls.keys() - faces:
-            self._walls.pop(face)[0].remove()  # with its edge
+            self._walls.pop(face)[0].remove()  # and its edge
         for face in faces - self._walls.keys():
             if (plate := wall_plate(face)) is not None:
                 self._walls[face] = self._wall(face, *plate)
-        met = {face for face in faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
-        update(self._rim, visible=any(axis > 2 for axis, _, _ in met))
-        for face in (met ^ self._met) & self._walls.keys():
-            colour, opacity = (TOUCHED, _LIT) if face in met else (WALL, _FAINT)
-            glass, edge = self._walls[face]
-            glass.color, glass.opacity, edge.colors = _bytes(colour), opacity, np.array(_bytes(colour), np.uint8)
-        self._met = met
+        touched = {face for face in faces if face[1] * (snapshot.pose[face[0]] - face[2]) <= 0.0}
+        update(self._rim, visible=any(axis > 2 for axis, _, _ in touched))
+        for face in (touched ^ self._touched) & self._walls.keys():
+            colour, opacity = (TOUCHED, _LIT) if face in touched else (WALL, _FAINT)
+            plate, edge = self._walls[face]
+            plate.color, plate.opacity, edge.colors = _bytes(colour), opacity, np.array(_bytes(colour), np.uint8)
+        self._touched = touched
 
     def _wall(self, face: tuple[int, float, float], centre: Array, half: Array) -> tuple[Any, Any]:
-        """Add the glass of a wall, and its edge; larger where the handle's motion is."""
+        """Add the face and edge of a wall, wider if the motion is magnified."""
         scene, name, across = self._server.scene, "/walls/{}{:+.0f}{:g}".format(*face), np.delete(np.eye(3), face[0], 0)
         half = half + widening(self.factor) * across.sum(axis=0)
         corners = half * (np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) @ across)
@@ -362,12 +347,12 @@ class Stage:
 
 
 class _Arrow:
-    """One force."""
+    """Arrow of a force."""
 
     def __init__(self, scene: Any, name: str, colour: Colour) -> None:
         sizes = {"shaft_radius": 0.0013, "head_radius": 0.0032, "head_length": 0.0065}
         points = np.array([[GRIP, 2.0 * GRIP]], dtype=np.float32)
-        shade = tuple(part**_GAMMA for part in colour)  # viser takes an arrow's colour for a linear one
+        shade = tuple(part**_GAMMA for part in colour)  # viser expects linear colours for arrows
         self._arrow = scene.add_arrows(f"/forces/{name}", points, _bytes(shade), visible=False, **sizes)
 
     def show(self, knob: Array, force: Array) -> None:
@@ -376,7 +361,7 @@ class _Arrow:
         update(self._arrow, visible=size >= LEAST_FORCE)
         if size >= LEAST_FORCE:
             start = arrow_start(knob, force)
-            end = start + force * min(ARROW, _LONGEST / size)
+            end = start + force * min(ARROW, _MAX_ARROW / size)
             update(self._arrow, points=np.round([[start, end]], 5).astype(np.float32))
 
 
