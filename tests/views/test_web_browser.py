@@ -12,7 +12,7 @@ import pytest
 
 from maglev_mj.plants import engine_warnings_silenced
 from maglev_mj.plants.shapes import GRIP
-from maglev_mj.session import Session, Snapshot, real_time
+from maglev_mj.session import REWINDS, Session, Snapshot, real_time
 from maglev_mj.session.access import listen
 from maglev_mj.views.page.page import Door, page
 from maglev_mj.views.page.stage import FIELD, placed
@@ -206,12 +206,12 @@ def test_a_slider_goes_back_and_buttons_go_on_or_repeat(run: Run, tab: Any) -> N
     shown = run.until(lambda shown: shown.state == "paused" and shown.rewound)
     tab.wait_for_selector("[role=alert]:has-text('s back')")
     assert 0.0 < (shown.rewound or 0.0) < 0.6
-    tab.get_by_role("button", name="same hand again", exact=True).click()
+    tab.get_by_role("button", name=REWINDS[2], exact=True).click()
     run.until(lambda shown: shown.state == "running" and shown.time > 0.0)
     slider.focus()
     tab.keyboard.press("ArrowRight")
     run.until(lambda shown: shown.state == "paused" and shown.rewound)
-    tab.get_by_role("button", name="go on from here", exact=True).click()
+    tab.get_by_role("button", name=REWINDS[1], exact=True).click()
     run.until(lambda shown: shown.state == "running" and not shown.rewound)
 
 
