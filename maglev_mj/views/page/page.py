@@ -90,7 +90,7 @@ class Door:
 
 
 @contextmanager
-def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
+def guarded(endpoint: Door, listener: socket.socket) -> Iterator[None]:
     """Apply access control to WebSocket servers that start in this context.
 
     viser calls `websockets.asyncio.server.serve` and accepts neither a listening socket nor a check of requests before
@@ -98,7 +98,7 @@ def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
     while viser starts.
 
     Args:
-        door: Address and access control.
+        endpoint: Address and access control.
         listener: Listening socket, in place of the server's host and port.
 
     Raises:
@@ -111,7 +111,7 @@ def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
         started = True
 
         def check(connection: Any, request: Request) -> Response | None:
-            if reason := door.refusal(request.path, request.headers):
+            if reason := endpoint.refusal(request.path, request.headers):
                 text = Headers({"Content-Type": "text/plain; charset=utf-8"})
                 return Response(http.HTTPStatus.FORBIDDEN, "Forbidden", text, f"{reason}\n".encode())
             page = "Upgrade" not in request.headers
@@ -123,9 +123,9 @@ def guarded(door: Door, listener: socket.socket) -> Iterator[None]:
                 answer.headers["Content-Length"] = str(len(answer.body))
                 answer.headers["Content-Security-Policy"] = _FRAMES
                 answer.headers["Referrer-Policy"] = "no-referrer"
-                if door.token is not None:
+                if endpoint.token is not None:
                     attributes = "HttpOnly; SameSite=Strict; Path=/"
-                    answer.headers["Set-Cookie"] = f"{door.cookie}={door.token}; {attributes}"
+                    answer.headers["Set-Cookie"] = f"{endpoint.cookie}={endpoint.token}; {attributes}"
             return answer
 
         return real(handler, sock=listener, process_request=check, **options)
@@ -147,13 +147,13 @@ class PageServer(viser.ViserServer):
     """viser's server with access control and without public share URLs.
 
     Args:
-        door: Address and access control.
+        endpoint: Address and access control.
         listener: Listening socket.
     """
 
-    def __init__(self, door: Door, listener: socket.socket) -> None:
-        with guarded(door, listener):
-            super().__init__(host=door.host, port=door.port, label="maglev-mj", verbose=False)
+    def __init__(self, endpoint: Door, listener: socket.socket) -> None:
+        with guarded(endpoint, listener):
+            super().__init__(host=endpoint.host, port=endpoint.port, label="maglev-mj", verbose=False)
         self._websock_server.unregister_handler(ShareUrlRequest)
 
     def request_share_url(self, verbose: Any = True) -> str | None:
@@ -234,23 +234,23 @@ async def _greet(client: viser.ClientHandle) -> None:
     client.camera.on_update(fit)
 
 
-def page(door: Door, listener: socket.socket, *, drag: bool = True, settings: bool = True) -> Front:
+def page(endpoint: Door, listener: socket.socket, *, drag: bool = True, settings: bool = True) -> Front:
     """Return the viewer function of a page.
 
     Args:
-        door: Address and access control.
+        endpoint: Address and access control.
         listener: Listening socket.
         drag: True to let the user pull the knob.
         settings: True to let the user change parameters.
     """
-    return partial(_serve, door, listener, {"drag": flag("drag", drag), "settings": flag("settings", settings)})
+    return partial(_serve, endpoint, listener, {"drag": flag("drag", drag), "settings": flag("settings", settings)})
 
 
-def _serve(door: Door, listener: socket.socket, options: Mapping[str, bool], source: SnapshotSource) -> None:
+def _serve(endpoint: Door, listener: socket.socket, options: Mapping[str, bool], source: SnapshotSource) -> None:
     # no messages of viser or of failed handshakes on the terminal
     sys.stdout = open(os.devnull, "w", encoding="utf-8")
     logging.getLogger("websockets").setLevel(logging.CRITICAL)
-    server = PageServer(door, listener)
+    server = PageServer(endpoint, listener)
     try:
         Page(server, source, **options).run()
     finally:
