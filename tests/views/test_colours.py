@@ -61,13 +61,13 @@ def contrast(first: colours.Colour, second: colours.Colour) -> float:
 
 
 @pytest.mark.parametrize("vision", VISIONS)
-def test_roles_and_series_seen_together_are_told_apart(vision: str) -> None:
+def test_roles_and_series_are_distinguishable(vision: str) -> None:
     pairs = [(getattr(colours, first), getattr(colours, second)) for first, second in PAIRS]
     for pair in (*pairs, *itertools.combinations(colours.SERIES, 2)):
         assert np.linalg.norm(np.subtract(*(lab(colour, vision) for colour in pair))) > LEAST, pair
 
 
-def test_curves_and_words_are_seen_on_paper() -> None:
+def test_curves_and_texts_are_visible_on_paper() -> None:
     # WCAG 2 asks for 4.5 of words; the two palest series are the last before black, for want of dark hues.
     assert contrast(colours.REFERENCE, PAPER) > 4.5 and contrast(colours.STOP, PAPER) > 4.5
     assert min(contrast(colour, PAPER) for colour in colours.SERIES[:4]) > 3.0

@@ -50,7 +50,7 @@ def test_a_window_library_without_a_display_is_one_line(tmp_path: Any) -> None:
 
 
 @pytest.mark.needs("linux")
-def test_a_chosen_library_that_is_not_here_stops_what_draws_alone(tmp_path: Any) -> None:
+def test_a_missing_library_stops_only_rendering(tmp_path: Any) -> None:
     """The engine loads it by itself, and would not be loaded then."""
     (tmp_path / "OpenGL.py").write_text("raise AttributeError('no library')\n")
     paths = os.pathsep.join([str(tmp_path), *sys.path])
@@ -59,14 +59,14 @@ def test_a_chosen_library_that_is_not_here_stops_what_draws_alone(tmp_path: Any)
     assert told.startswith("maglev-mj render: cannot render with osmesa (needs `apt install lib"), told
 
 
-def test_drawing_that_is_turned_off_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disabled_rendering_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MUJOCO_GL", "off")
     status, _, told = run_here(*RENDER.split())
     assert status == 1 and told.startswith("maglev-mj render: MUJOCO_GL=off disables rendering: unset it"), told
 
 
 @pytest.mark.needs("drawing")
-def test_the_first_that_works_draws(tmp_path: Any) -> None:
+def test_the_first_working_library_renders(tmp_path: Any) -> None:
     status, told = say(RENDER, tmp_path, "")
     assert (status, told) == (0, "")
     assert (tmp_path / "a.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
@@ -95,7 +95,9 @@ def works(monkeypatch: pytest.MonkeyPatch, *names: str) -> list[str]:
 
 @pytest.mark.needs("linux")
 @pytest.mark.parametrize("working", [("osmesa", "egl", "glfw"), ("egl", "glfw"), ("glfw",)])
-def test_they_are_tried_in_order_until_one_works(working: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_libraries_are_tried_in_order_until_one_works(
+    working: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
     tried = works(monkeypatch, *working)
     assert drawing_library() == working[0] == tried[-1]
     assert drawing_library("glfw") == "glfw"  # of a program that has a window
@@ -103,14 +105,14 @@ def test_they_are_tried_in_order_until_one_works(working: tuple[str, ...], monke
 
 
 @pytest.mark.needs("linux")
-def test_what_to_install_is_said_where_none_works(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_error_without_a_library_names_the_package_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     works(monkeypatch)
     with pytest.raises(DisplayError, match=r"no working OpenGL library among osmesa, egl, glfw: .* libosmesa6"):
         drawing_library()
 
 
 @pytest.mark.needs("linux")
-def test_what_the_user_chose_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_mujoco_gl_takes_precedence(monkeypatch: pytest.MonkeyPatch) -> None:
     tried = works(monkeypatch, "osmesa")
     for word, library in {"egl": "egl", "OSMesa": "osmesa", "glx": "glfw"}.items():
         monkeypatch.setenv("MUJOCO_GL", word)

@@ -14,7 +14,7 @@ FACES = [(0, -1.0, 1e-3), (2, -1.0, 3.5e-3), (3, 1.0, -0.05)]
 
 
 @pytest.mark.parametrize("factor", MAGNIFICATIONS)
-def test_pose_stick_position_and_walls_are_drawn_magnified_and_a_drag_is_divided(factor: float) -> None:
+def test_pose_stick_position_and_walls_are_magnified_and_a_drag_is_divided(factor: float) -> None:
     stuck = np.array([np.nan, 1e-3, np.nan, np.nan, np.nan, np.nan])
     true = Snapshot(scene=Joystick(), pose=POSE, anchors=stuck, faces=FACES, force=np.ones(6), history=np.ones((3, 25)))
     drawn = magnified(true, factor)

@@ -48,7 +48,7 @@ def heard(recording: Recording, path: Path) -> tuple[int, Any]:
         return sound.getframerate(), np.frombuffer(sound.readframes(sound.getnframes()), "<i2") / 32767
 
 
-def test_a_sine_of_force_is_heard_at_its_frequency_and_on_the_stated_scale(tmp_path: Path) -> None:
+def test_a_sine_of_force_has_its_frequency_and_the_documented_amplitude(tmp_path: Path) -> None:
     time = np.arange(20_000) * PERIOD  # more than one block
     recording = recording_of(7.0 + 20.0 * np.sin(2 * np.pi * 125.0 * time), axis=0)
     rate, sound = heard(recording, tmp_path / "sine.wav")
@@ -60,7 +60,7 @@ def test_a_sine_of_force_is_heard_at_its_frequency_and_on_the_stated_scale(tmp_p
     assert abs(spectrum.max() * 50 / (20 * passed) - 1) < 0.001
 
 
-def test_a_torque_is_heard_where_the_scene_turns_and_what_is_not_known_is_silent(tmp_path: Path) -> None:
+def test_a_scene_of_a_rotation_plays_the_torque_and_nan_is_silent(tmp_path: Path) -> None:
     (segment,) = record_run(StickSlip(period=PERIOD, delay=0.0, axis="ry", duration=0.1), plant="exact").segments
     applied = np.zeros((100, 6))
     applied[:, 2], applied[50:, 4], applied[60:, 4] = np.arange(100.0), -0.5, np.nan
@@ -78,13 +78,13 @@ def test_a_force_at_rest_is_silent_and_a_slow_one_is_faint(tmp_path: Path) -> No
     assert np.abs(heard(recording_of(slow), tmp_path / "slow.wav")[1]).max() < 0.06 * 20 / 50
 
 
-def test_each_force_is_held_and_one_beyond_the_scale_is_cut(tmp_path: Path) -> None:
+def test_forces_are_held_and_clipped_at_full_scale(tmp_path: Path) -> None:
     sound = heard(recording_of(np.where(np.arange(100) % 2, 200.0, -200.0)), tmp_path / "loud.wav")[1]
     held = sound.reshape(-1, 48)
     assert (held == held[:, :1]).all() and set(held[40:, 0]) == {-1.0, 1.0}
 
 
-def test_a_step_of_a_slowed_force_fades_as_fast_as_in_real_time(tmp_path: Path) -> None:
+def test_a_step_in_slow_motion_decays_as_fast_as_in_real_time(tmp_path: Path) -> None:
     wrench = np.zeros((2, 6))
     wrench[1, 2] = 40.0
     with (tmp_path / "step.wav").open("wb") as file:
@@ -95,7 +95,7 @@ def test_a_step_of_a_slowed_force_fades_as_fast_as_in_real_time(tmp_path: Path) 
     assert not frames[:4800].any() and frames[4800:] == pytest.approx(40 / 50 * kept, abs=1e-4)
 
 
-def test_an_empty_and_a_wrong_file_are_refused_in_one_line(tmp_path: Path, capsys: Any) -> None:
+def test_empty_and_invalid_files_are_rejected_in_one_line(tmp_path: Path, capsys: Any) -> None:
     Recording([]).save(tmp_path / "empty.maglev")
     (tmp_path / "wrong.maglev").write_bytes(b"no recording")
     for name, words in {"empty": "nothing to hear", "wrong": "wrong.maglev"}.items():
@@ -122,7 +122,7 @@ def decoded(path: Path, *options: str) -> Any:
 
 
 @pytest.mark.needs("drawing")
-def test_a_clip_has_the_buzz_of_a_wall_slowed_as_its_pictures(tmp_path: Path) -> None:
+def test_a_clip_plays_a_wall_buzz_at_its_time_scale(tmp_path: Path) -> None:
     time_scale = 0.5
     frequency = render_buzz(tmp_path / "buzz.mp4", time_scale)
     sound, length = decoded(tmp_path / "buzz.mp4"), 1.5 / time_scale
@@ -133,9 +133,7 @@ def test_a_clip_has_the_buzz_of_a_wall_slowed_as_its_pictures(tmp_path: Path) ->
 
 
 @pytest.mark.needs("drawing")
-def test_a_clip_without_an_encoder_for_sound_is_silent_and_says_so(
-    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_audio_encoder_is_reported(tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     refused = subprocess.CompletedProcess((), 1, b"", b"Unknown encoder 'aac'\nnothing written")
     parts: list[Any] = []
     monkeypatch.setattr(offscreen, "subprocess", SimpleNamespace(run=lambda *_, **__: refused))

@@ -127,7 +127,7 @@ def test_a_sweep_over_axes_names_both_units() -> None:
 
 
 @pytest.mark.parametrize("axis", ["x", "rz"])
-def test_what_is_not_along_the_axis_keeps_its_unit(axis: str) -> None:
+def test_parameters_not_along_the_axis_keep_their_unit(axis: str) -> None:
     class Own(Scene):
         """Own."""
 
@@ -147,7 +147,7 @@ def test_what_is_not_along_the_axis_keeps_its_unit(axis: str) -> None:
     assert units == {"final position": unit_of("mm", axis), "<lambda>": "N"} and unit_of("mm", axis) in table
 
 
-def test_a_larger_unit_is_as_much_larger_along_a_rotation() -> None:
+def test_unit_prefixes_are_the_same_for_rotations() -> None:
     larger = {"N/mm": "N m/mrad", "kN/m": "kN m/rad", "mm": "mrad", "µm": "µrad", "mN": "mN m"}
     assert {unit: unit_of(unit, "rz") for unit in larger} == larger  # one factor serves both
 
@@ -160,7 +160,7 @@ def test_a_thinned_chart_ends_with_the_newest_sample() -> None:
 
 
 @pytest.mark.parametrize(("samples", "across"), [(0, 0.2), (61, 0.5), (402, 2.0)])
-def test_a_chart_is_as_wide_as_what_has_passed(samples: int, across: float) -> None:
+def test_the_time_axis_grows_with_the_elapsed_time(samples: int, across: float) -> None:
     rows = np.zeros((samples, 25))
     rows[:, 0] = 7.0 + np.arange(samples) * 0.005
     chart = Charts(200).of(Snapshot(scene=StickSlip(axis="x"), history=rows), 0)[0]

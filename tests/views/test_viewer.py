@@ -242,7 +242,7 @@ def test_a_window_closed_while_it_loads_a_model_ends_the_program(session: Sessio
 
 
 @needs_screen
-def test_a_drag_moves_the_flotor_as_the_hands_stiffness_says(session: Session) -> None:
+def test_a_drag_moves_the_flotor_by_the_hands_stiffness(session: Session) -> None:
     # Far end of the spring from pixels and camera alone; then two springs in balance.
     recording = session.recordings[0]
     position = np.concatenate([segment.position for segment in recording.segments])
@@ -258,14 +258,14 @@ def test_a_drag_moves_the_flotor_as_the_hands_stiffness_says(session: Session) -
 
 
 @needs_screen
-def test_letting_go_brings_it_back(session: Session) -> None:
+def test_the_flotor_returns_on_release(session: Session) -> None:
     segment = session.recordings[0].segments[-1]
     assert not segment.hand[-100:].any()
     assert np.abs(segment.position[-1]).max() < 1e-5
 
 
 @needs_screen
-def test_a_session_by_mouse_runs_again_bit_for_bit(session: Session) -> None:
+def test_a_session_by_mouse_replays_bit_for_bit(session: Session) -> None:
     for recording in session.recordings:
         verdict = verify(recording, rebuild)
         assert verdict.same, verdict
@@ -273,7 +273,7 @@ def test_a_session_by_mouse_runs_again_bit_for_bit(session: Session) -> None:
 
 
 @needs_screen
-def test_keys_do_what_the_overlay_says(session: Session) -> None:
+def test_keys_match_the_help(session: Session) -> None:
     segments = session.recordings[1].segments
     settings = [segment.setup["parameters"] for segment in segments]
     for before, after, (name, value) in zip(settings, settings[1:], PRESSED.values(), strict=False):
@@ -291,7 +291,7 @@ def test_keys_do_what_the_overlay_says(session: Session) -> None:
 
 
 @needs_screen
-def test_a_screenshot_is_taken(session: Session) -> None:
+def test_a_screenshot_is_written(session: Session) -> None:
     (path,) = session.folder.glob("*.png")
     assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
 

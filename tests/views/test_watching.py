@@ -93,7 +93,7 @@ class ViewerHere(RemoteViewer):
         self._inbox = Inbox(0.0)
 
 
-def test_both_ends_of_a_window_agree() -> None:
+def test_viewer_and_session_exchange_samples_and_requests() -> None:
     # Each sample's row arrives once; keys pressed between two snapshots add up; who is gone is told of once.
     viewer, motion, blank = ViewerHere(Joystick()), SampledMotion(), Snapshot(scene=Joystick())
     session, closed, stopped = viewer.window, list[int](), list[int]()
@@ -149,7 +149,7 @@ class Steep(Scene):
 
 
 @pytest.mark.parametrize(("key", "said"), [("level down", "level must be"), ("fragile", "ValueError: it breaks")])
-def test_what_a_scene_refuses_ends_no_flight_and_is_told(key: str, said: str) -> None:
+def test_a_rejected_value_becomes_a_note_and_does_not_end_the_flight(key: str, said: str) -> None:
     """Keys are taken in the loop of a device."""
     viewer = ViewerHere(Steep())
     viewer.window.act(key)
@@ -161,7 +161,7 @@ def test_what_a_scene_refuses_ends_no_flight_and_is_told(key: str, said: str) ->
     assert request is not None and request.scene == Steep(level=2.0)
 
 
-def test_a_device_takes_what_its_scene_has_and_is_not_rewound() -> None:
+def test_a_device_accepts_only_its_scenes_parameters_and_no_rewind() -> None:
     viewer = ViewerHere(Joystick())
     viewer.window.change({"stiffness": 3000.0, "hand_stiffness": 9.0})
     request = viewer.take()
@@ -172,14 +172,14 @@ def test_a_device_takes_what_its_scene_has_and_is_not_rewound() -> None:
     assert viewer.take() is None and "a device cannot be rewound" in viewer._note.lines[0]
 
 
-def test_a_scene_that_has_started_again_is_shown_from_its_beginning() -> None:
+def test_a_restarted_scene_is_shown_from_its_beginning() -> None:
     viewer, blank = ViewerHere(Joystick()), Snapshot(scene=Joystick())
     for times in ([0.9, 1.0], [0.005, 0.01], [0.01, 0.015]):
         viewer.show(replace(blank, time=times[-1], history=np.full((2, 25), 1.0) * np.array(times)[:, None]))
     assert [shown.history[:, 0].tolist() for shown in viewer.sent] == [[0.9, 1.0], [0.005, 0.01], [0.015]]
 
 
-def test_where_a_recording_has_jumped_few_rows_are_sent_and_the_newest_of_them() -> None:
+def test_rows_are_thinned_after_a_jump_in_a_recording() -> None:
     viewer, rows = ViewerHere(Joystick()), np.zeros((5000, len(SampledMotion().history.rows.T)))
     rows[:, 0] = 0.005 * np.arange(5000)
     viewer.show(Snapshot(scene=Joystick(), time=25.0, history=rows))
@@ -188,12 +188,12 @@ def test_where_a_recording_has_jumped_few_rows_are_sent_and_the_newest_of_them()
 
 
 @pytest.mark.machine
-def test_a_page_whose_process_ends_ends_the_session() -> None:
+def test_the_session_ends_with_the_viewer_process() -> None:
     with pytest.raises(MaglevError, match="the viewer process has ended"):
         show_remotely(Session(), id, 60.0)
 
 
-def test_a_flood_of_requests_delays_no_tick_and_no_emergency_stop() -> None:
+def test_a_flood_of_requests_delays_neither_ticks_nor_the_emergency_stop() -> None:
     # Ten seconds of 4800 slider values a second and half as many actions, the stop amid them.
     now = [100.0]
     inbox = Inbox(clock=lambda: now[0])
@@ -214,7 +214,7 @@ def test_a_flood_of_requests_delays_no_tick_and_no_emergency_stop() -> None:
     assert stops == [1000] and 180 <= len(taken) <= 201 and min(np.diff(taken)) >= 10
 
 
-def test_of_each_parameter_the_newest_value_waits() -> None:
+def test_waiting_changes_are_merged() -> None:
     inbox = Inbox(0.0)
     for value in range(1000):
         inbox.put("change", {"stiffness": value})
@@ -229,7 +229,7 @@ def test_of_each_parameter_the_newest_value_waits() -> None:
     assert inbox.take() == []
 
 
-def test_what_was_asked_for_before_an_emergency_stop_does_not_start_the_scene_again() -> None:
+def test_an_emergency_stop_discards_earlier_requests() -> None:
     inbox = Inbox(0.0)
     inbox.put("act", "centre")
     inbox.put("change", {"stiffness": 5.0})
@@ -240,7 +240,7 @@ def test_what_was_asked_for_before_an_emergency_stop_does_not_start_the_scene_ag
     assert inbox.take() == [("act", "centre")]
 
 
-def test_a_slider_that_still_moves_starts_nothing_after_an_emergency_stop() -> None:
+def test_a_moving_slider_does_not_restart_the_scene_after_an_emergency_stop() -> None:
     now = [10.0]
     inbox = Inbox(0.0, lambda: now[0])
     inbox.put("act", EMERGENCY_STOP)
@@ -256,7 +256,7 @@ def test_a_slider_that_still_moves_starts_nothing_after_an_emergency_stop() -> N
     assert inbox.take() == [("change", {"stiffness": 6.0})]
 
 
-def test_a_line_that_never_runs_dry_holds_no_tick() -> None:
+def test_endless_messages_do_not_block_a_tick() -> None:
     viewer, messages = ViewerHere(Joystick()), iter([("change", {"stiffness": 1000.0})] * 10_000)
     viewer._front.received = lambda: messages  # type: ignore[method-assign]
     source: Any = SimpleNamespace(change=id, hand=SpringHand(), snapshot=lambda: Snapshot(scene=Joystick()))

@@ -1,4 +1,4 @@
-"""Web page without a browser: access, drawing, requests, release."""
+"""Web page without a browser: access control, drawing, requests, release."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def upgrade(server: PageServer, origin: str | None = "", **headers: str) -> int:
         return error.response.status_code
 
 
-def test_the_page_is_for_its_own_origin_and_host() -> None:
+def test_other_origins_and_hosts_are_rejected() -> None:
     with served() as server:
         page = ask(server)
         assert page.status == 200 and "<html" in page.text
@@ -131,7 +131,7 @@ def test_two_hosts_in_one_request_are_refused() -> None:
         assert line.recv(100).startswith(b"HTTP/1.1 403")
 
 
-def test_a_token_is_shown_once_and_kept_as_a_cookie_that_scripts_and_other_sites_do_not_get() -> None:
+def test_a_token_becomes_a_cookie_hidden_from_scripts_and_other_sites() -> None:
     with served(token=TOKEN) as server:
         for path in ("/", "/?token=", f"/?token={TOKEN[:-1]}", "/?token=%C3%A9", f"/?other={TOKEN}"):
             refused = ask(server, path)
@@ -150,14 +150,14 @@ def test_a_token_is_shown_once_and_kept_as_a_cookie_that_scripts_and_other_sites
             connect(f"ws://127.0.0.1:{server.get_port()}/?token={TOKEN}", origin=Origin(server_url(server)))
 
 
-def test_a_server_that_starts_without_the_door_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_server_without_access_control_is_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
     # As another version of viser might: the process that serves the page ends.
     monkeypatch.setattr(viser.ViserServer, "__init__", lambda self, **options: None)
     with listen(0) as listener, pytest.raises(MaglevError, match="access control would be missing"):
         PageServer(Door("127.0.0.1", listener.getsockname()[1]), listener)
 
 
-def test_a_named_origin_is_let_in_with_the_token_alone() -> None:
+def test_an_allowed_origin_still_needs_the_token() -> None:
     with served(origins=["http://192.168.0.5:8080", "null"]) as server:
         statuses = [upgrade(server, origin) for origin in ("http://192.168.0.5:8080", "null", "", "http://192.168.0.6")]
         assert statuses == [101, 101, 101, 403]
@@ -165,7 +165,7 @@ def test_a_named_origin_is_let_in_with_the_token_alone() -> None:
         assert upgrade(server, "null") == 403
 
 
-def test_an_origin_that_is_none_is_refused() -> None:
+def test_an_invalid_origin_is_rejected() -> None:
     for origin in ("", "*", "http://", "http://a/", "ftp://a", "a.example", "http://a b", "http://a,http://b"):
         with pytest.raises(ParameterError, match="origin must be as http"):
             check_origin(origin)
@@ -175,14 +175,14 @@ def server_url(server: PageServer) -> str:
     return f"http://127.0.0.1:{server.get_port()}"
 
 
-def test_at_every_address_numbers_are_right_and_names_are_not() -> None:
+def test_on_all_addresses_ip_hosts_are_accepted_and_names_rejected() -> None:
     with served("0.0.0.0", TOKEN) as server:
         assert ask(server, f"/?token={TOKEN}").status == 200
         assert ask(server, f"/?token={TOKEN}", Host="192.168.1.7:80").status == 200
         assert ask(server, f"/?token={TOKEN}", Host="evil.example").status == 403
 
 
-def test_no_browser_gets_a_public_address(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_share_urls_are_disabled(monkeypatch: pytest.MonkeyPatch) -> None:
     # Neither through the message nor through the method: both are touched here.
     opened: list[object] = []
 
@@ -214,7 +214,7 @@ def test_no_browser_gets_a_public_address(monkeypatch: pytest.MonkeyPatch) -> No
         assert asked == [] and opened == []
 
 
-def test_a_port_that_is_taken_and_a_host_that_is_not_here_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_and_a_foreign_host_are_reported(capsys: pytest.CaptureFixture[str]) -> None:
     with listen(0) as taken:
         port = taken.getsockname()[1]
         assert main(["view", "--web", "--no-open", "--port", str(port)]) == 1
@@ -225,7 +225,7 @@ def test_a_port_that_is_taken_and_a_host_that_is_not_here_are_told(capsys: pytes
     assert "192.0.2.1" in capsys.readouterr().err
 
 
-def test_a_token_is_made_where_the_option_has_none(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_token_is_generated_by_default(capsys: pytest.CaptureFixture[str]) -> None:
     """One that is typed is in the list of processes."""
     tokens = []
     for _ in range(2):
@@ -238,7 +238,7 @@ def test_a_token_is_made_where_the_option_has_none(capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize("kind", ["box", "cylinder", "ellipsoid"])
-def test_a_shape_is_closed_turned_outward_and_as_large_as_it_says(kind: str) -> None:
+def test_a_shape_is_closed_faces_outward_and_has_its_volume(kind: str) -> None:
     half, turn = np.array([0.01, 0.015, 0.02]), [np.cos(0.3), 0.0, np.sin(0.3), 0.0]
     made = solid(Shape(True, kind, half, np.array([0.1, 0.2, 0.3]), turn, (1.0, 1.0, 1.0, 1.0)))
     closed = made.copy()
@@ -251,7 +251,7 @@ def test_a_shape_is_closed_turned_outward_and_as_large_as_it_says(kind: str) -> 
     assert made.centroid == pytest.approx([0.1, 0.2, 0.3])
 
 
-def test_a_chart_holds_its_points_and_says_no_markup() -> None:
+def test_a_chart_contains_its_points_and_escapes_markup() -> None:
     line = Line((1.0, 0.0, 0.0), [0.0, 1.0], [0.0, 2.0], dot=True)
     made = drawn(Chart([("a<b", None)], [line], (0.0, 1.0), (0.0, 2.0)))
     assert "a&lt;b" in made and 'points="38.0,134.0 306.0,22.0"' in made and "#ff0000" in made
@@ -297,7 +297,7 @@ def shown(page: Page, source: Recorder, **parts: Any) -> Any:
     return page._stage
 
 
-def test_magnified_the_handle_moves_further_among_its_walls_and_a_drag_asks_for_less() -> None:
+def test_magnified_motion_of_handle_walls_and_drag() -> None:
     pose, faces = np.array([1e-3, 0.0, 2e-3, 0.0, 0.0, 0.0]), [(0, -1.0, 3.5e-3), (2, -1.0, 2e-3)]
     with page_of(pose=pose, faces=faces) as (page, source):
         page._panel._motion.value = "x5"
@@ -358,7 +358,7 @@ class Typed(Scene):
         return []
 
 
-def test_a_control_is_as_the_parameter_declares() -> None:
+def test_controls_match_the_parameters_declarations() -> None:
     scene = Typed()
     with served() as server:
         made = {one.name: control(server.gui, one, scene, lambda kind, given: None) for one in scene.parameters()}
@@ -384,7 +384,7 @@ def test_a_control_is_as_the_parameter_declares() -> None:
         assert type(control(server.gui, joystick.parameter("wall"), joystick, lambda *_: None)) is Control
 
 
-def test_a_page_that_only_watches_has_neither_hand_nor_sliders() -> None:
+def test_a_read_only_page_has_neither_hand_nor_sliders() -> None:
     snapshot = Snapshot(scene=Joystick(), actions=(*Session().actions, EMERGENCY_STOP))
     with served() as server:
         page = Page(server, Recorder(snapshot), drag=False, settings=False)
@@ -393,7 +393,7 @@ def test_a_page_that_only_watches_has_neither_hand_nor_sliders() -> None:
         assert page._grab is not None and len(page._panel._controls) > 5 and page._stage.knob._impl.drag_cb
 
 
-def test_the_page_of_a_recording_has_a_slider_of_its_time_and_a_button_for_each_action() -> None:
+def test_the_page_of_a_recording_has_a_time_slider_and_a_button_per_action() -> None:
     source = Recorder(Snapshot(scene=Joystick(), duration=4.0, time=1.0, actions=ACTIONS))
     with served() as server:
         page = Page(server, source, drag=False, settings=False)
@@ -404,7 +404,7 @@ def test_the_page_of_a_recording_has_a_slider_of_its_time_and_a_button_for_each_
 
 
 @pytest.mark.parametrize("watch", [True, False])
-def test_nothing_but_an_emergency_stop_is_taken_from_a_page_of_a_real_device(watch: bool) -> None:
+def test_a_read_only_viewer_accepts_only_an_emergency_stop(watch: bool) -> None:
     # Whatever its process sends.
     viewer, stopped = ViewerHere(Joystick(), watch=watch), list[int]()
     viewer.on_emergency = lambda: stopped.append(1)
@@ -418,7 +418,7 @@ def test_nothing_but_an_emergency_stop_is_taken_from_a_page_of_a_real_device(wat
     assert (request is None) == watch and (viewer.hand.target is None) == watch
 
 
-def test_a_target_glides_and_a_silent_line_lets_go() -> None:
+def test_a_target_is_interpolated_and_released_on_timeout() -> None:
     now, hand = [10.0], SpringHand()
     glide = Glide(lambda: now[0])
 
@@ -446,7 +446,7 @@ def test_a_target_glides_and_a_silent_line_lets_go() -> None:
         assert (moved() is not None) == (target == [0.0] * 6)
 
 
-def test_a_held_target_is_said_again_and_again() -> None:
+def test_a_held_target_is_resent() -> None:
     near, far = Pipe()
     page = RemoteSession(far, Snapshot(scene=Joystick()))
     page.hand.target = [1e-3] * 6
@@ -480,7 +480,7 @@ for message in line:
 
 
 @pytest.mark.machine
-def test_the_first_browser_has_the_hand_and_one_that_does_not_answer_loses_it(
+def test_the_first_browser_has_the_hand_until_it_stops_responding(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # A person who holds still says nothing; a browser that answers is there. On a busy machine it answers late.
@@ -531,7 +531,7 @@ def drag(phase: str, client: int = 1, end: Any = (0.0, 0.0, 0.08), modifier: str
     )
 
 
-def test_only_the_browser_that_holds_the_knob_moves_it_and_one_that_is_gone_has_no_hand() -> None:
+def test_only_the_holder_moves_the_knob_and_a_disconnected_one_releases_it() -> None:
     aimed: list[Any] = []
 
     async def drags() -> None:
@@ -593,7 +593,7 @@ def until(page: Page, done: Any) -> None:
 
 
 @pytest.mark.machine
-def test_ctrl_c_ends_a_page_and_says_what_it_came_to() -> None:
+def test_ctrl_c_ends_a_page_with_its_report() -> None:
     """Which is how it ends, and no failure."""
     with started("view", "--web", "--no-open", "--port", "0") as program:
         url = program.wait_for(r"the page is at (http://127\.0\.0\.1:\d+)\S*\s")

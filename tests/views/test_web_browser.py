@@ -199,7 +199,7 @@ def stiffness(shown: Snapshot) -> float:
     return float(shown.scene.as_json()["stiffness"])
 
 
-def test_a_slider_goes_back_and_buttons_go_on_or_repeat(run: Run, tab: Any) -> None:
+def test_the_rewind_slider_and_the_resume_and_repeat_buttons(run: Run, tab: Any) -> None:
     slider = tab.locator("[role=slider]").first
     slider.focus()
     tab.keyboard.press("ArrowRight")
@@ -215,7 +215,7 @@ def test_a_slider_goes_back_and_buttons_go_on_or_repeat(run: Run, tab: Any) -> N
     run.until(lambda shown: shown.state == "running" and not shown.rewound)
 
 
-def test_the_knob_is_pulled_into_the_wall_which_stops_it(run: Run, tab: Any) -> None:
+def test_a_wall_stops_the_pulled_knob(run: Run, tab: Any) -> None:
     x, y = press(tab, run)
     edge = next(edge for axis, normal, edge in run.shown.faces if (axis, normal) == (0, -1.0))
     pushed = pull(tab, run, x + 90, y, lambda shown: shown.pose[0] > edge and shown.hand[0] > 3.0)
@@ -227,7 +227,7 @@ def test_the_knob_is_pulled_into_the_wall_which_stops_it(run: Run, tab: Any) -> 
     assert let_go.state == "running"
 
 
-def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, tab: Any) -> None:
+def test_buttons_pause_step_and_stop_and_the_banner_names_the_action(run: Run, tab: Any) -> None:
     def button(name: str) -> Any:
         return tab.get_by_role("button", name=name, exact=True)
 
@@ -250,7 +250,7 @@ def test_buttons_pause_step_and_stop_and_the_banner_says_the_way_on(run: Run, ta
     tab.wait_for_selector("[role=alert]:has-text('STOPPED')", state="detached")
 
 
-def test_a_refused_value_is_told_and_the_slider_goes_back(run: Run, tab: Any) -> None:
+def test_a_rejected_value_is_reported_and_the_slider_returns(run: Run, tab: Any) -> None:
     choose(tab, "press")
     run.until(lambda shown: shown.scene.name == "press")
     slider = tab.locator("[role=slider]").nth(1)
@@ -271,7 +271,9 @@ def choose(tab: Any, scene: str) -> None:
     tab.get_by_role("option", name=scene, exact=True).click()
 
 
-def test_on_a_phone_all_is_for_a_finger_and_a_tab_closed_in_mid_drag_lets_go(run: Run, browser: Any, tab: Any) -> None:
+def test_the_phone_layout_is_touch_sized_and_closing_the_tab_releases_the_hand(
+    run: Run, browser: Any, tab: Any
+) -> None:
     phone = opened(browser, run, viewport={"width": 390, "height": 800}, has_touch=True, is_mobile=True)
     assert phone.evaluate("document.documentElement.scrollWidth") <= 390
     stop = phone.get_by_role("button", name="emergency stop", exact=True)
@@ -318,7 +320,7 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 """
 
 
-def test_without_webgl_and_after_the_token_has_left_the_address_all_but_the_picture_works(run: Run, tab: Any) -> None:
+def test_without_webgl_and_with_the_cookie_alone_the_controls_work(run: Run, tab: Any) -> None:
     address = run.url.split("?")[0]
     assert tab.url == address != run.url  # the browser that has shown the token keeps it as a cookie
     other = blank(tab.context, NO_WEBGL)

@@ -1,7 +1,4 @@
-"""Layout of the window at any size.
-
-Words, plots and labels leave the handle and each other alone.
-"""
+"""Layout of the window at any size: no overlap of texts, plots, labels and handle."""
 
 from __future__ import annotations
 
@@ -44,8 +41,8 @@ KNOB = np.array(
 )
 
 
-def made(scene: Scene, target: list[float] | None = None, seconds: float = 3.0, **changed: float) -> Snapshot:
-    """Return a picture of a scene after some time in a hand."""
+def snapshot_after(scene: Scene, target: list[float] | None = None, seconds: float = 3.0, **changed: float) -> Snapshot:
+    """Return the snapshot of a scene after some time in a hand."""
     session = Session(scene, pacer=Pacer(budget=60.0, patience=3600.0))
     session.change(changed)
     session.hand.target = target
@@ -56,36 +53,36 @@ def made(scene: Scene, target: list[float] | None = None, seconds: float = 3.0, 
 
 @pytest.fixture(scope="module")
 def shot() -> Snapshot:
-    return made(Joystick(), seconds=0.1)
+    return snapshot_after(Joystick(), seconds=0.1)
 
 
 def areas(layout: Layout) -> dict[str, Area]:
-    """Return the area of everything that is drawn, the handle too."""
+    """Return the areas of all elements by name."""
     plots = {f"plot {index}": area for index, area in enumerate(layout.plots)}
     return plots | {name: getattr(layout, name) for name in ("text", "banner", "bar", "label", "handle")}
 
 
-def meets(one: Area, other: Area) -> bool:
+def overlap(one: Area, other: Area) -> bool:
     """Return True if two areas overlap."""
     across = one.left < other.right and other.left < one.right
     return across and one.bottom < other.top and other.bottom < one.top
 
 
 def lines(drawn: Drawn, grid: str) -> list[tuple[str, str]]:
-    """Return the rows of the block of text at an edge."""
+    """Return the rows of the text block at a grid position."""
     place = int(getattr(mujoco.mjtGridPos, f"mjGRID_{grid}"))
     return [row for _, its, *columns in drawn.texts if its == place for row in zip(*(c.split("\n") for c in columns))]
 
 
 @pytest.mark.parametrize("scale", [100, 150])
-def test_nothing_covers_the_handle_or_anything_else(scale: int) -> None:
+def test_no_element_covers_another_or_the_handle(scale: int) -> None:
     # From 480 pixels on, beside the engine's side panel or not, with a table of keys or help, and without.
     for (width, height), panel, help_width in product(SIZES, (0, 270), (0, 340, 420)):
         view = Area(panel, 0, width * scale // 100 - panel, height * scale // 100)
         layout = arranged(view, scale, help_width=help_width * scale // 100, bar=True)
         found = areas(layout)
         for (name, one), (other_name, other) in combinations(found.items(), 2):
-            assert not meets(one, other), (view, help_width, name, other_name)
+            assert not overlap(one, other), (view, help_width, name, other_name)
         for name, one in found.items():
             assert view.left <= one.left and one.right <= view.right, (view, help_width, name)
             assert view.bottom <= one.bottom and one.top <= view.top, (view, help_width, name)
@@ -101,7 +98,7 @@ OFF = {"scene": Joystick(wall=False, pulse=False)}
 
 
 def drawings(shot: Snapshot, view: Area, scale: int, states: Iterable[dict[str, Any]], note: str) -> Iterator[Any]:
-    """Yield a picture of each state, with the keys and without, and with a note and without."""
+    """Yield a frame of each state, with and without keys, with and without a note."""
     for state, keys, notes in product(states, (False, True), ([note], [])):
         shown, screen = replace(shot, **state), Screen()
         if keys:
@@ -111,7 +108,7 @@ def drawings(shot: Snapshot, view: Area, scale: int, states: Iterable[dict[str, 
 
 
 @pytest.mark.parametrize(("size", "scale"), sweep([(800, 600), (1280, 720), (1920, 1080)], [100, 150], every=2))
-def test_no_text_is_cut_or_wider_than_its_place(shot: Snapshot, size: tuple[int, int], scale: int) -> None:
+def test_no_text_is_truncated_or_wider_than_its_area(shot: Snapshot, size: tuple[int, int], scale: int) -> None:
     view, font = Area(0, 0, *(scale * side // 100 for side in size)), Font(scale)
     states: list[dict[str, Any]] = [{}, STOPPED, TOURED, {"time_scale": 0.01}]
     for shown, keys, notes, drawn in drawings(shot, view, scale, states, "wrote /a/folder/of/some/depth/a-001.png"):
@@ -146,7 +143,7 @@ def test_nothing_moves_when_states_change(shot: Snapshot, size: tuple[int, int],
     assert len(places) == 1
 
 
-def test_keys_are_shown_when_asked_for_and_the_window_fits_its_screen(shot: Snapshot) -> None:
+def test_f11_shows_the_keys_and_the_window_fits_its_screen(shot: Snapshot) -> None:
     screen, view = Screen(), Area(0, 0, 1280, 800)
     first = screen.draw(shot, view, 100)
     assert ("F11", "keys") in lines(first, "BOTTOMLEFT") and "Esc" not in dict(lines(first, "TOPLEFT"))
@@ -158,7 +155,7 @@ def test_keys_are_shown_when_asked_for_and_the_window_fits_its_screen(shot: Snap
 
 
 @pytest.mark.parametrize("size", [(1, 1), (30, 800), (800, 30), (120, 90)])
-def test_a_window_may_be_as_small_as_its_owner_likes(shot: Snapshot, size: tuple[int, int]) -> None:
+def test_a_window_of_any_size_is_drawn(shot: Snapshot, size: tuple[int, int]) -> None:
     stopped = replace(shot, state="stopped", duration=2.0)
     framing, camera = Framing(Scenery(Joystick).model), mujoco.MjvCamera()
     framing.reset(camera)
@@ -169,7 +166,7 @@ def test_a_window_may_be_as_small_as_its_owner_likes(shot: Snapshot, size: tuple
         assert np.isfinite([camera.distance, *camera.lookat]).all()
 
 
-def seen(model: Any, camera: Any, view: Area, points: Array) -> Array:
+def projected(model: Any, camera: Any, view: Area, points: Array) -> Array:
     """Return the pixels of points in a picture, (N, 2)."""
     across, up = directions(camera)
     forward = np.cross(up, across)
@@ -182,7 +179,7 @@ def seen(model: Any, camera: Any, view: Area, points: Array) -> Array:
 
 
 @pytest.mark.parametrize("name", ["joystick", "six-axes"])
-def test_the_knob_is_in_the_free_part_of_the_picture(name: str) -> None:
+def test_the_knob_is_in_the_free_area(name: str) -> None:
     # At each size, wherever the flotor is.
     model = Scenery(find_scene(name)).model
     framing, camera = Framing(model), mujoco.MjvCamera()
@@ -192,12 +189,12 @@ def test_the_knob_is_in_the_free_part_of_the_picture(name: str) -> None:
         free = arranged(view, 100, help_width=help_width).handle
         framing.follow(camera, view, free)
         for place in (np.zeros(3), np.full(3, 4.5e-3), np.full(3, -4.5e-3)):
-            points = seen(model, camera, view, KNOB + place)
+            points = projected(model, camera, view, KNOB + place)
             assert (points >= (free.left, free.bottom)).all() and (points <= (free.right, free.top)).all(), view
-        middle = seen(model, camera, view, GRIP[None, :])[0]
+        middle = projected(model, camera, view, GRIP[None, :])[0]
         place, right, up = framing.project(camera, view, GRIP)
         assert place == pytest.approx(middle)
-        moved = seen(model, camera, view, (GRIP + 7.0 * right - 5.0 * up)[None, :])[0]
+        moved = projected(model, camera, view, (GRIP + 7.0 * right - 5.0 * up)[None, :])[0]
         assert moved - middle == pytest.approx([7.0, -5.0], abs=1e-6)
         assert abs(middle[0] - free.centre[0]) < 0.1 * free.width
 
@@ -206,12 +203,12 @@ STOPS = {
     "metal stop: +x 4.5 mm": (8e-3, 0.0, 0.0, 0.0, 0.0, 0.0),
     "metal stop: rotation 6.0 deg": (0.0, 0.0, 0.0, 0.5, 0.0, 0.4),
 }
-"""Targets of the hand beyond a stop, by the words that name it."""
+"""Targets of the hand past a stop, by the start of its message."""
 
 
 @cache
 def at_stop(words: str) -> Snapshot:
-    return made(Joystick(wall=False), list(STOPS[words]), hand_stiffness=2000.0)
+    return snapshot_after(Joystick(wall=False), list(STOPS[words]), hand_stiffness=2000.0)
 
 
 @pytest.mark.parametrize("words", STOPS)
@@ -229,7 +226,7 @@ def test_forces_balance_at_a_metal_stop_and_it_is_named(words: str) -> None:
         assert abs(edge) == pytest.approx(4.5e-3, rel=0.1) and normal == -np.sign(edge) == -np.sign(target[axis])
 
 
-def test_what_balances_is_drawn_as_long_on_both_sides() -> None:
+def test_arrows_of_balanced_forces_have_equal_lengths() -> None:
     # Hand to one side; device and stop, one behind the other, to the other: sums of lengths agree.
     shown, scenery = at_stop(next(iter(STOPS))), Scenery(Joystick)
     scene = mujoco.MjvScene(scenery.model, 500)
@@ -264,7 +261,7 @@ def test_ranges_fit_the_data_and_do_not_jitter() -> None:
     assert steady([0.0, 2.6]) == (0.0, 4.0) and steady([0.0, 1.5]) == (0.0, 2.0) and steady([-9.0]) == (-10.0, -8.0)
 
 
-def test_the_cross_is_at_the_gains_that_act_together() -> None:
+def test_the_margin_is_that_of_the_total_gains() -> None:
     # Those of wall and centring, of the walls alone where there is a wall, and of the loop that is refused.
     found, body = margin(Joystick()), inertia_of(Joystick())
     assert found.stable and found.axis == "x"
@@ -287,27 +284,27 @@ def titles(figures: list[Any]) -> list[tuple[str, Any]]:
     return [(str(figure.title), figure) for _, figure in figures]
 
 
-def test_the_banner_says_what_is_the_matter_and_the_key_that_goes_on(shot: Snapshot) -> None:
+def test_the_banner_names_the_state_and_the_key_to_continue(shot: Snapshot) -> None:
     screen, view = Screen(), Area(0, 0, 1280, 800)
 
-    def said(shown: Snapshot, size: Area = view) -> str:
+    def heading(shown: Snapshot, size: Area = view) -> str:
         found = [title.rstrip("\0") for title, _ in titles(screen.draw(shown, size, 100).figures)]
         return next((title for title in found if title.startswith(("STOPPED", "PAUSED", "Running"))), "")
 
-    assert said(shot) == ""
+    assert heading(shot) == ""
     stopped = replace(shot, state="stopped", reason="emergency stop")
-    assert said(stopped) == "STOPPED: press / to restart"
-    assert said(replace(shot, state="paused")) == "PAUSED: press Space to resume"
+    assert heading(stopped) == "STOPPED: press / to restart"
+    assert heading(replace(shot, state="paused")) == "PAUSED: press Space to resume"
     device = replace(stopped, actions=device_actions(Joystick), remedy="maglev-mj bridge ADDRESS --reset goes on")
-    assert said(device) == "STOPPED"  # no key does
+    assert heading(device) == "STOPPED"  # no key does
     found = banner(device)
     assert found is not None and found.way_on == "" and "--reset" in found.remedy
-    assert said(stopped, Area(0, 0, 1040, 700)).startswith("STOPPED: press /")
+    assert heading(stopped, Area(0, 0, 1040, 700)).startswith("STOPPED: press /")
     late = "Running slower than real time: press - for slow motion"
-    assert said(replace(shot, late=True)) == said(shot) == late  # held for a while
+    assert heading(replace(shot, late=True)) == heading(shot) == late  # held for a while
 
 
-def test_a_key_draws_the_handle_and_its_walls_further_out_and_says_so(shot: Snapshot) -> None:
+def test_a_key_magnifies_the_motion_of_handle_and_walls(shot: Snapshot) -> None:
     screen, pose = Screen(), np.array([1e-3, -5e-4, 2e-3, 0.01, 0.0, 0.02])
     shown, scenery, other = replace(shot, pose=pose), Scenery(Joystick), Scenery(Joystick)
     scene = mujoco.MjvScene(scenery.model, 500)
@@ -331,7 +328,7 @@ def test_a_key_draws_the_handle_and_its_walls_further_out_and_says_so(shot: Snap
     assert screen.factor == 1
 
 
-def test_a_press_on_the_knob_is_the_hands_and_any_other_the_engines(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_plain_left_drags_of_the_knob_are_taken_from_mujoco(monkeypatch: pytest.MonkeyPatch) -> None:
     pixel, engine, ours = [100.0, 100.0], list[Any](), list[Any]()
 
     def taken(window: Any, call: Any) -> Any:
@@ -367,7 +364,7 @@ def test_a_press_on_the_knob_is_the_hands_and_any_other_the_engines(monkeypatch:
 
 
 @pytest.mark.parametrize("factor", [3])
-def test_a_plain_drag_is_the_hand_and_a_magnified_one_is_divided(shot: Snapshot, factor: int) -> None:
+def test_a_drag_sets_the_target_divided_by_the_magnification(shot: Snapshot, factor: int) -> None:
     window: Any = _Window.__new__(_Window)
     hand, start = SpringHand(), np.array([1e-3, 0.0, 0.0, 0.0, 0.01, 0.0])
     shown = [replace(shot, pose=start)]
@@ -394,26 +391,26 @@ def test_a_plain_drag_is_the_hand_and_a_magnified_one_is_divided(shot: Snapshot,
     assert hand.target == pytest.approx([2e-3 + 3e-3 / factor, 0.0, 0.0, *shown[0].pose[3:]])
 
 
-WAYS = ((1, 0, 0), (0, 1, 0), (0.7, 0.7, 0), (0, 0, 1), (0.6, 0.6, -0.5), (-1, 0, 0), (0, 0, -1), (0, -1, 0))
+DIRECTIONS = ((1, 0, 0), (0, 1, 0), (0.7, 0.7, 0), (0, 0, 1), (0.6, 0.6, -0.5), (-1, 0, 0), (0, 0, -1), (0, -1, 0))
 
 
-@pytest.mark.parametrize(("scene", "way"), sweep([Joystick, find_scene("box")], WAYS, every=16))
-def test_the_default_hand_meets_the_wall_and_not_the_stop(scene: type[Scene], way: tuple[float, ...]) -> None:
+@pytest.mark.parametrize(("scene", "direction"), sweep([Joystick, find_scene("box")], DIRECTIONS, every=16))
+def test_the_default_hand_reaches_the_wall_but_not_the_stop(scene: type[Scene], direction: tuple[float, ...]) -> None:
     # However far it is pulled, along each axis and across.
-    shown = made(scene(), [*(0.1 * np.array(way)), 0.0, 0.0, 0.0])
-    assert not stop_contacts(shown).words, way
+    shown = snapshot_after(scene(), [*(0.1 * np.array(direction)), 0.0, 0.0, 0.0])
+    assert not stop_contacts(shown).words, direction
     assert any(normal * (shown.pose[axis] - edge) <= 0.0 for axis, normal, edge in shown.faces)
     assert dict(status_rows(shown))["energy"].endswith(" absorbed")
 
 
-def test_the_energy_says_who_gave_and_who_took(shot: Snapshot) -> None:
+def test_the_energy_reading(shot: Snapshot) -> None:
     for taken, words in ((2e-3, "2.0 mJ absorbed"), (-2e-3, "2.0 mJ generated (delayed forces)")):
         shown = replace(shot, work=3e-3, taken=taken)
         assert dict(status_rows(shown))["energy"] == f"3.0 mJ from the hand,\n{words}"
     assert "energy" not in dict(status_rows(replace(shot, work=np.nan, taken=np.nan)))
 
 
-def test_what_a_key_may_not_do_is_a_note_and_not_the_end(shot: Snapshot) -> None:
+def test_a_rejected_key_becomes_a_note(shot: Snapshot) -> None:
     def refuse(action: str) -> None:
         raise ParameterError(f"{action} is not taken here") if action == "rate up" else OSError("no space left")
 
@@ -429,7 +426,7 @@ def test_what_a_key_may_not_do_is_a_note_and_not_the_end(shot: Snapshot) -> None
     assert not window._screen.draw(shot, Area(0, 0, 1280, 800), 100).texts
 
 
-def test_a_recording_is_searched_by_keys() -> None:
+def test_keys_seek_in_a_recording() -> None:
     replay = Replay(record_run(Drop(duration=3.995), plant="exact"))
     window: Any = _Window.__new__(_Window)
     window.__dict__ |= {"_session": replay, "_screen": Screen(), "_note": Note(), "_pressed": SimpleQueue()}
