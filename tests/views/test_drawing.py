@@ -46,7 +46,7 @@ def run(arguments: list[str], folder: Any, word: str, **more: str) -> tuple[int,
 def test_a_window_library_without_a_display_is_one_line(tmp_path: Any) -> None:
     status, told = say(RENDER, tmp_path, "glfw")
     assert status == 1 and "Traceback" not in told and "Warning" not in told
-    assert told.startswith("maglev-mj render: cannot render with glfw (needs a display with OpenGL; or set MUJOCO_GL)"), told
+    assert told.startswith("maglev-mj render: cannot render with glfw (needs a display with OpenGL"), told
 
 
 @pytest.mark.needs("linux")
