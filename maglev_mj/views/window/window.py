@@ -158,8 +158,8 @@ def require_display() -> None:
     # mjpython has loaded the viewer module and set this attribute
     if sys.platform == "darwin" and getattr(sys.modules.get("mujoco.viewer"), "_MJPYTHON", None) is None:
         raise DisplayError(
-            "a window on macOS needs mjpython (part of mujoco): run `mjpython -m maglev_mj view`, or "
-            "`maglev-mj view --web` in a browser"
+            "a window on macOS needs mjpython (part of mujoco): run `mjpython -m maglev_mj view`; or "
+            "use `maglev-mj view --web` in a browser"
         )
     with warnings.catch_warnings():  # raised as DisplayError below
         warnings.simplefilter("ignore")
