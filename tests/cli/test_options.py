@@ -175,7 +175,7 @@ def test_without_a_display_the_page_is_named(
         monkeypatch.delenv(name, raising=False)
     for command in ("view", "tour", "twin --view"):
         assert cli.main(command.split()) == 1
-        assert "--web shows it in a browser" in capsys.readouterr().err
+        assert "--web (browser)" in capsys.readouterr().err
 
 
 QUICK = "info twin estop commission conform fault replay analyse export".split()
