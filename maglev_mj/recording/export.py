@@ -1,4 +1,4 @@
-"""Recordings in the formats of other programs: arrays, tables, MCAP, sound."""
+"""Export of recordings: NumPy arrays, tables, MCAP, sound."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ _BLOCK = 1 << 14
 
 
 def export(recording: Recording, kind: str, path: Path | str) -> None:
-    """Write a recording as arrays, as a table with one row per sample, as MCAP or as sound.
+    """Export a recording as arrays, a table with one row per sample, MCAP or sound.
 
-    A table has the columns of `Recording.columns`, and all other content and the units go with it.
+    A table has the columns of `Recording.columns`; units and all other content are exported with it.
 
     Args:
         recording: The recording.
-        kind: One of EXPORTS; with csv, content other than the table goes to a .json file of the same name beside it.
+        kind: One of EXPORTS; csv writes all content besides the table to PATH.json.
         path: Path of the new file.
 
     Raises:
-        ParameterError: If the kind is not known, or there are no samples for a sound.
+        ParameterError: If the kind is unknown, or a sound is requested of a recording without samples.
         MissingPackageError: If a package for the kind is not installed.
-        OSError: If it cannot be written; an existing file then stays.
+        OSError: If the file cannot be written; an existing file is then unchanged.
 
     Example:
         >>> import tempfile
@@ -60,16 +60,16 @@ def export(recording: Recording, kind: str, path: Path | str) -> None:
 
 def _as_npz(recording: Recording, partial: Path, _path: Path) -> None:
     arrays: dict[str, Any] = {
-        f"attachment/{place}": np.frombuffer(data, np.uint8)
-        for place, data in enumerate(recording.attachments.values())
+        f"attachment/{index}": np.frombuffer(data, np.uint8)
+        for index, data in enumerate(recording.attachments.values())
     }
-    stored = {**ARRAYS, **{one.name: [one] for one in TOTALS}}
+    stored = {**ARRAYS, **{field.name: [field] for field in TOTALS}}
     for index, segment in enumerate(recording.segments):
         for name, fields in stored.items():
-            columns = [segment.arrays[one.name] for one in fields if one.name in segment.arrays]
-            if any(is_recorded(one, values) for one, values in zip(fields, columns)):
+            columns = [segment.arrays[field.name] for field in fields if field.name in segment.arrays]
+            if any(is_recorded(field, values) for field, values in zip(fields, columns)):
                 arrays[f"{index}/{name}"] = columns[0] if len(columns) == 1 else np.column_stack(columns)
-    header = _about(recording, list(recording.attachments)) | {
+    header = _context(recording, list(recording.attachments)) | {
         "format": "maglev_mj recording 1",
         "axes": AXES,
         "gaps": [list(segment.gaps) for segment in recording.segments],
@@ -83,14 +83,14 @@ _METADATA = "maglev_mj"  # name of the metadata record
 _CHUNK = 1 << 16
 
 
-class _PatientFile:
-    """File that keeps its first error and takes what follows: foxglove-sdk would print each, and go on.
+class _DeferredErrorFile:
+    """File that stores its first error and ignores later writes: foxglove-sdk prints errors and continues.
 
     Args:
-        file: File to write to.
+        file: Open binary file.
 
     Attributes:
-        error: The first error; None for none.
+        error: The first error, or None.
     """
 
     def __init__(self, file: IO[bytes]) -> None:
@@ -99,21 +99,21 @@ class _PatientFile:
 
     def write(self, data: bytes | bytearray) -> int:
         """Write data."""
-        self._kept(self._file.write, data)
+        self._call(self._file.write, data)
         return len(data)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Set the position, and return it."""
-        position = self._kept(self._file.seek, offset, whence)
+        """Set the position and return it."""
+        position = self._call(self._file.seek, offset, whence)
         return offset if position is None else int(position)
 
     def flush(self) -> None:
-        """Write what is buffered."""
-        self._kept(self._file.flush)
+        """Flush the buffer."""
+        self._call(self._file.flush)
 
-    def _kept(self, do: Callable[..., Any], *arguments: Any) -> Any:
+    def _call(self, function: Callable[..., Any], *arguments: Any) -> Any:
         try:
-            return do(*arguments) if self.error is None else None
+            return function(*arguments) if self.error is None else None
         except OSError as error:
             self.error = error
             return None
@@ -126,13 +126,13 @@ def _as_mcap(recording: Recording, partial: Path, _path: Path) -> None:
 
     from maglev_mj.recording.messages import Messages
 
-    context = Context()  # without which its channels close
+    context = Context()  # channels close when it is garbage-collected
     options = MCAPWriteOptions(profile="", chunk_size=_CHUNK, compression_threads=0, disable_seeking=True)
-    about = {"units": json.dumps(units()), **(recording.about or versions())}
+    metadata = {"units": json.dumps(units()), **(recording.about or versions())}
     with partial.open("wb") as opened:
-        file = _PatientFile(opened)
+        file = _DeferredErrorFile(opened)
         writer = open_mcap(file, context=context, writer_options=options)
-        writer.write_metadata(_METADATA, about)
+        writer.write_metadata(_METADATA, metadata)
         now = time.time_ns()
         for name, data in recording.attachments.items():
             media_type = "application/xml" if name.endswith(".xml") else "text/x-python"
@@ -154,16 +154,16 @@ def _as_mcap(recording: Recording, partial: Path, _path: Path) -> None:
 
 
 def _columns(recording: Recording) -> dict[str, NDArray[Any]]:
-    """Return each known column of all samples, (N,)."""
+    """Return the recorded columns of all samples, (N,) each."""
     segments = recording.segments
-    fields = [*FIELDS, *(one for one in TOTALS if segments and all(one.name in part.arrays for part in segments))]
+    fields = [*FIELDS, *(total for total in TOTALS if segments and all(total.name in part.arrays for part in segments))]
     samples = recording.samples([field.name for field in fields])
-    recorded = {one.name: values for one in fields if is_recorded(one, values := samples.arrays[one.name])}
+    recorded = {field.name: values for field in fields if is_recorded(field, values := samples.arrays[field.name])}
     return replace(samples, arrays=recorded).columns()
 
 
-def _about(recording: Recording, attachments: Any) -> dict[str, Any]:
-    """Return the content besides samples, ready for JSON."""
+def _context(recording: Recording, attachments: Any) -> dict[str, Any]:
+    """Return all content besides samples as JSON values."""
     return {
         "units": units(),
         "setups": [segment.setup for segment in recording.segments],
@@ -175,14 +175,14 @@ def _about(recording: Recording, attachments: Any) -> dict[str, Any]:
 
 
 def _encoded(recording: Recording) -> dict[str, Any]:
-    """Return the content besides samples, with attachments in base64."""
-    return _about(recording, {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()})
+    """Return all content besides samples, attachments in base64."""
+    return _context(recording, {name: base64.b64encode(data).decode() for name, data in recording.attachments.items()})
 
 
 def _as_csv(recording: Recording, partial: Path, path: Path) -> None:
     columns = _columns(recording)
-    with aside(path.with_name(f"{path.name}.json")) as beside:
-        beside.write_text(json.dumps(_encoded(recording), indent=1), encoding="utf-8")
+    with aside(path.with_name(f"{path.name}.json")) as context:
+        context.write_text(json.dumps(_encoded(recording), indent=1), encoding="utf-8")
         with partial.open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)
             table.writerow(columns)
@@ -200,31 +200,31 @@ def _as_parquet(recording: Recording, partial: Path, _path: Path) -> None:
         pyarrow.field(name, column.type, metadata={"unit": unit_of[name]} if unit_of.get(name) else None)
         for name, column in columns.items()
     ]
-    about = {f"maglev_mj.{name}": json.dumps(part) for name, part in _encoded(recording).items()}
-    parquet.write_table(pyarrow.table([*columns.values()], schema=pyarrow.schema(fields, metadata=about)), partial)
+    context = {f"maglev_mj.{name}": json.dumps(part) for name, part in _encoded(recording).items()}
+    parquet.write_table(pyarrow.table([*columns.values()], schema=pyarrow.schema(fields, metadata=context)), partial)
 
 
-_SOUND_RATE, _LOWEST, _LOUDEST = 48_000, 20.0, (50.0, 1.0)
-"""Frames a second, lowest frequency [Hz] and full scale [N, N m] of a sound."""
+_SOUND_RATE, _CUTOFF, _FULL_SCALE = 48_000, 20.0, (50.0, 1.0)
+"""Sample rate [Hz], high-pass cutoff [Hz] and full scale [N, N m] of a sound."""
 
-_STEP = 0.005  # at which a sound is filtered, at least [s]
+_STEP = 0.005  # longest step of the high-pass filter [s]
 
 
 def _as_wav(recording: Recording, partial: Path, _path: Path) -> None:
     if not recording.ticks:
-        raise InvalidRecordingError("there is nothing to hear: the recording has no samples")
-    parts = [(one.applied, one.metadata.period) for one in recording.segments]
+        raise InvalidRecordingError("nothing to export to wav: the recording has no samples")
+    parts = [(segment.applied, segment.metadata.period) for segment in recording.segments]
     with partial.open("wb") as file:
         write_sound(file, parts, turns=AXES.index(recording.segments[0].metadata.axis) > 2)
 
 
 def write_sound(file: IO[bytes], parts: Sequence[tuple[Array, float]], *, turns: bool) -> None:
-    """Write held forces as WAV, on the axis where they change most.
+    """Write held forces as WAV, on the axis with the largest changes.
 
     Args:
         file: Open file.
-        parts: One after the other, wrenches at the samples [N, N m], (N, 6), and the time that each is heard [s].
-        turns: True for a torque, False for a force.
+        parts: Consecutive wrenches [N, N m], (N, 6), with the duration of each sample [s].
+        turns: True for torque, False for force.
     """
     forces = [np.nan_to_num(wrench[:, 3:] if turns else wrench[:, :3]) for wrench, _ in parts]
     axis = int(np.argmax(sum(np.square(np.diff(force, axis=0)).sum(axis=0) for force in forces)))
@@ -233,21 +233,21 @@ def write_sound(file: IO[bytes], parts: Sequence[tuple[Array, float]], *, turns:
         sound.setsampwidth(2)
         sound.setframerate(_SOUND_RATE)
         for (_, period), force in zip(parts, forces, strict=True):
-            count = math.ceil(period / _STEP)  # a step fades within a longer sample
-            heard = _without_slow(np.repeat(force[:, axis], count), period / count) / _LOUDEST[turns]
-            frames = np.round(np.clip(heard, -1.0, 1.0) * 32767).astype("<i2")
+            count = math.ceil(period / _STEP)  # the filter decays within a longer sample
+            signal = _high_pass(np.repeat(force[:, axis], count), period / count) / _FULL_SCALE[turns]
+            frames = np.round(np.clip(signal, -1.0, 1.0) * 32767).astype("<i2")
             edges = np.round(np.arange(len(frames) + 1) * (period / count * _SOUND_RATE)).astype(np.int64)
             for first in range(0, len(frames), _BLOCK):  # an hour is 350 MB
                 held = np.diff(edges[first : first + _BLOCK + 1])
                 sound.writeframes(np.repeat(frames[first : first + _BLOCK], held).tobytes())
 
 
-def _without_slow(values: Array, period: float) -> Array:
-    """Return values (N,) through a high-pass of first order, which starts at rest."""
-    kept, state = float(np.exp(-2.0 * np.pi * _LOWEST * period)), 0.0
+def _high_pass(values: Array, period: float) -> Array:
+    """Return values (N,) filtered by a first-order high-pass with initial state 0."""
+    decay, state = float(np.exp(-2.0 * np.pi * _CUTOFF * period)), 0.0
     out = []
     for change in np.diff(values, prepend=values[:1]).tolist():
-        state = kept * (state + change)
+        state = decay * (state + change)
         out.append(state)
     return np.array(out)
 
@@ -259,7 +259,4 @@ EXPORTS: Mapping[str, Callable[[Recording, Path, Path], Any]] = {
     "parquet": _as_parquet,
     "wav": _as_wav,
 }
-"""Export functions by format name.
-
-Each writes a recording to a temporary path; the second path is the final one.
-"""
+"""Export functions by format, of a recording, a temporary path to write to, and the final path."""

@@ -1,7 +1,7 @@
-"""Journal: an append-only file of fixed-size records behind a JSON header, written by a thread.
+"""Journal: an append-only file of a JSON header and fixed-size records, written by a thread.
 
-The format is specified in docs/reference/recording.md. A record is two whole numbers, its kind and a size, and one
-sample's values as float64. NumPy reads all of them as one array.
+The format is specified in docs/reference/recording.md. A record is two integers, kind and size, and the values of one
+sample as float64. NumPy reads all records as one array.
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from maglev_mj.errors import MaglevError, ParameterError
-from maglev_mj.recording.sample import FIELDS, ROW, Field, Rows, parsed, units, value_in
+from maglev_mj.recording.sample import FIELDS, ROW, Rows, parse_json, units, value_in
 from maglev_mj.versions import versions
 
 SUFFIX = ".maglev"
-"""Suffix of a journal's name."""
+"""File name suffix of a journal."""
 
 FORMAT, VERSION = "maglev_mj journal", 1
 """Entries `format` and `version` of the header."""
 
 FLUSH = 0.1
-"""Interval at which the thread writes [s]: what a killed process loses at most."""
+"""Write interval of the thread [s]; a killed process loses at most this much."""
 
 SAMPLE, TEXT, CONTINUED, CHECKSUM, CYCLE = range(5)
-"""Kinds of records. Readers skip others."""
+"""Kinds of records; readers ignore unknown ones."""
 
-_SYNC = 1.0  # interval at which a run in real time asks the system to write to the disk [s]
-_IN_USE = 1.0  # age of an unclosed file's last change below which another program still writes it [s]
-_LIMIT = 1 << 16  # records that wait, 22 MB
+_SYNC = 1.0  # interval of fdatasync in real time [s]
+_IN_USE = 1.0  # an unclosed file changed within this time is being written by another program [s]
+_LIMIT = 1 << 16  # longest queue, 22 MB of records
 _NAP = 0.001
-_GRANULE = 4096  # bytes that a header is a multiple of
-_MOST_HEADER = 1 << 20
-_RENAMES_OPEN = os.name != "nt"  # where a file that is written can get its name before it is closed
+_GRANULE = 4096  # alignment of the header's size [bytes]
+_MAX_HEADER = 1 << 20
+_RENAMES_OPEN = os.name != "nt"  # Windows cannot rename an open file
 _HEAD = struct.Struct("<II")
 _COUNT = struct.Struct("<I")
 PACK_SAMPLE = struct.Struct(f"<{_HEAD.size}x{ROW.itemsize // 8}d").pack
-"""Packs the record of a sample, whose kind and size are 0, from its values."""
+"""Pack the values of a sample into its record (kind and size 0)."""
 
 _FORMATS = {
     "kind": "<u4",
@@ -64,16 +64,16 @@ _CYCLE_FORMATS = {
     **{"time": "<f8", **dict.fromkeys(_SIXES, "6<f8"), **dict.fromkeys(("width", "delay", "latency"), "<f8")},
 }
 CYCLE_RECORD = np.dtype({"names": list(_CYCLE_FORMATS), "formats": list(_CYCLE_FORMATS.values())})
-"""Structured dtype of a record of kind CYCLE, a cycle of a device; as long as one of a sample."""
+"""Structured dtype of a record of kind CYCLE, a device cycle; same size as the record of a sample."""
 
 PACK_CYCLE = struct.Struct("<4I40d").pack
-"""Packs a cycle from its values in the order of its dtype."""
+"""Pack the values of a device cycle, in the order of its dtype."""
 
 _PAYLOAD = RECORD.itemsize - _HEAD.size
 
 
 class RecordingError(MaglevError):
-    """Error of a recording: it cannot be written or replayed."""
+    """A recording cannot be written or replayed."""
 
 
 class InvalidRecordingError(RecordingError, ParameterError):
@@ -86,7 +86,7 @@ def microseconds() -> int:
 
 
 def text_records(message: Mapping[str, Any]) -> bytes:
-    """Return the records of a message, ready for JSON."""
+    """Return the records of a message of JSON values."""
     return byte_records(json.dumps(message, allow_nan=False).encode())
 
 
@@ -106,13 +106,13 @@ def sample_records(rows: Rows) -> bytes:
 
 
 def checksum_record(data: bytes) -> bytes:
-    """Return the record that closes a block of records."""
+    """Return the checksum record of a block of records."""
     head = _HEAD.pack(CHECKSUM, len(data) // RECORD.itemsize)
     return (head + _COUNT.pack(zlib.crc32(data))).ljust(RECORD.itemsize, b"\0")
 
 
 def header() -> bytes:
-    """Return the header of a new journal: one line of JSON, padded with spaces."""
+    """Return the header of a new journal, one line of JSON padded with spaces."""
     entries = {
         "format": FORMAT,
         "version": VERSION,
@@ -134,24 +134,24 @@ def _dtype_entries(formats: Mapping[str, str]) -> Mapping[str, Sequence[str]]:
 class Journal:
     """Journal file of a run, written by a thread every 0.1 s.
 
-    It is written under a temporary name until the first sample; an existing file of its name stays until then. After
-    an error the thread discards what follows: a run is never disturbed.
+    It has a temporary name until the first sample; an existing file is replaced then. After an error the thread
+    discards all further records, so that the run continues undisturbed.
 
     Args:
         path: Path of the file.
-        wait: True if a run faster than the disk waits for it; in real time samples are lost instead, and counted.
+        wait: True if the run waits while the queue is full; if False, samples are then lost and counted.
 
     Attributes:
-        lost: Samples that were lost because 65 536 records waited.
+        lost: Samples lost because the queue of 65 536 records was full.
 
     Raises:
-        RecordingError: If another program writes a file of this name.
+        RecordingError: If another program is writing this file.
         OSError: If the file cannot be written.
     """
 
     def __init__(self, path: Path, *, wait: bool = False) -> None:
         if _is_in_use(path):
-            raise RecordingError(f"{path} is being written by another program: give another name")
+            raise RecordingError(f"{path} is being written by another program: use another file name")
         self._path, self._wait, self.lost = path, wait, 0
         self._error, self._limit = "", _LIMIT
         self._queue = deque[bytes]()
@@ -172,11 +172,11 @@ class Journal:
 
     @property
     def append(self) -> Callable[[bytes], None]:
-        """Append a record that PACK_SAMPLE has packed: the queue's own method, which is quick and needs no lock."""
+        """Function that appends a packed record: `deque.append`, atomic without a lock."""
         return self._queue.append
 
     def has_room(self) -> bool:
-        """Return whether a sample may be appended; in a run that may wait, wait until it is so."""
+        """Return True if a sample can be appended, after waiting if `wait`; otherwise count it as lost."""
         queue = self._queue
         if len(queue) < self._limit:
             return True
@@ -188,7 +188,7 @@ class Journal:
         return False
 
     def text(self, message: Mapping[str, Any], *, urgent: bool = False) -> None:
-        """Append a message, ready for JSON; an urgent one is on the disk with the next flush."""
+        """Append a message of JSON values; an urgent one is synced to disk at the next flush."""
         if not self._error:
             self._urgent |= urgent
             self._queue.append(text_records(message))
@@ -197,15 +197,13 @@ class Journal:
         """Check that the file is being written.
 
         Raises:
-            RecordingError: If it is not.
+            RecordingError: If writing has failed.
         """
         if self._error:
-            raise RecordingError(f"{self._path} is not written any more: {self._error}")
+            raise RecordingError(f"writing {self._path} has stopped: {self._error}")
 
     def close(self) -> Path | None:
-        """Write what waits and the end; return the file, or None without samples.
-
-        A second call does nothing.
+        """Write the queue and the end record; return the path, or None without samples; idempotent.
 
         Raises:
             RecordingError: If the file is incomplete.
@@ -219,17 +217,17 @@ class Journal:
             os.close(self._file)
             self._finish()
         if self._error:
-            raise RecordingError(f"{self._path} is not whole: {self._error}")
+            raise RecordingError(f"{self._path} is incomplete: {self._error}")
         if self.lost:
-            raise RecordingError(f"{self._path} is not whole: {self._lost_text}")
+            raise RecordingError(f"{self._path} is incomplete: {self._lost_text}")
         return self._path if self._has_samples else None
 
     @property
     def _lost_text(self) -> str:
-        return f"{self.lost} samples came too fast to be written"
+        return f"{self.lost} samples lost (write queue full)"
 
     def _finish(self) -> None:
-        """Give the closed file its name, or remove it if it has no samples."""
+        """Rename the closed file to its final name, or remove it if it has no samples."""
         try:
             if self._has_samples and not self._named and not (self._error and self._path.exists()):
                 self._partial.replace(self._path)
@@ -239,28 +237,28 @@ class Journal:
         except OSError as error:
             self._error = self._error or _reason(error)
         if self._error and self._has_samples and not self._named:
-            self._error += f"; it is in {self._partial}"
+            self._error += f"; the data is in {self._partial}"
 
     def _run(self) -> None:
         try:
             while not self._closing.wait(FLUSH):
                 self._flush()
             self._flush()
-        except Exception as error:  # an exception of a thread would vanish
+        except Exception as error:  # stored for the main thread, or it would be lost
             self._error = _reason(error)
             self._limit = 0
             self._queue.clear()
 
     def _flush(self) -> None:
-        """Write the records that wait, and their checksum."""
+        """Write the queued records and their checksum."""
         queue, urgent = self._queue, self._urgent
         parts = [queue.popleft() for _ in range(len(queue))]
         if parts:
             self._urgent = False
             if self._named and not os.path.samestat(os.stat(self._path), os.fstat(self._file)):
-                raise RecordingError("another program replaced it")
+                raise RecordingError("file replaced by another program")
             data = b"".join(parts)
-            self._has_samples |= any(part[0] == SAMPLE for part in parts)  # a full disk takes some of them
+            self._has_samples |= any(part[0] == SAMPLE for part in parts)  # a full disk may accept some of them
             self._write(data + checksum_record(data))
             if self._has_samples and not self._named and _RENAMES_OPEN:
                 self._partial.replace(self._path)
@@ -280,7 +278,7 @@ def _reason(error: Exception) -> str:
 
 
 def _is_in_use(path: Path) -> bool:
-    """Return whether another program seems to write a journal: it has no end, and changed a moment ago."""
+    """Return True if a journal has no end record and changed less than `_IN_USE` ago."""
     try:
         if not path.is_file() or abs(time.time() - path.stat().st_mtime) > _IN_USE:
             return False
@@ -295,8 +293,8 @@ class JournalContent(NamedTuple):
 
     Attributes:
         header: Entries of the header.
-        records: All whole records, a read-only structured array (N,) on the disk.
-        kinds: Kind of each, (N,).
+        records: All complete records, a read-only memory map (N,).
+        kinds: Kind of each record, (N,).
         rest: Bytes of an incomplete record at the end.
     """
 
@@ -306,56 +304,56 @@ class JournalContent(NamedTuple):
     rest: int
 
     def ends(self, first: int, last: int) -> bool:
-        """Return whether the last message of these records is that of the end."""
+        """Return True if the last message of these records is the end record."""
         texts = first + np.flatnonzero(self.kinds[first:last] == TEXT)
         return bool(len(texts)) and "end" in self.message(int(texts[-1]))
 
     def message(self, index: int) -> Mapping[str, Any]:
-        """Return the message that begins with a record; an empty one if the file ends within it.
+        """Return the message that starts at a record; empty if the file ends within it.
 
         Args:
-            index: Number of the record, from 0.
+            index: Index of the record.
 
         Raises:
-            ParameterError: If other records follow within it, or it is not a JSON object.
+            ParameterError: If its continuation records are missing, or it is not a JSON object.
         """
         size, payload = int(self.records["size"][index]), self.records.dtype.itemsize - _HEAD.size
         count = -(-size // payload)
         if index + count > len(self.records):
             return {}
         if (self.kinds[index + 1 : index + count] != CONTINUED).any():
-            raise ParameterError("a message must have all its records")
+            raise ParameterError("incomplete message: continuation records are missing")
         raw = np.ascontiguousarray(self.records[index : index + count]).view(np.uint8).reshape(count, -1)
-        message = parsed(raw[:, _HEAD.size :].tobytes()[:size])
+        message = parse_json(raw[:, _HEAD.size :].tobytes()[:size])
         if not isinstance(message, Mapping):
-            raise ParameterError("a message must be an object")
+            raise ParameterError("a message must be a JSON object")
         return message
 
     def cycles(self, last: int, most: int) -> NDArray[Any]:
-        """Return the newest cycles of a device before a record, at most so many, a structured array (N,).
+        """Return the newest device cycles before a record, at most `most`, a structured array (N,).
 
         Raises:
-            ParameterError: If their dtype is another.
+            ParameterError: If their dtype is different.
         """
         indices = np.flatnonzero(self.kinds[:last] == CYCLE)[-most:]
         if len(indices) and self.header.get("cycle") != _dtype_entries(_CYCLE_FORMATS):
-            raise ParameterError(f"cycle must be the dtype {CYCLE_RECORD.names}")
+            raise ParameterError(f"cycle must be a dtype with the names {CYCLE_RECORD.names}")
         return np.asarray(self.records[indices]).view(CYCLE_RECORD) if len(indices) else np.empty(0, CYCLE_RECORD)
 
     def blocks(self) -> Iterator[tuple[int, int]]:
-        """Check the checksums; yield first and last record of each block, and of the rest without one.
+        """Verify the checksums; yield the record range [first, last) of each block, and of the end without a checksum.
 
         Raises:
             ParameterError: If a checksum is wrong.
         """
         start = 0
-        for place in np.flatnonzero(self.kinds == CHECKSUM).tolist():
-            data = self.records[start:place].tobytes()
-            stated = self.records[place : place + 1].tobytes()
-            if stated[4:12] != _HEAD.pack(place - start, zlib.crc32(data)):
-                raise ParameterError(f"the checksum of records {start} to {place} is wrong: the file is damaged")
-            yield start, place
-            start = place + 1
+        for index in np.flatnonzero(self.kinds == CHECKSUM).tolist():
+            data = self.records[start:index].tobytes()
+            checksum = self.records[index : index + 1].tobytes()
+            if checksum[4:12] != _HEAD.pack(index - start, zlib.crc32(data)):
+                raise ParameterError(f"wrong checksum of records {start} to {index}: the file is damaged")
+            yield start, index
+            start = index + 1
         if start < len(self.records):
             yield start, len(self.records)
 
@@ -368,31 +366,30 @@ def open_journal(path: Path) -> JournalContent:
         OSError: If it cannot be read.
     """
     with path.open("rb") as file:
-        line = file.readline(_MOST_HEADER)
+        line = file.readline(_MAX_HEADER)
         size = os.fstat(file.fileno()).st_size
     if not line.startswith(b'{"offset"'):
-        raise ParameterError(_what_it_is(line))
+        raise ParameterError(_reason_no_journal(line))
     if not line.endswith(b"\n"):
-        raise ParameterError("it ends within its header")
-    entries = parsed(line)
+        raise ParameterError("incomplete header")
+    entries = parse_json(line)
     name, version, offset = (value_in(entries, key) for key in ("format", "version", "offset"))
     if (name, version) != (FORMAT, VERSION):
         raise ParameterError(f"format and version must be {FORMAT} {VERSION}, not {str(name)[:40]} {str(version)[:40]}")
     if offset != len(line):
-        raise ParameterError("the header must be as long as it says")
+        raise ParameterError(f"offset must be the header's length, {len(line)} bytes")
     kind = _dtype(value_in(entries, "dtype", dict))
     count, rest = divmod(size - offset, kind.itemsize)
     records = np.memmap(path, kind, "r", offset, (count,)) if count else np.empty(0, kind)
     return JournalContent(entries, records, np.array(records["kind"]), rest)
 
 
-def _what_it_is(start: bytes) -> str:
-    """Return why a file is not a journal."""
+def _reason_no_journal(start: bytes) -> str:
     if start.startswith((b"\x89MCAP", b"PK")):
-        return "it is not a journal, but MCAP or .npz: maglev_mj 0.2 and older read these recordings"
+        return "MCAP or .npz file, not a journal: maglev_mj 0.2 and earlier read these recordings"
     if start.startswith(b'{"format": "maglev_mj fault'):
-        return "it is not a journal, but a black box: only the version of maglev_mj that wrote it reads it"
-    return "it is not a journal"
+        return "fault file in an old format: only the version of maglev_mj that wrote it can read it"
+    return "not a journal"
 
 
 _DTYPES = {"<u4", "<f8", "6<f8"}
@@ -402,15 +399,19 @@ def _dtype(entries: Mapping[str, Any]) -> np.dtype[Any]:
     """Return the dtype of the records from the header.
 
     Raises:
-        ParameterError: If it is not a list of known formats, or lacks a value that every sample has.
+        ParameterError: If a name or format is invalid, or a required field is missing.
     """
     names, formats = value_in(entries, "names", list), value_in(entries, "formats", list)
-    good = all(isinstance(name, str) and re.fullmatch(r"\w{1,40}", name) for name in names)
-    if not good or not all(one in _DTYPES for one in formats) or not len({*names}) == len(formats) == len(names) < 256:
-        raise ParameterError(f"dtype must have names, and formats of {', '.join(sorted(_DTYPES))}")
-    given = dict(zip(names, formats))
-    needed: Sequence[Field] = [field for field in FIELDS if not field.optional]
-    missing = [name for name in ("kind", "size", *(one.name for one in needed)) if given.get(name) != _FORMATS[name]]
+    valid = all(isinstance(name, str) and re.fullmatch(r"\w{1,40}", name) for name in names)
+    if (
+        not valid
+        or not all(item in _DTYPES for item in formats)
+        or not len({*names}) == len(formats) == len(names) < 256
+    ):
+        raise ParameterError(f"dtype must have unique names, and formats among {', '.join(sorted(_DTYPES))}")
+    stored = dict(zip(names, formats))
+    required = "kind", "size", *(field.name for field in FIELDS if not field.optional)
+    missing = [name for name in required if stored.get(name) != _FORMATS[name]]
     if missing or names[:2] != ["kind", "size"]:
         raise ParameterError(f"dtype must have {', '.join(missing) or 'kind and size first'} as {RECORD[0]}")
     return np.dtype({"names": names, "formats": formats})

@@ -1,7 +1,4 @@
-"""Message of a sample in MCAP files: its schema, and packing.
-
-Any decoder of protobuf reads it by name.
-"""
+"""Protobuf message of a sample in MCAP files: schema and packing."""
 
 from __future__ import annotations
 
@@ -19,8 +16,8 @@ SEGMENT, SAMPLE, EVENT = "/maglev/segment", "/maglev/sample", "/maglev/event"
 NAME = "maglev_mj.Sample"
 """Full name of the message type."""
 
-SEGMENT_NUMBER = Field("segment", "", "number of the segment, from 0")
-"""Number of the segment, first field of a sample's message."""
+SEGMENT_NUMBER = Field("segment", "", "segment index, from 0")
+"""Segment index, first field of a sample's message."""
 
 _ORDERED = (
     SEGMENT_NUMBER,
@@ -28,14 +25,14 @@ _ORDERED = (
     *TOTALS,
     *(field for field in FIELDS if field.optional),
 )
-"""Fields in the order of their numbers, from 1: new ones are optional and come last."""
+"""Fields in the order of their protobuf numbers, from 1; new ones are optional and come last."""
 
 _TYPE = descriptor_pb2.FieldDescriptorProto
 
 
 @cache
 def _file() -> descriptor_pb2.FileDescriptorProto:
-    """Return the descriptor of a sample; its comments give descriptions and units."""
+    """Return the descriptor of a sample, with descriptions and units as comments."""
     package, name = NAME.split(".")
     file = descriptor_pb2.FileDescriptorProto(name=f"{package}.proto", package=package, syntax="proto3")
     six, sample = file.message_type.add(name="SixAxes"), file.message_type.add(name=name)
@@ -46,7 +43,7 @@ def _file() -> descriptor_pb2.FileDescriptorProto:
         entry = sample.field.add(name=field.name, number=number, label=_TYPE.LABEL_OPTIONAL, type=kind)
         if field.six:
             entry.type_name = f".{package}.SixAxes"
-        # the path to a field of the second message
+        # path of a field in the second message
         file.source_code_info.location.add(
             path=[4, 1, 2, number - 1], span=[0, 0, 0], leading_comments=f" {field.text}\n"
         )
@@ -54,7 +51,7 @@ def _file() -> descriptor_pb2.FileDescriptorProto:
 
 
 def descriptor() -> bytes:
-    """Return the schema of a sample: a FileDescriptorSet."""
+    """Return the schema of a sample, a serialised FileDescriptorSet."""
     data: bytes = descriptor_pb2.FileDescriptorSet(file=[_file()]).SerializeToString()
     return data
 
@@ -68,11 +65,11 @@ def sample_type() -> Any:
 
 
 def packed(segment: int, rows: Rows, totals: Array) -> list[bytes]:
-    """Return N samples as messages.
+    """Return the serialised messages of N samples.
 
     Args:
-        segment: Number of the segment.
-        rows: Their values, (N,).
+        segment: Segment index.
+        rows: Samples, (N,).
         totals: Running totals in the order of TOTALS, (N, 3).
     """
     kind = sample_type()

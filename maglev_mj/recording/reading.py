@@ -1,4 +1,4 @@
-"""Content of a journal, checked: segments by column, events, attachments."""
+"""Validated content of a journal: segments by column, events, attachments."""
 
 from __future__ import annotations
 
@@ -28,26 +28,24 @@ from maglev_mj.recording.sample import (
 from maglev_mj.versions import versions_read
 
 _TWINS = {"applied": "command", "applied_pulse": "pulse", "applied_pulse_width": "pulse_width"}
-"""Fields that equal another bitwise unless a limit acts."""
+"""Fields bitwise equal to another unless a limit acts."""
 
 _TOTAL_NAMES = [field.name for field in TOTALS]
-_BLOCK = 1 << 11  # samples that are checked and stored together
+_BLOCK = 1 << 11  # samples validated and stored at a time
 
 
 class SegmentContent:
-    """Samples of a segment read so far, by column.
-
-    A constant column, and a copy of another, is stored once.
+    """Samples of a segment, by column; constant and duplicate columns are stored once.
 
     Args:
-        message: Message at the beginning of the segment.
-        names: Fields to keep; None for all.
+        message: Message at the start of the segment.
+        names: Fields to load; None for all.
 
     Attributes:
         setup: Setup of plant and controller.
-        began: Time of the beginning since 1970 [µs].
-        gaps: Row that follows and number of samples missed without a gap in the ticks.
-        sticks: Row that follows and stick position from there on, six or None.
+        began: Start time since 1970 [µs].
+        gaps: (row, count) of samples missed before a row without a gap in the tick numbers.
+        sticks: (row, position) of the stick position from a row on, six components or None.
     """
 
     def __init__(self, message: Mapping[str, Any], names: frozenset[str] | None) -> None:
@@ -56,9 +54,9 @@ class SegmentContent:
         self.gaps: list[tuple[int, int]] = []
         self.sticks: list[tuple[int, Sequence[float] | None]] = []
         metadata = RunMetadata.from_json(value_in(self.setup, "run", dict))
-        kept = [field.name for field in (*FIELDS, *TOTALS) if names is None or field.name in names]
-        self._totals = None if set(_TOTAL_NAMES).isdisjoint(kept) else Totals(metadata)
-        self._blocks: dict[str, list[Array]] = {name: [] for name in kept}
+        loaded = [field.name for field in (*FIELDS, *TOTALS) if names is None or field.name in names]
+        self._totals = None if set(_TOTAL_NAMES).isdisjoint(loaded) else Totals(metadata)
+        self._blocks: dict[str, list[Array]] = {name: [] for name in loaded}
         self._last: dict[str, Array] = {}
         self._count = 0
 
@@ -66,38 +64,38 @@ class SegmentContent:
         return self._count
 
     def add(self, samples: Rows) -> None:
-        """Check and store samples, a structured array (N,) with the fields of the file.
+        """Validate and store samples, a structured array (N,) with the fields of the file.
 
         Raises:
             ParameterError: If a sample is invalid.
         """
-        known = samples.dtype.names or ()
+        present = samples.dtype.names or ()
         values = {
             field.name: np.ascontiguousarray(samples[field.name])
-            if field.name in known
+            if field.name in present
             else np.full((len(samples), 6) if field.six else len(samples), np.nan)
             for field in FIELDS
         }
-        # with the row before, for checks between rows
+        # include the previous row, for checks between rows
         rows = {name: np.concatenate([self._last.get(name, part[:0]), part]) for name, part in values.items()}
         check_rows(rows, max(self._count - 1, 0))
         self._count += len(samples)
         self._last = {field.name: values[field.name][-1:].copy() for field in FIELDS}
         if self._totals is not None:
             values |= zip(_TOTAL_NAMES, self._totals.take(values).T)
-        kept = {name: _constant_once(values[name]) for name in values}
-        kept |= {name: kept[twin] for name, twin in _TWINS.items() if _same(values[name], values[twin])}
+        stored = {name: _collapse_constant(values[name]) for name in values}
+        stored |= {name: stored[twin] for name, twin in _TWINS.items() if _same(values[name], values[twin])}
         for name, blocks in self._blocks.items():
-            blocks.append(kept[name])
+            blocks.append(stored[name])
 
     def miss(self, count: int) -> None:
-        """Count samples missed without a gap in the ticks."""
+        """Add missed samples that leave no gap in the tick numbers."""
         self.gaps.append((self._count, count))
         if self._totals is not None:
             self._totals.miss(count)
 
     def arrays(self) -> Mapping[str, Array]:
-        """Return the fields of all samples, (N,) or (N, 6) each, not to be changed."""
+        """Return the fields of all samples, (N,) or (N, 6) each, read-only."""
         blocks = self._blocks
         twins = {name: twin for name, twin in _TWINS.items() if {name, twin} <= blocks.keys()}
         copies = {name: twin for name, twin in twins.items() if all(map(operator.is_, blocks[name], blocks[twin]))}
@@ -105,12 +103,12 @@ class SegmentContent:
         return arrays | {name: arrays[twin] for name, twin in copies.items()}
 
 
-def _same(one: Array, other: Array) -> bool:
+def _same(first: Array, other: Array) -> bool:
     """Return True if two arrays are bitwise equal."""
-    return bool((np.ascontiguousarray(one).view(np.int64) == np.ascontiguousarray(other).view(np.int64)).all())
+    return bool((np.ascontiguousarray(first).view(np.int64) == np.ascontiguousarray(other).view(np.int64)).all())
 
 
-def _constant_once(block: Array) -> Array:
+def _collapse_constant(block: Array) -> Array:
     constant = np.broadcast_to(block[:1], block.shape)
     return np.broadcast_to(block[:1].copy(), block.shape) if _same(block, constant) else block
 
@@ -127,18 +125,18 @@ class Content:
 
     Args:
         path: Path of the journal.
-        names: Fields to keep; None for all.
+        names: Fields to load; None for all.
 
     Attributes:
         segments: Segments with samples, in order of time.
         events: Texts of the events.
         event_samples: Number of samples before each event.
         attachments: Attached files by name.
-        about: Format of the file and versions of the code that made it.
-        damage: Description of a missing end; empty for none.
+        about: File format, and versions of the code that wrote it.
+        damage: Description of damage to the end of the file; empty if intact.
 
     Raises:
-        ParameterError: If it is not a journal, or holds invalid content.
+        ParameterError: If it is not a journal, or its content is invalid.
         OSError: If it cannot be read.
     """
 
@@ -157,13 +155,13 @@ class Content:
                 break
         self.segments = [segment for segment in self.segments if len(segment)]
         if not self._closed:
-            end = f"read to {self._time:.1f} s" if self.segments else "without a sample"
-            self.damage = f"not closed: {end}"
-        elif len(journal.records) - last + bool(journal.rest) > 1:  # its checksum may be cut
-            self.damage = "there is more behind its end"
+            end = f"readable up to {self._time:.1f} s" if self.segments else "no samples"
+            self.damage = f"incomplete (not closed): {end}"
+        elif len(journal.records) - last + bool(journal.rest) > 1:  # its checksum may be truncated
+            self.damage = "data after the end record"
 
     def _take(self, journal: JournalContent, first: int, last: int) -> None:
-        """Take the records of a checked run of blocks."""
+        """Process the records of some blocks whose checksums are correct."""
         kinds = journal.kinds[first:last]
         samples = first + np.flatnonzero(kinds == SAMPLE)
         start = 0
@@ -174,18 +172,18 @@ class Content:
             start = end
         self._add(journal, samples[start:])
 
-    def _add(self, journal: JournalContent, places: Any) -> None:
-        if not len(places):
+    def _add(self, journal: JournalContent, indices: Any) -> None:
+        if not len(indices):
             return
         if not self.segments:
-            raise ParameterError("a sample must be in a segment")
-        for start in range(0, len(places), _BLOCK):
-            rows = journal.records[places[start : start + _BLOCK]]
+            raise ParameterError("sample before the first segment")
+        for start in range(0, len(indices), _BLOCK):
+            rows = journal.records[indices[start : start + _BLOCK]]
             self.segments[-1].add(rows)
         self._time = float(rows["time"][-1])
 
     def _message(self, message: Mapping[str, Any]) -> None:
-        """Take a message; those that are not known are skipped."""
+        """Process a message; unknown ones are ignored."""
         if "begin" in message:
             self.segments.append(SegmentContent(message, self._names))
         elif "event" in message:
@@ -206,10 +204,7 @@ class Content:
 
 
 def _runs(journal: JournalContent) -> Iterator[tuple[int, int]]:
-    """Check the checksums; yield the records to take at once, first and last of each run.
-
-    A block is 0.1 s long: some of them are quicker together.
-    """
+    """Verify the checksums; yield record ranges [first, last) of several blocks each, as blocks are short (0.1 s)."""
     start = end = 0
     for first, last in journal.blocks():
         if last - start > _BLOCK and end > start:
@@ -226,5 +221,5 @@ def _stick(values: Any) -> Sequence[float] | None:
     if values is None:
         return None
     if not isinstance(values, list) or len(values) != 6:
-        raise ParameterError("stick must be six numbers or null")
-    return [np.nan if one is None else number("stick", one) for one in values]
+        raise ParameterError("stick must be a list of six numbers, or null")
+    return [np.nan if value is None else number("stick", value) for value in values]

@@ -1,4 +1,4 @@
-"""Recordings in memory, read from journals and written to them."""
+"""Recordings in memory: load, save, samples as arrays."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from maglev_mj.recording.reading import Content
 from maglev_mj.recording.sample import FIELDS, ROW, TOTALS, Field, Rows, RunMetadata, Setup, units, value_in
 from maglev_mj.result import Result, Table
 
-_RECORDED = [one.name for one in FIELDS]
+_RECORDED = [entry.name for entry in FIELDS]
 
-READ = "a Recording, as Recording.load(FILE) returns"
+READ = "a Recording, as returned by Recording.load(FILE)"
 READ_SEGMENT = "a Segment, such as Recording.load(FILE).segments[0]"
-"""Allowed values of a recording and a segment, for messages."""
+"""Expected types, for error messages."""
 
 
 class _Fields:
@@ -42,7 +42,7 @@ class _Fields:
     def __getattr__(self, name: str) -> Array:
         arrays = self.__dict__.get("arrays", {})
         if name not in arrays:
-            raise AttributeError(f"these samples have no {name!r}: it was not loaded, or is no field")
+            raise AttributeError(f"samples have no {name!r}: not a field, or not loaded")
         return np.asarray(arrays[name])
 
 
@@ -50,19 +50,19 @@ class _Fields:
 class Segment(_Fields):
     """N samples under one controller.
 
-    Each field of a sample is an attribute: `segment.position` is `segment.arrays["position"]`, (N, 6). An index gives
-    some of the samples, without totals and gaps: `segment[100:200]`.
+    Fields are attributes: `segment.position` is `segment.arrays["position"]`, (N, 6). Slicing, `segment[100:200]`,
+    returns a part without totals and gaps.
 
     Attributes:
         setup: Setup of plant and controller, with the metadata as `run`.
-        arrays: Fields by name, (N,) or (N, 6) each, not to be changed; a command is not finite if the plant refused
-            it for that reason. The totals, if recorded, are energy absorbed by the rendered world, `taken` [J], work
-            of the hand, `hand_work` [J], and samples `missed`, each from the beginning on.
-        gaps: Samples missed without a gap in the ticks: row that follows, and number.
-        before: Samples of earlier segments of the same run, if it goes on from them after a rewind; else None.
-        began: Time of the beginning since 1970 [µs]; 0 if not known.
-        sticks: Row that follows and stick position from there on [m, rad], six, NaN for sliding axes; None without
-            friction.
+        arrays: Fields by name, (N,) or (N, 6) each, read-only. A command that is not finite was rejected by the
+            plant. Totals since the segment's start, if loaded: `taken`, energy absorbed by the control laws [J],
+            `hand_work` [J], and `missed` samples.
+        gaps: (row, count) of samples missed before a row without a gap in the tick numbers.
+        before: Preceding samples of the same run, if it resumes from them after a rewind; else None.
+        began: Start time since 1970 [µs]; 0 if unknown.
+        sticks: (row, position) of the stick position from a row on [m, rad], six components, NaN for sliding axes;
+            None without friction.
         metadata: Metadata of the setup.
 
     Raises:
@@ -84,13 +84,13 @@ class Segment(_Fields):
         return len(next(iter(self.arrays.values())))
 
     def __getitem__(self, rows: slice | NDArray[Any]) -> Segment:
-        totals = {one.name for one in TOTALS}
+        totals = {total.name for total in TOTALS}
         arrays = {name: self.arrays[name][rows] for name in self.arrays if name not in totals}
         return replace(self, arrays=arrays, gaps=(), sticks=())
 
     @property
     def whole(self) -> Segment:
-        """The run since its plant and controller were made: with the samples before it."""
+        """The run from its start, including the samples in `before`."""
         if self.before is None:
             return self
         parts = [self]
@@ -101,12 +101,12 @@ class Segment(_Fields):
 
     @property
     def known_hand(self) -> Array:
-        """Hand's wrench [N, N m], (N, 6); zero where it is unknown or estimated."""
+        """Recorded wrench of the hand [N, N m], (N, 6); zero where unknown or estimated."""
         return np.nan_to_num(self.hand * self.metadata.hand_recorded)
 
     def replace(self, **values: ArrayLike) -> Segment:
-        """Return a copy with other values of some fields, one for each sample or for all."""
-        new = {name: np.array(np.broadcast_to(one, self.arrays[name].shape), float) for name, one in values.items()}
+        """Return a copy with new values of some fields, broadcast to their shapes."""
+        new = {name: np.array(np.broadcast_to(part, self.arrays[name].shape), float) for name, part in values.items()}
         return replace(self, arrays={**self.arrays, **new})
 
 
@@ -117,10 +117,10 @@ class Recording(Result):
     Attributes:
         segments: Segments in order of time.
         events: Texts of events for the user, such as faults.
-        event_samples: Number of samples before each event; empty in files without it.
-        damage: Description of damage to the file, such as a missing end; empty for none.
+        event_samples: Number of samples before each event; empty if not recorded.
+        damage: Description of damage to the file, such as a missing end; empty if intact.
         attachments: Attached files by name.
-        about: Format of the file and versions of the code that made it.
+        about: File format, and versions of the code that wrote it.
 
     Example:
         >>> from maglev_mj import find_scene, record_run
@@ -139,21 +139,23 @@ class Recording(Result):
     units: ClassVar = units()
 
     def __post_init__(self) -> None:
-        check_instance("segments", self.segments, list | tuple, "a list of Segment, as Recording.load(FILE) reads")
+        check_instance(
+            "segments", self.segments, list | tuple, "a list of Segment, as returned by Recording.load(FILE)"
+        )
         store(self, segments=_joined(self.segments))
 
     def samples(self, fields: Sequence[str] = _RECORDED) -> Samples:
-        """Return fields of all samples as arrays; NaN for totals that were not recorded."""
+        """Return fields of all samples as arrays; NaN for totals that were not loaded."""
 
         def joined(name: str) -> Array:
-            parts = [one.arrays.get(name, np.full(len(one), np.nan)) for one in self.segments]
+            parts = [part.arrays.get(name, np.full(len(part), np.nan)) for part in self.segments]
             if len(parts) == 1:
                 return parts[0]
             return np.concatenate(parts) if parts else np.empty((0, 6) if _FIELDS[name].six else 0)
 
-        sizes = [len(one) for one in self.segments]
-        numbers = np.repeat(np.arange(len(sizes)), sizes)
-        return Samples(arrays={name: joined(name) for name in fields}, segment=numbers, recording=self)
+        sizes = [len(part) for part in self.segments]
+        indices = np.repeat(np.arange(len(sizes)), sizes)
+        return Samples(arrays={name: joined(name) for name in fields}, segment=indices, recording=self)
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns of all samples, (N,) each; see `Samples.columns`."""
@@ -163,8 +165,8 @@ class Recording(Result):
         """Return a row for each segment."""
         head = "segment", "kind", "samples", "from [s]", "to [s]"
         rows = [
-            (index, one.setup["kind"], len(one), *map(float, one.time[[0, -1]]))
-            for index, one in enumerate(self.segments)
+            (index, part.setup["kind"], len(part), *map(float, part.time[[0, -1]]))
+            for index, part in enumerate(self.segments)
         ]
         events = f", {len(self.events)} events" if self.events else ""
         return Table(f"recording of {self.ticks} samples{events}", head, rows)
@@ -174,25 +176,26 @@ class Recording(Result):
         return self.samples().plot(path)
 
     def parts(self) -> Iterator[tuple[str, Any]]:
-        """Yield the content in order of time, as a journal has it: a kind and its value.
+        """Yield kind and value of each part of the content, in the order of a journal.
 
-        Kinds are "begin" (a segment), "rows" (samples of it, a structured array (N,)), "stick" (position, six or None)
-        and "event" (kind, text and number of samples missed with it).
+        Kinds: "begin" (a segment), "rows" (samples, a structured array (N,)), "stick" (position, six components or
+        None), "event" (kind, text, number of missed samples).
         """
         events = list(zip(self.event_samples, self.events))
         first = 0
         for segment in self.segments:
             yield "begin", segment
             rows, gaps, start = _rows(segment), list(segment.gaps), 0
-            beside: list[tuple[int, tuple[str, Any]]] = [(row, ("stick", stuck)) for row, stuck in segment.sticks]
-            while events and events[0][0] <= first + len(rows):  # one between two segments is of the first
-                place, text = events.pop(0)
+            marks: list[tuple[int, tuple[str, Any]]] = [(row, ("stick", stuck)) for row, stuck in segment.sticks]
+            while events and events[0][0] <= first + len(rows):  # an event between segments belongs to the first
+                position, text = events.pop(0)
                 kind, _, words = text.partition(": ")
-                at = next((gap for gap in gaps if gap[0] == place - first), None) if kind == "missed" else None
-                if at is not None:
-                    gaps.remove(at)
-                beside.append((place - first, ("event", (kind, words, 0 if at is None else at[1]))))
-            for row, part in sorted(beside, key=lambda one: one[0]):
+                row = position - first
+                match = next((gap for gap in gaps if gap[0] == row), None) if kind == "missed" else None
+                if match is not None:
+                    gaps.remove(match)
+                marks.append((row, ("event", (kind, words, 0 if match is None else match[1]))))
+            for row, part in sorted(marks, key=lambda mark: mark[0]):
                 if row > start:
                     yield "rows", rows[start:row]
                     start = row
@@ -202,18 +205,18 @@ class Recording(Result):
             first += len(rows)
 
     def save(self, path: Path | str) -> None:
-        """Write a journal, atomically.
+        """Write a journal atomically.
 
         Args:
-            path: Path of the file, with the suffix .maglev.
+            path: Path with the suffix .maglev.
 
         Raises:
-            ParameterError: If it has another suffix.
-            OSError: If it cannot be written.
+            ParameterError: If the suffix is different.
+            OSError: If the file cannot be written.
         """
         path = file_path(path)
         if path.suffix != SUFFIX:
-            raise ParameterError(f"path must end in {SUFFIX}, not {path.name!r}: export writes other formats")
+            raise ParameterError(f"path must end in {SUFFIX}, not {path.name!r}: for other formats use export")
         with aside(path) as partial, partial.open("wb") as file:
             file.write(header())
             for block in self._blocks():
@@ -237,11 +240,11 @@ class Recording(Result):
 
     @classmethod
     def load(cls, path: Path | str) -> Recording:
-        """Read a journal; one that was not closed up to its last whole record.
+        """Read a journal; an incomplete one is read up to its last complete record.
 
         Raises:
-            InvalidRecordingError: If it is missing, no recording, or invalid, for example by a wrong checksum, or a
-                number that is not finite, of another type or out of range.
+            InvalidRecordingError: If the file is missing, not a recording, or invalid: for example a wrong checksum, or
+                a value that is not finite, of another type or out of range.
         """
         return _read(path)
 
@@ -252,18 +255,18 @@ class Recording(Result):
 
 
 def _joined(segments: Sequence[Segment]) -> list[Segment]:
-    """Return the segments of a session, each with the samples that it goes on from."""
+    """Return the segments with `before` set where one resumes from an earlier sample."""
     joined: list[Segment] = []
     begun: list[tuple[int, Segment]] = []
-    for one in segments:
-        if (session := one.setup.get("session")) is not None:
+    for segment in segments:
+        if (session := segment.setup.get("session")) is not None:
             after = value_in(session, "after")
-            if after is not None and (known := [part for part in begun if part[0] <= whole("after", after)]):
-                part = known[-1][1]
-                if count := int(np.searchsorted(part.tick, one.tick[0])):
-                    one = replace(one, before=part[:count])
-            begun.append((whole("first", value_in(session, "first")), one))
-        joined.append(one)
+            if after is not None and (earlier := [part for part in begun if part[0] <= whole("after", after)]):
+                part = earlier[-1][1]
+                if count := int(np.searchsorted(part.tick, segment.tick[0])):
+                    segment = replace(segment, before=part[:count])
+            begun.append((whole("first", value_in(session, "first")), segment))
+        joined.append(segment)
     return joined
 
 
@@ -276,7 +279,7 @@ def _rows(segment: Segment) -> Rows:
 
 
 def stick_as_json(position: Sequence[float] | None) -> list[float | None] | None:
-    """Return a stick position for JSON, which has no NaN."""
+    """Return a stick position as JSON values, None for NaN."""
     return None if position is None else [None if value != value else value for value in position]
 
 
@@ -287,8 +290,8 @@ def _read(path: Path | str, names: frozenset[str] | None = None) -> Recording:
         content = Content(path, names)
         return Recording(
             [
-                Segment(setup=one.setup, arrays=one.arrays(), gaps=one.gaps, began=one.began, sticks=one.sticks)
-                for one in content.segments
+                Segment(setup=part.setup, arrays=part.arrays(), gaps=part.gaps, began=part.began, sticks=part.sticks)
+                for part in content.segments
             ],
             events=content.events,
             event_samples=content.event_samples,
@@ -300,21 +303,18 @@ def _read(path: Path | str, names: frozenset[str] | None = None) -> Recording:
 
 @contextmanager
 def refused(path: Path) -> Iterator[None]:
-    """Raise InvalidRecordingError, which names the file, for one that cannot be read or is invalid."""
+    """Raise InvalidRecordingError with the file's name if it cannot be read or is invalid."""
     try:
         yield
     except OSError as error:
         raise InvalidRecordingError(f"recording {str(path)!r} cannot be read: {error.strerror or error}") from None
     except ParameterError as error:
-        raise InvalidRecordingError(f"{str(path)!r} is not a whole recording: {error}") from None
+        raise InvalidRecordingError(f"{str(path)!r} is not a valid recording: {error}") from None
 
 
 @contextmanager
 def aside(path: Path) -> Iterator[Path]:
-    """Yield a temporary name that replaces `path` on success.
-
-    After a failure the temporary file is removed.
-    """
+    """Yield a temporary path: moved to `path` on success, removed on failure."""
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
         yield partial
@@ -323,19 +323,17 @@ def aside(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-_FIELDS: Mapping[str, Field] = {one.name: one for one in (*FIELDS, *TOTALS)}
+_FIELDS: Mapping[str, Field] = {entry.name: entry for entry in (*FIELDS, *TOTALS)}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Samples(_Fields, Result):
-    """All N samples of a recording, fields as attributes.
-
-    For example `samples.position`.
+    """All N samples of a recording; fields are attributes, such as `samples.position`.
 
     Attributes:
-        arrays: Fields by name, (N,) or (N, 6), not to be changed; NaN for values missing in the file.
-        units: Unit of each column, such as `position.z`; empty for a whole number.
-        segment: Number of the segment of each sample, from 0, (N,).
+        arrays: Fields by name, (N,) or (N, 6), read-only; NaN for values missing in the file.
+        units: Unit of each column, such as `position.z`; empty for integers.
+        segment: Segment index of each sample, from 0, (N,).
         recording: The recording, with setups, metadata, events, attachments and damage.
     """
 
@@ -354,13 +352,13 @@ class Samples(_Fields, Result):
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return the columns by name, (N,) each.
 
-        `segment` comes first, then those of `units`. Columns without unit are whole numbers.
+        `segment` is the first, then those of `units`. Columns without a unit are integers.
         """
         columns: dict[str, NDArray[Any]] = {"segment": self.segment}
         for name, values in self.arrays.items():
             field = _FIELDS[name]
-            for place, (column, unit) in enumerate(field.units):
-                part = values[:, place] if field.six else values
+            for index, (column, unit) in enumerate(field.units):
+                part = values[:, index] if field.six else values
                 columns[column] = part if unit or np.isnan(part).any() else part.astype(np.int64)
         return columns
 
@@ -375,9 +373,7 @@ class Samples(_Fields, Result):
         return save(moving_axes(self.time, self.position, self.command), path)
 
     def to_pandas(self) -> Any:
-        """Return a data frame with one row per sample.
-
-        Its `attrs` hold units and events.
+        """Return a data frame with one row per sample, units and events in `attrs`.
 
         Raises:
             MissingPackageError: If pandas is not installed.
@@ -390,15 +386,15 @@ class Samples(_Fields, Result):
 def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Samples:
     """Read a recording as arrays.
 
-    An hour at 1 kHz takes some seconds and below 1 GB: a field that is constant or equals another is stored once.
+    One hour at 1 kHz takes some seconds and less than 1 GB: constant and duplicate fields are stored once.
 
     Args:
-        path: A journal; one that was not closed is read up to its last whole record.
-        fields: Names of the fields to keep, such as "time" and "position"; None for all.
+        path: Path of a journal; an incomplete one is read up to its last complete record.
+        fields: Names of the fields to load, such as "time" and "position"; None for all.
 
     Raises:
-        InvalidRecordingError: If it is missing, no recording, or invalid.
-        ParameterError: If a field is not known.
+        InvalidRecordingError: If the file is missing, not a recording, or invalid.
+        ParameterError: If a field name is unknown.
 
     Example:
         >>> import tempfile
@@ -413,5 +409,5 @@ def load_samples(path: Path | str, fields: Sequence[str] | None = None) -> Sampl
     names = list(_FIELDS) if fields is None else list(fields)
     unknown = [name for name in names if name not in _FIELDS]
     if unknown:
-        raise ParameterError(f"fields must be of {', '.join(_FIELDS)}, not {unknown[0]!r}")
+        raise ParameterError(f"fields must be among {', '.join(_FIELDS)}, not {unknown[0]!r}")
     return _read(path, frozenset({"tick", *names})).samples(names)

@@ -1,4 +1,4 @@
-"""A recorded sample, a run's metadata, and the checks of both in files.
+"""Recorded samples and run metadata: fields, units, JSON, and validation.
 
 One table of fields defines all file formats.
 """
@@ -30,17 +30,17 @@ Rows: TypeAlias = NDArray[np.void]
 """N samples: a structured array (N,)."""
 
 _POSE, _WRENCH, _FORCE = ("m", "rad"), ("N", "N m"), 1e12
-_WHOLE = 2**53  # from there on a float skips whole numbers
-_MISSING = 1_000_000
-_KINDS = {dict: "an object", list: "a list", str: "a text", bool: "true or false"}
+_MAX_INTEGER = 2**53  # floats above it skip integers
+_MAX_MISSING = 1_000_000
+_KINDS = {dict: "an object", list: "a list", str: "a string", bool: "true or false"}
 
 
 class RecordedPlant(Protocol):
-    """Plant of `row_of`; its `arrival`, the time of the sample by the host's clock [s], is optional."""
+    """Plant of `row_of`; `arrival`, the host's time of the sample [s], is optional."""
 
     @property
     def hand_wrench(self) -> Sequence[Any]:
-        """Hand wrench since the last sample [N, N m], six."""
+        """Hand wrench since the previous sample [N, N m], six components."""
 
 
 class Field(NamedTuple):
@@ -48,14 +48,13 @@ class Field(NamedTuple):
 
     Attributes:
         name: Name in every file.
-        unit: Unit; two for the six components of a pose or wrench, of translations and of rotations; empty for a
-            whole number.
+        unit: Unit; a pair (translations, rotations) for a pose or wrench; empty for an integer.
         description: Short description.
-        array: Array of an .npz file that holds it; empty for an array of its own.
-        at_least: Smallest value in a file.
-        at_most: Largest absolute value in a file; beyond the range of any device.
-        optional: True if files without it are read too, as NaN.
-        unknown: True if it may be NaN throughout, as an optional field.
+        array: Array of an .npz file that contains it; empty for a separate array.
+        at_least: Smallest valid value.
+        at_most: Largest valid magnitude; above the range of any device.
+        optional: True if a file may lack it; it then reads as NaN.
+        unknown: True if it may be NaN in all samples, like an optional field.
     """
 
     name: str
@@ -74,7 +73,7 @@ class Field(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Description with its units in brackets."""
+        """Description followed by the units in brackets."""
         unit = ", ".join(self.unit) if isinstance(self.unit, tuple) else self.unit
         return f"{self.description} [{unit}]" if unit else self.description
 
@@ -87,34 +86,34 @@ class Field(NamedTuple):
 
 
 FIELDS: Sequence[Field] = (
-    Field("tick", "", "sample number, as the plant counts"),
-    Field("time", "s", "of the sample, as the plant counts: a device counts on from segment to segment", at_most=1e9),
-    Field("position", _POSE, "what the controller saw", at_most=1e3),
-    Field("command", _WRENCH, "what it answered, held", "command"),
-    Field("pulse", _WRENCH, "what it answered, for as long as a pulse", "command"),
-    Field("applied", _WRENCH, "the command after the plant's limits", "applied"),
-    Field("applied_pulse", _WRENCH, "the pulse after the plant's limits", "applied"),
-    Field("hand", _WRENCH, "what the hand exerts from the sample on, if known; a device's is estimated", unknown=True),
-    Field("pulse_width", "s", "how long the pulse is asked for", "command", at_least=0.0),
-    Field("applied_pulse_width", "s", "how long the pulse lasts", "applied", at_least=0.0),
+    Field("tick", "", "sample number, counted by the plant"),
+    Field("time", "s", "time of the sample, plant clock (not reset between segments of a flight)", at_most=1e9),
+    Field("position", _POSE, "measured pose, input of the controller", at_most=1e3),
+    Field("command", _WRENCH, "commanded wrench, held until the next command", "command"),
+    Field("pulse", _WRENCH, "commanded braking pulse, added to the command", "command"),
+    Field("applied", _WRENCH, "commanded wrench after the plant's limits", "applied"),
+    Field("applied_pulse", _WRENCH, "braking pulse after the plant's limits", "applied"),
+    Field("hand", _WRENCH, "hand's wrench from this sample on; estimated on a device; NaN if unknown", unknown=True),
+    Field("pulse_width", "s", "commanded pulse duration", "command", at_least=0.0),
+    Field("applied_pulse_width", "s", "pulse duration after the plant's limits", "applied", at_least=0.0),
     Field(
         "arrival",
         "s",
-        "when it arrived, by the clock of the host: only changes count; not known of a simulated plant",
+        "arrival time of the sample, host clock with arbitrary origin; NaN for a simulated plant",
         optional=True,
     ),
 )
 """Recorded fields of each sample, in file order.
 
-A further value takes one further line here, and one in `row_of`.
+To add a field, add a line here and one in `row_of`.
 """
 
 TOTALS: Sequence[Field] = (
-    Field("taken", "J", "energy that the rendered world has taken in, in the segment; below 0 it has made some"),
-    Field("hand_work", "J", "work of the hand in the segment, if known"),
-    Field("missed", "", "samples that did not arrive, or that were not kept up with, in the segment so far"),
+    Field("taken", "J", "energy absorbed by the control laws since the segment's start; negative if generated"),
+    Field("hand_work", "J", "work of the hand since the segment's start; NaN if unknown"),
+    Field("missed", "", "lost samples and skipped ticks since the segment's start"),
 )
-"""Running totals, computed from the samples; exports have them with each sample."""
+"""Running totals, computed from the samples and exported with each of them."""
 
 
 def _layout(fields: Sequence[Field]) -> np.dtype[np.void]:
@@ -133,14 +132,11 @@ def _arrays() -> Mapping[str, Sequence[Field]]:
 
 
 ARRAYS = _arrays()
-"""Fields in each array of an .npz file.
-
-Their shapes are (N,) for one number per sample, or (N, columns).
-"""
+"""Fields in each array of an .npz file; shapes (N,) or (N, columns)."""
 
 
 def row_of(sample: Sample, command: Command, applied: Command, plant: RecordedPlant) -> Row:
-    """Return the values of one cycle in the order of FIELDS; written out, for a loop takes four times as long."""
+    """Return the values of one tick in the order of FIELDS (unrolled: a loop takes four times as long)."""
     return (
         sample.tick,
         sample.time,
@@ -157,13 +153,13 @@ def row_of(sample: Sample, command: Command, applied: Command, plant: RecordedPl
 
 
 def as_rows(values: Any, fields: Sequence[Field] = FIELDS) -> Rows:
-    """Return numbers (N, columns) as a structured array (N,)."""
+    """Convert numbers (N, columns) to a structured array (N,)."""
     layout = _layout(fields)
     return np.ascontiguousarray(values, dtype=np.float64).reshape(-1, layout.itemsize // 8).view(layout).reshape(-1)
 
 
 def as_table(rows: Rows) -> Array:
-    """Return a structured array (N,) as numbers, (N, columns)."""
+    """Convert a structured array (N,) to numbers (N, columns)."""
     return np.ascontiguousarray(rows).view(np.float64).reshape(len(rows), rows.dtype.itemsize // 8)
 
 
@@ -181,12 +177,12 @@ def schema(field: Field) -> dict[str, Any]:
 
 
 def is_recorded(field: Field, values: Array) -> bool:
-    """Return False if an optional field is NaN throughout."""
+    """Return False if an optional field is NaN in all samples."""
     return not (field.optional and bool(np.isnan(values).all()))
 
 
 def units() -> dict[str, str]:
-    """Return each column's unit, totals included; empty for whole numbers."""
+    """Return the unit of each column, totals included; empty for integers."""
     return {name: unit for field in (*FIELDS, *TOTALS) for name, unit in field.units}
 
 
@@ -197,10 +193,7 @@ The normal is 1 or -1; the edge is in [m, rad].
 """
 
 Setup: TypeAlias = Mapping[str, Any]
-"""Setup of plant and controller, ready for JSON.
-
-Its entry `run` holds the metadata.
-"""
+"""Setup of plant and controller as JSON values; its entry `run` is the metadata."""
 
 
 _MECHANICS: Mapping[str, ArrayLike] = {
@@ -208,15 +201,15 @@ _MECHANICS: Mapping[str, ArrayLike] = {
     "load": (0.0, 0.0, -INERTIA[2] * GRAVITY, 0.0, 0.0, 0.0),
     "before": ZERO,
 }
-"""The published device's, for a plant that does not state its own."""
+"""Defaults for plants without these attributes: the published device's values."""
 
 
 def mechanics(plant: Any) -> dict[str, Array]:
-    """Return inertia, load and initial wrench of a plant, by default the device's; see `RunMetadata`.
+    """Return inertia, load and initial wrench of a plant, see `RunMetadata`.
 
-    The mass of a hand in a rigid grip moves with the flotor.
+    The mass of a hand in a rigid grip is included: it moves with the flotor.
     """
-    parts = {name: np.array(getattr(plant, name, usual), np.float64) for name, usual in _MECHANICS.items()}
+    parts = {name: np.array(getattr(plant, name, default), np.float64) for name, default in _MECHANICS.items()}
     hand = getattr(plant, "hand", None)
     if hand is not None and not hand.soft:
         parts["inertia"][list(hand.indices)] += float(np.asarray(hand.mass))
@@ -229,16 +222,16 @@ class RunMetadata:
 
     Attributes:
         period: Sample period [s].
-        delay: Time from a sample to its command's effect [s].
+        delay: Delay from a sample to its command's effect [s].
         inertia: Moving mass and moments of inertia [kg, kg m²], (6,).
-        load: Constant wrench besides the actuators' [N, N m], (6,).
-        before: Wrench of the actuators until the first command takes effect [N, N m], (6,).
-        carried: Wrench of the actuators that carries the flotor and renders nothing [N, N m], (6,).
-        faces: All planes of walls.
+        load: Constant external wrench, such as the weight [N, N m], (6,).
+        before: Actuator wrench before the first command takes effect [N, N m], (6,).
+        carried: Actuator wrench of the weight compensation [N, N m], (6,).
+        faces: Planes of all walls.
         name: Name of the run.
-        axis: Name of the axis that matters most.
-        hand_recorded: True if the hand's wrench was recorded; False if it is estimated or not known.
-        hand_acts_on_flotor: True if the recorded hand acts on the flotor directly, not through a soft grip.
+        axis: Main axis of the run.
+        hand_recorded: True if the hand's wrench was recorded; False if it is estimated or unknown.
+        hand_acts_on_flotor: True if the recorded hand acts on the flotor directly; False for a soft grip.
 
     Raises:
         ParameterError: If a number is outside its bounds.
@@ -270,7 +263,7 @@ class RunMetadata:
         axis: str | None = None,
         delay: float | None = None,
         hand_recorded: bool | None = None,
-        **stated: ArrayLike,
+        **mechanical: ArrayLike,
     ) -> Self:
         """Return the metadata of a plant and its controller.
 
@@ -278,27 +271,26 @@ class RunMetadata:
             plant: The plant.
             controller: The controller.
             name: Name of the run.
-            axis: The axis that matters most; by default that of the first wall, or z.
-            delay: Time from a sample to its command's effect [s]; the plant's by default.
+            axis: Main axis; by default that of the first wall, or z.
+            delay: Delay from a sample to its command's effect [s]; the plant's by default.
             hand_recorded: True if the hand's wrench is recorded; by default if the plant has a hand.
-            stated: `inertia`, `load` and `before` in place of the plant's.
+            mechanical: `inertia`, `load` and `before` in place of the plant's.
 
         Raises:
-            ParameterError: If the plant has no delay and none is given, a value is not finite, or an inertia is not
-                above 0.
+            ParameterError: If the delay is missing, a value is not finite, or an inertia is not positive.
         """
         timing = getattr(plant, "timing", plant)
-        late = getattr(timing, "delay", None) if delay is None else delay
-        if late is None:
-            raise ParameterError("delay must be given for a plant that has neither timing nor delay, not None")
-        faces, hand, least = controller.faces, getattr(plant, "hand", None), {"inertia": 1e-12}
+        delay = getattr(timing, "delay", None) if delay is None else delay
+        if delay is None:
+            raise ParameterError("delay is required: the plant has neither timing nor delay")
+        faces, hand, minima = controller.faces, getattr(plant, "hand", None), {"inertia": 1e-12}
         parts = {
-            part: numbers(part, value, at_least=least.get(part, -math.inf))
-            for part, value in {**mechanics(plant), **stated}.items()
+            part: numbers(part, value, at_least=minima.get(part, -math.inf))
+            for part, value in {**mechanics(plant), **mechanical}.items()
         }
         return cls(
             period=controller.period,
-            delay=number("delay", late, at_least=0.0),
+            delay=number("delay", delay, at_least=0.0),
             **{part: np.broadcast_to(value, 6) for part, value in parts.items()},
             carried=controller.carried,
             faces=faces,
@@ -332,17 +324,17 @@ class RunMetadata:
         )
 
     def as_json(self) -> dict[str, Any]:
-        """Return all values, ready for JSON."""
+        """Return all values as JSON values."""
         values: dict[str, Any] = {}
-        for one in fields(self):
-            value = getattr(self, one.name)
-            values[one.name] = dict(zip(AXES, value.tolist(), strict=True)) if isinstance(value, np.ndarray) else value
+        for name in (entry.name for entry in fields(self)):
+            value = getattr(self, name)
+            values[name] = dict(zip(AXES, value.tolist(), strict=True)) if isinstance(value, np.ndarray) else value
         values["faces"] = [{"axis": AXES[axis], "normal": normal, "edge": edge} for axis, normal, edge in self.faces]
         return values
 
 
 def _face(values: Any) -> Face:
-    """Return a plane of a wall from JSON."""
+    """Return the plane of a wall from JSON."""
     (axis,) = axis_indices(value_in(values, "axis", str))
     edge = number("edge", values.get("edge"), at_least=-1e3, at_most=1e3)
     normal = number("normal", values.get("normal"))
@@ -357,7 +349,7 @@ def _six(holder: Any, name: str, *, at_least: float = -_FORCE) -> Array:
 
 
 class Totals:
-    """Running totals of energy, hand work and missed samples.
+    """Running totals of absorbed energy, hand work and missed samples.
 
     Args:
         metadata: Metadata of the segment.
@@ -372,108 +364,108 @@ class Totals:
         self._tick: float | None = None
 
     def miss(self, count: int) -> None:
-        """Count missed samples without a gap in the ticks."""
+        """Add missed samples that leave no gap in the tick numbers."""
         self._missed += count
 
     def take(self, rows: Rows | Mapping[str, Array]) -> Array:
         """Return the totals at N samples, (N, 3).
 
-        Energy absorbed by the rendered world [J], work of the hand [J], missed samples. The bits are the same in blocks
-        of any size.
+        Columns: energy absorbed by the control laws [J], work of the hand [J], missed samples. The result does not
+        depend on the block size, bitwise.
         """
         poses, force = np.ascontiguousarray(rows["position"]), rows["applied"] - self._carried
         energy = self._observer.take(poses, force, rows["applied_pulse"], rows["applied_pulse_width"])
         work = self._hand.take(poses, np.ascontiguousarray(rows["hand"]))
         ticks = rows["tick"]
-        # a device counts on from segment to segment
+        # a device does not reset its tick between segments
         gaps = np.diff(ticks, prepend=ticks[:1] - 1.0 if self._tick is None else self._tick)
         missed = self._missed + np.add.accumulate(np.maximum(np.trunc(gaps) - 1.0, 0.0))
         self._tick, self._missed = float(ticks[-1]), int(missed[-1])
         return np.column_stack([energy.sum(axis=1), work, missed])
 
 
-def parsed(text: bytes | str) -> Any:
+def parse_json(text: bytes | str) -> Any:
     """Parse JSON text.
 
     Raises:
-        ParameterError: If it is not JSON, or has a number outside JSON, such as NaN.
+        ParameterError: If it is not valid JSON; NaN and Infinity are not.
     """
     try:
-        return json.loads(text, parse_constant=_refuse)
+        return json.loads(text, parse_constant=_reject_constant)
     except ParameterError:
         raise
     except (ValueError, RecursionError):
-        raise ParameterError("a message is not JSON") from None
+        raise ParameterError("invalid JSON in a message") from None
 
 
 def value_in(holder: Any, name: str, kind: type | None = None) -> Any:
-    """Return the value of the given name in a JSON object.
+    """Return a value of a JSON object by name.
 
     Args:
         holder: The object.
         name: The name.
-        kind: Type of the value: dict, list, str or bool; None for any.
+        kind: Expected type: dict, list, str or bool; None for any.
 
     Raises:
-        ParameterError: If it is missing or of another type.
+        ParameterError: If it is missing or has another type.
     """
     if not isinstance(holder, Mapping) or name not in holder:
-        raise ParameterError(f"a message must have {name}")
+        raise ParameterError(f"{name} is missing in a message")
     value = holder[name]
     if kind is not None and not isinstance(value, kind):
-        raise ParameterError(f"{name} must be {_KINDS[kind]}, not {shown(value)}")
+        raise ParameterError(f"{name} must be {_KINDS[kind]}, not {_short(value)}")
     return value
 
 
 def check_setup(value: Any) -> Setup:
-    """Return a setup after checking its kind and numbers.
+    """Validate a setup and return it.
 
     Raises:
         ParameterError: If it is not an object with a kind and finite numbers.
     """
     setup: Setup = value_in({"setup": value}, "setup", dict)
     value_in(setup, "kind", str)
-    waiting: list[tuple[str, Any]] = list(setup.items())
-    while waiting:
-        name, part = waiting.pop()
+    pending: list[tuple[str, Any]] = list(setup.items())
+    while pending:
+        name, part = pending.pop()
         if isinstance(part, dict):
-            waiting += [(f"{name}.{key}", one) for key, one in part.items()]
+            pending += [(f"{name}.{key}", value) for key, value in part.items()]
         elif isinstance(part, list):
-            waiting += [(name, one) for one in part]
+            pending += [(name, value) for value in part]
         elif isinstance(part, int | float) and not isinstance(part, bool):
             number(f"setup {name}", part)
     return setup
 
 
 def check_rows(rows: Mapping[str, Array], first: int = 0) -> None:
-    """Check the samples of a file.
+    """Validate the samples of a file.
 
     Args:
         rows: Fields by name, (N,) or (N, 6) each.
-        first: Number of the first row, for the message.
+        first: Index of the first row, for error messages.
 
     Raises:
-        ParameterError: If a number is not finite or out of range, or ticks or times do not increase. Only the last
-            command may be NaN: the plant refused it and applied nothing. An unknown field is NaN throughout.
+        ParameterError: If a value is not finite or out of range, or ticks or times do not increase. Exceptions: the
+            last command may be NaN (the plant rejected it and applied zero), and an unknown field is NaN in all rows.
     """
     tick = rows["tick"]
     _check_count(tick, "tick")
     steps = np.diff(tick)
     if not (steps >= 1.0).all():
         row = int(np.argmin(steps >= 1.0))
-        raise ParameterError(f"tick must go up, not from {tick[row]:g} to {tick[row + 1]:g}")
+        raise ParameterError(f"tick must increase, not go from {tick[row]:g} to {tick[row + 1]:g}")
     missing = int(steps.sum()) - len(steps)
-    if missing > _MISSING:
-        raise ParameterError(f"at most {_MISSING} samples may be missing, not {missing}")
+    if missing > _MAX_MISSING:
+        raise ParameterError(f"at most {_MAX_MISSING} samples may be missing, not {missing}")
     commanded = [field.name for field in FIELDS if field.array == "command"]
-    refused = not all(np.isfinite(rows[name][-1:]).all() for name in commanded)
-    if refused and any(rows[field.name][-1:].any() for field in FIELDS if field.array == "applied"):
-        raise ParameterError("a command that is not finite must be applied as zero")
+    rejected = not all(np.isfinite(rows[name][-1:]).all() for name in commanded)
+    if rejected and any(rows[field.name][-1:].any() for field in FIELDS if field.array == "applied"):
+        raise ParameterError("applied must be zero where the command is not finite")
     for field in FIELDS:
         values = rows[field.name]
-        _check_field(field, values[:-1] if refused and field.name in commanded else values, first)
+        _check_field(field, values[:-1] if rejected and field.name in commanded else values, first)
     if not (np.diff(rows["time"]) > 0.0).all():
-        raise ParameterError("time must go up from sample to sample")
+        raise ParameterError("time must increase from sample to sample")
 
 
 def _check_field(field: Field, values: Array, first: int) -> None:
@@ -481,28 +473,28 @@ def _check_field(field: Field, values: Array, first: int) -> None:
         return
     if not field.unit:
         return _check_count(values, field.name)
-    good = np.abs(values) <= field.at_most  # NaN is not
-    if not good.all():
-        row = first + int(np.argmin(good.reshape(len(good), -1).all(axis=1)))
+    valid = np.abs(values) <= field.at_most  # False for NaN
+    if not valid.all():
+        row = first + int(np.argmin(valid.reshape(len(valid), -1).all(axis=1)))
         allowed = f"finite and at most {field.at_most:g}"
-        raise ParameterError(f"{field.name} must be {allowed}, not {values[~good].flat[0]:g} in row {row}")
+        raise ParameterError(f"{field.name} must be {allowed}, not {values[~valid].flat[0]:g} in row {row}")
     if not (values >= field.at_least).all():
-        raise ParameterError(f"{field.name} must be at least {field.at_least:g} everywhere, not {values.min():g}")
+        raise ParameterError(f"{field.name} must be at least {field.at_least:g} in all rows, not {values.min():g}")
 
 
 def _check_count(values: Array, name: str) -> None:
-    good = (values >= 0.0) & (values < _WHOLE) & (values == np.floor(values))
-    if not good.all():
-        raise ParameterError(f"{name} must be whole numbers of at least 0, not {values[~good][0]:g}")
+    valid = (values >= 0.0) & (values < _MAX_INTEGER) & (values == np.floor(values))
+    if not valid.all():
+        raise ParameterError(f"{name} must be integers of at least 0, not {values[~valid][0]:g}")
 
 
-def shown(value: Any) -> str:
-    """Return a value of any size as a short text."""
+def _short(value: Any) -> str:
+    """Return a value as a short text for a message."""
     if isinstance(value, dict | list):
         return "an object" if isinstance(value, dict) else "a list"
-    text = repr(value) if not isinstance(value, int) or abs(value) < _WHOLE else "a number beyond them"
+    text = repr(value) if not isinstance(value, int) or abs(value) < _MAX_INTEGER else "a number above 2^53"
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def _refuse(constant: str) -> None:
+def _reject_constant(constant: str) -> None:
     raise ParameterError(f"numbers must be finite, not {constant}")

@@ -1,7 +1,4 @@
-"""Setup of plant and controller: stored as JSON, and rebuilt.
-
-Rebuilding imports nothing by name.
-"""
+"""Setup of plant and controller: stored as JSON, and rebuilt without importing names from the file."""
 
 from __future__ import annotations
 
@@ -28,10 +25,7 @@ from maglev_mj.recording.sample import RecordedPlant, RunMetadata, Setup, check_
 from maglev_mj.versions import file_of, hash_of
 
 Own: TypeAlias = Callable[[str], Any]
-"""Loader of a user's class or function by reference.
-
-The reference is FILE:NAME@HASH; its source is executed.
-"""
+"""Loader of a user's class or function by its reference FILE:NAME@HASH; executes the source."""
 
 _SLOTS: Mapping[str, tuple[type, ...]] = {
     "controller": (Controller,),
@@ -49,24 +43,24 @@ _SLOTS: Mapping[str, tuple[type, ...]] = {
     "path": (Trajectory,),
     "target": (Trajectory,),
 }
-"""Allowed types by argument name; no other object is made."""
+"""Allowed types by argument name; no other type is constructed."""
 
-ALLOW = "allow it by --scene {}, or by --scene attached for the source in the recording"
-"""Advice to the user after an `OwnCodeError`."""
+ALLOW = "allow it with --scene {}, or with --scene attached for the source in the recording"
+"""Advice to the user in an `OwnCodeError`."""
 
 _OBJECTS = ("timing", "sensor", "hand", "hand_force", "path")
 _OWN_SLOTS = ("laws", "velocity")
 _INFINITE = {"inf": math.inf, "-inf": -math.inf}
 _INVALID = MaglevError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError
-_MOST, _LONGEST_LIST, _MOST_LAWS, _LEAST_STEP = 1e15, 100_000, 100, 1e-5
+_MAX_VALUE, _MAX_ENTRIES, _MAX_LAWS, _MIN_STEP = 1e15, 100_000, 100, 1e-5
 
 
 class OwnCodeError(InvalidRecordingError):
-    """A recording needs user code that was not allowed."""
+    """A recording needs user code that was not allowed to run."""
 
 
 class _NoJsonError(Exception):
-    """A value cannot be expressed in JSON."""
+    """A value has no JSON form."""
 
 
 def setup_of(
@@ -81,24 +75,22 @@ def setup_of(
     session: Mapping[str, int | None] | None = None,
     **metadata: Any,
 ) -> dict[str, Any]:
-    """Return the setup of a run before its first sample.
-
-    It is ready for JSON.
+    """Return the setup of a run before its first sample, as JSON values.
 
     Args:
         plant: The plant.
         controller: The controller.
         kind: "run", or "device" for a flight.
-        scene: Reference of the scene; None for none.
-        source: Hash of the scene's file; None for none.
-        parameters: Parameters of the run by name, ready for JSON.
-        samples: Number of samples unless the run fails before; None if not known.
-        session: Numbers in a session of the `first` sample, and of that `after` which it goes on, None for a run of its
-            own; see `Segment.before`.
-        metadata: Values in place of those of plant and controller: see `RunMetadata.of`.
+        scene: Reference of the scene, if any.
+        source: Hash of the scene's file, if any.
+        parameters: Parameters of the run by name, JSON values.
+        samples: Number of samples unless the run fails earlier; None if unknown.
+        session: Session numbers of the `first` sample and of the sample `after` which it resumes (None for a new
+            run); see `Segment.before`.
+        metadata: Values that override those of plant and controller, see `RunMetadata.of`.
 
     Raises:
-        ParameterError: If a value is not finite, or the plant has no delay and none is given.
+        ParameterError: If a value is not finite, or the delay is missing.
     """
     if scene is not None:
         metadata.setdefault("name", scene)
@@ -117,11 +109,8 @@ def setup_of(
     return dict(check_setup(setup))
 
 
-def whole_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setup:
-    """Return a setup including its metadata.
-
-    By default those of plant and controller.
-    """
+def complete_setup(plant: Any, controller: Controller, setup: Setup | None) -> Setup:
+    """Return a setup with its metadata; by default the setup of plant and controller."""
     if setup is None:
         return setup_of(plant, controller)
     return setup if "run" in setup else {**setup, "run": RunMetadata.of(plant, controller).as_json()}
@@ -131,32 +120,28 @@ class RecordingFile(Protocol):
     """Interface of a file that records a run."""
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
-        """Begin a segment; return the loop's recording function.
+        """Start a segment; return the loop's recording function.
 
         Args:
             plant: The controlled plant.
             controller: The controller.
-            setup: Setup of both, by default by `setup_of`; its metadata, `run`, are added if they are not
-                there.
+            setup: Setup of both, by default from `setup_of`; the metadata `run` are added if missing.
         """
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """Record an event for the user.
-
-        `missed` is the number of samples missed with it.
-        """
+        """Record an event for the user, with the number of samples missed in it."""
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file, before the first sample.
 
         Args:
             name: Unique name.
-            media_type: Such as "text/xml".
+            media_type: Media type, such as "text/xml".
             data: Content of the file.
         """
 
     def append(self, records: bytes) -> None:
-        """Append records of a journal, such as cycles of a device."""
+        """Append packed journal records, such as device cycles."""
 
     def check(self) -> None:
         """Check that the recording is being written.
@@ -166,9 +151,7 @@ class RecordingFile(Protocol):
         """
 
     def close(self) -> Path | None:
-        """Finish writing; return the file, or None without samples.
-
-        A second call does nothing.
+        """Finish writing; return the path, or None without samples; idempotent.
 
         Raises:
             RecordingError: If the file is incomplete.
@@ -176,7 +159,7 @@ class RecordingFile(Protocol):
 
 
 def attach_parts(file: RecordingFile, plant: Any, controller: Controller) -> None:
-    """Attach the MJCF and user sources of plant and controller."""
+    """Attach the MJCF of the plant, and the source files of user-defined laws."""
     model = getattr(plant, "given", {}).get("model", "drop" if isinstance(plant, MuJoCoPlant) else None)
     if isinstance(model, str | Path):
         attach_model(file, model)
@@ -185,54 +168,51 @@ def attach_parts(file: RecordingFile, plant: Any, controller: Controller) -> Non
 
 
 def attach_model(file: RecordingFile, model: str | Path) -> None:
-    """Attach the MJCF of a model, included files too."""
+    """Attach the MJCF of a model with its included files."""
     for name, text in model_files(model):
         file.attach(f"model/{name}", "application/xml", text.encode())
 
 
-def attach_source(file: RecordingFile, thing: Any) -> None:
-    """Attach the source file of a user's class or function."""
-    own = getattr(thing, "__module__", "maglev_mj").partition(".")[0] != "maglev_mj"
-    if own and (source := file_of(thing)) is not None:
+def attach_source(file: RecordingFile, definition: Any) -> None:
+    """Attach the source file of a user-defined class or function."""
+    is_user_defined = getattr(definition, "__module__", "maglev_mj").partition(".")[0] != "maglev_mj"
+    if is_user_defined and (source := file_of(definition)) is not None:
         path, text = source
         file.attach(f"source/{hash_of(text)}/{path.name}", "text/x-python", text.encode())
 
 
 def scripted(setup: Setup) -> bool:
-    """Return True if the run's hand is in its setup.
-
-    Also True if there is no hand.
-    """
+    """Return True if the setup defines the hand, or there is none."""
     plant = setup.get("plant")
     return isinstance(plant, dict) and not isinstance(plant.get("hand_force"), str)
 
 
-def controller_again(setup: Setup, own: Own | None = None) -> Controller:
+def rebuild_controller(setup: Setup, own: Own | None = None) -> Controller:
     """Rebuild the controller of a setup.
 
     Args:
         setup: The setup.
-        own: Loader of a user's classes and functions; None if these must not be executed.
+        own: Loader of user-defined classes and functions; None if these must not be executed.
 
     Raises:
-        OwnCodeError: If it needs user code that was not allowed or is not known.
+        OwnCodeError: If it needs user code that is not allowed to run, or not available.
         InvalidRecordingError: If a value is missing, of another type, or out of range.
     """
     with refused(*_INVALID):
         controller = _object("controller", setup["controller"], own)
         if not isinstance(controller, Controller):
-            raise OwnCodeError(f"nothing tells how {controller} was made, or it had run before the recording began")
+            raise OwnCodeError(
+                f"{controller} cannot be rebuilt: user-defined, or already running when recording started"
+            )
         return controller
 
 
-def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | None:
-    """Rebuild the plant of a setup, unless a user's own.
-
-    None for a user's own plant.
+def rebuild_plant(setup: Setup, hand: HandForce | None = None) -> SampledPlant | None:
+    """Rebuild the plant of a setup; None for a user-defined plant.
 
     Args:
         setup: The setup.
-        hand: The hand on the flotor; None for that of the setup, if any.
+        hand: The hand on the flotor; None for the hand of the setup, if any.
 
     Raises:
         InvalidRecordingError: If a value is missing, of another type, or out of range.
@@ -246,26 +226,23 @@ def plant_again(setup: Setup, hand: HandForce | None = None) -> SampledPlant | N
         plant: SampledPlant = _object("plant", description, None, {} if hand is None else {"hand_force": hand})
         check_instance("plant", plant, SampledPlant, "an object")
         if plant.batch or np.ndim(plant.timing.delay):
-            raise ParameterError("a plant must be one device")
+            raise ParameterError("plant must be a single device, not a batch")
         return plant
 
 
 @contextmanager
 def refused(*errors: type[Exception]) -> Iterator[None]:
-    """Turn errors of an invalid setup into one line."""
+    """Raise errors of an invalid setup as InvalidRecordingError."""
     try:
         yield
     except InvalidRecordingError:
         raise
     except errors as error:
-        raise InvalidRecordingError(f"a recording's setup cannot be made here: {error}") from None
+        raise InvalidRecordingError(f"cannot rebuild the recorded setup: {error}") from None
 
 
 def _description(slot: str, value: Any) -> Any:
-    """Return an object as JSON, or its class name.
-
-    The class alone if an argument has no JSON form.
-    """
+    """Return an object as JSON values, or only its class name if an argument has no JSON form."""
     try:
         reference = _reference(slot, value)
         return {"class": reference, **{name: _value(name, part) for name, part in _arguments(slot, value).items()}}
@@ -274,20 +251,17 @@ def _description(slot: str, value: Any) -> Any:
 
 
 def _reference(slot: str, value: Any) -> str:
-    """Return the reference of an object's class.
-
-    A name in `_SLOTS`, or FILE:NAME@HASH for a user's class.
-    """
+    """Return the reference of an object's class: a name in `_SLOTS`, or FILE:NAME@HASH if user-defined."""
     if type(value) in _SLOTS[slot]:
         return type(value).__name__
-    thing = value.function if isinstance(value, FunctionLaw) else type(value)
-    if slot in _OWN_SLOTS and (source := file_of(thing) if hasattr(thing, "__qualname__") else None):
-        return f"{source[0].name}:{thing.__qualname__}@{hash_of(source[1])}"
+    definition = value.function if isinstance(value, FunctionLaw) else type(value)
+    if slot in _OWN_SLOTS and (source := file_of(definition) if hasattr(definition, "__qualname__") else None):
+        return f"{source[0].name}:{definition.__qualname__}@{hash_of(source[1])}"
     raise _NoJsonError
 
 
 def _arguments(slot: str, value: Any) -> Mapping[str, Any]:
-    """Return an object's constructor arguments other than defaults."""
+    """Return the constructor arguments of an object that differ from their defaults."""
     if isinstance(value, Controller | SampledPlant) and value.begun:
         raise _NoJsonError  # its state is not in its arguments
     if isinstance(value, Controller):
@@ -295,12 +269,12 @@ def _arguments(slot: str, value: Any) -> Mapping[str, Any]:
     if isinstance(value, SampledPlant):
         return value.given
     if slot == "hand_force" and isinstance(value, SpringHand) and not isinstance(value.target, Trajectory):
-        raise _NoJsonError  # its target is moved from outside
+        raise _NoJsonError  # the target is set from outside
     if is_dataclass(value):
         return {
-            one.name: part
-            for one in fields(value)
-            if one.init and (part := getattr(value, one.name)) is not one.default
+            entry.name: part
+            for entry in fields(value)
+            if entry.init and (part := getattr(value, entry.name)) is not entry.default
         }
     if isinstance(value, FunctionLaw) or not vars(value):
         return {}
@@ -308,7 +282,7 @@ def _arguments(slot: str, value: Any) -> Mapping[str, Any]:
 
 
 def _value(slot: str, value: Any) -> Any:
-    """Return an argument as JSON."""
+    """Return an argument as JSON values."""
     if slot == "model" and value not in (None, *model_names()):
         raise _NoJsonError
     if value is None or isinstance(value, bool | str):
@@ -318,7 +292,7 @@ def _value(slot: str, value: Any) -> Any:
     if isinstance(value, int | float):
         return value if math.isfinite(value) else str(float(value))
     if isinstance(value, list | tuple):
-        return [_description(slot, one) if slot == "laws" else _value(slot, one) for one in value]
+        return [_description(slot, part) if slot == "laws" else _value(slot, part) for part in value]
     if slot not in _SLOTS:
         raise _NoJsonError
     description = _description(slot, value)
@@ -327,52 +301,52 @@ def _value(slot: str, value: Any) -> Any:
     return description
 
 
-def _object(slot: str, description: Any, own: Own | None, more: Mapping[str, Any] | None = None) -> Any:
-    """Return the object or number described by JSON.
+def _object(slot: str, description: Any, own: Own | None, extra: Mapping[str, Any] | None = None) -> Any:
+    """Return the object or number of a JSON description.
 
     Args:
-        slot: Name of the argument for it.
-        description: The JSON.
-        own: See `controller_again`.
-        more: Further constructor arguments.
+        slot: Name of the argument.
+        description: The JSON values.
+        own: See `rebuild_controller`.
+        extra: Additional constructor arguments.
     """
     if slot in _OBJECTS and description is not None and not isinstance(description, dict):
         raise ParameterError(f"{slot} must be an object, not {str(description)[:40]!r}")
     if isinstance(description, list):
-        most = _MOST_LAWS if slot == "laws" else _LONGEST_LIST
-        if len(description) > most:
-            raise ParameterError(f"{slot} must be at most {most}, not {len(description)}")
-        return [_object(slot, one, own) for one in description]
+        limit = _MAX_LAWS if slot == "laws" else _MAX_ENTRIES
+        if len(description) > limit:
+            raise ParameterError(f"{slot} must have at most {limit} entries, not {len(description)}")
+        return [_object(slot, part, own) for part in description]
     if isinstance(description, dict):
         name = value_in(description, "class", str)
-        cls = {one.__name__: one for one in _SLOTS.get(slot, ())}.get(name)
+        cls = {allowed.__name__: allowed for allowed in _SLOTS.get(slot, ())}.get(name)
         if cls is None:
-            cls = _own(slot, name, own)
+            cls = _user_defined(slot, name, own)
         arguments = {key: _object(key, part, own) for key, part in description.items() if key != "class"}
-        return cls(**arguments, **(more or {})) if isinstance(cls, type) else cls
+        return cls(**arguments, **(extra or {})) if isinstance(cls, type) else cls
     if slot in _OWN_SLOTS and isinstance(description, str):
-        raise OwnCodeError(f"{description} is none of this package's, and nothing tells how it was made")
+        raise OwnCodeError(f"{description} cannot be rebuilt: it is not part of this package")
     if slot == "model" and description not in (None, *model_names()):
         raise ParameterError(f"model must be one of {', '.join(model_names())}, not {description!r}")
     if isinstance(description, int | float) and not isinstance(description, bool):
-        number(slot, description, at_least=_LEAST_STEP if slot == "longest_step" else -_MOST, at_most=_MOST)
+        number(slot, description, at_least=_MIN_STEP if slot == "longest_step" else -_MAX_VALUE, at_most=_MAX_VALUE)
     return _INFINITE.get(description, description) if isinstance(description, str) else description
 
 
-def _own(slot: str, name: str, own: Own | None) -> Any:
-    """Return a user's own class or function.
+def _user_defined(slot: str, name: str, own: Own | None) -> Any:
+    """Return a user-defined class or function.
 
     Raises:
         ParameterError: If the class is not allowed for this argument.
-        OwnCodeError: If executing it was not allowed.
+        OwnCodeError: If it is not allowed to run.
     """
     if slot not in _OWN_SLOTS or "@" not in name:
-        allowed = ", ".join(one.__name__ for one in _SLOTS.get(slot, ()))
+        allowed = ", ".join(cls.__name__ for cls in _SLOTS.get(slot, ()))
         raise ParameterError(f"{slot} must be of class {allowed or 'none'}, not {name[:60]!r}")
     if own is None:
         file = name.partition(":")[0][:60]
-        raise OwnCodeError(f"{name[:80]!r} must be executed to run it again: {ALLOW.format(file)}")
-    thing = own(name)
-    if isinstance(thing, type) and "__call__" not in dir(thing):  # whose arguments would be the recording's
+        raise OwnCodeError(f"user code {name[:80]!r} was not executed: {ALLOW.format(file)}")
+    definition = own(name)
+    if isinstance(definition, type) and "__call__" not in dir(definition):  # its arguments come from the recording
         raise ParameterError(f"{slot} must be of a class with __call__, not {name[:60]!r}")
-    return thing
+    return definition

@@ -1,4 +1,4 @@
-"""Replay of recordings with bitwise comparison of every field."""
+"""Replay of recordings with a bitwise comparison of every field."""
 
 from __future__ import annotations
 
@@ -31,10 +31,7 @@ from maglev_mj.recording.setup import refused, scripted
 from maglev_mj.terminal import wrapped
 
 Rebuild: TypeAlias = Callable[[Setup, HandForce | None], tuple[SampledPlant | None, Controller]]
-"""Function that rebuilds plant and controller.
-
-None in place of a plant that cannot be made, such as a device.
-"""
+"""Function that rebuilds plant and controller; the plant is None if it cannot be simulated, such as a device."""
 
 _Field: TypeAlias = tuple[str, Array, Array | None]
 
@@ -43,9 +40,9 @@ class FieldVerdict(NamedTuple):
     """Comparison of one recorded field with its replay.
 
     Attributes:
-        same: Number of bitwise equal values, one per sample or one per segment.
+        same: Number of bitwise equal values, counted per sample, or per segment for metadata.
         compared: Number of compared values; 0 for a field that is not replayed.
-        first: Segment and tick of the first difference; None without differences.
+        first: Segment and tick of the first difference, or None.
     """
 
     same: int
@@ -59,7 +56,7 @@ class Verdict(NamedTuple):
     Attributes:
         ticks: Number of samples.
         fields: Comparison of each recorded field by name.
-        damage: Description of damage to the file; empty for none.
+        damage: Description of damage to the file; empty if intact.
     """
 
     ticks: int
@@ -68,7 +65,7 @@ class Verdict(NamedTuple):
 
     @property
     def same(self) -> bool:
-        """True if the file is complete and all fields equal."""
+        """True if the file is complete and all fields are equal."""
         return not self.damage and self.first is None
 
     @property
@@ -77,7 +74,7 @@ class Verdict(NamedTuple):
         return min((field.first for field in self.fields.values() if field.first is not None), default=None)
 
     def __str__(self) -> str:
-        """Return lines for a terminal: equal fields share one, each different one has its own."""
+        """Return the report: one line for the equal fields, one for each field that differs."""
         same: dict[int, list[str]] = {}
         remarks = []
         for name, field in self.fields.items():
@@ -85,24 +82,24 @@ class Verdict(NamedTuple):
                 same.setdefault(field.compared, []).append(name)
             else:
                 segment, tick = field.first
-                where = f"{name}, which first differs at tick {tick} of segment {segment + 1}"
-                remarks.append(f"{field.same} of {field.compared} the same: {where}")
-        copied = same.pop(0, [])
-        remarks = [*(f"{count} of {count} the same: {', '.join(names)}" for count, names in same.items()), *remarks]
-        if copied:
-            remarks.append(f"not run again, for only the recording knows them: {', '.join(copied)}")
+                start = f"first difference at tick {tick} of segment {segment + 1}"
+                remarks.append(f"{field.same} of {field.compared} equal: {name}; {start}")
+        inputs = same.pop(0, [])
+        remarks = [*(f"{count} of {count} equal: {', '.join(names)}" for count, names in same.items()), *remarks]
+        if inputs:
+            remarks.append(f"recorded only, not replayed: {', '.join(inputs)}")
         lines = [line for remark in remarks for line in wrapped(remark, further="    ")]
-        return "\n".join([f"  {self.ticks} samples, run again and compared to the last bit", *lines])
+        return "\n".join([f"  {self.ticks} samples replayed, compared bitwise", *lines])
 
 
 def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
     """Replay a recording and compare every field bitwise.
 
-    A new controller gets the recorded samples, and a new plant the recorded hand.
+    The recorded samples drive a new controller; the recorded hand drives a new plant and controller.
 
     Args:
         recording: The recording.
-        rebuild: Makes plant and controller from a setup and a hand.
+        rebuild: Function that makes plant and controller from a setup and a hand.
 
     Raises:
         ParameterError: If a setup cannot be rebuilt.
@@ -115,71 +112,65 @@ def verify(recording: Recording, rebuild: Rebuild) -> Verdict:
     """
     check_instance("recording", recording, Recording, READ)
     verdicts: dict[str, FieldVerdict] = {}
-    for place, segment in enumerate(recording.segments):
-        for name, values, again in _fields(segment, rebuild):
-            same = np.ones(0, np.bool_) if again is None else _same(values, again)
-            verdicts[name] = _added(verdicts.get(name, FieldVerdict(0, 0, None)), same, place, segment.tick)
+    for index, segment in enumerate(recording.segments):
+        for name, values, replayed in _fields(segment, rebuild):
+            same = np.ones(0, np.bool_) if replayed is None else _same(values, replayed)
+            verdicts[name] = _extended(verdicts.get(name, FieldVerdict(0, 0, None)), same, index, segment.tick)
     return Verdict(recording.ticks, verdicts, recording.damage)
 
 
 def first_other_answer(recording: Recording, rebuild: Rebuild, most: int) -> tuple[int, int, str] | None:
-    """Return the first command that differs from a new controller's.
-
-    Segment, tick and field; None if all are equal.
+    """Return segment, tick and field of the first command that a new controller computes differently, or None.
 
     Args:
         recording: The recording.
-        rebuild: Makes plant and controller from a setup and a hand.
-        most: Number of compared samples of each segment, from its first.
+        rebuild: Function that makes plant and controller from a setup and a hand.
+        most: Number of samples to compare at the start of each segment.
 
     Raises:
         ParameterError: If a setup cannot be rebuilt.
     """
-    for place, segment in enumerate(recording.segments):
+    for index, segment in enumerate(recording.segments):
         part = segment[:most]
         run = part.whole
         answers = _answers(run, rebuild(run.setup, None)[1])[-len(part) :]
         same = {field.name: _same(part.arrays[field.name], answers[field.name]) for field in _COMMANDED}
-        first = {name: int(np.argmin(one)) for name, one in same.items() if not one.all()}
+        first = {name: int(np.argmin(equal)) for name, equal in same.items() if not equal.all()}
         if first:
             name = min(first, key=lambda name: first[name])
-            return place, int(part.tick[first[name]]), name
+            return index, int(part.tick[first[name]]), name
     return None
 
 
-def _added(before: FieldVerdict, same: Mask, place: int, ticks: Array) -> FieldVerdict:
-    """Return a verdict extended by another segment: a value per tick, one, or none."""
-    good, compared, first = before
+def _extended(verdict: FieldVerdict, same: Mask, index: int, ticks: Array) -> FieldVerdict:
+    """Return a verdict extended by one segment: one flag per tick, one in total, or none."""
+    count, compared, first = verdict
     if first is None and not same.all():
-        first = place, int(ticks[np.argmin(same)])
-    return FieldVerdict(good + int(same.sum()), compared + len(same), first)
+        first = index, int(ticks[np.argmin(same)])
+    return FieldVerdict(count + int(same.sum()), compared + len(same), first)
 
 
-def _same(recorded: Array, again: Array) -> Mask:
-    """Return True for each row that is bitwise equal.
-
-    A command that was not finite is NaN in a file format without infinity.
-    """
-    one, other = (np.ascontiguousarray(part, dtype=np.float64).reshape(len(recorded), -1) for part in (recorded, again))
-    good = one.view(np.int64) == other.view(np.int64)
-    good |= np.isnan(one) & ~np.isfinite(other)
-    return np.asarray(good.all(axis=1))
+def _same(recorded: Array, replayed: Array) -> Mask:
+    """Return True for each bitwise equal row; a recorded NaN equals any value that is not finite."""
+    old, new = (
+        np.ascontiguousarray(part, dtype=np.float64).reshape(len(recorded), -1) for part in (recorded, replayed)
+    )
+    equal = old.view(np.int64) == new.view(np.int64)
+    equal |= np.isnan(old) & ~np.isfinite(new)
+    return np.asarray(equal.all(axis=1))
 
 
 def _fields(segment: Segment, rebuild: Rebuild) -> Iterator[_Field]:
-    """Yield name, recorded and replayed values of each field.
-
-    None in place of values that are not replayed.
-    """
+    """Yield name, recorded values and replayed values of each field; None if it is not replayed."""
     run = segment.whole
     _, controller = rebuild(run.setup, None)
-    # after a rewind a recorded hand may act again
+    # after a rewind the recorded hand may have acted, not the scripted one
     has_hand = segment.before is None and scripted(run.setup)
     plant, other = rebuild(run.setup, None if has_hand else RecordedHand(run.known_hand))
     with refused(KeyError, TypeError, ParameterError):
         metadata = _metadata(segment, plant, controller, has_hand)
         samples = None if run.setup.get("samples") is None else float(whole("samples", run.setup["samples"]))
-    seen, failed = (None, False) if plant is None else _seen(plant, other, len(run))
+    measured, failed = (None, False) if plant is None else _plant_rows(plant, other, len(run))
     if samples is not None:
         count = float(len(segment))
         yield "samples", np.array([count]), np.array([count if failed else samples])
@@ -188,13 +179,13 @@ def _fields(segment: Segment, rebuild: Rebuild) -> Iterator[_Field]:
         recorded = segment.arrays[field.name]
         if not is_recorded(field, recorded):
             continue
-        again = answers if field in _COMMANDED else seen if field.name != "hand" or has_hand else None
-        yield field.name, recorded, None if again is None else again[field.name][-len(recorded) :]
+        rows = answers if field in _COMMANDED else measured if field.name != "hand" or has_hand else None
+        yield field.name, recorded, None if rows is None else rows[field.name][-len(recorded) :]
     yield from metadata
 
 
 def _metadata(segment: Segment, plant: SampledPlant | None, controller: Controller, has_hand: bool) -> list[_Field]:
-    """Return the metadata fields, one row each, names excluded."""
+    """Return the metadata fields except `name` and `axis`, one row each."""
     recorded, setup = segment.metadata, segment.whole.setup
     values: dict[str, Any] = {name: getattr(controller, name) for name in ("period", "carried", "faces")}
     names = "period", "delay", "carried", "inertia", "load", "before", "faces", "hand_recorded", "hand_acts_on_flotor"
@@ -202,17 +193,17 @@ def _metadata(segment: Segment, plant: SampledPlant | None, controller: Controll
         metadata = RunMetadata.of(plant, controller)
         values |= {name: getattr(metadata, name) for name in names if name not in (*values, "hand_recorded")}
         values["hand_recorded"] = plant.held if has_hand else True if isinstance(setup.get("plant"), dict) else None
-    if setup["kind"] == "device":  # inertia and previous wrench are recorded with the flight, not in the setup
+    if setup["kind"] == "device":  # the setup of a flight lacks inertia and previous wrench
         values |= {"delay": setup["parameters"]["delay"], "hand_recorded": False, "hand_acts_on_flotor": True}
     if segment.before is not None:
         values["before"] = segment.before.applied[-1]
     return [(name, *_rows(getattr(recorded, name), values.get(name))) for name in names]
 
 
-def _rows(recorded: ArrayLike, again: ArrayLike | None) -> tuple[Array, Array | None]:
+def _rows(recorded: ArrayLike, replayed: ArrayLike | None) -> tuple[Array, Array | None]:
     """Return two values as one row each, size first."""
-    one, other = _row(recorded), None if again is None else _row(again)
-    return one, np.full_like(one, np.nan) if other is not None and other.size != one.size else other
+    old, new = _row(recorded), None if replayed is None else _row(replayed)
+    return old, np.full_like(old, np.nan) if new is not None and new.size != old.size else new
 
 
 def _row(value: ArrayLike) -> Array:
@@ -220,37 +211,31 @@ def _row(value: ArrayLike) -> Array:
 
 
 def _answers(segment: Segment, controller: Controller) -> Rows:
-    """Return a new controller's commands for the recorded samples.
-
-    The array is (N,), with the fields of a command.
-    """
+    """Return a new controller's commands for the recorded samples, (N,)."""
     samples = zip(segment.tick.tolist(), segment.time.tolist(), segment.position.tolist(), strict=True)
-    commands = [controller.step(Sample(int(tick), time, place)) for tick, time, place in samples]
-    values = [(*one.force, *(one.extra or ZERO), one.pulse_width if one.extra else 0.0) for one in commands]
+    commands = [controller.step(Sample(int(tick), time, pose)) for tick, time, pose in samples]
+    values = [(*item.force, *(item.extra or ZERO), item.pulse_width if item.extra else 0.0) for item in commands]
     return as_rows(values, _COMMANDED)
 
 
 _COMMANDED = [field for field in FIELDS if field.array == "command"]
 
 
-def _seen(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows, bool]:
-    """Return a plant's samples, (count,), and its failure.
-
-    Rows after a failure are NaN.
-    """
-    seen = as_rows(np.full((count, ROW.itemsize // 8), np.nan))
+def _plant_rows(plant: SampledPlant, controller: Controller, count: int) -> tuple[Rows, bool]:
+    """Return a plant's samples, (count,), NaN after a failure; and True if it failed."""
+    rows = as_rows(np.full((count, ROW.itemsize // 8), np.nan))
     with plant, engine_warnings_silenced():
         try:
-            for row in as_table(seen):
+            for row in as_table(rows):
                 sample = plant.read()
                 command, applied = controller.step(sample), Command(ZERO)
                 try:
                     applied = plant.write(command)
-                finally:  # of one that is refused, nothing is applied
+                finally:  # a rejected command applies nothing
                     row[:] = row_of(sample, command, applied, plant)
             plant.write(controller.step(plant.read()))
         except ParameterError:
             raise
-        except MaglevError:  # the recorded run ended there too, or the comparison will say that it did not
-            return seen, True
-    return seen, False
+        except MaglevError:  # the recorded run failed here too; if not, the comparison reports it
+            return rows, True
+    return rows, False

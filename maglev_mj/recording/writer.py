@@ -1,4 +1,4 @@
-"""Files that a run is recorded to: a journal, or memory."""
+"""Recording of a run to a journal or to memory."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from maglev_mj.parameters import flag
 from maglev_mj.recording.journal import PACK_SAMPLE, SUFFIX, Journal, microseconds
 from maglev_mj.recording.recording import Recording, Segment, stick_as_json
 from maglev_mj.recording.sample import ROW, RecordedPlant, Row, Setup, as_rows, row_of
-from maglev_mj.recording.setup import RecordingFile, attach_parts, whole_setup
+from maglev_mj.recording.setup import RecordingFile, attach_parts, complete_setup
 from maglev_mj.versions import versions
 
-_FAULT = "fault"  # kind of the events that are on the disk at once
+_FAULT = "fault"  # kind of the events that are synced to disk immediately
 _EXPORTED = (".mcap", ".npz", ".csv", ".parquet", ".wav")
 
 
 class JournalFile:
     """Journal written during the run; see `RecordingFile`.
 
-    A tick appends a record to a queue, which a thread writes every 0.1 s. An existing file of that name stays until
-    the first sample.
+    A tick appends a record to a queue, which a thread writes every 0.1 s. An existing file is replaced at the first
+    sample.
 
     Args:
         path: Path of the file.
-        wait: True if a run faster than the disk waits for it; not for a run in real time.
+        wait: True if the run waits for the disk; False in real time.
 
     Raises:
-        RecordingError: If another program writes a file of this name.
+        RecordingError: If another program is writing this file.
         OSError: If the file cannot be written.
     """
 
@@ -41,43 +41,40 @@ class JournalFile:
         self._waits, self._attached = wait, set[str]()
         self._controller: Controller | None = None
         self._stuck = repr(None)
-        self._versions = versions()  # here, for a segment may begin in real time
+        self._versions = versions()  # too slow for the start of a segment in real time
         self._journal = Journal(path, wait=wait)
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Record:
-        """Begin a segment; return the loop's recording function."""
-        whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
+        """Start a segment; return the loop's recording function."""
+        complete = {**complete_setup(plant, controller, setup), "versions": self._versions}
         attach_parts(self, plant, controller)
-        self._journal.text({"begin": whole, "time": microseconds()})
+        self._journal.text({"begin": complete, "time": microseconds()})
         self._controller, self._stuck = controller, repr(None)
-        append, has_room, tell = self._journal.append, self._journal.has_room, self._tell_stick_position
+        append, has_room, record_stick = self._journal.append, self._journal.has_room, self._record_stick_position
 
         def record(sample: Sample, command: Command, applied: Command) -> None:
             if has_room():
                 append(PACK_SAMPLE(*row_of(sample, command, applied, plant)))
 
         def record_all(sample: Sample, command: Command, applied: Command) -> None:
-            tell()
+            record_stick()
             record(sample, command, applied)
 
         return record_all if self._waits else record
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """Record an event for the user.
-
-        `missed` is the number of samples missed with it.
-        """
+        """See `RecordingFile.event`."""
         self._journal.text({"event": kind, "text": text, "missed": missed}, urgent=kind == _FAULT)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Attach a file; see `RecordingFile.attach`."""
+        """See `RecordingFile.attach`."""
         if name in self._attached:
             return
         self._attached.add(name)
         self._journal.text({"attach": name, "type": media_type, "data": base64.b64encode(data).decode()})
 
     def append(self, records: bytes) -> None:
-        """See `RecordingFile`."""
+        """See `RecordingFile.append`."""
         if self._journal.has_room():
             self._journal.append(records)
 
@@ -88,34 +85,27 @@ class JournalFile:
             RecordingError: If writing has failed.
         """
         self._journal.check()
-        self._tell_stick_position()
+        self._record_stick_position()
 
     def close(self) -> Path | None:
-        """Finish writing; return the file, or None without samples.
-
-        A second call does nothing.
+        """Finish writing; return the path, or None without samples; idempotent.
 
         Raises:
             RecordingError: If the file is incomplete.
         """
         return self._journal.close()
 
-    def _tell_stick_position(self) -> None:
-        """Record a changed stick position.
-
-        Too slow for a tick in real time.
-        """
+    def _record_stick_position(self) -> None:
+        """Record the stick position if it has changed; too slow for a tick in real time."""
         stuck = None if self._controller is None else self._controller.stick_positions
         position = None if stuck is None else stuck.tolist()
-        if repr(position) != self._stuck:  # which NaN does not differ from itself in
+        if repr(position) != self._stuck:  # as text, because NaN != NaN
             self._stuck = repr(position)
             self._journal.text({"stick": stick_as_json(position)})
 
 
 class Recorder:
-    """Recording of a control loop in memory.
-
-    Pass it to the loop as `record`.
+    """Recorder of a control loop in memory; pass it to the loop as `record`.
 
     Args:
         plant: The controlled plant.
@@ -125,32 +115,32 @@ class Recorder:
     def __init__(self, plant: RecordedPlant, setup: Setup) -> None:
         self._plant, self._setup = plant, setup
         self._rows: list[Row] = []
-        self._began = microseconds()
+        self._start = microseconds()
         self._gaps: list[tuple[int, int]] = []
 
     def __call__(self, sample: Sample, command: Command, applied: Command) -> None:
-        """Record one cycle."""
+        """Record one tick."""
         self._rows.append(row_of(sample, command, applied, self._plant))
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def miss(self, count: int) -> None:
-        """Record the number of samples missed before the next."""
+        """Record the number of samples missed before the next one."""
         self._gaps.append((len(self._rows), count))
 
     def segment(self) -> Segment:
         """Return the recorded samples."""
         rows = as_rows(self._rows)
         arrays = {name: np.ascontiguousarray(rows[name]) for name in ROW.names or ()}
-        return Segment(setup=self._setup, arrays=arrays, gaps=tuple(self._gaps), began=self._began)
+        return Segment(setup=self._setup, arrays=arrays, gaps=tuple(self._gaps), began=self._start)
 
 
 class MemoryFile:
     """Recording in memory; see `RecordingFile`."""
 
     def __init__(self) -> None:
-        self._versions = versions()  # here, for a segment may begin in real time
+        self._versions = versions()  # too slow for the start of a segment in real time
         self._recorders: list[Recorder] = []
         self._events: list[str] = []
         self._event_samples: list[int] = []
@@ -158,7 +148,7 @@ class MemoryFile:
 
     @property
     def recording(self) -> Recording:
-        """Recording of all samples so far."""
+        """Recording of the samples so far."""
         return Recording(
             [recorder.segment() for recorder in self._recorders if len(recorder)],
             events=tuple(self._events),
@@ -167,28 +157,28 @@ class MemoryFile:
         )
 
     def begin(self, plant: RecordedPlant, controller: Controller, setup: Setup | None = None) -> Recorder:
-        """Begin a segment; return the loop's recording function."""
-        whole = {**whole_setup(plant, controller, setup), "versions": self._versions}
+        """Start a segment; return the loop's recording function."""
+        complete = {**complete_setup(plant, controller, setup), "versions": self._versions}
         attach_parts(self, plant, controller)
-        self._recorders.append(Recorder(plant, whole))
+        self._recorders.append(Recorder(plant, complete))
         return self._recorders[-1]
 
     def event(self, kind: str, text: str, missed: int = 0) -> None:
-        """See `RecordingFile`."""
+        """See `RecordingFile.event`."""
         self._events.append(f"{kind}: {text}")
         self._event_samples.append(sum(map(len, self._recorders)))
         if missed and self._recorders:
             self._recorders[-1].miss(missed)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """See `RecordingFile`; the media type is not kept."""
+        """See `RecordingFile.attach`; the media type is ignored."""
         self._attachments.setdefault(name, data)
 
     def append(self, records: bytes) -> None:
-        """Do nothing: cycles of a device are not kept."""
+        """Do nothing: device cycles are not recorded in memory."""
 
     def check(self) -> None:
-        """Do nothing: memory does not fail."""
+        """Do nothing: recording to memory cannot fail."""
 
     def close(self) -> Path | None:
         """Return None: there is no file."""
@@ -196,10 +186,10 @@ class MemoryFile:
 
 
 def check_name(path: Path) -> None:
-    """Check a recording's file name.
+    """Check the file name of a recording.
 
     Raises:
-        ParameterError: If it has another suffix than a journal.
+        ParameterError: If its suffix is not .maglev.
     """
     if path.suffix in _EXPORTED:
         journal, kind = path.with_suffix(SUFFIX), path.suffix[1:]
@@ -208,7 +198,7 @@ def check_name(path: Path) -> None:
             f"`maglev-mj export {journal} --to {kind}`"
         )
     if path.suffix != SUFFIX:
-        raise ParameterError(f"record must be a file that ends in {SUFFIX}, not {str(path)!r}")
+        raise ParameterError(f"record must be a file name that ends in {SUFFIX}, not {str(path)!r}")
 
 
 def open_recording(path: Path | str, *, wait: bool = False) -> RecordingFile:
@@ -216,12 +206,12 @@ def open_recording(path: Path | str, *, wait: bool = False) -> RecordingFile:
 
     Args:
         path: Path with the suffix .maglev.
-        wait: True if the run may wait for the disk; not for a run in real time.
+        wait: True if the run may wait for the disk; False in real time.
 
     Raises:
-        ParameterError: If it has another suffix.
-        RecordingError: If another program writes a file of this name.
-        OSError: If it cannot be written.
+        ParameterError: If the suffix is different.
+        RecordingError: If another program is writing this file.
+        OSError: If the file cannot be written.
 
     Example:
         >>> import tempfile

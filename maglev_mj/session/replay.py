@@ -35,7 +35,7 @@ from maglev_mj.recording import (
     open_recording,
 )
 from maglev_mj.recording.sample import check_setup
-from maglev_mj.recording.setup import ALLOW, controller_again, plant_again, refused
+from maglev_mj.recording.setup import ALLOW, rebuild_controller, rebuild_plant, refused
 from maglev_mj.scenes import BUILT_IN, Scene, find_scene, scene_names
 from maglev_mj.scenes.find import SceneLike, defined_in, object_of_text, recorded_scene, text_of
 from maglev_mj.scenes.run import Begin, checked_phase, run
@@ -151,7 +151,7 @@ def rebuild(
         ('ExactPlant', ['Wall', 'Hold'])
     """
     check_setup(setup)
-    plant = None if setup["kind"] == "device" else plant_again(setup, hand)
+    plant = None if setup["kind"] == "device" else rebuild_plant(setup, hand)
     return plant, _controller(setup, own)
 
 
@@ -159,7 +159,7 @@ def _controller(setup: Setup, own: OwnCode | None) -> Controller:
     if (setup.get("session") or {}).get("after") is not None:
         raise OwnCodeError("a segment goes on, after a rewind, from a sample that is not in the recording")
     if own is None or own.scene is None or not setup.get("scene"):
-        return controller_again(setup, own)
+        return rebuild_controller(setup, own)
     with refused(*_INVALID):
         scene = _scene(setup, own)
         return device_controller(scene) if setup["kind"] == "device" else scene.controller()

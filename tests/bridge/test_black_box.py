@@ -96,13 +96,13 @@ def boxed(folder: Path, message: str = "a test", **about: Any) -> Path:
 
 
 BROKEN: list[tuple[str, Any]] = [
-    ("it is not a journal$", b"\xff\xfe"),
+    ("not a journal$", b"\xff\xfe"),
     (
-        "but a black box: only the version of maglev_mj that wrote it reads it",
+        "old format: only the version of maglev_mj that wrote it can read it",
         b'{"format": "maglev_mj fault 2"}',
     ),
-    ("it ends within its header", b'{"offset": 4096, "format": "maglev_mj journal"'),
-    ("first must be a text, not None", {"first": None}),
+    ("incomplete header", b'{"offset": 4096, "format": "maglev_mj journal"'),
+    ("first must be a string, not None", {"first": None}),
     ("period_ns must be a finite number at least 1 and .*, not 0", {"period_ns": 0}),
     ("cannot be read: No such file", None),
 ]
@@ -126,7 +126,7 @@ def test_a_recording_without_cycles_and_a_changed_bit_are_refused(failed: Failed
     data, path = bytearray(failed.path.read_bytes()), tmp_path / "changed.maglev"
     data[4096 + 100 * RECORD.itemsize + 50] ^= 1
     path.write_bytes(data)
-    with pytest.raises(InvalidRecordingError, match="the checksum of records 0 to "):
+    with pytest.raises(InvalidRecordingError, match="wrong checksum of records 0 to "):
         load_fault(path)
 
 

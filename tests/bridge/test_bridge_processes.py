@@ -75,7 +75,7 @@ def device(monkeypatch: pytest.MonkeyPatch) -> Twin:
 def assert_runs_again(path: Path) -> None:
     """Assert that the commands of a recording follow from its samples, and that one bit more is found."""
     status, said = said_by("replay", str(path), "--check")
-    assert status == 0 and re.search(r"(\d+) of \1 the same: command, pulse, pulse_width\n", said), said
+    assert status == 0 and re.search(r"(\d+) of \1 equal: command, pulse, pulse_width\n", said), said
     (segment,) = Recording.load(path).segments
     row = len(segment) // 2
     segment.command[row, 2] = np.nextafter(segment.command[row, 2], 1e3)

@@ -124,7 +124,9 @@ def whole(request: pytest.FixtureRequest, tmp_path: Path) -> Recording:
     """Return a recording with an attachment of its own: several segments and an event, friction, a missing end."""
     kind, _, cut = request.param.partition(", ")
     recording = load(made(kind)[: -700 if cut else None], tmp_path)
-    assert recording.damage.startswith("not closed: read to 0." if cut else "") and bool(recording.damage) == bool(cut)
+    assert recording.damage.startswith("incomplete (not closed): readable up to 0." if cut else "") and bool(
+        recording.damage
+    ) == bool(cut)
     return replace(recording, attachments={**recording.attachments, "own.py": b"# mine\xff"})
 
 
@@ -204,11 +206,11 @@ def test_fields_are_loaded_as_arrays_and_as_a_data_frame(tmp_path: Path, monkeyp
     assert samples.position.shape == (len(samples), 6) and not samples.recording.damage
     some = load_samples(path, fields=("time", "hand"))
     assert list(some.arrays) == ["time", "hand"] and (some.time == samples.time).all()
-    with pytest.raises(AttributeError, match="these samples have no 'position'"):
+    with pytest.raises(AttributeError, match="samples have no 'position'"):
         _ = some.position
     frame: Any = samples.to_pandas()
     assert frame["tick"].dtype == np.int64
-    with pytest.raises(ParameterError, match=r"fields must be of tick, time, position, .* not 'positions'"):
+    with pytest.raises(ParameterError, match=r"fields must be among tick, time, position, .* not 'positions'"):
         load_samples(path, fields=["positions"])
     monkeypatch.setattr("maglev_mj.errors.find_spec", lambda name: None)
     with pytest.raises(MissingPackageError, match=r"-m pip install 'pandas>="):

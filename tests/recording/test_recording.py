@@ -48,7 +48,7 @@ def test_a_setup_that_is_not_known_is_refused() -> None:
     (segment,) = record_run(Drop(), plant="exact").segments
     unknown = Recording([replace(segment, setup={"kind": "pinball", "run": segment.setup["run"]})])
     for refuse in (lambda: verify(unknown, rebuild), lambda: Replay(unknown)):
-        with pytest.raises(RecordingError, match="cannot be made here"):
+        with pytest.raises(RecordingError, match="cannot rebuild the recorded setup"):
             refuse()
     with pytest.raises(RecordingError, match="nothing in the recording"):
         Replay(Recording([]))

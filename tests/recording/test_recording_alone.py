@@ -82,7 +82,7 @@ def test_a_script_s_recording_is_checked_analysed_and_shown(
     status, said, wrong = say("replay", str(path), "--check")
     assert (status, wrong) == (0, ""), said
     count = ticks * len(names)
-    assert f"{count} of {count} the same: tick, time, position, command, pulse," in said
+    assert f"{count} of {count} equal: tick, time, position, command, pulse," in said
     assert "not run again" not in said and "hand" in said
     assert say("analyse", str(path), "--json", str(tmp_path / "found.json"))[0] == 0
     found = json.loads((tmp_path / "found.json").read_text())["segments"]
@@ -243,8 +243,8 @@ def test_a_law_of_one_s_own_is_executed_only_by_leave(folder: Path, say: Any) ->
     script = folder / "script.py"
     text = script.read_text()
     status, _, wrong = say("replay", name, "--check")
-    assert (status, wrong.count("\n")) == (2, 1) and f"'script.py:Magnet@{hash_of(text)}' must be executed" in wrong
-    assert "--scene script.py, or by --scene attached" in wrong
+    assert (status, wrong.count("\n")) == (2, 1) and f"'script.py:Magnet@{hash_of(text)}' was not executed" in wrong
+    assert "--scene script.py, or with --scene attached" in wrong
     assert say("analyse", name)[0] == 0
     assert Replay(Recording.load(Path(name))).snapshot().anchors is None
     assert not list(folder.glob("*executed"))
@@ -253,14 +253,14 @@ def test_a_law_of_one_s_own_is_executed_only_by_leave(folder: Path, say: Any) ->
         if given == "attached":
             script.unlink()
         status, said, wrong = say("replay", name, "--check", "--scene", given)
-        assert (status, wrong) == (0, "") and "60 of 60 the same: tick, time, position, command" in said
+        assert (status, wrong) == (0, "") and "60 of 60 equal: tick, time, position, command" in said
         status, said, wrong = say("analyse", name, "--scene", given)
         assert (status, wrong) == (0, "") and "the same to the last bit" in said
         assert [mark.name for mark in folder.glob("*executed")] == ["law executed"]  # as a module, not as a script
         (folder / "law executed").unlink()
     script.write_text(text.replace("4.0", "5.0"))
     status, said, wrong = say("replay", name, "--check", "--scene", "script.py")
-    assert status == 1 and "has changed since, or is another" in wrong and "the same: command, which first" in said
+    assert status == 1 and "has changed since, or is another" in wrong and " equal: command; first" in said
 
 
 def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder: Path, say: Any) -> None:
@@ -284,8 +284,8 @@ def test_a_hand_that_somebody_moves_is_taken_from_the_samples(folder: Path, say:
     drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller), observe=move)
     file.close()
     status, said, wrong = say("replay", "run.maglev", "--check")
-    assert (status, wrong) == (0, "") and "80 of 80 the same: tick, time, position, command," in said
-    assert "only the recording knows them: hand" in said
+    assert (status, wrong) == (0, "") and "80 of 80 equal: tick, time, position, command," in said
+    assert "recorded only, not replayed: hand" in said
 
 
 class Mine(ExactPlant):
@@ -308,8 +308,8 @@ def test_a_plant_of_one_s_own_is_left_out_in_one_line(folder: Path, say: Any) ->
     drive(plant, controller, ticks=TICKS, record=file.begin(plant, controller))
     file.close()
     status, said, wrong = say("replay", "run.maglev", "--check")
-    assert (status, wrong) == (0, "") and "80 of 80 the same: command, pulse, pulse_width" in said
-    assert "not run again, for only the recording knows them: tick, time, position, applied," in unwrapped(said)
+    assert (status, wrong) == (0, "") and "80 of 80 equal: command, pulse, pulse_width" in said
+    assert "recorded only, not replayed: tick, time, position, applied," in unwrapped(said)
     told = "test_recording_alone.Mine, cannot be made here: the controller's answers alone are compared"
     assert unwrapped(said).endswith(told)
     assert say("analyse", "run.maglev")[0] == 0
@@ -317,8 +317,8 @@ def test_a_plant_of_one_s_own_is_left_out_in_one_line(folder: Path, say: Any) ->
 
 def test_what_nothing_tells_is_one_line(folder: Path, say: Any) -> None:
     for laws, ran, words in (
-        ([Odd(0.1)], 0, "test_recording_alone.Odd is none of this package's"),
-        (None, 3, "it had run before the recording began"),
+        ([Odd(0.1)], 0, "test_recording_alone.Odd cannot be rebuilt: it is not part"),
+        (None, 3, "already running when recording started"),
     ):
         file, plant = open_recording(Path("run.maglev")), PLANTS["exact"]()
         answers = controller_of("Hold") if laws is None else Controller(laws, period=PERIOD)
@@ -546,7 +546,7 @@ def test_a_flight_has_the_delay_of_its_setup_and_an_unmeasured_hand() -> None:
     }
     setup = dict(flight.segments[0].setup)
     setup["parameters"] = {name: one for name, one in setup["parameters"].items() if name != "delay"}
-    with pytest.raises(InvalidRecordingError, match="setup cannot be made here: 'delay'"):
+    with pytest.raises(InvalidRecordingError, match="cannot rebuild the recorded setup: 'delay'"):
         verify(Recording([replace(flight.segments[0], setup=setup)]), rebuild)
 
 

@@ -181,18 +181,18 @@ def late(parts: list[Part]) -> list[Part]:
 
 
 DAMAGED: list[tuple[Damage, str]] = [
-    (lambda: b"a text", "it is not a journal"),
-    (lambda: b"\x89MCAP0\r\n", "it is not a journal, but MCAP or .npz: maglev_mj 0.2"),
-    (lambda: made("drop")[:4000], "it ends within its header"),
+    (lambda: b"a text", "not a journal"),
+    (lambda: b"\x89MCAP0\r\n", "MCAP or .npz file, not a journal: maglev_mj 0.2"),
+    (lambda: made("drop")[:4000], "incomplete header"),
     (entry("version", lambda _: 9), "format and version must be maglev_mj journal 1, not maglev_mj journal 9"),
-    (entry("offset", lambda _: 0), "the header must be as long as it says"),
-    (entry("offset", lambda _: 8192), "the header must be as long as it says"),
+    (entry("offset", lambda _: 0), "offset must be the header's length, 4096 bytes"),
+    (entry("offset", lambda _: 8192), "offset must be the header's length, 4096 bytes"),
     (entry("dtype", lambda _: None), "dtype must be an object"),
     (
         entry("dtype", lambda old: {**old, "formats": ["O", *old["formats"][1:]]}),
-        "dtype must have names, and",
+        "dtype must have unique names, and",
     ),
-    (entry("dtype", lambda old: {**old, "names": ["kind", *old["names"][:-1]]}), "dtype must have names, and"),
+    (entry("dtype", lambda old: {**old, "names": ["kind", *old["names"][:-1]]}), "dtype must have unique names, and"),
     (
         entry("dtype", lambda old: {name: part[:-5] for name, part in old.items()}),
         "dtype must have applied_pulse",
@@ -208,24 +208,24 @@ DAMAGED: list[tuple[Damage, str]] = [
         "inertia.rx must be a finite number at least 1e-12",
     ),
     (told("begin", "run", "hand_recorded", value=1), "hand_recorded must be true or false, not 1"),
-    (told("begin", "kind", value=[]), "kind must be a text, not a list"),
+    (told("begin", "kind", value=[]), "kind must be a string, not a list"),
     (told("begin", "plant", "mass", value=10**400), "setup plant.mass must be a finite number, not 1000"),
     (told("time", value=-1), "time must be a finite number at least 0"),
     (told("missed", value=-1), "missed must be a finite number at least 0"),
     (told("missed", value=1.5), "missed must be a whole number, not 1.5"),
-    (told("event", value={}), "event must be a text, not an object"),
-    (sixth("tick", 2**60), "tick must be whole numbers of at least 0, not 1.15292e+18"),
-    (sixth("tick", 0), "tick must go up, not from 5 to 0"),
+    (told("event", value={}), "event must be a string, not an object"),
+    (sixth("tick", 2**60), "tick must be integers of at least 0, not 1.15292e+18"),
+    (sixth("tick", 0), "tick must increase, not go from 5 to 0"),
     (sixth("time", math.nan), "time must be finite and at most 1e+09, not nan in row 6"),
-    (sixth("time", -1.0), "time must go up from sample to sample"),
+    (sixth("time", -1.0), "time must increase from sample to sample"),
     (sixth("position.z", 1e4), "position must be finite and at most 1000, not 10000 in row 6"),
     (sixth("command.z", math.inf), "command must be finite and at most 1e+12, not inf in row 6"),
     (sixth("applied.z", math.nan), "applied must be finite and at most 1e+12, not nan in row 6"),
     (sixth("hand.rz", math.nan), "hand must be finite and at most 1e+12, not nan in row 6"),
-    (sixth("pulse_width", -0.003), "pulse_width must be at least 0 everywhere, not -0.003"),
+    (sixth("pulse_width", -0.003), "pulse_width must be at least 0 in all rows, not -0.003"),
     (
         of_parts(lambda parts: [part for part in parts if not (isinstance(part, dict) and "begin" in part)]),
-        "a sample must be in a segment",
+        "sample before the first segment",
     ),
     (of_parts(late), "at most 1000000 samples may be missing, not 1000001"),
 ]
@@ -240,7 +240,7 @@ def test_a_file_that_is_no_whole_recording_is_refused_by_every_reader_with_the_r
         for read in (Recording.load, load_samples, Content):
             with pytest.raises(ParameterError) as refused:
                 read(path)
-            wanted = words if read is Content else f"{str(path)!r} is not a whole recording: {words}"
+            wanted = words if read is Content else f"{str(path)!r} is not a valid recording: {words}"
             assert wanted in str(refused.value) and "\n" not in str(refused.value), words
             assert isinstance(refused.value, RecordingError | ValueError) and (
                 read is Content or isinstance(refused.value, RecordingError)
@@ -250,15 +250,15 @@ def test_a_file_that_is_no_whole_recording_is_refused_by_every_reader_with_the_r
 def test_a_file_is_passed_only_as_a_whole_and_run_again_all_the_same(tmp_path: Path) -> None:
     path, data = tmp_path / "run.maglev", made("scene")
     for changed_data, status, words in (
-        (data, 0, "the same: tick"),
-        (data[:-5000], 1, "not closed: read to 0."),
-        (data[:-337], 1, "not closed: read to 0."),  # the last checksum is of a file that is closed
-        (data + b"\x00", 1, "there is more behind its end"),
-        (data + data, 1, "there is more behind its end"),
+        (data, 0, "equal: tick"),
+        (data[:-5000], 1, "incomplete (not closed): readable up to 0."),
+        (data[:-337], 1, "incomplete (not closed): readable up to 0."),  # the last checksum is of a file that is closed
+        (data + b"\x00", 1, "data after the end record"),
+        (data + data, 1, "data after the end record"),
     ):
         path.write_bytes(changed_data)
         found, output, errors = run_here("replay", str(path), "--check")
-        assert (found, errors) == (status, "") and words in output and "samples, run again and compared" in output
+        assert (found, errors) == (status, "") and words in output and "samples replayed, compared" in output
 
 
 def bits(value: Any) -> Any:
@@ -509,12 +509,12 @@ def test_a_field_that_is_another_one_for_some_blocks_is_itself_in_all(
 def test_ticks_and_times_go_up_from_block_to_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for first, begins, says in (
         (4, 0.02, ""),
-        (3, 0.02, "tick must go up, not from 3 to 3"),
-        (1, 0.02, "tick must go up, not from 3 to 1"),
-        (4, 0.015, "time must go up from sample to sample"),
+        (3, 0.02, "tick must increase, not go from 3 to 3"),
+        (1, 0.02, "tick must increase, not go from 3 to 1"),
+        (4, 0.015, "time must increase from sample to sample"),
     ):
         samples: list[Message] = [{"tick": tick} for tick in range(4)]
         samples += [{"tick": first + count, "time": begins + 0.005 * count} for count in range(4)]
-        refused = pytest.raises(InvalidRecordingError, match=rf"is not a whole recording: {says}$")
+        refused = pytest.raises(InvalidRecordingError, match=rf"is not a valid recording: {says}$")
         with refused if says else nullcontext():
             assert in_blocks(samples, tmp_path, monkeypatch).ticks == 8

@@ -150,7 +150,7 @@ def test_a_recording_that_is_killed_opens_and_replays_to_its_last_row(after: int
     program.communicate()
     (path,) = tmp_path.glob("*.maglev")
     recording = Recording.load(path)
-    assert recording.damage.startswith("not closed: read to ") and recording.ticks >= wanted
+    assert recording.damage.startswith("incomplete (not closed): readable up to ") and recording.ticks >= wanted
     assert verify(recording, rebuild).first is None
     assert main(["replay", str(path), "--check"]) == 1
 
@@ -169,7 +169,7 @@ def test_a_file_that_is_written_can_be_read_after_the_interval(tmp_path: Path) -
     while readable(tmp_path) < 30:
         assert time.monotonic() < deadline
         time.sleep(0.01)
-    assert Recording.load(path).damage == "not closed: read to 0.1 s"
+    assert Recording.load(path).damage == "incomplete (not closed): readable up to 0.1 s"
     file.close()
     assert not Recording.load(path).damage
 
@@ -190,9 +190,9 @@ def test_where_no_open_file_is_renamed_it_gets_its_name_at_the_end(
     file = drifting(path, 20)
     path.unlink()
     path.mkdir()
-    with pytest.raises(RecordingError, match=r"is not whole: Is a directory; it is in .*\.partial") as told:
+    with pytest.raises(RecordingError, match=r"is incomplete: Is a directory; the data is in .*\.partial") as told:
         file.close()
-    assert Recording.load(Path(str(told.value).partition("it is in ")[2])).ticks == 20
+    assert Recording.load(Path(str(told.value).partition("the data is in ")[2])).ticks == 20
 
 
 WRITE = """
@@ -335,7 +335,7 @@ def test_a_plant_that_does_not_tell_its_delay_is_refused_without_it() -> None:
         hand_wrench = ZERO
 
     controller = Controller([], period=0.001)
-    with pytest.raises(ParameterError, match="delay must be given for a plant that has neither timing nor delay"):
+    with pytest.raises(ParameterError, match="delay is required: the plant has neither timing nor delay"):
         setup_of(Bare(), controller)
     with pytest.raises(ParameterError, match=r"setup parameters\.gain must be a finite number, not nan"):
         setup_of(Bare(), controller, delay=0.001, parameters={"gain": math.nan})

@@ -240,8 +240,8 @@ def test_a_recording_of_many_rewinds_is_checked_to_the_last_bit(
     assert first_other_answer(recording, rebuild, 10) is None
     assert main(["replay", str(path), "--check"]) == 0
     said, count = " ".join(capsys.readouterr().out.split()), len(leads)
-    assert f"{recording.ticks} of {recording.ticks} the same: tick, time, position" in said and "cannot" not in said
-    assert f"{count} of {count} the same: period, delay, carried, inertia, load, before, faces, hand_recorded" in said
+    assert f"{recording.ticks} of {recording.ticks} equal: tick, time, position" in said and "cannot" not in said
+    assert f"{count} of {count} equal: period, delay, carried, inertia, load, before, faces, hand_recorded" in said
 
 
 def test_a_rewind_before_a_change_takes_its_scripted_hand_along_and_sticks_alike(tmp_path: Path) -> None:
