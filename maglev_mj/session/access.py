@@ -1,4 +1,4 @@
-"""Access to servers of this machine: hosts, ports, and who may use them."""
+"""Access control of local servers: hosts, ports, allowed origins."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from ipaddress import IPv4Address
 from maglev_mj.errors import MaglevError, ParameterError
 
 LOOPBACK = r"(?:127\.0\.0\.1|localhost|\[::1\])(?::\d{1,5})?"
-"""Pattern of this machine's names, with or without port."""
+"""Pattern of the loopback names, with optional port."""
 
 
 class ListenError(MaglevError):
-    """Port cannot be opened: in use, or not this machine's."""
+    """A port cannot be opened: in use, or the address is not local."""
 
 
 def resolve(host: str) -> str:
     """Return the IPv4 address of a host.
 
     Raises:
-        ParameterError: If it has no address.
+        ParameterError: If it has no IPv4 address.
     """
     try:
-        found = socket.getaddrinfo(host, 0, socket.AF_INET, socket.SOCK_DGRAM) if host else []
-        return str(found[0][4][0])
-    except (OSError, ValueError, IndexError):  # a name that cannot be one is a ValueError
-        raise ParameterError(f"host must be a name or address with IPv4, not {host!r}") from None
+        addresses = socket.getaddrinfo(host, 0, socket.AF_INET, socket.SOCK_DGRAM) if host else []
+        return str(addresses[0][4][0])
+    except (OSError, ValueError, IndexError):  # ValueError: malformed name
+        raise ParameterError(f"host must be a name or IPv4 address, not {host!r}") from None
 
 
 def is_loopback(host: str) -> bool:
-    """Return True if a host is this machine.
+    """Return True if a host is a loopback address.
 
     Raises:
         ParameterError: If the host has no IPv4 address.
@@ -42,73 +42,71 @@ def is_loopback(host: str) -> bool:
 
 
 def check_host(host: str, key: bytes | None) -> str:
-    """Return the IPv4 address of a permitted host.
-
-    Permitted is this machine, and any with a key.
+    """Return the IPv4 address of a permitted host: any with a key, otherwise loopback only.
 
     Raises:
-        ParameterError: If it is another machine and there is no key, or it has no address.
+        ParameterError: If the host is not permitted, or has no IPv4 address.
     """
     address = resolve(host)
     if key is None and not is_loopback(address):
-        raise ParameterError(f"host must be a loopback address, such as 127.0.0.1, or a key be given, not {host!r}")
+        raise ParameterError(f"host must be a loopback address, such as 127.0.0.1, unless a key is set, not {host!r}")
     return address
 
 
 def check_port(port: int) -> int:
-    """Return a port after checking it.
+    """Validate a port and return it.
 
     Raises:
-        ParameterError: If it is not a whole number of 0 to 65535.
+        ParameterError: If it is not an integer from 0 to 65535.
     """
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port <= 65535:
-        raise ParameterError(f"port must be a whole number of 0 to 65535, not {port!r}")
+        raise ParameterError(f"port must be an integer from 0 to 65535, not {port!r}")
     return port
 
 
 def listen(port: int, host: str = "127.0.0.1") -> socket.socket:
-    """Return a socket that listens for TCP connections.
+    """Return a listening TCP socket.
 
     Args:
-        port: Port number; 0 for any free one.
-        host: Name or IPv4 address of this machine.
+        port: Port number; 0 for any free port.
+        host: Local host name or IPv4 address.
 
     Raises:
         ParameterError: If the port is invalid, or the host has no IPv4 address.
-        ListenError: If the port is taken, or the host is not of this machine.
+        ListenError: If the port is in use, or the address is not local.
     """
     try:
         return socket.create_server((resolve(host), check_port(port)))
     except OSError as error:
-        raise ListenError(f"cannot listen at port {port} of {host}: {os.strerror(error.errno or 0)}") from None
+        raise ListenError(f"cannot listen on port {port} of {host}: {os.strerror(error.errno or 0)}") from None
 
 
 _ORIGIN = r"https?://(?:[a-z0-9](?:[a-z0-9.-]*[a-z0-9])?|\[[0-9a-f:]+\])(?::\d{1,5})?|file://|null"
 
 
 def check_origin(text: str) -> str:
-    """Return the Origin of a viewer's page after checking it.
+    """Validate an Origin (of a viewer's page) and return it.
 
     Raises:
-        ParameterError: If it is not one.
+        ParameterError: If it is not a valid Origin.
     """
     if not re.fullmatch(_ORIGIN, text, re.IGNORECASE):
         raise ParameterError(
-            f"origin must be as http://192.168.0.5:8080, without a path, file:// or null, not {text!r}"
+            f"origin must be a URL without a path, such as http://192.168.0.5:8080, file:// or null, not {text!r}"
         )
     return text
 
 
 @dataclass(frozen=True)
 class Access:
-    """Permission to use a server of this machine, by what a browser says of itself.
+    """Access check of a local server by the headers Host and Origin.
 
-    A browser lets any page open a WebSocket to this machine, and says in Origin whose page it is. A name of an
-    attacker's own may lead to this machine, too, which Host tells.
+    Browsers let any page open a WebSocket to this machine; Origin identifies the page. Host detects DNS rebinding, an
+    attacker's name that resolves to this machine.
 
     Args:
         hosts: Pattern of the permitted Host.
-        named: What that is, in words.
+        named: Description of the permitted Host, for messages.
         allowed: Permitted Origins besides that of the page itself, see `check_origin`.
     """
 
@@ -117,11 +115,11 @@ class Access:
     allowed: Sequence[str] = ()
 
     def refusal(self, hosts: Sequence[str], origins: Sequence[str]) -> str:
-        """Return the reason to refuse a request, or an empty text.
+        """Return the reason to refuse a request, or "".
 
         Args:
-            hosts: Its fields Host.
-            origins: Its fields Origin.
+            hosts: Host headers of the request.
+            origins: Origin headers of the request.
         """
         if len(hosts) != 1 or not re.fullmatch(self.hosts, hosts[0], re.IGNORECASE):
             return f"Host must be {self.named}, not {', '.join(hosts)!r}"

@@ -1,4 +1,4 @@
-"""Recordings run again: plant and controller of their setups, runs recorded, and playback."""
+"""Recorded runs, rebuilt plants and controllers, and playback of recordings."""
 
 from __future__ import annotations
 
@@ -43,18 +43,15 @@ from maglev_mj.session import SHOWN, TIME_SCALES, Snapshot, begin_scene, device_
 from maglev_mj.versions import hash_of
 
 ATTACHED = "attached"
-"""Marker for sources stored in the recording.
-
-It is given in place of a scene's name.
-"""
+"""Value of `--scene` that selects the sources stored in the recording."""
 
 _INVALID = KeyError, TypeError, ParameterError
 _CHUNK = 1000
-"""Number of samples processed at a time."""
+"""Number of samples converted at a time."""
 
 
 class _Unknown(Scene):
-    """Recording with a scene that is not known here."""
+    """Placeholder for a scene that is not available."""
 
     axis: str = param("axis shown", default="z", choices=AXES)
 
@@ -71,11 +68,11 @@ class OwnCode:
         recording: The recording.
 
     Attributes:
-        scene: The scene of the recording; None for one without.
-        changed: True if it differs from the recorded code.
+        scene: The scene of the recording, if it has one.
+        changed: True if the code differs from the recorded code.
 
     Raises:
-        ParameterError: If there is no such scene or file, or the recording does not hold it.
+        ParameterError: If there is no such scene or file, or the recording does not contain it.
     """
 
     def __init__(self, text: str, recording: Recording) -> None:
@@ -100,13 +97,13 @@ class OwnCode:
             try:
                 self._text = Path(text).read_text(encoding="utf-8")
             except (OSError, ValueError) as error:
-                raise ParameterError(f"scene must be a file that can be read, not {text!r}: {error}") from None
+                raise ParameterError(f"scene {text!r} cannot be read: {error}") from None
         self.changed = bool(hashes - {hash_of(self._text)})
 
     def __call__(self, reference: str) -> Any:
         """Return a class or function by its reference, FILE:NAME@HASH."""
-        file, _, rest = reference.partition(":")
-        name, _, digest = rest.rpartition("@")
+        file, _, qualified = reference.partition(":")
+        name, _, digest = qualified.rpartition("@")
         if self._attached is None:
             if self.scene is None:
                 return object_of_text(self._text, name, self._file)
@@ -114,7 +111,7 @@ class OwnCode:
         data = self._attached.get(f"source/{digest}/{file}", b"")
         text = data.decode("utf-8", "replace")
         if hash_of(text) != digest:
-            raise InvalidRecordingError(f"the recording does not hold {file!r} as it was")
+            raise InvalidRecordingError(f"the recording does not contain the recorded version of {file!r}")
         return object_of_text(text, name, file)
 
 
@@ -123,25 +120,25 @@ def _own_names(setup: Setup) -> Iterator[str]:
     controller = setup.get("controller")
     controller = controller if isinstance(controller, dict) else {}
     parts = [*(laws if isinstance(laws := controller.get("laws"), list) else []), controller.get("velocity")]
-    yield from (one["class"] for one in parts if isinstance(one, dict) and "@" in str(one.get("class")))
+    yield from (part["class"] for part in parts if isinstance(part, dict) and "@" in str(part.get("class")))
 
 
 def rebuild(
     setup: Setup, hand: HandForce | None, *, own: OwnCode | None = None
 ) -> tuple[SampledPlant | None, Controller]:
-    """Return plant and controller of a recording's setup.
+    """Rebuild plant and controller of a recorded setup.
 
     Args:
         setup: The setup.
-        hand: The hand on the flotor; None for the run's own, if it has one.
-        own: User code; its scene, if it has one, gives the laws in place of the setup.
+        hand: The hand on the flotor; None for the hand of the setup, if any.
+        own: User code; its scene, if any, replaces the laws of the setup.
 
     Returns:
-        Both; None for the plant of a flight on a device, and for one that is not this package's.
+        Plant and controller; the plant is None for a flight on a device, or if it is user-defined.
 
     Raises:
         OwnCodeError: If it needs user code that is not allowed to run.
-        InvalidRecordingError: If the setup is not known here.
+        InvalidRecordingError: If the setup cannot be rebuilt.
 
     Example:
         >>> from maglev_mj import find_scene, rebuild, record_run
@@ -157,7 +154,7 @@ def rebuild(
 
 def _controller(setup: Setup, own: OwnCode | None) -> Controller:
     if (setup.get("session") or {}).get("after") is not None:
-        raise OwnCodeError("a segment goes on, after a rewind, from a sample that is not in the recording")
+        raise OwnCodeError("a segment resumes after a rewind from a sample that is not in the recording")
     if own is None or own.scene is None or not setup.get("scene"):
         return rebuild_controller(setup, own)
     with refused(*_INVALID):
@@ -169,20 +166,18 @@ def _scene(setup: Setup, own: OwnCode | None) -> Scene:
     """Return the scene of a setup.
 
     Raises:
-        OwnCodeError: If it is not of this package, and not allowed to run.
+        OwnCodeError: If it is user-defined, and not allowed to run.
         ParameterError: If its parameters are outside their bounds.
     """
     name = setup["scene"]
     if name not in BUILT_IN and (own is None or own.scene is None):
         file = Path(str(name).rpartition(":")[0]).name or "NAME"
-        raise OwnCodeError(f"scene {name!r} must be executed to run it again: {ALLOW.format(file)}")
+        raise OwnCodeError(f"user code, scene {name!r}, was not executed: {ALLOW.format(file)}")
     return recorded_scene(name, setup["parameters"], None if own is None else own.scene)
 
 
 def rebuild_for(segment: Segment, own: OwnCode | None = None) -> Rebuild | None:
-    """Return the function that rebuilds a segment, or None.
-
-    It makes plant and controller; None if it needs user code.
+    """Return the function that rebuilds plant and controller of a segment; None if that needs user code.
 
     A recording never makes this program execute code that it names or contains: only the user can allow it.
 
@@ -198,9 +193,7 @@ def rebuild_for(segment: Segment, own: OwnCode | None = None) -> Rebuild | None:
 
 
 def unmade_plant(segment: Segment, own: OwnCode | None = None) -> str:
-    """Return the class name of a plant not simulated here.
-
-    Empty for one that can be simulated, as a device of a known scene.
+    """Return the class name of a plant that cannot be simulated; "" if it can, as for a device with a known scene.
 
     Args:
         segment: The segment.
@@ -212,14 +205,12 @@ def unmade_plant(segment: Segment, own: OwnCode | None = None) -> str:
 
 
 def record_run(scene: SceneLike, *, plant: str | None = None, phase: float = 0.0) -> Recording:
-    """Run a scene and record it in memory.
-
-    A run that fails is recorded up to the failure.
+    """Run a scene and record it in memory; a run that fails is recorded up to the failure.
 
     Args:
         scene: The scene, its class, or a text for `find_scene`.
-        plant: Name of a plant; the scene's default by default.
-        phase: Phase of the samples, in [0, 1).
+        plant: Name of a plant; by default that of the scene.
+        phase: Sampling phase, in [0, 1).
 
     Example:
         >>> from maglev_mj import find_scene, record_run
@@ -234,23 +225,21 @@ def record_run(scene: SceneLike, *, plant: str | None = None, phase: float = 0.0
 
 
 def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, phase: float = 0.0) -> list[Path]:
-    """Run a scene and record it to a file.
-
-    The file is a journal, .maglev. A run that fails is recorded up to the failure.
+    """Run a scene and record it to a journal; a run that fails is recorded up to the failure.
 
     Args:
-        path: The file.
+        path: Path with the suffix .maglev.
         scene: The scene, its class, or a text for `find_scene`.
-        plant: Name of a plant; the scene's default by default.
-        phase: Phase of the samples, in [0, 1).
+        plant: Name of a plant; by default that of the scene.
+        phase: Sampling phase, in [0, 1).
 
     Returns:
-        The file written; none without a sample.
+        The path of the file; an empty list without samples.
 
     Raises:
-        ParameterError: If the file has another suffix.
-        RecordingError: If it could not be written as a whole.
-        OSError: If it could not be written at all.
+        ParameterError: If the suffix is different.
+        RecordingError: If the file is incomplete.
+        OSError: If the file cannot be written.
 
     Example:
         >>> import tempfile
@@ -270,18 +259,16 @@ def write_run(path: Path | str, scene: SceneLike, *, plant: str | None = None, p
 
 @contextmanager
 def recorded(file: RecordingFile, *, quiet: bool = False) -> Iterator[Begin]:
-    """Give `run` what begins a recording in a file.
-
-    A fault of the run is an event there.
+    """Yield the `begin` argument of `run` that records to a file; a failure of the run becomes an event.
 
     Args:
-        file: The file; it is left open.
-        quiet: True if nothing else is to tell of a fault.
+        file: The file; it is not closed.
+        quiet: True to suppress the exception of a failed run.
     """
-    begun = list[Scene]()
+    started = list[Scene]()
 
     def begin(scene: Scene, plant: Any, controller: Controller, samples: int) -> Record:
-        begun.append(scene)
+        started.append(scene)
         return begin_scene(file, scene, plant, controller, samples=samples, name=scene.name)
 
     try:
@@ -289,19 +276,19 @@ def recorded(file: RecordingFile, *, quiet: bool = False) -> Iterator[Begin]:
     except RecordingError:
         raise
     except MaglevError as error:
-        if begun:
+        if started:
             file.event("fault", str(error))
-        if not (begun and quiet):
+        if not (started and quiet):
             raise
 
 
 @contextmanager
 def recorded_to(path: Path | str, written: list[Path], *, quiet: bool = False) -> Iterator[Begin]:
-    """Give `run` what begins a recording in a file of a path; see `recorded`.
+    """Yield the `begin` argument of `run` that records to a new file; see `recorded`.
 
     Args:
-        path: The file.
-        written: List to which the file written is added; none without a sample.
+        path: Path of the file.
+        written: List to which the path is added unless there are no samples.
         quiet: See `recorded`.
     """
     file = open_recording(path, wait=True)
@@ -309,14 +296,12 @@ def recorded_to(path: Path | str, written: list[Path], *, quiet: bool = False) -
         with recorded(file, quiet=quiet) as begin:
             yield begin
     finally:
-        if (done := file.close()) is not None:
-            written.append(done)
+        if (closed := file.close()) is not None:
+            written.append(closed)
 
 
 def shown_scene(segment: Segment, own: OwnCode | None = None) -> Scene:
-    """Return the scene that displays a segment.
-
-    It is the segment's own if that is known here.
+    """Return the scene of a segment for display, or a placeholder if it is not available.
 
     Args:
         segment: The segment.
@@ -331,80 +316,69 @@ def shown_scene(segment: Segment, own: OwnCode | None = None) -> Scene:
 
 
 def stick_positions(segment: Segment, again: Rebuild | None = rebuild) -> Iterator[Array]:
-    """Yield the stick positions at each sample of a segment's whole run [m, rad], (6,).
-
-    They are as seen by the controller; there are none without friction.
+    """Yield the controller's stick positions at each sample of a run [m, rad], (6,); nothing without friction.
 
     Args:
-        segment: The segment.
-        again: Function from a setup and a hand to plant and controller; None if there is none: then nothing is yielded.
+        segment: A segment of the run; samples that precede it are included.
+        again: Function that makes plant and controller from a setup and a hand; None yields nothing.
     """
     if again is None:
         return
-    whole = segment.whole
-    _, controller = again(whole.setup, None)
-    for first in range(0, len(whole), _CHUNK):  # as lists, a long segment would take a second and much memory
+    run = segment.whole
+    _, controller = again(run.setup, None)
+    for first in range(0, len(run), _CHUNK):  # one list of a long segment would take a second and much memory
         part = slice(first, first + _CHUNK)
-        for tick, place in zip(whole.tick[part].tolist(), whole.position[part].tolist(), strict=True):
-            controller.step(Sample(int(tick), 0.0, place))
-            if (found := controller.stick_positions) is None:
+        for tick, pose in zip(run.tick[part].tolist(), run.position[part].tolist(), strict=True):
+            controller.step(Sample(int(tick), 0.0, pose))
+            if (positions := controller.stick_positions) is None:
                 return
-            yield found
+            yield positions
 
 
 def stick_positions_of(segment: Segment, again: Rebuild | None = rebuild) -> Array | None:
-    """Return the stick positions at all samples, (N, 6).
-
-    None without friction. See `stick_positions`.
-    """
+    """Return the stick positions at all samples, (N, 6); None without friction. See `stick_positions`."""
     positions = list(stick_positions(segment, again))[-len(segment) :]
     return np.array(positions) if positions else None
 
 
 ACTIONS = "pause", "step", "step back", "skip forward", "skip back", "slower", "faster", "loop", "start", "end"
-"""Actions of `Replay.act`.
-
-"skip forward" and "skip back" move by a twentieth of the recording.
-"""
+"""Actions of `Replay.act`; "skip forward" and "skip back" move by 5 % of the recording."""
 
 _SCALES = (*TIME_SCALES, 2.0, 5.0, 10.0)
 _JUMP = 0.05
 _ROUNDING = 1e-9
 _STICKS = 100
-"""Number of stick positions found in one `tick`.
-
-It takes some ms.
-"""
+"""Number of stick positions computed in one `tick`, in a few ms."""
 
 
 class Replay:
-    """Recording shown in time; a `SnapshotSource`.
+    """Playback of a recording; a `SnapshotSource`.
 
-    All its segments are on one time axis, one after the other. The time of opening and seeking does not grow with the
-    number of samples: stick positions are found during playback, in each segment from its first sample on.
+    Its segments follow each other on one time axis. Opening and seeking take constant time: stick positions are
+    computed during playback, from the first sample of each segment on.
 
     Args:
-        recording: The recording, of at least one sample.
-        own: User code allowed to run, for the stick positions; without it the recording is shown without them.
+        recording: The recording, with at least one sample.
+        own: User code allowed to run, for the stick positions; without it they are not shown.
 
     Attributes:
-        hand: A hand that moves nothing; the recorded one acts.
-        simulated: Time shown so far [s].
+        hand: A dummy hand: the recorded one acts.
+        simulated: Time played so far [s].
 
     Raises:
-        RecordingError: If it is empty, or its setup is not known here.
+        RecordingError: If the recording is empty, or its setup cannot be rebuilt.
     """
 
     def __init__(self, recording: Recording, own: OwnCode | None = None) -> None:
         self.hand = SpringHand()
         self.simulated = 0.0
-        self._segments = [_Shown(segment, own) for segment in recording.segments if len(segment)]
+        self._segments = [_PlayedSegment(segment, own) for segment in recording.segments if len(segment)]
         if not self._segments:
-            raise InvalidRecordingError("there is nothing in the recording")
-        begins = np.cumsum([0.0, *(one.duration for one in self._segments)])
+            raise InvalidRecordingError("the recording has no samples")
+        begins = np.cumsum([0.0, *(part.duration for part in self._segments)])
         self._duration = float(begins[-1])
-        self._times: Array = np.concatenate([begin + one.time for begin, one in zip(begins, self._segments)])
-        self._firsts = np.cumsum([0, *(len(one.time) for one in self._segments)])
+        self._times: Array = np.concatenate([begin + part.time for begin, part in zip(begins, self._segments)])
+        self._firsts = np.cumsum([0, *(len(part.time) for part in self._segments)])
         last = len(self._times) - 1
         self._marks = [float(self._times[min(max(count - 1, 0), last)]) for count in recording.event_samples]
         self._events = list(recording.events)
@@ -412,15 +386,15 @@ class Replay:
         self._time, self._row = 0.0, 0
 
     def tick(self, elapsed: float) -> int:
-        """Advance by a real time.
+        """Advance by elapsed real time.
 
         Args:
             elapsed: Real time since the last call [s].
 
         Returns:
-            Number of samples passed.
+            Number of samples played.
         """
-        self._now.find_sticking()
+        self._now.compute_stick_positions()
         if self._paused:
             return 0
         before, rounds = self._row, 0.0
@@ -434,21 +408,21 @@ class Replay:
         return int(rounds) * len(self._times) + self._row - before
 
     def act(self, action: str) -> None:
-        """Run one of `ACTIONS`.
+        """Perform one of `ACTIONS`.
 
         Raises:
             ParameterError: If there is no such action.
         """
-        way = -1 if action.endswith("back") else 1
+        sign = -1 if action.endswith("back") else 1
         if action == "pause":
             if self._paused and self._time >= self._duration:
                 self._seek(0.0)
             self._paused = not self._paused
         elif action in ("step", "step back"):
             self._paused = True
-            self._seek(float(self._times[min(max(self._row + way, 0), len(self._times) - 1)]))
+            self._seek(float(self._times[min(max(self._row + sign, 0), len(self._times) - 1)]))
         elif action in ("skip forward", "skip back"):
-            time = self._time + way * _JUMP * self._duration
+            time = self._time + sign * _JUMP * self._duration
             self._seek(min(max(time, 0.0), float(self._times[-1])))
         elif action in ("slower", "faster"):
             self._scale = next_scale(self._scale, action, _SCALES)
@@ -463,32 +437,32 @@ class Replay:
             raise ParameterError(not_one_of("action", ACTIONS, action))
 
     def change(self, parameters: Mapping[str, Any]) -> None:
-        """Change the time or the playback speed.
+        """Seek, or change the playback speed.
 
         Args:
-            parameters: `time` [s], from 0 to the recording's length, and `time_scale`, from 0.001 to 10.
+            parameters: `time` [s], from 0 to the recording's duration, and `time_scale`, from 0.001 to 10.
 
         Raises:
-            ParameterError: If there is another parameter or a value is out of range; nothing changes then.
+            ParameterError: If a parameter is unknown or a value is out of range; then nothing changes.
         """
         changes = dict(parameters)
         time = number("time", changes.pop("time", self._time), at_least=0.0, at_most=self._duration)
         least, most = _SCALES[0], _SCALES[-1]
         scale = number("time_scale", changes.pop("time_scale", self._scale), at_least=least, at_most=most)
         if changes:
-            raise ParameterError(f"parameters of a recording must be of time, time_scale, not {', '.join(changes)}")
+            raise ParameterError(f"parameters must be among time, time_scale (recording), not {', '.join(changes)}")
         self._scale = scale
         self._seek(time)
 
     def snapshot(self) -> Snapshot:
-        """Return the present snapshot."""
-        now, row = self._now, self._row - self._firsts[self._place]
+        """Return the current snapshot."""
+        now, row = self._now, self._row - self._firsts[self._index]
         samples, time = now.segment.arrays, float(self._times[self._row])
         since = SHOWN * max(self._scale, 1.0)
-        passed = [event for event, mark in zip(self._events, self._marks) if 0.0 <= time - mark < since]
+        recent = [event for event, mark in zip(self._events, self._marks) if 0.0 <= time - mark < since]
         return Snapshot(
             scene=now.scene,
-            since=int(self._firsts[self._place]),
+            since=int(self._firsts[self._index]),
             delay=now.scene.delay,
             tick=self._row,
             time=time,
@@ -508,41 +482,38 @@ class Replay:
             marks=self._marks,
             actions=ACTIONS,
             state="paused" if self._paused else "running",
-            notes=["REPLAY, in a loop" if self._loops else "REPLAY", *passed],
+            notes=["REPLAY (looped)" if self._loops else "REPLAY", *recent],
         )
 
     def close(self) -> None:
         """Do nothing: a recording needs no closing."""
 
     @property
-    def _place(self) -> int:
-        """Index of the segment shown."""
+    def _index(self) -> int:
+        """Index of the current segment."""
         return int(np.searchsorted(self._firsts, self._row, side="right")) - 1
 
     @property
-    def _now(self) -> _Shown:
-        return self._segments[self._place]
+    def _now(self) -> _PlayedSegment:
+        return self._segments[self._index]
 
     def _seek(self, time: float) -> None:
         self._time, self._row = time, int(np.searchsorted(self._times, time + _ROUNDING, side="right")) - 1
 
     def _history(self) -> Array:
-        """Return the samples of the last two seconds.
-
-        Those of earlier segments are included.
-        """
+        """Return the samples of the last two seconds, across segments, (N, 25)."""
         end, firsts = self._row + 1, self._firsts
         first = int(np.searchsorted(self._times, self._times[self._row] - SHOWN))
         rows = []
-        for place in range(int(np.searchsorted(firsts, first, side="right")) - 1, self._place + 1):
-            low, high = max(first, firsts[place]), min(end, firsts[place + 1])
-            part = self._segments[place].history(low - firsts[place], high - firsts[place])
+        for index in range(int(np.searchsorted(firsts, first, side="right")) - 1, self._index + 1):
+            low, high = max(first, firsts[index]), min(end, firsts[index + 1])
+            part = self._segments[index].history(low - firsts[index], high - firsts[index])
             rows.append(np.column_stack([self._times[low:high], part]))
         return np.concatenate(rows)
 
 
-class _Shown:
-    """Segment of a recording with its metadata."""
+class _PlayedSegment:
+    """Segment of a recording, prepared for playback."""
 
     def __init__(self, segment: Segment, own: OwnCode | None) -> None:
         self._again = rebuild_for(segment, own)
@@ -556,30 +527,24 @@ class _Shown:
         else:
             work = hand_work(segment.position, segment.hand).sum(axis=1)
             self.work = np.concatenate([[0.0], np.cumsum(work)])
-        self._sticking, self._lead = stick_positions(segment, self._again), len(segment.whole) - len(segment)
+        self._remaining, self._lead = stick_positions(segment, self._again), len(segment.whole) - len(segment)
         self._anchors: list[Array] = []
 
-    def find_sticking(self) -> None:
-        """Find the next stick positions."""
-        self._anchors += islice(self._sticking, _STICKS)
+    def compute_stick_positions(self) -> None:
+        """Compute the next stick positions."""
+        self._anchors += islice(self._remaining, _STICKS)
 
     def anchors(self, row: int) -> Array | None:
-        """Return the stick positions at a sample, or None.
-
-        None without friction, or if they are not found yet.
-        """
-        place = self._lead + row
-        return self._anchors[place] if place < len(self._anchors) else None
+        """Return the stick positions at a sample; None without friction, or if not computed yet."""
+        index = self._lead + row
+        return self._anchors[index] if index < len(self._anchors) else None
 
     def history(self, low: int, high: int) -> Array:
-        """Return motion and forces of a range of samples.
-
-        (N, 24): pose, speed, wrench of the device, wrench of the hand.
-        """
+        """Return pose, twist, wrench of the device and wrench of the hand of a range of samples, (N, 24)."""
         segment, before = self.segment, max(low - 1, 0)
         pose, time = segment.position[before:high], self.time[before:high]
         speed = np.diff(pose, axis=0) / np.diff(time)[:, None]
-        if low == 0:  # the first sample has no speed: it gets the next one's
+        if low == 0:  # repeat the second sample's speed: the first has no predecessor
             speed = np.concatenate([speed[:1] if len(speed) else np.zeros((1, 6)), speed])
         force = segment.applied[low:high] - self.carried
         return np.column_stack([pose[low - before :], speed, force, segment.hand[low:high]])
@@ -587,10 +552,7 @@ class _Shown:
 
 @cache
 def _current_per_wrench() -> Array:
-    """Return the coil currents per wrench, (6, 6).
-
-    In [A/N, A/(N m)].
-    """
+    """Return the coil currents per wrench [A/N, A/(N m)], (6, 6)."""
     coils = load_model("drop").coils
     assert coils is not None
     return coils.current_per_wrench

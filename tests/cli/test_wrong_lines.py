@@ -128,7 +128,7 @@ stick-slip --format pdf | format must be given with out, the folder of pictures,
 bridge DEVICE --record a.foo                        | record must be a file that ends in .maglev, not 'a.foo'
 # servers and pages
 twin --plant euler                                  | plant must be one of exact, mujoco, not 'euler'
-view --allow-origin http://a/b | argument --allow-origin: origin must be as http://192.168.0.5:8080, without a
+view --allow-origin http://a/b | argument --allow-origin: origin must be a URL without a path, such as
 view --web --host 0.0.0.0                           | token must be given for a host that is not this machine
 view --web --token short                            | token must be 16 or more letters
 view --port 8000                                    | port is for --web

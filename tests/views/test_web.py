@@ -167,7 +167,7 @@ def test_an_allowed_origin_still_needs_the_token() -> None:
 
 def test_an_invalid_origin_is_rejected() -> None:
     for origin in ("", "*", "http://", "http://a/", "ftp://a", "a.example", "http://a b", "http://a,http://b"):
-        with pytest.raises(ParameterError, match="origin must be as http"):
+        with pytest.raises(ParameterError, match="origin must be a URL"):
             check_origin(origin)
 
 
@@ -218,8 +218,8 @@ def test_a_port_in_use_and_a_foreign_host_are_reported(capsys: pytest.CaptureFix
     with listen(0) as taken:
         port = taken.getsockname()[1]
         assert main(["view", "--web", "--no-open", "--port", str(port)]) == 1
-        assert f"cannot listen at port {port} of 127.0.0.1: Address already in use" in capsys.readouterr().err
-    with pytest.raises(ListenError, match=r"cannot listen at port 0 of 192\.0\.2\.1: Cannot assign"):
+        assert f"cannot listen on port {port} of 127.0.0.1: Address already in use" in capsys.readouterr().err
+    with pytest.raises(ListenError, match=r"cannot listen on port 0 of 192\.0\.2\.1: Cannot assign"):
         listen(0, "192.0.2.1")
     assert main(["view", "--web", "--no-open", "--host", "192.0.2.1", "--token", TOKEN, "--port", "0"]) == 1
     assert "192.0.2.1" in capsys.readouterr().err
