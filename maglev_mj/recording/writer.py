@@ -198,7 +198,7 @@ def check_name(path: Path) -> None:
             f"`maglev-mj export {journal} --to {kind}`"
         )
     if path.suffix != SUFFIX:
-        raise ParameterError(f"record must be a file name that ends in {SUFFIX}, not {str(path)!r}")
+        raise ParameterError(f"record must be a file that ends in {SUFFIX}, not {str(path)!r}")
 
 
 def open_recording(path: Path | str, *, wait: bool = False) -> RecordingFile:

@@ -1,4 +1,4 @@
-"""Changes of a running scene: live parameters, actions of keys."""
+"""Changes of a running scene: live parameters and key actions."""
 
 from __future__ import annotations
 
@@ -13,19 +13,16 @@ from maglev_mj.scenes import Scene
 from maglev_mj.scenes.stability_check import own_code_refused
 
 DEVICES_OWN = "period", "delay"
-"""Parameters that other programs cannot change.
-
-They belong to the device, or to the user at the machine.
-"""
+"""Parameters that other programs cannot change: set by the device, or by the local user."""
 
 EMERGENCY_STOP = "emergency stop"
-"""Action of the emergency stop key of every window."""
+"""Name of the emergency stop action."""
 
 CHOOSES = "scene "
-"""Prefix of a session's actions that choose a scene by name."""
+"""Prefix of the actions that select a scene by name."""
 
-REWINDS = "rewind", "go on from here", "same hand again"
-"""Actions of a session that can be rewound; the first goes back by a second."""
+REWINDS = "rewind", "resume from here", "repeat the hand's motion"
+"""Rewind actions of a session; the first goes back by one second."""
 
 Action: TypeAlias = Callable[[Scene], Scene]
 """Function that returns the changed scene."""
@@ -33,50 +30,50 @@ Action: TypeAlias = Callable[[Scene], Scene]
 
 def settable(scene: Scene | type[Scene]) -> tuple[str, ...]:
     """Return the parameters that other programs may change."""
-    return tuple(one.name for one in scene.parameters() if one.live and one.name not in DEVICES_OWN)
+    return tuple(entry.name for entry in scene.parameters() if entry.live and entry.name not in DEVICES_OWN)
 
 
 def actions(cls: type[Scene]) -> Mapping[str, Action]:
     """Return a scene's key actions by name.
 
-    A switch has its name; a number has "NAME up" and "NAME down", and its name alone turns it off and on if
-    it may be 0.
+    NAME toggles a switch, and a number between 0 and its default if 0 is allowed; "NAME up" and "NAME down" step a
+    number.
     """
     changes: dict[str, Action] = {}
-    for one in cls.parameters():
-        if not one.live or not one.live.has_keys or one.kind not in (bool, float, int):
+    for entry in cls.parameters():
+        if not entry.live or not entry.live.has_keys or entry.kind not in (bool, float, int):
             continue
-        word = one.live.word or one.name
-        if one.kind is bool:
-            changes[word] = partial(_switched, one.name)
+        word = entry.live.word or entry.name
+        if entry.kind is bool:
+            changes[word] = partial(_toggle_switch, entry.name)
             continue
-        if one.default and one.bounds.get("at_least") == 0.0 and not one.live.word:
-            changes[word] = partial(_cleared, one.name, one.default)
-        for sense, way in (("up", 1), ("down", -1)):
-            changes[f"{word} {sense}"] = partial(_turned, one, way)
+        if entry.default and entry.bounds.get("at_least") == 0.0 and not entry.live.word:
+            changes[word] = partial(_toggle_number, entry.name, entry.default)
+        for direction, sign in (("up", 1), ("down", -1)):
+            changes[f"{word} {direction}"] = partial(_step_number, entry, sign)
     return changes
 
 
 def device_actions(cls: type[Scene]) -> tuple[str, ...]:
     """Return the actions of a scene on a device."""
-    own = {one.live.word or one.name for one in cls.parameters() if one.live and one.name in DEVICES_OWN}
-    names = (name for name in actions(cls) if name.removesuffix(" up").removesuffix(" down") not in own)
+    fixed = {entry.live.word or entry.name for entry in cls.parameters() if entry.live and entry.name in DEVICES_OWN}
+    names = (name for name in actions(cls) if name.removesuffix(" up").removesuffix(" down") not in fixed)
     return *names, EMERGENCY_STOP
 
 
 def changed(
     scene: Scene, change: Mapping[str, Any] | str | Scene, *, own: bool = False, besides: Sequence[str] = ()
 ) -> Scene:
-    """Return a scene after a change by a key, a slider, a page, a program.
+    """Return a scene after a change by a key, a slider, a page or a program.
 
     Args:
-        scene: The scene in force.
-        change: Values by name; the name of a key's action; or a scene with other values.
-        own: True if sample rate and delay may change too, as by a person in simulation.
-        besides: Names of values that the caller takes itself, for the message.
+        scene: The current scene.
+        change: Values by name, the name of a key action, or a scene with other values.
+        own: True if sample period and delay may change, as by a local user in simulation.
+        besides: Names of parameters that the caller handles, for the message.
 
     Raises:
-        ParameterError: If there is no such live parameter, a value is refused, or the scene's own code fails.
+        ParameterError: If a live parameter is unknown, a value is refused, or the scene's code fails.
     """
     with own_code_refused():
         if isinstance(change, Scene):
@@ -84,28 +81,28 @@ def changed(
         if isinstance(change, str):
             return actions(type(scene))[change](scene)
         if fixed := [name for name in DEVICES_OWN if name in change and not own]:
-            raise ParameterError(f"{fixed[0]} is the device's, or the person's at the machine; a program cannot set it")
+            raise ParameterError(f"{fixed[0]} is set by the device or the local user; other programs cannot change it")
         live = (*(DEVICES_OWN if own else ()), *settable(scene))
         if unknown := sorted(set(change) - set(live)):
-            raise ParameterError(f"parameters must be of {', '.join((*live, *besides))}, not {', '.join(unknown)}")
+            raise ParameterError(f"parameters must be among {', '.join((*live, *besides))}, not {', '.join(unknown)}")
         return scene.replace(**change)
 
 
-def _switched(name: str, scene: Scene) -> Scene:
+def _toggle_switch(name: str, scene: Scene) -> Scene:
     return scene.replace(**{name: not getattr(scene, name)})
 
 
-def _cleared(name: str, default: float, scene: Scene) -> Scene:
+def _toggle_number(name: str, default: float, scene: Scene) -> Scene:
     return scene.replace(**{name: 0.0 if getattr(scene, name) else default})
 
 
-def _turned(one: Parameter, way: int, scene: Scene) -> Scene:
-    assert one.live
-    if (value := getattr(scene, one.name)) is None:
+def _step_number(parameter: Parameter, sign: int, scene: Scene) -> Scene:
+    assert parameter.live
+    if (value := getattr(scene, parameter.name)) is None:
         return scene
-    least, most = one.bounds.get("at_least", -math.inf), one.bounds.get("at_most", math.inf)
-    turned = one.live(value, way)
-    if one.kind is int:  # a whole step at least, or a small number would stay
-        turned = value + way if round(turned) == value else round(turned)
-    # a person at a key is stopped at a bound, not told off
-    return scene.replace(**{one.name: min(max(turned, least), most)})
+    lowest, highest = parameter.bounds.get("at_least", -math.inf), parameter.bounds.get("at_most", math.inf)
+    stepped = parameter.live(value, sign)
+    if parameter.kind is int:  # step by at least 1, or a small number would not change
+        stepped = value + sign if round(stepped) == value else round(stepped)
+    # clamp at the bound instead of raising
+    return scene.replace(**{parameter.name: min(max(stepped, lowest), highest)})

@@ -1,4 +1,4 @@
-"""Real-time pacing of frames, control ticks and messages."""
+"""Real-time pacing of frames and control ticks, and timed messages."""
 
 from __future__ import annotations
 
@@ -9,24 +9,22 @@ from collections.abc import Callable, Iterator, Sequence
 from maglev_mj.parameters import number
 
 TIME_SCALES = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
-"""Steps of slow motion."""
+"""Time scales of slow motion."""
 
 _ROUNDING = 1e-9
 _LONGEST_PAUSE = 1.0
-_SHOWN = 6.0
+_NOTE_DURATION = 6.0
 
 
 def real_time(
     duration: float | None, step: float, clock: Callable[[], float] = time.perf_counter
 ) -> Iterator[tuple[float, float]]:
-    """Yield real time since the last and first turn [s].
-
-    It sleeps between turns.
+    """Yield the real time since the previous turn and since the first one [s]; sleep between turns.
 
     Args:
-        duration: Total time [s]; None for no end.
+        duration: Total time [s]; None for indefinitely.
         step: Sleep after each turn [s].
-        clock: Clock of real time [s].
+        clock: Real-time clock [s].
 
     Example:
         >>> from maglev_mj import real_time
@@ -37,7 +35,7 @@ def real_time(
     start = last = clock()
     while duration is None or last - start < duration:
         now = clock()
-        yield min(now - last, _LONGEST_PAUSE), now - start  # a machine that was suspended owes no more
+        yield min(now - last, _LONGEST_PAUSE), now - start  # do not catch up after the machine was suspended
         last = now
         time.sleep(step)
 
@@ -46,22 +44,20 @@ def next_scale(scale: float, action: str, scales: Sequence[float] = TIME_SCALES)
     """Return the next time scale for "slower" or "faster".
 
     Args:
-        scale: Present simulated time per second of real time.
+        scale: Current time scale, simulated over real time.
         action: "slower" or "faster".
-        scales: Available scales in rising order.
+        scales: Available scales in ascending order.
     """
-    place = bisect_right(scales, scale) if action == "faster" else bisect_left(scales, scale) - 1
-    return scales[min(max(place, 0), len(scales) - 1)]
+    index = bisect_right(scales, scale) if action == "faster" else bisect_left(scales, scale) - 1
+    return scales[min(max(index, 0), len(scales) - 1)]
 
 
 class Due:
-    """Frame clock on a fixed time grid.
-
-    A late call does not shift the grid.
+    """Frame clock on a fixed time grid; delayed calls do not shift the grid.
 
     Args:
-        period: Time between frames [s].
-        clock: Clock of real time [s].
+        period: Frame period [s].
+        clock: Real-time clock [s].
     """
 
     def __init__(self, period: float = 1.0 / 60.0, clock: Callable[[], float] = time.monotonic) -> None:
@@ -71,27 +67,27 @@ class Due:
         """Return True once for each frame that is due."""
         if (now := self._clock()) < self._next:
             return False
-        soon = self._next + self._period
-        self._next = soon if now < soon else now + self._period
+        upcoming = self._next + self._period
+        self._next = upcoming if now < upcoming else now + self._period
         return True
 
 
 class Pacer:
-    """Scheduler of control ticks in real time, within a budget.
+    """Scheduler of control ticks in real time, within a computing budget.
 
-    Ticks beyond the budget follow in later frames. A delay of more than `patience` is given up:
-    simulated time then slows down, and the ticks count as missed.
+    Ticks that exceed the budget are run in later frames. A backlog above `patience` is dropped: these ticks are
+    skipped, and simulated time runs slower than real time.
 
     Args:
-        budget: Largest real time of the ticks of one frame [s].
-        patience: Largest delay of simulated time [s].
-        clock: Clock of real time [s].
+        budget: Largest computing time of the ticks of one frame [s].
+        patience: Largest backlog of simulated time [s].
+        clock: Real-time clock [s].
 
     Attributes:
-        owed: Real time not simulated yet [s].
-        missed: Ticks given up so far.
-        late: True if ticks were given up in the last frame.
-        cost: Real time of one tick in the last frame that had any [s].
+        owed: Backlog, real time not simulated yet [s].
+        missed: Total number of skipped ticks.
+        late: True if ticks were skipped in the last frame.
+        cost: Computing time per tick in the last frame with ticks [s].
     """
 
     def __init__(
@@ -111,12 +107,12 @@ class Pacer:
             tick: Function that runs one tick.
 
         Returns:
-            Number of ticks.
+            Number of ticks run.
         """
         self.owed += elapsed
         start, ticks = self._clock(), 0
-        least = period * (1.0 - _ROUNDING)
-        while self.owed >= least:
+        threshold = period * (1.0 - _ROUNDING)
+        while self.owed >= threshold:
             tick()
             ticks += 1
             self.owed -= period
@@ -124,33 +120,33 @@ class Pacer:
                 break
         if ticks:
             self.cost = (self._clock() - start) / ticks
-        beyond = int((self.owed - self.patience) / period + _ROUNDING)
-        self.late = beyond > 0
+        skipped = int((self.owed - self.patience) / period + _ROUNDING)
+        self.late = skipped > 0
         if self.late:
-            self.missed += beyond
-            self.owed -= beyond * period
+            self.missed += skipped
+            self.owed -= skipped * period
         return ticks
 
     def forgive(self) -> None:
-        """Reset the owed time, as after a pause."""
+        """Clear the backlog, for example after a pause."""
         self.owed, self.late = 0.0, False
 
 
 class Note:
-    """Message shown for some seconds.
+    """Message shown for a few seconds.
 
     Args:
-        clock: Clock of real time [s].
+        clock: Real-time clock [s].
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._text, self._until = clock, "", 0.0
 
     def say(self, text: str) -> None:
-        """Show a message in place of the last."""
-        self._text, self._until = text, self._clock() + _SHOWN
+        """Show a message, replacing the previous one."""
+        self._text, self._until = text, self._clock() + _NOTE_DURATION
 
     @property
     def lines(self) -> list[str]:
-        """Message in a list, empty after its time."""
+        """The message in a list; empty when it has expired."""
         return [self._text] if self._text and self._clock() < self._until else []

@@ -1,4 +1,4 @@
-"""Segment of a session, a scene running with constant parameters; and the last minute of all."""
+"""Segment of a session (a scene with constant parameters), and the history for rewinding."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from maglev_mj.session.snapshot import SHOWN, History
 from maglev_mj.spec import Spec
 
 KEPT = 60.0
-"""Longest time that a session can be rewound [s]."""
+"""Longest rewind [s]."""
 
 _EVERY = 0.5
-"""Time between two states that are kept [s]."""
+"""Interval of saved states [s]."""
 
-_MOST_STATES = 160  # those of a minute, and some of changes: each keeps a plant of half a megabyte
-_MOST_POINTS = 200
+_MAX_STATES = 160  # one minute plus some changes; each has a plant of 0.5 MB
+_MAX_POINTS = 200
 _ROUNDING = 1e-9
 
 
 def begin_scene(file: RecordingFile, scene: Scene, plant: Any, controller: Controller, **details: Any) -> Record:
-    """Begin a segment of a recording with a scene's metadata.
+    """Start a segment of a recording with a scene's metadata.
 
     Args:
         file: The file.
         scene: The scene.
         plant: The controlled plant.
         controller: The controller.
-        details: Further arguments of `setup_of`.
+        details: Additional arguments of `setup_of`.
     """
     cls = type(scene)
     attach_model(file, scene.model)
@@ -62,17 +62,17 @@ class LiveSegment:
         pose: Initial pose [m, rad].
         twist: Initial twist [m/s, rad/s].
         wrench: Coil wrench until the first command takes effect [N, N m].
-        file: Recording of every sample; None for none.
+        file: File to record to, or None.
         began: Session time at the start [s].
-        first: Number of its first sample in the session.
-        keep: Called after each tick with a row of history, see `History.add`.
+        first: Session number of its first sample.
+        keep: Function called after each tick with a row of history, see `History.add`.
 
     Attributes:
         scene: The scene.
         energy: Energy balance.
         pulsed: True if the last command had a pulse.
-        ticks: Samples answered.
-        every: Samples from one state that is kept to the next.
+        ticks: Number of ticks so far.
+        every: Number of ticks between saved states.
     """
 
     def __init__(
@@ -102,14 +102,14 @@ class LiveSegment:
         self.begin(hand, file, first)
 
     def begin(self, hand: HandForce, file: RecordingFile | None, first: int) -> None:
-        """Go on by a hand, recorded from here on.
+        """Resume with a hand, recorded from here on.
 
         Args:
             hand: The hand.
-            file: The recording; None for none.
-            first: Number of the next sample in the session, whose numbers go up through all rewinds.
+            file: File to record to, or None.
+            first: Session number of the next sample; rewinds do not reset it.
         """
-        # by tick; one at which nothing was answered before a rewind is none
+        # by tick; drop parts without samples before a rewind
         self._parts = [part for part in self._parts if part[0] < self.ticks]
         after = self._parts[-1][1] + self.ticks - self._parts[-1][0] - 1 if self._parts else None
         self._parts.append((self.ticks, first))
@@ -118,34 +118,34 @@ class LiveSegment:
             details = {"before": self.force, "session": {"first": first, "after": after}}
             name, plant = f"scene {self.scene.name}", self.plant
             record = begin_scene(file, self.scene, plant, self.controller, name=name, **details)
-        self._go_on(hand, record)
+        self._start_loop(hand, record)
 
-    def _go_on(self, hand: HandForce, record: Record | None) -> None:
+    def _start_loop(self, hand: HandForce, record: Record | None) -> None:
         self.plant.hold(hand)
         self._loop = ControlLoop(self.plant, self.controller, observe=self._observe, record=record)
 
     def tick(self) -> None:
-        """Answer one sample."""
+        """Run one tick."""
         self._loop.cycle()
         self.ticks += 1
 
     def saved(self) -> Any:
-        """Return the present state between two ticks, for `restore`."""
+        """Return the current state between two ticks, for `restore`."""
         return states_of(self, self.controller, self.energy), self.plant.saved()
 
     def restore(self, saved: Any, efforts: Sequence[Six]) -> None:
-        """Go back to a saved state, and run again by the hand's wrenches [N, N m]."""
+        """Restore a saved state, and replay the hand's wrenches [N, N m] from it."""
         states, plant = saved
         restore(states)
         self.plant.restore(plant)
-        again = iter(efforts)
-        self._go_on(lambda *_: next(again), None)
+        wrenches = iter(efforts)
+        self._start_loop(lambda *_: next(wrenches), None)
         for _ in efforts:
             self.tick()
 
     @property
     def time(self) -> float:
-        """Time of the session [s]."""
+        """Session time [s]."""
         return self._began + self.ticks * self._period
 
     @property
@@ -164,14 +164,12 @@ class LiveSegment:
 
 
 def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) -> MuJoCoPlant:
-    """Return a scene's plant with stops and current limits.
-
-    At most 10 A in each coil unless the scene has another limit.
+    """Return a scene's plant with metal stops and current limits, by default 10 A per coil.
 
     Args:
         scene: The scene.
         hand: The hand on the flotor; its attribute `hand`, if any, is its impedance.
-        start: Pose, twist and wrench in place of the scene's own.
+        start: Pose, twist and wrench that override the scene's.
     """
 
     def make(timing: Timing, **options: Any) -> MuJoCoPlant:
@@ -183,17 +181,17 @@ def live_plant(scene: Scene, hand: HandForce | None = None, **start: ArrayLike) 
     return plant
 
 
-class HandAgain:
-    """Hand of recorded samples, by the session's time; another one after their end.
+class RepeatedHand:
+    """Recorded hand, by session time; another hand takes over at its end.
 
     Args:
-        rows: Samples in the form of `History.rows`.
-        end: End of the last one [s].
-        clock: Time of the present sample [s].
+        rows: Samples as in `History.rows`.
+        end: End of the last sample [s].
+        clock: Function that returns the session time of the current sample [s].
         after: Hand that takes over.
 
     Attributes:
-        hand: Its impedance.
+        hand: Impedance of the hand.
     """
 
     def __init__(self, rows: Array, end: float, clock: Callable[[], float], after: HandForce) -> None:
@@ -203,15 +201,15 @@ class HandAgain:
     def __call__(self, tick: int, time: Component, state: State) -> Six:
         """See `HandForce`."""
         now = self._clock() + _ROUNDING
-        place = bisect_right(self._times, now) - 1
+        index = bisect_right(self._times, now) - 1
         if now >= self._end:
             return self._after(tick, time, state)
-        effort: list[float] = self._efforts[place].tolist()
+        effort: list[float] = self._efforts[index].tolist()
         return effort
 
 
-class Past:
-    """Samples and states of the last minute, or since the last start.
+class RewindBuffer:
+    """Samples and states of the last minute, at most since the last start.
 
     Attributes:
         history: Samples up to the time shown.
@@ -220,59 +218,57 @@ class Past:
 
     def __init__(self) -> None:
         self.history = History(KEPT)
-        self._states: deque[tuple[float, LiveSegment, Any]] = deque(maxlen=_MOST_STATES)
+        self._states: deque[tuple[float, LiveSegment, Any]] = deque(maxlen=_MAX_STATES)
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything, at the start of a scene."""
+        """Discard everything, at the start of a scene."""
         self.history.clear()
         self._states.clear()
         self.rewound, self._end = False, 0.0
-        self._whole = self._first = self.history.rows
+        self._original = self._first = self.history.rows
 
     def keep(self, segment: LiveSegment) -> None:
-        """Keep the present state of a running scene."""
+        """Save the current state of a running scene."""
         for oldest in self.history.rows[:1, 0]:
             while self._states and self._states[0][0] < oldest - _ROUNDING:
                 self._states.popleft()
         self._states.append((segment.time, segment, segment.saved()))
 
     def bounds(self, now: float) -> tuple[float, float]:
-        """Return the earliest and the newest time that can be shown [s]."""
+        """Return the earliest and the newest available time [s]."""
         return self._states[0][0], self._end if self.rewound else now
 
     def show(self, time: float, now: float) -> LiveSegment:
-        """Return the running scene of an earlier time, as it was then.
-
-        It is run again from the last state kept before, by the recorded hand.
+        """Return the scene at an earlier time, replayed from the last saved state before it.
 
         Args:
-            time: That time, within the bounds [s].
-            now: Present time [s].
+            time: Session time to show, within the bounds [s].
+            now: Current session time [s].
         """
         if not self.rewound:
-            self.rewound, self._end, self._whole = True, now, self.history.rows
+            self.rewound, self._end, self._original = True, now, self.history.rows
         since, segment, state = [saved for saved in self._states if saved[0] <= time + _ROUNDING][-1]
-        begin, end = np.searchsorted(self._whole[:, 0], (since - _ROUNDING, time - _ROUNDING))
-        self.history.replace(self._whole[:begin])  # the rest is added by the run
-        segment.restore(state, self._whole[begin:end, 19:].tolist())
+        begin, end = np.searchsorted(self._original[:, 0], (since - _ROUNDING, time - _ROUNDING))
+        self.history.replace(self._original[:begin])  # the replay adds the remaining samples
+        segment.restore(state, self._original[begin:end, 19:].tolist())
         return segment
 
     def leave(self, now: float) -> tuple[Array, float]:
-        """Go on from the time shown; return the first try's samples, and their end [s]."""
+        """Resume from the time shown; return the original samples from there on, and their end [s]."""
         if not self.rewound:
-            raise ParameterError("the same hand acts again after a rewind alone")
+            raise ParameterError("the hand's motion can only be repeated after a rewind")
         self.rewound = False
-        self._first = self._whole[np.searchsorted(self._whole[:, 0], now - _ROUNDING) :]
+        self._first = self._original[np.searchsorted(self._original[:, 0], now - _ROUNDING) :]
         while self._states[-1][0] > now + _ROUNDING:
             self._states.pop()
         return self._first, self._end
 
     @property
     def first(self) -> Array:
-        """Time and pose of the first try over the time shown, (N, 7), until its end."""
+        """Time and pose of the original run within the displayed time, (N, 7), until its end."""
         shown = self.history.last(SHOWN)[:, 0]
         if self.rewound or not len(shown) or shown[-1] > self._end - _ROUNDING:
             return np.empty((0, 7))
         begin, end = np.searchsorted(self._first[:, 0], (shown[0] - _ROUNDING, shown[-1] + _ROUNDING))
-        return self._first[begin:end][:: -max(-(-(end - begin) // _MOST_POINTS), 1)][::-1, :7]
+        return self._first[begin:end][:: -max(-(-(end - begin) // _MAX_POINTS), 1)][::-1, :7]

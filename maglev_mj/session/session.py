@@ -1,7 +1,4 @@
-"""Scene running in real time, with changeable parameters and recordings.
-
-Its actions have names; it knows neither window nor keys.
-"""
+"""Scene running in real time, with live parameters, recordings and named actions, independent of any viewer."""
 
 from __future__ import annotations
 
@@ -28,7 +25,7 @@ from maglev_mj.scenes.interactive import WEIGHT
 from maglev_mj.scenes.stability_check import STEP_FORCE, check_step, own_code_refused
 from maglev_mj.session.actions import CHOOSES, EMERGENCY_STOP, actions, changed, settable
 from maglev_mj.session.pacing import TIME_SCALES, Note, Pacer, next_scale
-from maglev_mj.session.segment import KEPT, HandAgain, LiveSegment, Past
+from maglev_mj.session.segment import KEPT, LiveSegment, RepeatedHand, RewindBuffer
 from maglev_mj.session.snapshot import SHOWN, Publisher, Publishers, Snapshot
 
 
@@ -39,25 +36,25 @@ class SessionRecorder:
         folder: Folder of the files.
 
     Attributes:
-        written: Closed recordings.
-        file: Open recording; None for none.
+        written: Paths of the closed recordings.
+        file: Open recording, or None.
     """
 
     def __init__(self, folder: Path) -> None:
         self.written: list[Path] = []
         self.file: RecordingFile | None = None
         self._folder, self._failed, self._missed = folder, "", 0
-        self._said = Note()
+        self._note = Note()
         self._closing: list[threading.Thread] = []
-        self._broken: list[str] = []
-        self._named: set[Path] = set()
+        self._errors: list[str] = []
+        self._used_paths: set[Path] = set()
 
     def start(self, path: Path | None = None) -> None:
-        """Begin a recording.
+        """Start a recording.
 
         Args:
-            path: Path of the file; None for a new name in the folder, or in the temporary folder if that cannot be
-                written.
+            path: Path of the file; None for a new name in the folder, or in the temporary folder if the folder is not
+                writable.
 
         Raises:
             OSError: If the file cannot be written.
@@ -71,56 +68,53 @@ class SessionRecorder:
             self.file = open_recording(self._new_path(Path(tempfile.gettempdir())))
 
     def stop(self) -> None:
-        """End the recording; its file is closed in another thread."""
+        """Stop the recording; its file is closed in another thread."""
         if self.file is None:
             return
         file, self.file = self.file, None
-        self._said.say("writing the recording")
-        self._closing.append(threading.Thread(target=self._keep, args=(file,)))
+        self._note.say("writing the recording")
+        self._closing.append(threading.Thread(target=self._close, args=(file,)))
         self._closing[-1].start()
 
     def close(self) -> None:
-        """End the recording and wait for all files.
+        """Stop the recording and wait until all files are closed.
 
         Raises:
-            RecordingError: If one is not whole; all are closed.
+            RecordingError: If a file is incomplete.
         """
         self.stop()
         for thread in self._closing:
             thread.join()
-        if self._broken:
-            raise RecordingError("; ".join(self._broken))
+        if self._errors:
+            raise RecordingError("; ".join(self._errors))
 
-    def _keep(self, file: RecordingFile) -> None:
-        """Close a file and report the outcome."""
+    def _close(self, file: RecordingFile) -> None:
+        """Close a file and report the result."""
         try:
             path = file.close()
-        except RecordingError as error:  # the part before the error is on disk
-            self._broken.append(str(error))
+        except RecordingError as error:  # the part before the error is on the disk
+            self._errors.append(str(error))
             self._failed = f"RECORDING: {error}"
             return
-        self._said.say(f"wrote {path}" if path is not None else "nothing was recorded")
+        self._note.say(f"wrote {path}" if path is not None else "nothing recorded: no samples")
         if path is not None:
             self.written.append(path)
 
-    def failed(self, why: str) -> None:
-        """Set the reason of a stopped scene."""
+    def failed(self, reason: str) -> None:
+        """Record why the scene stopped."""
         if self.file is not None:
-            self.file.event("fault", why)
+            self.file.event("fault", reason)
 
     def missed(self, count: int) -> None:
-        """Set the number of ticks given up so far."""
-        more, self._missed = count - self._missed, count
-        if more and self.file is not None:
-            self.file.event("missed", f"{more} ticks were given up: too slow", more)
+        """Set the total number of skipped ticks, and record new ones."""
+        added, self._missed = count - self._missed, count
+        if added and self.file is not None:
+            self.file.event("missed", f"{added} ticks skipped: slower than real time", added)
 
     @property
     def notes(self) -> list[str]:
-        """Recording status lines for the viewer.
-
-        Success messages disappear after some seconds.
-        """
-        notes = [*filter(None, [self._failed]), *self._said.lines]
+        """Status of the recording for the viewer; messages of success expire after some seconds."""
+        notes = [*filter(None, [self._failed]), *self._note.lines]
         if self.file is None:
             return notes
         try:
@@ -130,51 +124,48 @@ class SessionRecorder:
         return [*notes, "RECORDING"]
 
     def _new_path(self, folder: Path) -> Path:
-        """Return an unused name for a recording."""
+        """Return an unused path for a recording."""
         stem = datetime.now().strftime("maglev-%Y%m%d-%H%M%S")
         path, count = folder / f"{stem}{SUFFIX}", 1
-        while path in self._named or path.exists():
+        while path in self._used_paths or path.exists():
             path, count = folder / f"{stem}-{count}{SUFFIX}", count + 1
-        self._named.add(path)
+        self._used_paths.add(path)
         return path
 
 
 def device_controller(scene: Scene) -> Controller:
-    """Return a scene's controller for a device, with gravity compensation.
-
-    Added only if the scene has no gravity.
-    """
+    """Return a scene's controller for a device, with weight compensation added if the scene has no gravity."""
     controller = scene.controller()
     if scene.start().gravity:
         return controller
     return Controller([*controller.laws, Bias(WEIGHT)], period=scene.period, velocity=scene.velocity_estimator())
 
 
-_LIFTED = 0.004  # height of a drop [m]
-_MADE = -0.1
-_BACK = 1.0  # by a key [s]
-_RENEWED = 0.1
+_DROP_HEIGHT = 0.004  # [m]
+_ENERGY_LIMIT = -0.1  # stored energy below which the scene is stopped [J]
+_REWIND_STEP = 1.0  # by a key [s]
+_CHANGE_INTERVAL = 0.1
 """Shortest real time between two changes of parameters [s]."""
 
 
 class Session:
-    """Scene running in real time, with changeable parameters.
+    """Scene running in real time, with live parameters.
 
-    After a change, plant and controller are rebuilt at the present pose and speed, so that every segment
-    between two changes is a run like any other: it can be recorded, and run again.
+    A change rebuilds plant and controller at the current pose and speed, so that each segment between two changes is a
+    complete run that can be recorded and replayed.
 
     Args:
-        scene: The first scene, or a text for `find_scene`; the joystick by default.
-        hand: The hand on the flotor; the mouse's by default.
+        scene: The first scene, or a text for `find_scene`; by default the joystick.
+        hand: The hand on the flotor; by default the mouse's.
         folder: Folder of recordings started by a key.
-        record: File to record to from the start; None for no recording until a key starts one.
+        record: File to record to from the start; None for no recording.
         pacer: Scheduler of the ticks in real time.
         publishers: Publishers to other programs; closed with the session.
-        step_force: Largest step of force by settings of other programs [N]; see `check_step`.
+        step_force: Largest force step by a change from another program [N]; see `check_step`.
 
     Attributes:
-        simulated: Simulated time so far [s].
-        recordings: Files written so far.
+        simulated: Total simulated time [s].
+        recordings: Paths of the recordings written so far.
 
     Example:
         >>> from maglev_mj import Session
@@ -197,23 +188,23 @@ class Session:
         step_force: float = STEP_FORCE,
     ) -> None:
         self._hand = hand or SpringHand.of_mouse()
-        # the mouse moves no other
+        # the mouse moves only a spring
         self.hand = self._hand if isinstance(self._hand, SpringHand) else SpringHand.of_mouse()
         self.simulated = 0.0
         self._pacer = pacer or Pacer()
         self._scene = get_scene("joystick" if scene is None else scene)
-        own = type(self._scene)
+        cls = type(self._scene)
         self._scenes = [find_scene(name) for name in BUILT_IN]
-        if own not in self._scenes:
-            self._scenes.insert(0, own)
-        self._past, self._acting = Past(), self._hand
+        if cls not in self._scenes:
+            self._scenes.insert(0, cls)
+        self._past, self._acting = RewindBuffer(), self._hand
         self._recorder = SessionRecorder(folder)
         self.recordings: Sequence[Path] = self._recorder.written
         if record is not None:
             self._recorder.start(record)
         self._paused, self._stopped, self._steps = False, "", 0
         self._time_scale = 1.0
-        self._changed, self._unchanged = False, _RENEWED
+        self._changed, self._unchanged = False, _CHANGE_INTERVAL
         self._publishers, self._ticks, self._since = Publishers(publishers), 0, 0
         self._pulses = 0
         self._step_force = number("step_force", step_force, above=0.0)
@@ -231,21 +222,21 @@ class Session:
         before = self._ticks
         self._unchanged += number("elapsed", elapsed)
         try:
-            held = not self._steps and self._unchanged < _RENEWED
+            hold = not self._steps and self._unchanged < _CHANGE_INTERVAL
             if self._past.rewound:
                 if not self._stopped and (self._steps or not self._paused):
                     self._leave_past()
-            elif self._changed and not (held or self._stopped):
+            elif self._changed and not (hold or self._stopped):
                 self._unchanged = 0.0
-                self._go_on()
+                self._rebuild()
             if self._paused or self._stopped:
                 self._pacer.forgive()
-                self._take_wanted()
+                self._apply_request()
                 while self._steps and not self._stopped:
                     self._steps -= 1
-                    self._one()
+                    self._run_tick()
             else:
-                self._pacer.advance(elapsed * self._time_scale, self._segment.scene.period, self._one)
+                self._pacer.advance(elapsed * self._time_scale, self._segment.scene.period, self._run_tick)
         except MaglevError as error:
             self._stop(str(error))
         ticks, self._steps = self._ticks - before, 0
@@ -255,8 +246,8 @@ class Session:
 
     @property
     def actions(self) -> Sequence[str]:
-        """Names of the actions of the present scene."""
-        return tuple(self._acts())
+        """Names of the actions of the current scene."""
+        return tuple(self._functions())
 
     def act(self, action: str) -> None:
         """Perform one of `actions`.
@@ -264,13 +255,13 @@ class Session:
         Raises:
             ParameterError: If there is no such action.
         """
-        acts = self._acts()
-        if action not in acts:
-            raise ParameterError(not_one_of("action", tuple(acts), action))
-        acts[action]()
+        functions = self._functions()
+        if action not in functions:
+            raise ParameterError(not_one_of("action", tuple(functions), action))
+        functions[action]()
 
-    def _acts(self) -> dict[str, Callable[[], object]]:
-        """Return what each action does; that of the scene where it shares a name with one of the session's."""
+    def _functions(self) -> dict[str, Callable[[], object]]:
+        """Return the function of each action; the scene's actions override the session's."""
         of_scene = {name: partial(self._adopt, name) for name in actions(type(self._scene))}
         of_session: dict[str, Callable[[], object]] = {
             "next scene": self._choose_next,
@@ -281,33 +272,31 @@ class Session:
             "slower": partial(self._scale, "slower"),
             "faster": partial(self._scale, "faster"),
             "record": self._record,
-            "rewind": lambda: self._show_past(self._segment.time - _BACK),
-            "go on from here": partial(self._pause, False),
-            "same hand again": partial(self._leave_past, again=True),
+            "rewind": lambda: self._show_past(self._segment.time - _REWIND_STEP),
+            "resume from here": partial(self._pause, False),
+            "repeat the hand's motion": partial(self._leave_past, again=True),
             EMERGENCY_STOP: partial(self._stop, EMERGENCY_STOP),
         }
         choices = {f"{CHOOSES}{cls.name}": partial(self._choose, cls) for cls in self._scenes}
         return of_scene | of_session | choices | of_scene
 
     def change(self, parameters: Mapping[str, Any]) -> None:
-        """Change live parameters of the scene or the session.
+        """Change live parameters of the scene, period and delay included, or of the session.
 
-        Period and delay are included.
-
-        They take effect at the next tick. Of changes within 0.1 s only the newest takes effect, after that time.
+        They take effect at the next tick, but at most every 0.1 s: of several changes in between, the newest applies.
 
         Args:
-            parameters: Values by name; `time_scale` (simulated time for each second of real time, 0.001 to 1),
-                `hand_stiffness` [N/m] and `rewind` are the session's. The last one shows, paused, the scene of so many
-                seconds before the newest sample, 0 to 60, with the parameters of then; at most all that is kept.
+            parameters: Values by name. Those of the session are `time_scale` (simulated over real time, 0.001 to 1),
+                `hand_stiffness` [N/m] and `rewind` [s]: pause, and show the scene this long before the newest sample,
+                with its parameters at that time (0 to 60; clamped to the available time).
 
         Raises:
-            ParameterError: If there is no such live parameter, or the scene refuses a value; nothing changes then.
+            ParameterError: If a live parameter is unknown, or the scene refuses a value; then nothing changes.
         """
         changes = dict(parameters)
         stiffness = number("hand_stiffness", changes.pop("hand_stiffness", self.hand.stiffness), at_least=0.0)
-        least, most = TIME_SCALES[0], TIME_SCALES[-1]
-        scale = number("time_scale", changes.pop("time_scale", self._time_scale), at_least=least, at_most=most)
+        lowest, highest = TIME_SCALES[0], TIME_SCALES[-1]
+        scale = number("time_scale", changes.pop("time_scale", self._time_scale), at_least=lowest, at_most=highest)
         back = number("rewind", changes.pop("rewind", 0.0), at_least=0.0, at_most=KEPT)
         if "rewind" in parameters:
             self._show_past(self._past.bounds(self._segment.time)[1] - back)
@@ -316,17 +305,17 @@ class Session:
         self.hand.stiffness, self._time_scale = stiffness, scale
 
     def rewind(self, time: float, *, again: bool = False) -> None:
-        """Go back to an earlier time, and go on from there.
+        """Rewind to an earlier time and resume from there, with all states and parameters of that time.
 
-        Up to a minute before now is kept, or since the last start, with every state: parameters are those of then.
+        The last minute is available, at most since the scene was last started.
 
         Args:
-            time: Time of the session, as in a snapshot [s].
-            again: True if the recorded hand acts again, up to now, before the live one; without a change of parameters
-                the motion is then the same to the last bit.
+            time: Session time, as in a snapshot [s].
+            again: True if the recorded hand acts up to the present time, then the live one; with unchanged parameters
+                the motion is bitwise the same.
 
         Raises:
-            ParameterError: If that time is not kept.
+            ParameterError: If that time is not available.
 
         Example:
             >>> from maglev_mj import Session
@@ -341,31 +330,31 @@ class Session:
             True
         """
         again = flag("again", again)
-        least, most = self._past.bounds(self._segment.time)
-        self._show_past(number("time", time, at_least=least, at_most=most))
+        earliest, newest = self._past.bounds(self._segment.time)
+        self._show_past(number("time", time, at_least=earliest, at_most=newest))
         self._leave_past(again=again)
 
     def _show_past(self, time: float) -> None:
-        """Show, paused, the scene of an earlier time [s], or of the earliest."""
-        least, most = self._past.bounds(self._segment.time)
-        self._segment = self._past.show(min(max(time, least), most), self._segment.time)
+        """Pause, and show the scene at an earlier time [s], clamped to the available range."""
+        earliest, newest = self._past.bounds(self._segment.time)
+        self._segment = self._past.show(min(max(time, earliest), newest), self._segment.time)
         self._scene, self._since = self._segment.scene, self._ticks
         self._paused, self._changed, self._stopped, self._steps = True, False, "", 0
 
     def _leave_past(self, *, again: bool = False) -> None:
-        """Go on from the time shown, by the live hand or the recorded one."""
+        """Resume from the time shown, with the live or the recorded hand."""
         rows, end = self._past.leave(self._segment.time)
         self._paused = self._steps > 0
-        self._acting = HandAgain(rows, end, lambda: self._segment.time, self._hand) if again else self._hand
+        self._acting = RepeatedHand(rows, end, lambda: self._segment.time, self._hand) if again else self._hand
         if self._scene == self._segment.scene:
             self._changed = False
             self._segment.begin(self._acting, self._recorder.file, self._ticks)
-            self._past.keep(self._segment)  # with where this part begins
+            self._past.keep(self._segment)  # includes the start of the resumed part
         else:
-            self._go_on()
+            self._rebuild()
 
     def snapshot(self) -> Snapshot:
-        """Return the snapshot of now."""
+        """Return the current snapshot."""
         segment, target = self._segment, self.hand.goal
         return Snapshot(
             scene=self._scene,
@@ -407,56 +396,53 @@ class Session:
             self._segment.plant.close()
 
     def _stop(self, reason: str) -> None:
-        """Stop until a change or a restart at the centre."""
+        """Stop until a change of parameters or a restart."""
         if self._stopped != reason:
             self._stopped = reason
             self._recorder.failed(reason)
 
-    def _one(self) -> None:
-        """Run one tick; stop an unstable scene."""
-        self._take_wanted()
+    def _run_tick(self) -> None:
+        """Run one tick; raise MaglevError if the scene is unstable."""
+        self._apply_request()
         self._segment.tick()
         self._ticks += 1
         self._pulses += self._segment.pulsed
         self.simulated += self._segment.scene.period
-        if self._segment.energy.stored < _MADE:
-            energy = -self._segment.energy.stored
-            raise MaglevError(f"the rendered world made {energy * 1e3:.0f} mJ more than it took: it is unstable")
+        if self._segment.energy.stored < _ENERGY_LIMIT:
+            source = "wall" if self._segment.controller.faces else "laws"
+            raise MaglevError(f"unstable: the {source} generated {-self._segment.energy.stored * 1e3:.0f} mJ")
         if not self._segment.ticks % self._segment.every:
             self._past.keep(self._segment)
 
-    def _take_wanted(self) -> None:
-        """Apply the parameters that another program requests.
-
-        Sample rate and delay stay the user's.
-        """
+    def _apply_request(self) -> None:
+        """Apply the parameters requested by another program, except sample period and delay."""
         if (request := self._publishers.wanted()) is None:
             return
         try:
             scene = self._scene
-            if self._stopped == EMERGENCY_STOP:  # the person goes on, no program
-                raise ParameterError("settings must wait until the scene is started again: emergency stop")
+            if self._stopped == EMERGENCY_STOP:  # only the user may restart
+                raise ParameterError("settings are refused after an emergency stop, until the user restarts the scene")
             if type(request.scene) is not type(scene):
-                raise ParameterError(f"settings must be those of {scene.name}, not of {request.scene.name}")
-            if self._changed:  # the user's changes come first
-                self._go_on()
-            wanted = changed(scene, request.scene)
-            if not self._stopped:  # otherwise it starts anew
+                raise ParameterError(f"settings must be of scene {scene.name}, not {request.scene.name}")
+            if self._changed:  # apply the user's changes first
+                self._rebuild()
+            requested = changed(scene, request.scene)
+            if not self._stopped:  # otherwise it restarts from its initial pose
                 segment = self._segment
-                check_step(segment.controller, wanted.controller(), segment.pose.tolist(), self._step_force)
+                check_step(segment.controller, requested.controller(), segment.pose.tolist(), self._step_force)
         except MaglevError as error:
             request.reply(str(error))
             return
-        self._scene = wanted
-        self._go_on()
+        self._scene = requested
+        self._rebuild()
         request.reply(self._since)
 
-    def _begin(self, pose: Sequence[float], *, going_on: bool = False) -> LiveSegment:
-        """Return a new segment, at rest or continuing the last."""
+    def _begin(self, pose: Sequence[float], *, resume: bool = False) -> LiveSegment:
+        """Return a new segment, from the scene's start or the current motion."""
         self._changed = False
         began, self._since, start = 0.0, self._ticks, self._scene.start()
         twist, wrench = start.twist, start.wrench
-        if going_on:
+        if resume:
             twist, wrench, began = self._segment.twist.tolist(), self._segment.force, self._segment.time
         segment = LiveSegment(
             self._scene,
@@ -476,7 +462,7 @@ class Session:
         """Change parameters from the next tick on.
 
         Raises:
-            MaglevError: If its controller or its timing cannot be made.
+            MaglevError: If controller or timing cannot be constructed.
         """
         with own_code_refused():
             scene = changed(self._scene, change, own=True, besides=("hand_stiffness", "time_scale", "rewind"))
@@ -486,7 +472,7 @@ class Session:
             scene.controller()
         self._scene = scene
         if self._stopped:
-            self._go_on()
+            self._rebuild()
         else:
             self._changed = True
 
@@ -497,8 +483,8 @@ class Session:
         """Run one tick while paused."""
         self._paused, self._steps = True, self._steps + 1
 
-    def _scale(self, sense: str) -> None:
-        self._time_scale = next_scale(self._time_scale, sense)
+    def _scale(self, action: str) -> None:
+        self._time_scale = next_scale(self._time_scale, action)
 
     def _choose(self, cls: type[Scene]) -> None:
         """Start another scene."""
@@ -509,27 +495,27 @@ class Session:
         self._choose(self._scenes[(self._scenes.index(type(self._scene)) + 1) % len(self._scenes)])
 
     def _drop(self) -> None:
-        """Let go of the flotor, with its weight, above the centre."""
+        """Restart above the centre without weight compensation."""
         pose = self._scene.start().pose
         if "weightless" in settable(self._scene):
             self._scene = self._scene.replace(weightless=False)
-        self._restart((*pose[:2], _LIFTED, *pose[3:]))
+        self._restart((*pose[:2], _DROP_HEIGHT, *pose[3:]))
 
     def _centre(self) -> None:
-        """Start again, with the default gravity compensation."""
+        """Restart with the default weight compensation."""
         if "weightless" in settable(self._scene):
             self._scene = self._scene.replace(weightless=self._scene.parameter("weightless").default)
         self._restart()
 
-    def _go_on(self) -> None:
-        """Rebuild plant and controller in the present state, or restart."""
+    def _rebuild(self) -> None:
+        """Rebuild plant and controller in the current state, or restart a stopped scene."""
         if self._stopped:
             self._restart()
-        elif not self._past.rewound:  # otherwise when it goes on
-            self._segment = self._begin(self._segment.pose.tolist(), going_on=True)
+        elif not self._past.rewound:  # otherwise when it resumes
+            self._segment = self._begin(self._segment.pose.tolist(), resume=True)
 
     def _restart(self, pose: Sequence[float] | None = None) -> None:
-        """Start the scene anew, at its own pose by default [m, rad]."""
+        """Restart the scene at a pose [m, rad], by default its initial pose."""
         pose = self._scene.start().pose if pose is None else pose
         self._past.clear()
         self._acting = self._hand
@@ -538,10 +524,10 @@ class Session:
         self._pacer.forgive()
 
     def _record(self) -> None:
-        """Start or end recording."""
+        """Start or stop recording."""
         if self._recorder.file is None:
             self._recorder.start()
         else:
             self._recorder.stop()
         if not self._stopped:
-            self._go_on()
+            self._rebuild()

@@ -1,4 +1,4 @@
-"""Snapshots of a scene and their publishers."""
+"""Snapshots of a running scene, and their publishers."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from maglev_mj.scenes import Scene
 from maglev_mj.session.pacing import Due
 
 SHOWN = 2.0
-"""Time that a history covers [s]."""
+"""Time span of a history [s]."""
 
-_COLUMNS, _LEAST_ROWS, _MOST_ROWS = 25, 512, 250_000
+_COLUMNS, _MIN_ROWS, _MAX_ROWS = 25, 512, 250_000
 _NAN = float("nan")
 
 _Six: TypeAlias = Sequence[float] | Array
@@ -32,14 +32,14 @@ def _zeros() -> Array:
 class TourLine(NamedTuple):
     """Step of a guided tour.
 
-    Names in braces, such as {stiffness up}, are actions, and {hand} is the hand's way to pull.
+    Names in braces, such as {stiffness up}, are actions; {hand} is how to pull in this viewer.
 
     Attributes:
         number: Number of the step, from 1.
         total: Number of steps.
         text: Explanation.
         deed: Task of the user.
-        done: True if it was done.
+        done: True if the task is done.
     """
 
     number: int
@@ -49,13 +49,13 @@ class TourLine(NamedTuple):
     done: bool
 
     def words(self, name: Callable[[str], str]) -> tuple[str, str]:
-        """Return text and deed with a viewer's own names.
+        """Return text and task with the names in braces replaced.
 
         Args:
-            name: Function that returns the viewer's name of an entry in braces.
+            name: Function that returns the viewer's name of an action or the hand.
         """
-        text, deed = (re.sub(r"\{(.*?)\}", lambda match: name(match[1]), part) for part in (self.text, self.deed))
-        return text, deed
+        text, task = (re.sub(r"\{(.*?)\}", lambda match: name(match[1]), part) for part in (self.text, self.deed))
+        return text, task
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,40 +65,40 @@ class Snapshot:
     The defaults are those of a scene before its start.
 
     Attributes:
-        scene: The scene with its present parameters.
-        since: First sample answered with them.
-        delay: Time from a sample to its command's effect [s]; the median of the last 100 if measured.
+        scene: The scene with its current parameters.
+        since: Number of the first sample with these parameters.
+        delay: Delay from a sample to its command's effect [s]; if measured, the median of the last 100.
         inertia: Mass and moments of inertia of the flotor [kg, kg m²], (6,); None for the scene's own.
-        tick: Samples answered so far.
-        time: Time of the session [s].
+        tick: Number of ticks so far.
+        time: Session time [s].
         pose: Pose of the flotor [m, rad], (6,).
         force: Held wrench of the device, limited, without pulses and weight compensation [N, N m], (6,).
         hand: Wrench of the hand [N, N m], (6,); zeros if not measured.
-        hand_estimated: True if that is a device's estimate.
+        hand_estimated: True if `hand` is an estimate, as on a device.
         stops: Wrench of the metal stops [N, N m], (6,); zeros if not measured.
-        target: Pose of the hand's spring [m, rad]; None if released, or if it follows a path.
+        target: Target pose of the hand's spring [m, rad]; None if released or following a path.
         hand_stiffness: Stiffness of that spring [N/m].
         currents: Currents in the coils [A], (6,).
-        faces: Every wall: index into AXES, normal, edge.
+        faces: Planes of all walls: index into AXES, normal, edge.
         anchors: Stick positions [m, rad], (6,), NaN on axes that do not stick; None without friction.
         history: Latest samples, (N, 25): time, then pose, twist, wrench of the device and of the hand, six each.
         work: Work of the hand [J]; NaN if unknown.
-        taken: Energy absorbed by the rendered world [J]; NaN if not known.
-        rewound: How long before the newest sample the scene is shown [s]; None if it cannot be rewound.
-        first: Time and pose of the first try beside a second one, (N, 7), over the time shown; empty for none.
-        pulses: Braking pulses given so far.
+        taken: Energy absorbed by the control laws [J]; NaN if unknown.
+        rewound: Time shown before the newest sample [s]; None if rewinding is not available.
+        first: Time and pose of the original run after a rewind, (N, 7), within the displayed time; else empty.
+        pulses: Number of braking pulses so far.
         cost: Computing time of a tick [s].
-        missed: Ticks given up, or samples that did not arrive.
-        late: True if ticks are being given up: this machine cannot keep up.
-        time_scale: Simulated time for each second of real time.
-        duration: Length of a recording [s]; None for a running scene.
+        missed: Number of skipped ticks and lost samples.
+        late: True while ticks are skipped because this machine is too slow.
+        time_scale: Simulated time over real time.
+        duration: Duration of a recording [s]; None for a running scene.
         marks: Times of a recording's events [s].
         actions: Names of the actions for `act`.
         state: "running", "paused", "stopped" or "flying".
-        reason: Reason of the stop; empty otherwise.
-        remedy: Advice to restart after a stop without such an action; empty otherwise.
+        reason: Reason of the stop, or empty.
+        remedy: How to restart after a stop if no action does, or empty.
         notes: Messages for the user.
-        tour: Present step of a guided tour; None for no tour.
+        tour: Current step of a guided tour, or None.
     """
 
     scene: Scene
@@ -138,7 +138,7 @@ class Snapshot:
 
     @property
     def ghost(self) -> Array | None:
-        """Pose of the first try, else where friction sticks [m, rad], (6,); None for neither."""
+        """Pose of the original run after a rewind, else the stick position [m, rad], (6,), or None."""
         if len(self.first):
             return np.array(self.first[-1, 1:])
         if self.anchors is None or np.isnan(self.anchors).all():
@@ -153,7 +153,7 @@ class SnapshotSource(Protocol):
     simulated: float
 
     def tick(self, elapsed: float) -> int:
-        """Advance by real time [s]; return the number of ticks."""
+        """Advance by elapsed real time [s]; return the number of ticks."""
 
     def act(self, action: str) -> None:
         """Perform one of a snapshot's actions."""
@@ -162,11 +162,11 @@ class SnapshotSource(Protocol):
         """Change parameters by name.
 
         Raises:
-            ParameterError: If there is no such parameter, or a value is refused.
+            ParameterError: If a parameter is unknown, or a value is refused.
         """
 
     def snapshot(self) -> Snapshot:
-        """Return the snapshot of now."""
+        """Return the current snapshot."""
 
     def close(self) -> None:
         """Close the recording."""
@@ -176,7 +176,7 @@ class History:
     """Samples of the last seconds, at most 250 000; returned rows never change.
 
     Args:
-        span: Time that they cover [s].
+        span: Time span [s].
     """
 
     def __init__(self, span: float = SHOWN) -> None:
@@ -185,34 +185,31 @@ class History:
 
     def clear(self) -> None:
         """Discard all samples."""
-        self._rows, self._end = np.empty((_LEAST_ROWS, _COLUMNS)), 0
+        self._rows, self._end = np.empty((_MIN_ROWS, _COLUMNS)), 0
 
     def add(self, time: float, pose: _Six, twist: _Six, force: _Six, hand: _Six) -> None:
-        """Add a sample.
-
-        Time, then pose, twist, wrench of the device and of the hand, six each.
-        """
+        """Add a sample: time, and pose, twist, wrench of the device and of the hand, six components each."""
         if self._end == len(self._rows):
-            self._make_room(1)
+            self._grow(1)
         row = self._rows[self._end]
         row[0], row[1:7], row[7:13], row[13:19], row[19:] = time, pose, twist, force, hand
         self._end += 1
 
     def replace(self, rows: Array) -> None:
-        """Take rows in place of all samples; they are not written over."""
+        """Replace all samples by rows, which are not overwritten."""
         self._rows, self._end = rows, len(rows)
 
     def extend(self, rows: Array) -> None:
         """Add samples in the format of `rows`, (N, 25)."""
         if self._end + len(rows) > len(self._rows):
-            self._make_room(len(rows))
+            self._grow(len(rows))
         self._rows[self._end : self._end + len(rows)] = rows
         self._end += len(rows)
 
-    def _make_room(self, count: int) -> None:
-        kept = self.rows
-        self._rows, self._end = np.empty((2 * (len(kept) + count) + _LEAST_ROWS, _COLUMNS)), len(kept)
-        self._rows[: self._end] = kept
+    def _grow(self, count: int) -> None:
+        current = self.rows
+        self._rows, self._end = np.empty((2 * (len(current) + count) + _MIN_ROWS, _COLUMNS)), len(current)
+        self._rows[: self._end] = current
 
     @property
     def rows(self) -> Array:
@@ -220,13 +217,13 @@ class History:
         return self.last(self._span)
 
     def last(self, span: float) -> Array:
-        """Return the samples of the last seconds, (N, 25)."""
-        rows = self._rows[max(self._end - _MOST_ROWS, 0) : self._end]
+        """Return the samples of the last `span` seconds, (N, 25)."""
+        rows = self._rows[max(self._end - _MAX_ROWS, 0) : self._end]
         return rows[np.searchsorted(rows[:, 0], rows[-1, 0] - span) :] if len(rows) else rows
 
 
 class SampledMotion:
-    """Speed and hand work derived from samples alone.
+    """Speed and work of the hand, computed from samples.
 
     Attributes:
         history: Samples of the last two seconds.
@@ -238,17 +235,14 @@ class SampledMotion:
 
     @property
     def work(self) -> float:
-        """Work of the hand [J].
-
-        Its force is taken as constant from sample to sample.
-        """
+        """Work of the hand [J], with a constant force between samples."""
         return self._hand.total
 
     def add(self, time: float, pose: Array, force: Array, hand: Sequence[float]) -> None:
         """Add a sample.
 
         Args:
-            time: Time of the sample [s], later than the last.
+            time: Time of the sample [s], after the previous one.
             pose: Pose [m, rad], (6,).
             force: Wrench of the device without weight compensation [N, N m], (6,).
             hand: Wrench of the hand [N, N m], six.
@@ -264,27 +258,25 @@ class ChangeRequest(NamedTuple):
 
     Attributes:
         scene: The scene.
-        reply: Called once by the loop, with the first sample under it or the reason of its refusal.
+        reply: Function called once, with the number of the first sample under the scene, or the reason for refusal.
     """
 
     scene: Scene
     reply: Callable[[int | str], object] = lambda since: None
 
 
-REPLACED = "replaced by a newer request before it was in force"
-"""Reply to a request that a newer one has overtaken."""
+REPLACED = "replaced by a newer request before it took effect"
+"""Reply to a request superseded by a newer one."""
 
 
 class Publisher(Protocol):
-    """Interface of a publisher to other programs.
+    """Interface of a publisher to other programs; non-blocking, as it is called in the control loop.
 
-    It never waits, because it is called in the control loop.
-
-    Its `note`, if any, is shown to the user.
+    Its optional attribute `note` is shown to the user.
     """
 
     def take(self) -> ChangeRequest | None:
-        """Return a program's request once, else None."""
+        """Return a pending request of another program once, or None."""
 
     def show(self, snapshot: Snapshot) -> None:
         """Publish a snapshot."""
@@ -294,11 +286,11 @@ class Publisher(Protocol):
 
 
 class Publishers:
-    """Group of publishers, served 60 times a second.
+    """Group of publishers, served at 60 Hz.
 
     Args:
         publishers: The publishers; may be empty.
-        clock: Clock of real time [s].
+        clock: Real-time clock [s].
     """
 
     def __init__(self, publishers: Sequence[Publisher] = (), clock: Callable[[], float] = time.monotonic) -> None:
@@ -308,12 +300,12 @@ class Publishers:
         return bool(self._publishers)
 
     def show(self, snapshot: Callable[[], Snapshot]) -> None:
-        """Make and publish a snapshot if one is due."""
+        """Take and publish a snapshot if one is due."""
         if not self._publishers or not self._due():
             return
-        present = snapshot()
+        current = snapshot()
         for publisher in self._publishers:
-            publisher.show(present)
+            publisher.show(current)
 
     @property
     def notes(self) -> list[str]:
@@ -321,7 +313,7 @@ class Publishers:
         return [note for publisher in self._publishers if (note := getattr(publisher, "note", ""))]
 
     def wanted(self) -> ChangeRequest | None:
-        """Return a program's request once, else None."""
+        """Return a pending request of another program once, or None."""
         return next(filter(None, (publisher.take() for publisher in self._publishers)), None)
 
     def close(self) -> None:

@@ -50,7 +50,7 @@ def test_a_setup_that_is_not_known_is_refused() -> None:
     for refuse in (lambda: verify(unknown, rebuild), lambda: Replay(unknown)):
         with pytest.raises(RecordingError, match="cannot rebuild the recorded setup"):
             refuse()
-    with pytest.raises(RecordingError, match="nothing in the recording"):
+    with pytest.raises(RecordingError, match="the recording has no samples"):
         Replay(Recording([]))
 
 
@@ -120,7 +120,7 @@ def test_each_gap_of_a_slow_session_is_its_own_ticks(tmp_path: Path) -> None:
     recording = Recording.load(tmp_path / "run.maglev")
     (segment,) = recording.segments
     assert list(segment.gaps) == [(1, 9), (2, 5), (3, 9)]
-    assert list(recording.events) == [f"missed: {count} ticks were given up: too slow" for count in (9, 5, 9)]
+    assert list(recording.events) == [f"missed: {count} ticks skipped: slower than real time" for count in (9, 5, 9)]
 
 
 def test_a_recorded_run_is_the_run_of_the_table(

@@ -1,4 +1,4 @@
-"""Rewound sessions: the last minute, the same hand again, the first try beside it."""
+"""Rewound sessions: the last minute, the repeated hand, the first try beside it."""
 
 import threading
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from maglev_mj.scenes.drop import Drop
 from maglev_mj.scenes.interactive import Joystick
 from maglev_mj.session import EMERGENCY_STOP, KEPT, Pacer, Session, live_plant
 from maglev_mj.session.replay import OwnCode, Replay, rebuild, rebuild_for, stick_positions_of
-from maglev_mj.session.segment import _MOST_STATES
+from maglev_mj.session.segment import _MAX_STATES
 from maglev_mj.theory import largest_stable_stiffness
 from maglev_mj.views.readings import Charts
 from maglev_mj.views.viewer_process import RemoteViewer
@@ -129,7 +129,7 @@ def test_the_same_hand_again_moves_it_alike_to_the_last_bit(make: type[Scene], p
             session.change({"delay": 0.0012})
             session.tick(0.1)
             session.change({"delay": make(period=period).delay})
-            session.act("same hand again")
+            session.act("repeat the hand's motion")
         run_to(session, end)
         assert rows(session).tobytes() == first.tobytes()
         now = session.snapshot()
@@ -143,7 +143,7 @@ def test_a_changed_gain_gives_the_run_from_the_same_state(again: bool) -> None:
     session.change({"rewind": end - 0.6})
     session.change({"stiffness": 3000.0})
     shown, wrench = session.snapshot(), session._segment.force
-    session.act("same hand again" if again else "go on from here")
+    session.act("repeat the hand's motion" if again else "resume from here")
     run_to(session, end)
     segment = session._segment
     efforts = first[120:, 19:] if again else np.zeros((80, 6))
@@ -199,7 +199,7 @@ def test_no_more_than_a_minute_is_kept_whatever_is_changed(kept: float, monkeypa
     for stiffness in range(200):
         session.change({"stiffness": 3000.0 + stiffness})
         session.tick(kept / 300.0)
-    assert len(past._states) == _MOST_STATES
+    assert len(past._states) == _MAX_STATES
     assert len(rows(session)) <= most + 1 and len(past.history._rows) <= 2 * most + 1024
     least, now = past.bounds(session.snapshot().time)
     session.change({"rewind": kept})
@@ -301,7 +301,7 @@ def test_a_recording_goes_on_and_loses_nothing(tmp_path: Path) -> None:
         lost = Recording(segments)  # with nothing that it goes on from
         with pytest.raises(OwnCodeError, match="from a sample that is not in the recording"):
             verify(lost, partial(rebuild, own=OwnCode("joystick", lost)))
-    for broken, said in (("no", "a message must have after"), ({"first": 0.5, "after": None}, "first must be")):
+    for broken, said in (("no", "after is missing in a message"), ({"first": 0.5, "after": None}, "first must be")):
         with pytest.raises(ParameterError, match=said):
             Recording([replace(first, setup={**first.setup, "session": broken})])
 
@@ -313,7 +313,7 @@ def test_a_rewind_that_is_refused_says_why() -> None:
         (lambda: session.rewind(-0.1), "time must be .* at least 0"),
         (lambda: session.rewind(0.5, again="yes"), "again must be"),  # type: ignore[arg-type]
         (lambda: session.change({"rewind": 61.0}), "rewind must be .* at most 60, not 61"),
-        (lambda: session.act("same hand again"), "same hand acts again after a rewind alone"),
+        (lambda: session.act("repeat the hand's motion"), "motion can only be repeated after a rewind"),
     ]
     for ask, said in refused:
         with pytest.raises(ParameterError, match=said):
@@ -324,7 +324,7 @@ def test_an_unstable_scene_is_rewound_and_an_emergency_stop_stays() -> None:
     limit = float(largest_stable_stiffness(87.0, period=0.005, delay=0.0015))
     session = made(Drop(pulse=0.0, stiffness=1.5 * limit, damping=87.0))
     session.tick(8.0)
-    assert session.snapshot().reason.startswith("the rendered world made")
+    assert session.snapshot().reason.startswith("unstable: ")
     session.act("rewind")
     assert (session.snapshot().state, session.snapshot().reason) == ("paused", "")
     session.change({"stiffness": 0.5 * limit})
@@ -334,7 +334,7 @@ def test_an_unstable_scene_is_rewound_and_an_emergency_stop_stays() -> None:
     session.act("rewind")
     session.change({"damping": 80.0})
     session.act(EMERGENCY_STOP)
-    session.act("go on from here")
+    session.act("resume from here")
     assert session.tick(0.5) == 0 and session.snapshot().reason == EMERGENCY_STOP
     session.act("centre")
     assert session.tick(0.1) == 20 and session.snapshot().rewound == 0.0

@@ -198,7 +198,7 @@ ACTS: dict[str, Callable[[Snapshot, Snapshot], bool]] = {
     "faster": of_session(time_scale=1.0),
     "record": of_session(notes=["RECORDING"]),
     "rewind": of_session(state="paused", rewound=1.0),
-    "go on from here": of_session(state="running", rewound=0.0, tick=41),
+    "resume from here": of_session(state="running", rewound=0.0, tick=41),
     "emergency stop": of_session(state="stopped", reason="emergency stop"),
     **{f"scene {name}": starts(name) for name in BUILT_IN},
 }
@@ -209,11 +209,11 @@ def test_every_action_does_its_task(tmp_path: Path) -> None:
     for action, done in ACTS.items():
         session = after(made(folder=tmp_path), 1.2 if "rewind" in action else 0.2)
         session.change({"time_scale": 0.5})
-        if action == "go on from here":
+        if action == "resume from here":
             session.act("pause")
         before = session.snapshot()
         session.act(action)
-        if action in ("step", "go on from here"):
+        if action in ("step", "resume from here"):
             session.tick(0.01)
         assert done(before, session.snapshot()), action
         session.close()
@@ -221,11 +221,11 @@ def test_every_action_does_its_task(tmp_path: Path) -> None:
 
 def test_the_same_hand_acts_again_after_a_rewind_and_no_action_is_unknown() -> None:
     session = after(made(), 1.2)
-    assert {*session.actions} == {*ACTS, "same hand again"}
+    assert {*session.actions} == {*ACTS, "repeat the hand's motion"}
     with pytest.raises(ParameterError, match=r"one of rate up, .* emergency stop, .*, scene press, .*not 'jump'"):
         session.act("jump")
     session.act("rewind")
-    session.act("same hand again")
+    session.act("repeat the hand's motion")
     assert session.snapshot().state == "running" and session.snapshot().time == pytest.approx(0.2)
 
 
@@ -260,7 +260,7 @@ def test_a_wall_that_is_unstable_is_stopped_and_restored_by_one_key(share: float
     limit = float(largest_stable_stiffness(87.0, period=0.005, delay=0.0015))
     session = after(made(Drop(pulse=0.0, stiffness=share * limit, damping=87.0)), 8.0 if stops else 1.0)
     note = session.snapshot().reason
-    assert note.startswith("the rendered world made") == stops
+    assert note.startswith("unstable: the wall generated ") == stops
     assert (session.tick(1.0) == 0) == stops
     session.act("centre")
     assert session.snapshot().state == "running"
@@ -431,4 +431,4 @@ def test_what_a_program_asks_of_the_scene_before_is_not_done() -> None:
     late.wanted = find_scene("box")().replace(stiffness=3000.0, period=0.001)
     after(session, 0.1)
     assert session.snapshot().scene == find_scene("box")().replace(stiffness=3000.0)
-    assert late.answers == ["settings must be those of box, not of joystick", session.snapshot().since]
+    assert late.answers == ["settings must be of scene box, not joystick", session.snapshot().since]

@@ -51,7 +51,7 @@ def test_changes_in_quick_succession_act_together() -> None:
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"stiffnes": 1.0}, "must be of period, delay, .*stiffness.*, not stiffnes"),
+        ({"stiffnes": 1.0}, "must be among period, delay, .*stiffness.*, not stiffnes"),
         ({"stiffness": -1.0}, "stiffness must be"),
         ({"time_scale": 0.0}, "time_scale must be .* at least 0.001 and at most 1, not 0.0"),
         ({"hand_stiffness": -1.0, "damping": 20.0}, "hand_stiffness must be"),
@@ -70,9 +70,9 @@ def test_a_change_that_is_refused_changes_nothing(given: dict[str, Any], said: s
 @pytest.mark.parametrize(
     ("given", "reason"),
     [
-        ({"period": 0.001}, "period is the device's, or the person's at the machine; a program cannot set it"),
-        ({"delay": 0.0}, "delay is the device's, or the person's at the machine; a program cannot set it"),
-        ({"stifness": 5.0, "scene": 1}, "parameters must be of wall, pulse, .*, walls, not scene, stifness"),
+        ({"period": 0.001}, "period is set by the device or the local user; other programs cannot change it"),
+        ({"delay": 0.0}, "delay is set by the device or the local user; other programs cannot change it"),
+        ({"stifness": 5.0, "scene": 1}, "parameters must be among wall, pulse, .*, walls, not scene, stifness"),
         ({"damping": 10**400}, "damping must be a finite number at least 0 and at most 10000, not 1000"),
         ({"walls": b"z"}, "a wall must be an axis, a normal and an edge, not 122"),
     ],

@@ -111,7 +111,7 @@ class SessionStates(RuleBasedStateMachine):
         self.ticks += made
         self.recorded += made if self.recording else 0
         if after.reason and not self.stopped:  # an unstable scene stops by itself
-            assert after.reason.startswith("the rendered world made")
+            assert after.reason.startswith("unstable: ")
             self.stopped = after.reason
         elif self.stopped:
             assert made == 0 and (after.pose == before.pose).all()
@@ -184,7 +184,7 @@ class SessionStates(RuleBasedStateMachine):
         self.scene, self.stopped, self.steps, self.paused = shown.scene, "", 0, True
         self.due = self.session.simulated
         if again:
-            self.session.act("same hand again")
+            self.session.act("repeat the hand's motion")
             self.paused = False
 
     @rule(action=st.sampled_from(["centre", "drop", "next scene", *(f"scene {name}" for name in BUILT_IN)]))
@@ -230,7 +230,7 @@ class SessionStates(RuleBasedStateMachine):
             if self.stopped and self.session.snapshot().state != "stopped":
                 self.restarted(self.scene)
         elif self.stopped == EMERGENCY_STOP:
-            assert answer == "settings must wait until the scene is started again: emergency stop"
+            assert answer == "settings are refused after an emergency stop, until the user restarts the scene"
 
     @invariant()
     def is_as_it_should_be(self) -> None:

@@ -71,10 +71,10 @@ def press(action: str, times: int = 1) -> Callable[[User], None]:
     return lambda user: user.press(action, times)
 
 
-def then(*deeds: Callable[[User], None]) -> Callable[[User], None]:
+def then(*tasks: Callable[[User], None]) -> Callable[[User], None]:
     def do(user: User) -> None:
-        for deed in deeds:
-            deed(user)
+        for task in tasks:
+            task(user)
 
     return do
 
@@ -126,10 +126,10 @@ COSTLY = {"a twist in the wall", "no wall", "to the wall", "tapping", "unstable 
 
 
 @pytest.mark.parametrize("name", [*sorted(WRONG.keys() - COSTLY), *further(*sorted(COSTLY))])
-def test_a_step_is_not_done_by_another_deed(name: str) -> None:
-    step, deed = WRONG[name]
+def test_a_step_is_not_done_by_another_action(name: str) -> None:
+    step, task = WRONG[name]
     user = User(step)
-    deed(user)
+    task(user)
     user.release(0.2)
     assert (user.line.number, user.line.done) == (step, False)
 
@@ -184,17 +184,17 @@ def test_a_step_goes_on_after_the_scene_was_started_again() -> None:
 
 
 def test_the_whole_tour_is_done_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("maglev_mj.session.tour._SHOWN", 1.0)
+    monkeypatch.setattr("maglev_mj.session.tour._PAUSE", 1.0)
     user = User(1)
-    for step, deed in RIGHT.items():
+    for step, task in RIGHT.items():
         assert user.line.number == step and not user.line.done
-        deed(user)
+        task(user)
         assert user.line.done, user.line
         user.tour.hand.target = None
         for _ in range(round(1.1 / TICK)):
             user.tour.tick(TICK)
         assert user.tour.snapshot().state == "running"
-    assert user.line.deed.startswith("Done. That was the tour")
+    assert user.line.deed.startswith("Done. This completes the tour")
 
 
 def test_steps_are_left_by_keys_in_both_directions_and_begin_with_their_own_parameters() -> None:
@@ -233,7 +233,7 @@ def test_a_scene_that_made_energy_starts_again_by_itself() -> None:
         user.tour.tick(TICK)
         if user.tour.snapshot().state == "stopped":
             break
-    assert "made energy" in user.line.deed and not user.line.done
+    assert "was stopped" in user.line.deed and not user.line.done
     user.tour.hand.target = None
     for _ in range(round(2.2 / TICK)):
         user.tour.tick(TICK)

@@ -91,7 +91,7 @@ def test_no_element_covers_another_or_the_handle(scale: int) -> None:
             assert len(layout.plots) >= 3 and arranged(view, scale).handle.height >= 0.5 * view.height
 
 
-STOPPED = {"state": "stopped", "reason": "the rendered world made 100 mJ more than it took: it is unstable"}
+STOPPED = {"state": "stopped", "reason": "unstable: the wall generated 100 mJ"}
 TOURED = {"tour": TourLine(1, 8, "a text that is as long as the texts of the tour are", "a deed", False)}
 BUSY = {"hand": np.full(6, 12.3), "work": 9.8765, "taken": 9.8765, "cost": 0.012345, "missed": 98765}
 OFF = {"scene": Joystick(wall=False, pulse=False)}
