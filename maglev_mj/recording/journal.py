@@ -295,13 +295,13 @@ class JournalContent(NamedTuple):
         header: Entries of the header.
         records: All complete records, a read-only memory map (N,).
         kinds: Kind of each record, (N,).
-        rest: Bytes of an incomplete record at the end.
+        remainder: Bytes of an incomplete record at the end.
     """
 
     header: Mapping[str, Any]
     records: NDArray[Any]
     kinds: NDArray[np.uint32]
-    rest: int
+    remainder: int
 
     def ends(self, first: int, last: int) -> bool:
         """Return True if the last message of these records is the end record."""
@@ -379,9 +379,9 @@ def open_journal(path: Path) -> JournalContent:
     if offset != len(line):
         raise ParameterError(f"offset must be the header's length, {len(line)} bytes")
     kind = _dtype(value_in(entries, "dtype", dict))
-    count, rest = divmod(size - offset, kind.itemsize)
+    count, remainder = divmod(size - offset, kind.itemsize)
     records = np.memmap(path, kind, "r", offset, (count,)) if count else np.empty(0, kind)
-    return JournalContent(entries, records, np.array(records["kind"]), rest)
+    return JournalContent(entries, records, np.array(records["kind"]), remainder)
 
 
 def _reason_no_journal(start: bytes) -> str:

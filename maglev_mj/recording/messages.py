@@ -118,8 +118,8 @@ class Messages:
         plates = [plate for plate in map(wall_plate, metadata.faces) if plate]
         walls = [Shape(False, "box", half, centre, _UPRIGHT, _WALL) for centre, half in plates]
         self._stick = None
-        rest = {name: part for name, part in setup.items() if name != "run"}
-        self._send(self._segment_channel, {"segment": self._segment, "setup": rest, **run})
+        construction = {name: part for name, part in setup.items() if name != "run"}
+        self._send(self._segment_channel, {"segment": self._segment, "setup": construction, **run})
         self._draw(self._shapes, [*self._device, ("stator", "walls", _primitives(walls))])
         self._log_text(messages.LogLevel.Info, f"segment {self._segment + 1}: {metadata.name or setup.get('kind', '')}")
 

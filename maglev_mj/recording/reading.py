@@ -157,7 +157,7 @@ class Content:
         if not self._closed:
             end = f"readable up to {self._time:.1f} s" if self.segments else "no samples"
             self.damage = f"incomplete (not closed): {end}"
-        elif len(journal.records) - last + bool(journal.rest) > 1:  # its checksum may be truncated
+        elif len(journal.records) - last + bool(journal.remainder) > 1:  # its checksum may be truncated
             self.damage = "data after the end record"
 
     def _take(self, journal: JournalContent, first: int, last: int) -> None:

@@ -24,7 +24,7 @@ from maglev_mj.recording.journal import InvalidRecordingError
 from maglev_mj.recording.sample import RecordedPlant, RunMetadata, Setup, check_setup, value_in
 from maglev_mj.versions import file_of, hash_of
 
-Own: TypeAlias = Callable[[str], Any]
+CodeLoader: TypeAlias = Callable[[str], Any]
 """Loader of a user's class or function by its reference FILE:NAME@HASH; executes the source."""
 
 _SLOTS: Mapping[str, tuple[type, ...]] = {
@@ -187,7 +187,7 @@ def scripted(setup: Setup) -> bool:
     return isinstance(plant, dict) and not isinstance(plant.get("hand_force"), str)
 
 
-def rebuild_controller(setup: Setup, own: Own | None = None) -> Controller:
+def rebuild_controller(setup: Setup, own: CodeLoader | None = None) -> Controller:
     """Rebuild the controller of a setup.
 
     Args:
@@ -301,7 +301,7 @@ def _value(slot: str, value: Any) -> Any:
     return description
 
 
-def _object(slot: str, description: Any, own: Own | None, extra: Mapping[str, Any] | None = None) -> Any:
+def _object(slot: str, description: Any, own: CodeLoader | None, extra: Mapping[str, Any] | None = None) -> Any:
     """Return the object or number of a JSON description.
 
     Args:
@@ -333,7 +333,7 @@ def _object(slot: str, description: Any, own: Own | None, extra: Mapping[str, An
     return _INFINITE.get(description, description) if isinstance(description, str) else description
 
 
-def _user_defined(slot: str, name: str, own: Own | None) -> Any:
+def _user_defined(slot: str, name: str, own: CodeLoader | None) -> Any:
     """Return a user-defined class or function.
 
     Raises:

@@ -84,7 +84,7 @@ class Pacer:
         clock: Real-time clock [s].
 
     Attributes:
-        owed: Backlog, real time not simulated yet [s].
+        backlog: Real time not simulated yet [s].
         missed: Total number of skipped ticks.
         late: True if ticks were skipped in the last frame.
         cost: Computing time per tick in the last frame with ticks [s].
@@ -96,7 +96,7 @@ class Pacer:
         self.budget = number("budget", budget, above=0.0)
         self.patience = number("patience", patience, at_least=0.0)
         self._clock = clock
-        self.owed, self.missed, self.late, self.cost = 0.0, 0, False, 0.0
+        self.backlog, self.missed, self.late, self.cost = 0.0, 0, False, 0.0
 
     def advance(self, elapsed: float, period: float, tick: Callable[[], object]) -> int:
         """Run the ticks that are due.
@@ -109,27 +109,27 @@ class Pacer:
         Returns:
             Number of ticks run.
         """
-        self.owed += elapsed
+        self.backlog += elapsed
         start, ticks = self._clock(), 0
         threshold = period * (1.0 - _ROUNDING)
-        while self.owed >= threshold:
+        while self.backlog >= threshold:
             tick()
             ticks += 1
-            self.owed -= period
+            self.backlog -= period
             if self._clock() - start >= self.budget:
                 break
         if ticks:
             self.cost = (self._clock() - start) / ticks
-        skipped = int((self.owed - self.patience) / period + _ROUNDING)
+        skipped = int((self.backlog - self.patience) / period + _ROUNDING)
         self.late = skipped > 0
         if self.late:
             self.missed += skipped
-            self.owed -= skipped * period
+            self.backlog -= skipped * period
         return ticks
 
-    def forgive(self) -> None:
+    def clear_backlog(self) -> None:
         """Clear the backlog, for example after a pause."""
-        self.owed, self.late = 0.0, False
+        self.backlog, self.late = 0.0, False
 
 
 class Note:

@@ -200,7 +200,7 @@ def unmade_plant(segment: Segment, own: OwnCode | None = None) -> str:
         own: User code allowed to run.
     """
     plant = segment.whole.setup.get("plant")
-    is_twin = segment.setup["kind"] == "device" and not isinstance(shown_scene(segment, own), _Unknown)
+    is_twin = segment.setup["kind"] == "device" and not isinstance(displayed_scene(segment, own), _Unknown)
     return plant if isinstance(plant, str) and not is_twin else ""
 
 
@@ -300,7 +300,7 @@ def recorded_to(path: Path | str, written: list[Path], *, quiet: bool = False) -
             written.append(closed)
 
 
-def shown_scene(segment: Segment, own: OwnCode | None = None) -> Scene:
+def displayed_scene(segment: Segment, own: OwnCode | None = None) -> Scene:
     """Return the scene of a segment for display, or a placeholder if it is not available.
 
     Args:
@@ -315,17 +315,17 @@ def shown_scene(segment: Segment, own: OwnCode | None = None) -> Scene:
         return _Unknown(period=metadata.period, delay=metadata.delay, axis=metadata.axis)
 
 
-def stick_positions(segment: Segment, again: Rebuild | None = rebuild) -> Iterator[Array]:
+def stick_positions(segment: Segment, rebuild_run: Rebuild | None = rebuild) -> Iterator[Array]:
     """Yield the controller's stick positions at each sample of a run [m, rad], (6,); nothing without friction.
 
     Args:
         segment: A segment of the run; samples that precede it are included.
-        again: Function that makes plant and controller from a setup and a hand; None yields nothing.
+        rebuild_run: Function that makes plant and controller from a setup and a hand; None yields nothing.
     """
-    if again is None:
+    if rebuild_run is None:
         return
     run = segment.whole
-    _, controller = again(run.setup, None)
+    _, controller = rebuild_run(run.setup, None)
     for first in range(0, len(run), _CHUNK):  # one list of a long segment would take a second and much memory
         part = slice(first, first + _CHUNK)
         for tick, pose in zip(run.tick[part].tolist(), run.position[part].tolist(), strict=True):
@@ -335,9 +335,9 @@ def stick_positions(segment: Segment, again: Rebuild | None = rebuild) -> Iterat
             yield positions
 
 
-def stick_positions_of(segment: Segment, again: Rebuild | None = rebuild) -> Array | None:
+def stick_positions_of(segment: Segment, rebuild_run: Rebuild | None = rebuild) -> Array | None:
     """Return the stick positions at all samples, (N, 6); None without friction. See `stick_positions`."""
-    positions = list(stick_positions(segment, again))[-len(segment) :]
+    positions = list(stick_positions(segment, rebuild_run))[-len(segment) :]
     return np.array(positions) if positions else None
 
 
@@ -516,9 +516,9 @@ class _PlayedSegment:
     """Segment of a recording, prepared for playback."""
 
     def __init__(self, segment: Segment, own: OwnCode | None) -> None:
-        self._again = rebuild_for(segment, own)
+        self._rebuild = rebuild_for(segment, own)
         metadata = segment.metadata
-        self.segment, self.scene = segment, shown_scene(segment, own)
+        self.segment, self.scene = segment, displayed_scene(segment, own)
         self.time: Array = segment.time - segment.time[0]
         self.duration = float(self.time[-1]) + metadata.period
         self.carried, self.faces = metadata.carried, tuple(metadata.faces)
@@ -527,7 +527,7 @@ class _PlayedSegment:
         else:
             work = hand_work(segment.position, segment.hand).sum(axis=1)
             self.work = np.concatenate([[0.0], np.cumsum(work)])
-        self._remaining, self._lead = stick_positions(segment, self._again), len(segment.whole) - len(segment)
+        self._remaining, self._lead = stick_positions(segment, self._rebuild), len(segment.whole) - len(segment)
         self._anchors: list[Array] = []
 
     def compute_stick_positions(self) -> None:

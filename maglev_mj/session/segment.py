@@ -267,8 +267,8 @@ class RewindBuffer:
     @property
     def first(self) -> Array:
         """Time and pose of the original run within the displayed time, (N, 7), until its end."""
-        shown = self.history.last(SHOWN)[:, 0]
-        if self.rewound or not len(shown) or shown[-1] > self._end - _ROUNDING:
+        times = self.history.last(SHOWN)[:, 0]
+        if self.rewound or not len(times) or times[-1] > self._end - _ROUNDING:
             return np.empty((0, 7))
-        begin, end = np.searchsorted(self._first[:, 0], (shown[0] - _ROUNDING, shown[-1] + _ROUNDING))
+        begin, end = np.searchsorted(self._first[:, 0], (times[0] - _ROUNDING, times[-1] + _ROUNDING))
         return self._first[begin:end][:: -max(-(-(end - begin) // _MAX_POINTS), 1)][::-1, :7]

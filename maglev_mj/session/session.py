@@ -230,7 +230,7 @@ class Session:
                 self._unchanged = 0.0
                 self._rebuild()
             if self._paused or self._stopped:
-                self._pacer.forgive()
+                self._pacer.clear_backlog()
                 self._apply_request()
                 while self._steps and not self._stopped:
                     self._steps -= 1
@@ -521,7 +521,7 @@ class Session:
         self._acting = self._hand
         self._segment = self._begin(pose)
         self._stopped = ""
-        self._pacer.forgive()
+        self._pacer.clear_backlog()
 
     def _record(self) -> None:
         """Start or stop recording."""

@@ -269,7 +269,7 @@ def test_an_attached_source_that_is_not_that_of_its_hash_is_not_executed(folder:
     others = {name: data + b"# more\n" for name, data in recording.attachments.items()}
     replace(recording, attachments=others).save(folder / "run.maglev")
     status, _, wrong = say("replay", "run.maglev", "--check", "--scene", "attached")
-    assert (status, wrong.count("\n")) == (2, 1) and "does not hold 'script.py' as it was" in wrong
+    assert (status, wrong.count("\n")) == (2, 1) and "does not contain the recorded version of 'script.py'" in wrong
     assert not list(folder.glob("*executed"))
 
 

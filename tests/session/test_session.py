@@ -92,13 +92,13 @@ def test_a_machine_that_cannot_keep_up_slows_down_and_says_so() -> None:
     assert pacer.late
     due = 600 * FRAME / 0.005
     assert sum(made) + pacer.missed == pytest.approx(due - 0.5 / 0.005, abs=2.0)
-    assert pacer.owed <= 0.5 + 0.005
+    assert pacer.backlog <= 0.5 + 0.005
 
 
 def test_what_is_forgiven_is_not_caught_up() -> None:
     pacer, _ = paced(0.010, 10)
-    assert pacer.owed > 0.05
-    pacer.forgive()
+    assert pacer.backlog > 0.05
+    pacer.clear_backlog()
     assert pacer.advance(0.0, 0.005, lambda: None) == 0
 
 
