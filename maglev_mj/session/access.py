@@ -60,7 +60,7 @@ def check_port(port: int) -> int:
         ParameterError: If it is not an integer from 0 to 65535.
     """
     if isinstance(port, bool) or not isinstance(port, int) or not 0 <= port <= 65535:
-        raise ParameterError(f"port must be an integer from 0 to 65535, not {port!r}")
+        raise ParameterError(f"port must be a whole number from 0 to 65535, not {port!r}")
     return port
 
 
