@@ -98,7 +98,7 @@ def test_a_step_in_slow_motion_decays_as_fast_as_in_real_time(tmp_path: Path) ->
 def test_empty_and_invalid_files_are_rejected_in_one_line(tmp_path: Path, capsys: Any) -> None:
     Recording([]).save(tmp_path / "empty.maglev")
     (tmp_path / "wrong.maglev").write_bytes(b"no recording")
-    for name, words in {"empty": "nothing to hear", "wrong": "wrong.maglev"}.items():
+    for name, words in {"empty": "nothing to export to wav", "wrong": "wrong.maglev"}.items():
         assert main(["export", str(tmp_path / f"{name}.maglev"), "--to", "wav"]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert words in line and not (tmp_path / f"{name}.wav").exists()
